@@ -1,0 +1,34 @@
+"""contactbench: contact splitting integrators against the established ones, measured."""
+
+import os
+
+# Single trajectories are timed on one thread; XLA reads its flags when JAX is first imported.
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+)
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+from contactbench.errors import BadInput, UnknownName  # noqa: E402
+from contactbench.methods import METHODS, fixed_step, prepare, solve  # noqa: E402
+from contactbench.scene import Mechanical, RigidBody  # noqa: E402
+from contactbench.scenes import SCENES  # noqa: E402
+from contactbench.solution import Counts, Solution, Status  # noqa: E402
+
+__all__ = [
+    "METHODS",
+    "SCENES",
+    "BadInput",
+    "Counts",
+    "Mechanical",
+    "RigidBody",
+    "Solution",
+    "Status",
+    "UnknownName",
+    "fixed_step",
+    "prepare",
+    "solve",
+]
+__version__ = "0.1.0"

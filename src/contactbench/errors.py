@@ -1,0 +1,75 @@
+"""The one exception users see for bad input, and the registry that raises it for unknown names."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from typing import Any
+
+
+class BadInput(ValueError):
+    """A value the library cannot work with; the message names it and what is allowed."""
+
+    def __str__(self) -> str:  # KeyError, a base of UnknownName, would print its repr
+        return str(self.args[0]) if self.args else ""
+
+
+class UnknownName(BadInput, KeyError):
+    """A name that is in no registry; the message suggests the nearest one."""
+
+
+def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName:
+    names = list(allowed)
+    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return UnknownName(f"unknown {kind} {name!r}: {hint}choose from {', '.join(names)}")
+
+
+class Registry(dict):
+    """A dict in table order whose missing keys raise `UnknownName` with a suggestion."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__()
+        self.kind = kind
+
+    def __missing__(self, name: object) -> Any:
+        raise unknown_name(self.kind, name, self)
+
+    def add(self, item: Any) -> Any:
+        """Register `item` under ``item.name``; a second item of that name is refused."""
+        if item.name in self:
+            raise BadInput(f"{self.kind} {item.name!r} is already registered")
+        self[item.name] = item
+        return item
+
+
+def finite(name: str, value: Any) -> float:
+    """`value` as a finite float, or `BadInput`."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise BadInput(f"{name} = {value!r}: must be a finite number") from None
+    if not math.isfinite(number):
+        raise BadInput(f"{name} = {value!r}: must be a finite number")
+    return number
+
+
+def positive(name: str, value: Any) -> float:
+    """`value` as a finite float > 0, or `BadInput`."""
+    number = finite(name, value)
+    if number <= 0:
+        raise BadInput(f"{name} = {value!r}: must be > 0")
+    return number
+
+
+def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...]:
+    """`value` as a tuple of finite floats (of the given length), or `BadInput`."""
+    try:
+        items = tuple(value) if not isinstance(value, str) else None
+    except TypeError:
+        items = (value,)
+    if items is None or (length is not None and len(items) != length) or not items:
+        wanted = f"{length} numbers" if length is not None else "a sequence of numbers"
+        raise BadInput(f"{name} = {value!r}: must be {wanted}")
+    return tuple(finite(f"{name}[{i}]", item) for i, item in enumerate(items))

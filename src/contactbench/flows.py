@@ -1,0 +1,178 @@
+"""The exact subflows every contact integrator is composed of.
+
+Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A
+flow is split in two so that its transcendental coefficients leave the time loop:
+``constants(scene, h, xp)`` once per step size, ``apply(scene, x, constants, xp)`` once per step.
+`xp` is the number namespace: `math`, `numpy`, `jax.numpy` or an mpmath context.
+
+For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  The merged flow of
+H_A + H_C (`drift_damp`) follows from p(t) = e^{−γt} p by integrating q' and s' along it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State
+
+
+class Flow(NamedTuple):
+    """One exact subflow.
+
+    costs : what one application adds to the counts, by kind ("gradient", "rotation").
+    group : flows for h1 and h2 compose to the flow for h1 + h2, so neighbours may be merged.
+    """
+
+    constants: Callable[[Any, Any, Any], Any]
+    apply: Callable[[Any, Any, Any, Any], Any]
+    costs: dict[str, int]
+    group: bool = True
+
+
+def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
+    """φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
+    undamped = gamma == 0
+    if isinstance(undamped, bool):
+        return h if undamped else -xp.expm1(-gamma * h) / gamma
+    return xp.where(undamped, h, -xp.expm1(-gamma * h) / xp.where(undamped, 1.0, gamma))
+
+
+# -- mechanical scenes ---------------------------------------------------------------------------
+def _plain(scene: Mechanical, h: Any, xp: Any) -> Any:
+    return h
+
+
+def kick(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+    """B: p −= h ∇V(q), s −= h V(q)."""
+    p = tuple(p - h * g for p, g in zip(x.p, scene.dV(x.q), strict=True))
+    return State(x.q, p, None if x.s is None else x.s - h * scene.V(x.q))
+
+
+def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+    """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
+    q = tuple(q + h / scene.mass * p for q, p in zip(x.q, x.p, strict=True))
+    return State(q, x.p, None if x.s is None else x.s + h * scene.kinetic(x.p))
+
+
+def _damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
+    half_kappa = scene.kappa * damped_time(scene.gamma, h, xp) / 2 if scene.nonlinear_damping else None
+    return xp.exp(-scene.gamma * h), half_kappa
+
+
+def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
+    """C: p *= e^{−γh}, s *= e^{−γh}; with κ: divided by D² and D, D = 1 + ½ κ s φ(h).
+
+    The Bernoulli equation s' = −γ s − ½ κ s² has s(h) = e^{−γh} s/D, and ∫Γ'(s) = γh + 2 log D.
+    D ≤ 0 is blow-up in finite time: the state leaves through infinity, not by a wrong number.
+    """
+    decay, half_kappa = constants
+    if half_kappa is None:
+        p = tuple(decay * p for p in x.p)
+        return State(x.q, p, None if x.s is None else decay * x.s)
+    blowup = 1 + half_kappa * x.s
+    if isinstance(blowup > 0, bool):
+        factor = 1 / blowup if blowup > 0 else xp.inf
+    else:
+        factor = xp.where(blowup > 0, 1 / blowup, xp.inf)
+    return State(x.q, tuple(decay * factor * factor * p for p in x.p), decay * factor * x.s)
+
+
+def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
+    phi = damped_time(scene.gamma, h, xp)
+    return phi / scene.mass, phi, xp.exp(-scene.gamma * h)
+
+
+def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
+    """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p."""
+    phi_over_m, phi, decay = constants
+    q = tuple(q + phi_over_m * p for q, p in zip(x.q, x.p, strict=True))
+    s = None if x.s is None else decay * (x.s + phi * scene.kinetic(x.p))
+    return State(q, tuple(decay * p for p in x.p), s)
+
+
+MECHANICAL = {
+    "kick": Flow(_plain, kick, {"gradient": 1}),
+    "drift": Flow(_plain, drift, {}),
+    "damp": Flow(_damp_constants, damp, {}),
+    "drift_damp": Flow(_drift_damp_constants, drift_damp, {}),
+}
+
+
+# -- rigid body ------------------------------------------------------------------------------------
+def rotation(scene: RigidBody, x: BodyState, axis: int, tau: Any, xp: Any) -> BodyState:
+    """Exact flow of ½ M_i²/I_i: M and R turn about principal axis i by the constant rate M_i/I_i.
+
+    R → R Rot(e_i, θ) and M → Rot(e_i, −θ) M, so J = R M does not change.
+    """
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    M, R, s = x
+    rate = M[axis] / scene.inertia[axis]
+    half = tau * rate / 2
+    cos, sin = xp.cos(half), xp.sin(half)
+    cos2, sin2 = 1 - 2 * sin * sin, 2 * sin * cos
+    turned = [M[axis]] * 3
+    turned[j], turned[k] = cos2 * M[j] + sin2 * M[k], cos2 * M[k] - sin2 * M[j]
+    if R is not None:
+        w, v = R[0], R[1:]
+        quaternion = [cos * w - sin * v[axis], w, w, w]
+        quaternion[1 + axis] = cos * v[axis] + sin * w
+        quaternion[1 + j] = cos * v[j] + sin * v[k]
+        quaternion[1 + k] = cos * v[k] - sin * v[j]
+        R = tuple(quaternion)
+    return BodyState(tuple(turned), R, None if s is None else s + tau * M[axis] * rate / 2)
+
+
+def sweep(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
+    """The free body for time tau: the palindrome of rotations 1 2 3 2 1 (second order, symmetric)."""
+    for axis, part in ((0, tau / 2), (1, tau / 2), (2, tau), (1, tau / 2), (0, tau / 2)):
+        x = rotation(scene, x, axis, part, xp)
+    return x
+
+
+def _body_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
+    if scene.isotropic:
+        return xp.exp(-scene.gamma * h)
+    return tuple(xp.exp(-rate * h) for rate in scene.rates)
+
+
+def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
+    """C: M → e^{−hD} M (isotropic: M and s *= e^{−γh}); R does not change."""
+    if scene.isotropic:
+        return BodyState(tuple(decay * m for m in x.M), x.R, None if x.s is None else decay * x.s)
+    factor = iter(decay)
+    return BodyState(scene.damp_matrix_function(x.M, lambda rate: next(factor)), x.R, None)
+
+
+def _sweep_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
+    return damped_time(scene.gamma, h, xp), xp.exp(-scene.gamma * h)
+
+
+def sweep_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodyState:
+    """AC: the free body for time φ(h), then M, s *= e^{−γh}.
+
+    Exact in the damping, because damping only rescales the free body's clock; symmetric, because
+    scaling M by c and time by 1/c commutes with every rotation.
+    """
+    phi, decay = constants
+    return body_damp(scene, sweep(scene, x, phi, xp), decay, xp)
+
+
+ROTATIONS_PER_SWEEP = 5
+
+BODY = {
+    "drift": Flow(_plain, sweep, {"rotation": ROTATIONS_PER_SWEEP}, group=False),
+    "damp": Flow(_body_damp_constants, body_damp, {}),
+    "drift_damp": Flow(_sweep_damp_constants, sweep_damp, {"rotation": ROTATIONS_PER_SWEEP}, group=False),
+}
+
+
+def flows_of(scene: Scene) -> dict[str, Flow]:
+    """The subflows a scene has, by name; a body has no potential, hence no kick."""
+    if isinstance(scene, Mechanical):
+        if scene.nonlinear_damping:  # T and Γ = ½κs² together have no elementary flow
+            return {name: flow for name, flow in MECHANICAL.items() if name != "drift_damp"}
+        return MECHANICAL
+    if isinstance(scene, RigidBody) and not scene.isotropic:
+        return {name: flow for name, flow in BODY.items() if name != "drift_damp"}
+    return BODY

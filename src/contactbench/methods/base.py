@@ -1,0 +1,289 @@
+"""The contract of a method, and the registry.
+
+A method is an object with a `name`, its `engines` (the first is the default), `adaptive`, `order`,
+a one-line `about`, and
+
+    refuses(scene) -> str | None          why the scene is out of reach, or None
+    prepare(Request) -> Prepared          compile once; the result is called many times
+
+Adaptive methods also give `rtol_range`, the tolerances they accept, and `stiff`.  `FixedStep`
+(fixed_step.py) implements most of it for a step map; see contact.py for a method that is data and
+sundials.py for one that is a solver.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any, Protocol
+
+import numpy as np
+
+from contactbench.errors import BadInput, Registry, positive
+from contactbench.scene import Scene
+from contactbench.solution import Counts, Solution, Status, first_divergence
+
+METHODS = Registry("method")
+
+#: saved times when the caller names none: every k-th step with at most this many for fixed steps,
+#: this many equal intervals for adaptive methods
+DEFAULT_SAVES = 1000
+ADAPTIVE_SAVES = 200
+DEFAULT_MAX_STEPS = 10**8
+ADAPTIVE_MAX_STEPS = 10**6
+
+
+class Method(Protocol):
+    """What `METHODS` holds; see the module's docstring."""
+
+    name: str
+    engines: tuple[str, ...]
+    adaptive: bool
+    order: int | None
+    about: str
+
+    def refuses(self, scene: Scene) -> str | None: ...
+    def prepare(self, request: Request) -> Prepared: ...
+
+
+@dataclass(frozen=True)
+class Request:
+    """A validated question to a method: what to solve, how finely, and what to save."""
+
+    scene: Scene
+    engine: str
+    carry: tuple[str, ...]
+    save_at: np.ndarray
+    step: float | None = None
+    rtol: float | None = None
+    atol: float | None = None
+    max_steps: int = DEFAULT_MAX_STEPS
+
+    @property
+    def setting(self) -> str:
+        """The setting as it is keyed in tables."""
+        return f"step={self.step:.6g}" if self.step is not None else f"rtol={self.rtol:.3g}"
+
+
+@dataclass
+class Prepared:
+    """A compiled solver: call it, with other initial data if you like, to get a `Solution`."""
+
+    method: str
+    request: Request
+    #: seconds spent tracing and compiling, nan where nothing is compiled
+    compile_s: float = field(default=math.nan, kw_only=True)
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        """Run from a packed initial state."""
+        raise NotImplementedError
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        """(k, d, m): derivative of the saved states along the scene's m tangent vectors at y0."""
+        raise BadInput(f"{self.method}: no derivative of the numerical map is available")
+
+    sensitivity_source = ""
+
+    def __call__(self, **data: Any) -> Solution:
+        r = self.request
+        if data:
+            y0 = np.array(r.scene.pack(r.scene.initial(r.carry, **r.scene.checked(data))), dtype=float)
+        else:
+            y0 = self._own_start
+        out = self.integrate(y0)
+        solution = Solution(
+            r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
+            out.message, out.counts, out.end_time, y0, lambda: self.sensitivity(y0),
+            self.sensitivity_source,
+        )  # fmt: skip
+        return solution
+
+    def count(self) -> Counts:
+        """What one run costs; may repeat the run in a slower mode that tells more."""
+        return self().counts
+
+    def __post_init__(self) -> None:
+        r = self.request
+        self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
+
+    def finished(
+        self, y0: np.ndarray, y: np.ndarray, counts: Counts, status: Status = Status.ok, message: str = ""
+    ) -> Outcome:
+        """An outcome from the saved states reached so far: checked for divergence, padded with NaN."""
+        times = self.request.save_at
+        reached = len(y)
+        bad = first_divergence(self.request.scene, y0, y)
+        if bad is not None:
+            at = float(times[bad])
+            y, reached = y[:bad], bad
+            status, message = Status.diverged, f"left the scene's scale by a factor 1e6 before t = {at:.6g}"
+        if reached < len(times):
+            if status is Status.ok:
+                status, message = Status.failed, f"stopped before t = {times[reached]:.6g}"
+            y = np.concatenate([y, np.full((len(times) - reached, len(y0)), math.nan)])
+        end = float(times[reached - 1]) if reached else 0.0
+        return Outcome(y, counts, status, message, end)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What integrating gave: packed states (NaN where not reached), counts, and how it ended."""
+
+    y: np.ndarray
+    counts: Counts
+    status: Status
+    message: str
+    end_time: float
+
+
+class Refused(Prepared):
+    """A prepared 'no': every call gives a solution with status `unsupported`."""
+
+    def __init__(self, method: str, request: Request, why: str) -> None:
+        super().__init__(method, request)
+        self.why = why
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        nothing = np.full((len(self.request.save_at), len(y0)), math.nan)
+        return Outcome(nothing, Counts(), Status.unsupported, self.why, 0.0)
+
+
+class Adaptive:
+    """Base of the solvers that choose their own steps from rtol."""
+
+    adaptive = True
+
+    def refuses(self, scene: Scene) -> str | None:
+        return None
+
+
+def lookup(scene: Scene | str, method: str) -> tuple[Scene, Method]:
+    """Scene and method by name, `UnknownName` with a suggestion otherwise."""
+    from contactbench.scenes import SCENES
+
+    if isinstance(scene, str):
+        scene = SCENES[scene]
+    if not isinstance(scene, Scene):
+        raise BadInput(f"scene = {scene!r}: must be a scene or the name of one: {', '.join(SCENES)}")
+    return scene, METHODS[method]
+
+
+def prepare(
+    scene: Scene | str,
+    method: str,
+    *,
+    step: float | None = None,
+    rtol: float | None = None,
+    atol: float | None = None,
+    save_at: Sequence[float] | np.ndarray | None = None,
+    carry: Sequence[str] | None = None,
+    engine: str | None = None,
+    max_steps: int | None = None,
+) -> Prepared:
+    """A solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
+
+    step : step size of a fixed-step method.  Steps never straddle a saved time: each interval
+        between saved times is divided into the fewest equal steps not longer than `step`.
+    rtol, atol : tolerances of an adaptive method (atol defaults to rtol).
+    save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
+        most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
+    carry : which of s and R to integrate; by default all the scene has.
+    engine : "jax", "python", … (the method's first by default).
+    max_steps : budget; a run that needs more ends with status `budget`.
+    Raises `BadInput` for anything it cannot work with.
+    """
+    scene, chosen = lookup(scene, method)
+    if engine is None:
+        engine = chosen.engines[0]
+    if engine not in chosen.engines:
+        raise BadInput(f"engine = {engine!r}: {method} runs on {', '.join(chosen.engines)}")
+    if chosen.adaptive:
+        if step is not None:
+            raise BadInput(f"step = {step!r}: {method} chooses its own steps; give rtol")
+        step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
+    else:
+        if rtol is not None or atol is not None:
+            raise BadInput(f"rtol = {rtol!r}: {method} has a fixed step; give step")
+        if step is None:
+            raise BadInput(f"step is missing: {method} has a fixed step; give step > 0")
+        step = positive("step", step)
+    budget = _budget(chosen, max_steps)
+    if save_at is None:
+        times = _default_times(scene, step, budget)
+    else:
+        times = _times(save_at)
+    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
+    why = chosen.refuses(scene)
+    return chosen.prepare(request) if why is None else Refused(chosen.name, request, why)
+
+
+def solve(scene: Scene | str, method: str, **options: Any) -> Solution:
+    """Solve a scene once; takes the keywords of `prepare`."""
+    return prepare(scene, method, **options)()
+
+
+def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[float, float]:
+    if rtol is None:
+        raise BadInput(f"rtol is missing: {method.name} is adaptive; give rtol")
+    rtol = positive("rtol", rtol)
+    low, high = method.rtol_range
+    if not low <= rtol <= high:
+        raise BadInput(f"rtol = {rtol!r}: {method.name} takes {low:g} to {high:g}")
+    return rtol, rtol if atol is None else positive("atol", atol)
+
+
+def _budget(method: Method, max_steps: int | None) -> int:
+    if max_steps is None:
+        return ADAPTIVE_MAX_STEPS if method.adaptive else DEFAULT_MAX_STEPS
+    if isinstance(max_steps, bool) or int(max_steps) != max_steps or max_steps < 1:
+        raise BadInput(f"max_steps = {max_steps!r}: must be a whole number ≥ 1")
+    return int(max_steps)
+
+
+def _default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
+    if step is None:
+        return np.linspace(0.0, scene.t_end, ADAPTIVE_SAVES + 1)
+    n = steps_in(scene.t_end, step)
+    if n > budget:  # will end as `budget`; no grid of that size is needed
+        return np.array([scene.t_end])
+    stride = -(-n // DEFAULT_SAVES)
+    marks = np.append(np.arange(0, n, stride), n)
+    return marks * (scene.t_end / n)
+
+
+def _times(save_at: Any) -> np.ndarray:
+    try:
+        times = np.atleast_1d(np.asarray(save_at, dtype=float))
+    except (TypeError, ValueError):
+        raise BadInput(f"save_at = {save_at!r}: must be increasing times") from None
+    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
+        raise BadInput(f"save_at = {save_at!r}: must be finite times, at least one")
+    if times[0] < 0 or np.any(np.diff(times) <= 0):
+        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
+    if len(times) == 1 and times[0] == 0:
+        raise BadInput("save_at: at least one time must be > 0")
+    return times
+
+
+def steps_in(span: float, step: float) -> int:
+    """The fewest equal steps that cover `span` without exceeding `step` (up to round-off)."""
+    return max(1, math.ceil(span / step * (1 - 1e-12)))
+
+
+def counting(f: Any) -> tuple[Any, list[int]]:
+    """`f` and a one-element list that counts its calls."""
+    calls = [0]
+
+    def counted(*args: Any) -> Any:
+        calls[0] += 1
+        return f(*args)
+
+    return counted, calls
+
+
+def stopwatch() -> Any:
+    """A function that returns the seconds since it was made."""
+    start = perf_counter()
+    return lambda: perf_counter() - start

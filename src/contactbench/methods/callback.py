@@ -1,0 +1,34 @@
+"""What the solvers that call back into Python share: plain-float right-hand sides and Jacobians."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import chain
+from typing import Any
+
+from contactbench.scene import Mechanical, Scene, State
+
+
+def flat_rhs(scene: Scene, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Any]:
+    """``f(y) -> iterable`` on packed plain floats; the mechanical case without s has a short cut."""
+    rhs = scene.rhs
+    if isinstance(scene, Mechanical) and not carry:
+        n = len(scene.q)
+
+        def short(y: Sequence[float]) -> Any:
+            dx = rhs(State(tuple(y[:n]), tuple(y[n:])))
+            return chain(dx.q, dx.p)
+
+        return short
+    unpack, pack = scene.unpack, scene.pack
+    return lambda y: pack(rhs(unpack(y, carry)))
+
+
+def flat_jacobian(
+    scene: Scene, carry: tuple[str, ...]
+) -> Callable[[Sequence[float]], list[list[float]]] | None:
+    """``J(y) -> rows`` on packed plain floats, or None when the scene has no Hessian."""
+    jacobian = getattr(scene, "jacobian", None)
+    if jacobian is None or (isinstance(scene, Mechanical) and scene.hessian is None):
+        return None
+    return lambda y: jacobian(scene.unpack(y, carry))

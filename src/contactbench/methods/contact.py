@@ -1,0 +1,49 @@
+"""The contact splitting integrators: one registered method per composition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from contactbench.composition import COMPOSITIONS, Composition, Repeat, advance, missing_flow, plan, repeat
+from contactbench.flows import flows_of
+from contactbench.methods.base import METHODS
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.scene import Mechanical, Scene
+
+
+@dataclass(frozen=True)
+class ContactMethod(FixedStep):
+    """A composition of exact contact flows, hence an exact conformal contact map at every step size."""
+
+    composition: Composition = COMPOSITIONS[0]
+
+    def refuses(self, scene: Scene) -> str | None:
+        return missing_flow(self.composition, scene)
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        return advance(self.composition, scene, x, h, n, xp, repeat)
+
+    def counts(self, scene: Scene, n: int) -> int:
+        return plan(self.composition, scene).count(flows_of(scene), self.kind_on(scene), n)
+
+    def kind_on(self, scene: Scene) -> str:
+        return "gradient" if isinstance(scene, Mechanical) else "rotation"
+
+
+def contact_method(composition: Composition) -> ContactMethod:
+    """The method of a composition, on both engines."""
+    return ContactMethod(
+        name=composition.name,
+        order=composition.order,
+        step=lambda scene, x, h, xp: advance(composition, scene, x, h, 1, xp),
+        kind="gradient",
+        about=composition.source,
+        contact=True,
+        symmetric=composition.palindromic,
+        composition=composition,
+    )
+
+
+for _composition in COMPOSITIONS:
+    METHODS.add(contact_method(_composition))

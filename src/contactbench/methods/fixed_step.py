@@ -1,0 +1,220 @@
+"""Fixed-step methods and the two engines that run them: a compiled JAX loop and plain Python.
+
+The Python loop is written on the scene's own components, so it also runs on NumPy arrays (an
+ensemble) and on mpmath numbers (`trajectory` with another namespace).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.composition import Repeat, repeat
+from contactbench.methods.base import METHODS, Outcome, Prepared, Request, steps_in, stopwatch
+from contactbench.scene import Scene
+from contactbench.solution import Counts, Status, first_divergence
+
+Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
+
+
+@dataclass(frozen=True)
+class FixedStep:
+    """A one-step method given by its step map ``step(scene, x, h, xp) -> x``.
+
+    evaluations : of `kind` per step.  A method that can merge the end of one step with the start of
+    the next overrides `advance` and `counts` (see contact.py).
+    """
+
+    name: str
+    order: int
+    step: Step
+    evaluations: int = 1
+    kind: str = "rhs"
+    about: str = ""
+    engines: tuple[str, ...] = ("jax", "python")
+    #: declared properties, each tested for every registered method that claims it
+    contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
+    symmetric: bool = False  # Φ_{−h} ∘ Φ_h = id
+    adaptive = False
+
+    def refuses(self, scene: Scene) -> str | None:
+        return None
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        """n ≥ 1 steps of size h."""
+        return repeat(n, lambda x: self.step(scene, x, h, xp), x)
+
+    def counts(self, scene: Scene, n: int) -> int:
+        """Evaluations in n uninterrupted steps."""
+        return n * self.evaluations
+
+    def kind_on(self, scene: Scene) -> str:
+        """What `counts` counts on this scene."""
+        return self.kind
+
+    def prepare(self, request: Request) -> Prepared:
+        return {"jax": JaxLoop, "python": PythonLoop}[request.engine](self.name, request, self)
+
+
+def fixed_step(
+    name: str, order: int, *, evaluations: int = 1, about: str = "", **claims: bool
+) -> Callable[[Step], Step]:
+    """Decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
+
+    It then runs on both engines and appears in every table, figure and test.
+    """
+
+    def register(step: Step) -> Step:
+        METHODS.add(FixedStep(name, order, step, evaluations, about=about, **claims))
+        return step
+
+    return register
+
+
+@dataclass
+class FixedStepRun(Prepared):
+    """What both engines share: the division of the run into intervals of equal steps."""
+
+    method_: FixedStep
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        assert r.step is not None
+        self.saves_start = r.save_at[0] == 0
+        self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
+        self.n = np.array([steps_in(span, r.step) for span in self.marks], dtype=np.int64)
+        self.h = self.marks / self.n
+        total = int(self.n.sum())
+        evaluations = sum(self.method_.counts(r.scene, int(n)) for n in self.n)
+        self.totals = Counts(total, evaluations, 0, 0, self.method_.kind_on(r.scene))
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Packed states after each interval of n[k] steps of size h[k]; shape (k, d)."""
+        raise NotImplementedError
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r = self.request
+        if self.totals.steps > r.max_steps:
+            nothing = np.empty((0, len(y0)))
+            message = f"{self.totals.steps} steps needed, max_steps = {r.max_steps}"
+            return self.finished(y0, nothing, Counts(), Status.budget, message)
+        y = self.intervals(y0, self.h, self.n)
+        if self.saves_start:
+            y = np.concatenate([y0[None], y])
+        out = self.finished(y0, y, self.totals)
+        return out if out.status is not Status.diverged else self._located(y0, out)
+
+    def _located(self, y0: np.ndarray, out: Outcome) -> Outcome:
+        """A divergence pinned down to the step, by bisecting the interval in which it happened."""
+        r = self.request
+        k = int(np.argmax(np.isnan(out.y).all(axis=1)))  # the first saved time not reached
+        i = k - 1 if self.saves_start else k
+        good, time = (out.y[k - 1], float(r.save_at[k - 1])) if k else (y0, 0.0)
+        h, left = self.h[i], int(self.n[i])
+        steps = int(self.n[:i].sum())
+        while left > 1:
+            half = np.ones_like(self.n)  # the compiled loop has a fixed number of intervals
+            half[0] = left // 2
+            y = self.intervals(good, np.full(len(half), h), half)[:1]
+            if first_divergence(r.scene, y0, y) is None:
+                good, time = y[0], time + float(half[0] * h)
+                steps, left = steps + int(half[0]), left - int(half[0])
+            else:
+                left = int(half[0])
+        end = time + float(h)
+        evaluations = self.method_.counts(r.scene, steps + 1)
+        counts = Counts(steps + 1, evaluations, 0, 0, self.method_.kind_on(r.scene))
+        message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
+        return Outcome(out.y, counts, Status.diverged, message, end)
+
+
+class PythonLoop(FixedStepRun):
+    """Plain Python floats."""
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        r = self.request
+        x = r.scene.unpack(y0.tolist(), r.carry)
+        spans = zip(h.tolist(), n.tolist(), strict=True)
+        rows = []
+        try:
+            for x in trajectory(self.method_, r.scene, x, spans, math):
+                rows.append(r.scene.pack(x))
+        except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
+            rows += [[math.nan] * len(y0)] * (len(n) - len(rows))
+        return np.array(rows, dtype=float)
+
+
+def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
+    """States after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
+    for h, n in spans:
+        x = method.advance(scene, x, h, n, xp)
+        yield x
+
+
+_compiled: dict[Any, tuple[Any, float]] = {}
+
+
+class JaxLoop(FixedStepRun):
+    """One compiled program per (method, scene structure, fields carried, number of saved times)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        self.numbers = np.array(r.scene.numbers())
+        self.program, self.compile_s = self._program("run", self._kernel)
+
+    def _program(self, purpose: str, function: Callable[..., Any]) -> tuple[Any, float]:
+        import jax
+
+        r = self.request
+        key = (purpose, self.method_, r.scene.structure, r.carry, len(self.n))
+        if key not in _compiled:
+            elapsed = stopwatch()
+            arguments = (self._own_start, self.numbers, self.h, self.n)
+            _compiled[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
+        return _compiled[key]
+
+    def _kernel(self, y0: Any, numbers: Any, h: Any, n: Any) -> Any:
+        import jax.numpy as jnp
+        from jax import lax
+
+        r = self.request
+        scene = r.scene.with_numbers(list(numbers))
+
+        def loop(n: Any, body: Any, x: Any) -> Any:
+            return lax.fori_loop(0, n, lambda _, x: body(x), x)
+
+        def interval(x: Any, span: Any) -> Any:
+            x = self.method_.advance(scene, x, *span, jnp, loop)
+            return x, jnp.stack(scene.pack(x))
+
+        return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n))[1]
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return np.asarray(self.program(y0, self.numbers, h, n))
+
+    sensitivity_source = "forward-mode AD through the numerical map"
+
+    def _tangent_kernel(self, y0: Any, numbers: Any, h: Any, n: Any) -> Any:
+        import jax
+
+        r = self.request
+        x0 = r.scene.unpack(list(y0), r.carry)
+        directions = jax.numpy.array([r.scene.pack(v) for v in r.scene.tangents(x0)])
+        push = jax.vmap(lambda v: jax.jvp(lambda y: self._kernel(y, numbers, h, n), (y0,), (v,))[1])
+        return jax.numpy.moveaxis(push(directions), 0, -1)
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        program, _ = self._program("sensitivity", self._tangent_kernel)
+        tangent = np.asarray(program(y0, self.numbers, self.h, self.n))
+        if self.saves_start:
+            r = self.request
+            x0 = r.scene.unpack(tuple(y0.tolist()), r.carry)
+            start = np.array([r.scene.pack(v) for v in r.scene.tangents(x0)]).T
+            tangent = np.concatenate([start[None], tangent])
+        return tangent

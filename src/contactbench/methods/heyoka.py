@@ -1,0 +1,88 @@
+"""heyoka's adaptive Taylor method, compiled by LLVM: the strongest non-stiff peer that pip installs.
+
+Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
+Parameters are runtime parameters; the Taylor order follows from the tolerance, so every tolerance
+is a program of its own.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, stopwatch
+from contactbench.scene import Scene
+from contactbench.solution import Counts, Status
+
+
+def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
+    """The scene's equations as heyoka expressions, its numbers as runtime parameters par[i]."""
+    variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
+    variables = variables if isinstance(variables, list) else [variables]
+    symbolic = scene.with_numbers([heyoka.par[i] for i in range(len(scene.numbers()))])
+    slopes = scene.pack(symbolic.rhs(scene.unpack(variables, carry)))
+    return list(zip(variables, slopes, strict=True))
+
+
+@dataclass
+class TaylorRun(Prepared):
+    integrator: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        import heyoka
+
+        super().__post_init__()
+        r = self.request
+        elapsed = stopwatch()
+        self.integrator = heyoka.taylor_adaptive(
+            taylor_system(r.scene, r.carry, heyoka), self._own_start, pars=r.scene.numbers(), tol=r.rtol
+        )
+        self.compile_s = elapsed()
+        self.outcomes = heyoka.taylor_outcome
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, ta = self.request, self.integrator
+        ta.time = 0.0
+        ta.state[:] = y0
+        if len(r.save_at) == 1:
+            outcome, _, _, steps, *_ = ta.propagate_until(float(r.save_at[0]), max_steps=r.max_steps)
+            y = ta.state.copy()[None]
+            if outcome != self.outcomes.time_limit:
+                y = y[:0]
+        else:
+            start = r.save_at[0] == 0
+            grid = r.save_at if start else np.concatenate([[0.0], r.save_at])
+            outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
+            y = y[: len(grid)] if start else y[1:]
+        counts = Counts(steps, steps * (ta.order + 1), 0, 0, "taylor")
+        if outcome == self.outcomes.time_limit:
+            return self.finished(y0, y, counts)
+        if outcome == self.outcomes.step_limit:
+            return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent")
+        status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
+        message = f"{outcome.name} at t = {ta.time:.6g}"
+        return self.finished(y0, y, counts, status, message)
+
+
+@dataclass(frozen=True)
+class TaylorMethod(Adaptive):
+    name: str = "heyoka-taylor"
+    order: int | None = None
+    about: str = "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)"
+    engines: tuple[str, ...] = ("llvm",)
+    stiff: bool = False
+    rtol_range: tuple[float, float] = (2.3e-16, 1e-1)
+
+    def refuses(self, scene: Scene) -> str | None:
+        if importlib.util.find_spec("heyoka") is None:
+            return "heyoka is not installed (pip install contactbench[bench])"
+        return None
+
+    def prepare(self, request: Request) -> Prepared:
+        return TaylorRun(self.name, request)
+
+
+METHODS.add(TaylorMethod())

@@ -1,0 +1,33 @@
+"""The classical Runge–Kutta method, applied to the contact equations as the paper does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from contactbench.methods.fixed_step import fixed_step
+from contactbench.scene import Scene
+
+
+def shifted(x: Any, h: Any, slope: Any) -> Any:
+    """x + h·slope, component by component, fields that are not carried left alone."""
+    parts = []
+    for part, rate in zip(x, slope, strict=True):
+        if isinstance(part, tuple):
+            parts.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))
+        else:
+            parts.append(None if part is None else part + h * rate)
+    return type(x)(*parts)
+
+
+@fixed_step(
+    "rk4", order=4, evaluations=4,
+    about="classical Runge–Kutta; Kutta, Z. Math. Phys. 46, 435 (1901); Hairer–Nørsett–Wanner I, table 1.2",
+)  # fmt: skip
+def rk4(scene: Scene, x: Any, h: Any, xp: Any) -> Any:
+    k1 = scene.rhs(x)
+    k2 = scene.rhs(shifted(x, h / 2, k1))
+    k3 = scene.rhs(shifted(x, h / 2, k2))
+    k4 = scene.rhs(shifted(x, h, k3))
+    for weight, slope in ((h / 6, k1), (h / 3, k2), (h / 3, k3), (h / 6, k4)):
+        x = shifted(x, weight, slope)
+    return x

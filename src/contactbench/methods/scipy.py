@@ -1,0 +1,87 @@
+"""SciPy's DOP853 and Radau, stepped directly (what `solve_ivp` does, less its bookkeeping).
+
+Hairer, Nørsett, Wanner, Solving ODEs I, §II.5 (DOP853) and II, §IV.8 (Radau IIA, order 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, counting
+from contactbench.methods.callback import flat_jacobian, flat_rhs
+from contactbench.solution import Counts, Status
+
+
+@dataclass
+class ScipyRun(Prepared):
+    solver: Any
+    stiff: bool
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        rhs = flat_rhs(r.scene, r.carry)
+        self.f = lambda t, y: list(rhs(y.tolist()))
+        jacobian = flat_jacobian(r.scene, r.carry) if self.stiff else None
+        self.jac = None if jacobian is None else (lambda t, y: np.array(jacobian(y.tolist())))
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r = self.request
+        f, calls = self.f, None
+        options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}
+        if self.stiff and self.jac is not None:
+            options["jac"] = self.jac
+        elif self.stiff:  # SciPy's own nfev leaves out the calls that difference the Jacobian
+            f, calls = counting(f)
+        times = r.save_at
+        rows = [y0] if times[0] == 0 else []
+        steps, status, message = 0, Status.ok, ""
+        try:
+            solver = self.solver(f, 0.0, y0, float(times[-1]), **options)
+            while len(rows) < len(times):
+                if steps == r.max_steps:
+                    status, message = Status.budget, f"max_steps = {r.max_steps} spent at t = {solver.t:.6g}"
+                    break
+                note = solver.step()
+                steps += 1
+                if solver.status == "failed":
+                    status, message = Status.failed, f"{note} (t = {solver.t:.6g})"
+                    break
+                due = int(np.searchsorted(times, solver.t, side="right"))
+                if due > len(rows):
+                    rows.extend(self._dense(solver, times[len(rows) : due]))
+        except (OverflowError, ZeroDivisionError, ValueError, np.linalg.LinAlgError) as error:
+            status, message = Status.failed, f"{type(error).__name__}: {error} (t = {solver.t:.6g})"
+        evaluations = solver.nfev if calls is None else calls[0]
+        counts = Counts(steps, evaluations, solver.njev, None)
+        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message)
+
+    @staticmethod
+    def _dense(solver: Any, times: np.ndarray) -> list[np.ndarray]:
+        if len(times) == 1 and times[0] == solver.t:  # no interpolation at the solver's own point
+            return [solver.y.copy()]
+        interpolant = solver.dense_output()
+        return [solver.y.copy() if t == solver.t else interpolant(t) for t in times]
+
+
+@dataclass(frozen=True)
+class ScipyMethod(Adaptive):
+    name: str
+    solver: str
+    order: int
+    stiff: bool = False
+    about: str = ""
+    engines: tuple[str, ...] = ("python",)
+    rtol_range: tuple[float, float] = (1e-13, 1e-1)  # SciPy clamps anything below 100 ε
+
+    def prepare(self, request: Request) -> Prepared:
+        import scipy.integrate
+
+        return ScipyRun(self.name, request, getattr(scipy.integrate, self.solver), self.stiff)
+
+
+METHODS.add(ScipyMethod("scipy-dop853", "DOP853", 8, about="explicit Runge–Kutta 8(5,3), Python callbacks"))
+METHODS.add(ScipyMethod("scipy-radau", "Radau", 5, True, about="implicit Radau IIA, analytic Jacobian"))

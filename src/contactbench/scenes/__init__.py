@@ -1,0 +1,10 @@
+"""The registry of named scenes.  To add one: define it in a module here and list it below."""
+
+from __future__ import annotations
+
+from contactbench.errors import Registry
+from contactbench.scenes.standard import STANDARD
+
+SCENES = Registry("scene")
+for _scene in STANDARD:
+    SCENES.add(_scene)
