@@ -12,12 +12,15 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from contactbench.errors import BadInput, UnknownName  # noqa: E402
+from contactbench.laws import LAWS  # noqa: E402
 from contactbench.methods import METHODS, fixed_step, prepare, solve  # noqa: E402
+from contactbench.references import reference  # noqa: E402
 from contactbench.scene import Mechanical, RigidBody  # noqa: E402
 from contactbench.scenes import SCENES  # noqa: E402
 from contactbench.solution import Counts, Solution, Status  # noqa: E402
 
 __all__ = [
+    "LAWS",
     "METHODS",
     "SCENES",
     "BadInput",
@@ -29,6 +32,7 @@ __all__ = [
     "UnknownName",
     "fixed_step",
     "prepare",
+    "reference",
     "solve",
 ]
 __version__ = "0.1.0"

@@ -85,6 +85,7 @@ class CvodeMethod(Adaptive):
     kind: str
     about: str
     stiff: bool = False
+    order: int | None = None
     engines: tuple[str, ...] = ("c+python",)
     rtol_range: tuple[float, float] = (1e-14, 1e-1)
 

@@ -1,0 +1,71 @@
+"""Who keeps the laws?  One cell: a method on a scene at three steps or four tolerances."""
+
+from __future__ import annotations
+
+import numpy as np
+from cells import cells, outcome, save_times, setting, steps
+
+import contactbench as cb
+from contactbench.laws import (
+    contact_deviation,
+    energies,
+    hamiltonian_deviation,
+    has_momentum_law,
+    is_contact,
+    laws_of,
+    momentum_deviation,
+)
+from contactbench.table import LAWS_TABLE, LAWS_TIME
+
+RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
+
+
+def ladder(profile):
+    return [(scene, method) for scene in cb.SCENES for method in cb.METHODS]
+
+
+@cells(ladder)
+def test_laws(cell, profile, record):
+    scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
+    values = RTOLS if method.adaptive else steps(scene, 6)[::2]
+    shown = values[1]
+    for value in [shown] if profile.points == 1 else values:
+        solution = cb.solve(scene, method.name, save_at=save_times(scene), **setting(method, value))
+        row = {law.name: measured(law, solution) for law in laws_of(scene)}
+        differentiable = bool(solution.sensitivity_source) and is_contact(scene)
+        record(
+            LAWS_TABLE,
+            **outcome(solution),
+            saved_times=len(solution.t),
+            derivative=solution.sensitivity_source if differentiable else "not measured",
+            **row,
+        )
+        if value == shown and solution.ok:
+            for moment in along_time(solution):
+                record(LAWS_TIME, **moment)
+
+
+def measured(law, solution):
+    """The law's value; nan where the derivative of the numerical map is not available."""
+    if law.name in ("contact_drift", "distribution_drift") and not solution.sensitivity_source:
+        return float("nan")
+    return law(solution)
+
+
+def along_time(solution):
+    """Rows of the time table."""
+    scene, nothing = solution.scene, np.full(len(solution.t), np.nan)
+    energy, true_energy, _ = energies(solution)
+    columns = {
+        "t": solution.t,
+        "energy": energy,
+        "energy_true": true_energy,
+        "hamiltonian_deviation": hamiltonian_deviation(solution) if is_contact(scene) else nothing,
+        "momentum_deviation": momentum_deviation(solution) if has_momentum_law(scene) else nothing,
+        "contact_deviation": nothing,
+    }
+    if is_contact(scene) and solution.sensitivity_source:
+        columns["contact_deviation"] = contact_deviation(solution)
+    key = {k: outcome(solution)[k] for k in ("scene", "method", "engine", "setting", "status", "message")}
+    for values in zip(*columns.values(), strict=True):
+        yield {**key, **dict(zip(columns, map(float, values), strict=True))}

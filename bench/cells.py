@@ -1,0 +1,70 @@
+"""What the experiments share: which methods, which step sizes, what to save, what a row says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import contactbench as cb
+from contactbench.scene import Scene
+from contactbench.scenes import SCENES
+from contactbench.methods import METHODS
+from contactbench.solution import Counts, Solution
+
+#: saved times per run: few enough to be step boundaries of every step size of the ladder
+SAVES = 25
+#: coarsest step; below it a ladder halves
+COARSEST = 0.8
+RTOLS = [10.0**-k for k in range(3, 14)]
+
+
+def cells(*ladders: Any) -> Callable[..., Any]:
+    """Attach to a test the function that lists its cells for a profile."""
+
+    def attach(test: Any) -> Any:
+        test.cells = ladders[0]
+        return test
+
+    return attach
+
+
+def steps(scene: Scene, count: int) -> list[float]:
+    """Halving steps t_end/(25·2^k), the coarsest not above 0.8."""
+    n = SAVES
+    while scene.t_end / n > COARSEST:
+        n *= 2
+    return [scene.t_end / (n * 2**k) for k in range(count)]
+
+
+def save_times(scene: Scene) -> np.ndarray:
+    """The 25 times every ladder has in common, on the grid of the frozen references."""
+    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
+
+
+def setting(method: Any, value: float) -> dict[str, float]:
+    return {"rtol": value} if method.adaptive else {"step": value}
+
+
+def engines() -> list[tuple[str, str]]:
+    """Every (method, engine)."""
+    return [(name, engine) for name, method in METHODS.items() for engine in method.engines]
+
+
+def outcome(solution: Solution, counts: Counts | None = None) -> dict[str, Any]:
+    """The columns every row has: key, status, counts."""
+    counts = counts or solution.counts
+    return {
+        "scene": solution.scene.name,
+        "method": solution.method,
+        "engine": solution.engine,
+        "setting": solution.setting,
+        "status": str(solution.status),
+        "message": solution.message,
+        "steps": counts.steps,
+        "evaluations": counts.evaluations,
+        "evaluation_kind": counts.kind,
+        "rhs_equivalents": counts.rhs_equivalents,
+        "jacobians": counts.jacobians,
+    }

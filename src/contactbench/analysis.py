@@ -1,0 +1,105 @@
+"""What is computed from measured points: fitted orders, equal-error costs, timing statistics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+#: points needed for an order, and the most a pairwise slope may stray from the median slope
+MIN_POINTS = 4
+STRAY = 0.15
+
+
+@dataclass(frozen=True)
+class OrderFit:
+    """Slope of log error against log h with its 95 % interval, and the points it rests on.
+
+    used : mask of the points in the asymptotic range.  pairwise : slope between each point and the
+    next larger step, nan for the largest.  order is nan when fewer than four points qualify.
+    """
+
+    order: float
+    low: float
+    high: float
+    used: np.ndarray
+    pairwise: np.ndarray
+
+
+def fit_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+    """Least-squares slope and its 95 % interval (Student t); at least three points."""
+    from scipy.stats import linregress
+    from scipy.stats import t as student
+
+    fit = linregress(x, y)
+    half = student.ppf(0.975, len(x) - 2) * fit.stderr
+    return float(fit.slope), float(fit.slope - half), float(fit.slope + half)
+
+
+def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
+    """Order of convergence from errors at a ladder of step sizes, in any order.
+
+    The asymptotic range is the longest run of neighbouring points, none at or below `floor`
+    (round-off), whose pairwise slopes differ by at most 0.15 from their median; of several equally
+    long runs the one with the smallest steps is taken.  It needs four points.
+    """
+    h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
+    order = np.argsort(h)
+    h, e = h[order], e[order]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = np.diff(np.log(e)) / np.diff(np.log(h))
+    sound = np.isfinite(e) & (e > floor)
+    best = range(0)
+    for i in range(len(h)):
+        for j in range(i + MIN_POINTS, len(h) + 1):
+            inside = slopes[i : j - 1]
+            if not sound[i:j].all() or np.abs(inside - np.median(inside)).max() > STRAY:
+                continue
+            if j - i > len(best):
+                best = range(i, j)
+    used = np.zeros(len(h), dtype=bool)
+    used[best.start : best.stop] = True
+    pairwise = np.append(slopes, math.nan)
+    back = np.argsort(order)
+    if not len(best):
+        return OrderFit(math.nan, math.nan, math.nan, used[back], pairwise[back])
+    fitted = fit_line(np.log(h[used]), np.log(e[used]))
+    return OrderFit(*fitted, used[back], pairwise[back])
+
+
+def cost_at_error(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
+    """Cost at which the error reaches `target`, by log–log interpolation; nan outside the data.
+
+    The lower envelope of the points is used: the cheapest setting at least as accurate as each
+    error, so that a method is not charged for a poor setting it has no need of.
+    """
+    points = sorted(
+        (e, c) for e, c in zip(errors, costs, strict=True) if e > 0 and math.isfinite(e) and math.isfinite(c)
+    )
+    front: list[tuple[float, float]] = []
+    for error, cost in points:  # errors ascend: drop points that cost no less than a better one
+        if front and cost >= front[-1][1]:
+            continue
+        front.append((error, cost))
+    if not front or not front[0][0] <= target <= front[-1][0]:
+        return math.nan
+    x, y = np.log([e for e, _ in front]), np.log([c for _, c in front])
+    return float(np.exp(np.interp(math.log(target), x, y)))
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds per call over rounds: minimum, median and interquartile range."""
+
+    minimum: float
+    median: float
+    iqr: float
+    rounds: int
+
+
+def timing(samples: Sequence[float]) -> Timing:
+    """Statistics of per-call times."""
+    lower, middle, upper = np.percentile(samples, [25, 50, 75])
+    return Timing(float(min(samples)), float(middle), float(upper - lower), len(samples))

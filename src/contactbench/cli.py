@@ -1,0 +1,150 @@
+"""The command line: ``contactbench list | solve | report | references``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from contactbench.errors import BadInput
+
+
+def listing(_: argparse.Namespace) -> int:
+    """Print scenes, methods and laws."""
+    import contactbench as cb
+
+    print("scenes")
+    for scene in cb.SCENES.values():
+        print(f"  {scene.name:24} {scene.about}")
+    print("methods")
+    for method in cb.METHODS.values():
+        kind = "adaptive" if method.adaptive else "fixed step"
+        order = f"order {method.order}" if method.order else "variable order"
+        print(f"  {method.name:24} {order}, {kind}, {'/'.join(method.engines)}: {method.about}")
+    print("laws")
+    for law in cb.LAWS.values():
+        print(f"  {law.name:24} {law.definition}")
+    return 0
+
+
+def assignments(pairs: list[str]) -> dict[str, Any]:
+    """``name=value`` arguments; a value is JSON (a number or a list of numbers)."""
+    changes = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        try:
+            changes[name] = json.loads(text)
+        except json.JSONDecodeError:
+            raise BadInput(f"--set {pair}: must be name=value, the value a number or [list, of, numbers]") from None
+        if isinstance(changes[name], list):
+            changes[name] = tuple(changes[name])
+    return changes
+
+
+def solve(arguments: argparse.Namespace) -> int:
+    """Solve a scene once and print where it ended."""
+    import contactbench as cb
+
+    scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
+    if arguments.t_end is not None:
+        scene = scene.with_(t_end=arguments.t_end)
+    options = {k: getattr(arguments, k) for k in ("step", "rtol", "engine", "max_steps")}
+    solution = cb.solve(
+        scene, arguments.method, save_at=[scene.t_end], **{k: v for k, v in options.items() if v is not None}
+    )
+    print(json.dumps(summary(solution), allow_nan=False) if arguments.json else described(summary(solution)))
+    return 0 if solution.ok else 1
+
+
+def summary(solution: Any) -> dict[str, Any]:
+    """Final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
+    scene, out = solution.scene, {}
+    if solution.ok:
+        state = scene.unpack(tuple(solution.y[-1].tolist()), solution.carry)
+        momentum = scene.momentum(state)
+        out = {
+            "state": dict(zip(solution.labels, solution.y[-1].tolist(), strict=True)),
+            "H0": scene.energy(state),
+            "H": scene.hamiltonian(state) if scene.conformal_rate is not None else None,
+            "J": None if momentum is None else list(momentum),
+        }
+    return {
+        "scene": scene.name,
+        "method": solution.method,
+        "engine": solution.engine,
+        "setting": solution.setting,
+        "status": str(solution.status),
+        "message": solution.message,
+        "t": solution.end_time,
+        **out,
+        "counts": solution.counts._asdict(),
+    }
+
+
+def described(summary: dict[str, Any]) -> str:
+    """One line per entry."""
+    return "\n".join(f"{key:8} {value}" for key, value in summary.items() if value not in (None, ""))
+
+
+def report(arguments: argparse.Namespace) -> int:
+    """Write markdown and figures from the CSV tables."""
+    from contactbench.report import report as write
+
+    if not list(arguments.results.glob("*.csv")):
+        raise BadInput(f"--results {arguments.results}: no tables there; run the benchmark first (tox -e bench)")
+    for path in write(arguments.results):
+        print(path)
+    return 0
+
+
+def references(_: argparse.Namespace) -> int:
+    """Print the stored references, their digits and their digests."""
+    from contactbench.references import manifest
+
+    for name, entry in manifest()["scenes"].items():
+        print(f"{name:24} {entry['digits']:3d} digits  sha256 {entry['sha256'][:16]}…")
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    top = argparse.ArgumentParser(prog="contactbench", description=__doc__.split("\n")[0])
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands.add_parser("list", help="scenes, methods, laws").set_defaults(run=listing)
+
+    one = commands.add_parser(
+        "solve", help="solve one scene with one method",
+        epilog="example: contactbench solve particle contact-strang --step 0.01 --set gamma=0.3 --json",
+    )  # fmt: skip
+    one.add_argument("scene")
+    one.add_argument("method")
+    one.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="change a parameter")
+    one.add_argument("--step", type=float, help="step size (fixed-step methods)")
+    one.add_argument("--rtol", type=float, help="tolerance (adaptive methods)")
+    one.add_argument("--t-end", type=float, help="end time")
+    one.add_argument("--engine", help="jax or python, where a method has both")
+    one.add_argument("--max-steps", type=int, help="step budget")
+    one.add_argument("--json", action="store_true", help="print one JSON object")
+    one.set_defaults(run=solve)
+
+    write = commands.add_parser("report", help="markdown and figures from the CSV tables")
+    write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
+    write.set_defaults(run=report)
+
+    commands.add_parser("references", help="the stored references").set_defaults(run=references)
+    return top
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point; bad input is one line on stderr and exit status 2."""
+    arguments = parser().parse_args(argv)
+    try:
+        return arguments.run(arguments)
+    except BadInput as error:
+        print(f"contactbench: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,198 @@
+"""The figures, drawn from the tables alone.  One colour and marker per method, the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+# Okabe–Ito and Tol's vibrant set: distinguishable with the common colour-vision deficiencies, and
+# never by colour alone (each method has its own marker; ours are filled, peers hollow).
+STYLES = {
+    "contact-printed": ("#882255", "X"),
+    "contact-abc": ("#0077BB", "s"),
+    "contact-strang": ("#33BBEE", "o"),
+    "rk4": ("#000000", "x"),
+    "scipy-dop853": ("#CC3311", "^"),
+    "scipy-radau": ("#EE7733", "v"),
+    "cvode-adams": ("#AA4499", "<"),
+    "cvode-bdf": ("#DDAA33", ">"),
+    "diffrax-tsit5": ("#009988", "D"),
+    "diffrax-dopri8": ("#117733", "P"),
+    "diffrax-kvaerno5": ("#999933", "h"),
+    "heyoka-taylor": ("#EE3377", "*"),
+}
+SPARE = ["#332288", "#661100", "#6699CC", "#888888", "#44AA99"]
+TRACKS = {
+    "compiled (jax, llvm)": ("jax", "llvm"),
+    "Python callbacks (python, c+python)": ("python", "c+python"),
+}
+ROUND_OFF = 2.2e-16
+
+plt.rcParams.update(
+    {
+        "figure.dpi": 110,
+        "savefig.bbox": "tight",
+        "font.size": 10,
+        "axes.grid": True,
+        "grid.color": "#e6e6e6",
+        "grid.linewidth": 0.6,
+        "axes.axisbelow": True,
+        "legend.frameon": False,
+        "svg.hashsalt": "contactbench",
+        "svg.fonttype": "none",
+    }
+)
+
+
+def style(method: str) -> dict[str, Any]:
+    """Colour and marker of a method; a method unknown here gets a spare colour by its name."""
+    color, marker = STYLES.get(method, (SPARE[sum(method.encode()) % len(SPARE)], "p"))
+    face = color if method.startswith("contact-") or method not in STYLES else "white"
+    return {"color": color, "marker": marker, "markerfacecolor": face, "markersize": 5.5, "linewidth": 1.3}
+
+
+def ordered(frame: pd.DataFrame) -> list[str]:
+    """The methods of a table, in the order of its rows."""
+    return list(dict.fromkeys(frame["method"]))
+
+
+def shared_legend(figure: Figure, methods: list[str], columns: int = 4) -> None:
+    """One legend below all panels."""
+    handles = [Line2D([], [], label=name, **style(name)) for name in methods]
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+
+
+def work_precision(frame: pd.DataFrame, scene: str, labels: dict[str, str]) -> Figure:
+    """Cost against error for one scene: compiled time, callback time, evaluations."""
+    rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
+    figure, axes = plt.subplots(1, 3, figsize=(13.5, 4.6), layout="constrained")
+    error = rows["solution_error_end"].clip(lower=ROUND_OFF / 4)
+    rows = rows.assign(error=error)
+    for panel, (title, engines) in zip(axes, TRACKS.items(), strict=False):
+        track = rows[rows["engine"].isin(engines)]
+        for method in ordered(track):
+            for _, line in track[track["method"] == method].groupby("engine", sort=False):
+                panel.plot(line["error"], line["time_median_s"] * 1e3, **style(method))
+        panel.set(title=title, ylabel="median time per solve, ms")
+    for method in ordered(rows):
+        mine = rows[rows["method"] == method]
+        line = mine[mine["engine"] == mine["engine"].iloc[0]]
+        axes[2].plot(line["error"], line["rhs_equivalents"], **style(method))
+    axes[2].set(title="evaluations (engine does not matter)", ylabel="right-hand sides or equivalents")
+    for panel in axes:
+        panel.set(xscale="log", yscale="log", xlabel=labels["solution_error_end"])
+        panel.invert_xaxis()
+    figure.suptitle(f"{scene}: cost against error (more accurate to the right, cheaper below)")
+    shared_legend(figure, ordered(rows), 6)
+    return figure
+
+
+def convergence(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
+    """Error against step size, a panel per scene, with slopes 1, 2 and 4 for the eye."""
+    scenes = list(dict.fromkeys(frame["scene"]))
+    rows = -(-len(scenes) // 3)
+    figure, grid = plt.subplots(rows, 3, figsize=(13.5, 4.0 * rows), layout="constrained", squeeze=False)
+    for panel in grid.flat[len(scenes) :]:
+        panel.set_axis_off()
+    for panel, scene in zip(grid.flat, scenes, strict=False):
+        part = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
+        for method in ordered(part):
+            line = part[part["method"] == method]
+            panel.plot(line["step"], line["solution_error"], **style(method))
+            order = line["order"].iloc[0]
+            if np.isfinite(order):
+                last = line.iloc[-1]
+                panel.annotate(
+                    f"{order:.2f}", (last["step"], last["solution_error"]), fontsize=8,
+                    xytext=(-4, 0), textcoords="offset points", ha="right", va="center",
+                    color=style(method)["color"],
+                )  # fmt: skip
+        panel.set(xscale="log", yscale="log", title=scene, xlabel="step size h")
+        panel.margins(x=0.16)
+        panel.set_ylabel(labels["solution_error"])
+    figure.suptitle("error against step size; the number at each curve is its fitted order")
+    shared_legend(figure, ordered(frame), 4)
+    return figure
+
+
+def laws_along_time(frame: pd.DataFrame, scene: str, labels: dict[str, str]) -> Figure:
+    """H0 and the deviations from the H, J and contact laws along time."""
+    rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
+    figure, axes = plt.subplots(1, 4, figsize=(15, 4.4), layout="constrained")
+    first = rows[rows["method"] == rows["method"].iloc[0]]
+    axes[0].plot(first["t"], first["energy_true"], color="#bbbbbb", linewidth=4, label="truth")
+    axes[0].set(yscale="log", title="energy H0", ylabel="H0", xlabel="t")
+    panels = ("hamiltonian_deviation", "momentum_deviation", "contact_deviation")
+    titles = ("H law", "J law", "contact form")
+    for method in ordered(rows):
+        line = rows[rows["method"] == method]
+        look = {**style(method), "markevery": 4}
+        axes[0].plot(line["t"], line["energy"], **look)
+        for panel, column in zip(axes[1:], panels, strict=True):
+            panel.plot(line["t"], line[column].clip(lower=ROUND_OFF / 4), **look)
+    for panel, column, title in zip(axes[1:], panels, titles, strict=True):
+        panel.set(yscale="log", title=title, xlabel="t", ylabel=labels[column])
+        if rows[column].isna().all():
+            panel.text(0.5, 0.5, "no such law here", transform=panel.transAxes, ha="center")
+    axes[0].legend()
+    settings = ", ".join(dict.fromkeys(rows["setting"]))
+    figure.suptitle(f"{scene}: laws along time ({settings})")
+    shared_legend(figure, ordered(rows), 6)
+    return figure
+
+
+def structure(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
+    """Contact drift and momentum law against solution error: who keeps structure when inaccurate."""
+    figure, axes = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
+    rows = frame[frame["status"] == "ok"]
+    panels: list[tuple[Axes, str, str]] = [
+        (axes[0], "contact_drift", "central"),
+        (axes[1], "momentum_law", "rigid_body"),
+    ]
+    for panel, column, scene in panels:
+        part = rows[(rows["scene"] == scene) & rows[column].notna()]
+        for method in ordered(part):
+            line = part[part["method"] == method]
+            panel.plot(line["solution_error"], line[column].clip(lower=ROUND_OFF / 4), **style(method))
+        panel.axhspan(ROUND_OFF / 4, 1e-12, color="#f0f4ff", zorder=0)
+        panel.set(xscale="log", yscale="log", title=scene)
+        panel.set(xlabel=labels["solution_error"], ylabel=f"{column}: {labels[column]}")
+        panel.invert_xaxis()
+    axes[0].text(0.02, 0.03, "round-off", transform=axes[0].transAxes, color="#5566aa")
+    figure.suptitle("structure against accuracy, same runs: a structural law does not care for the error")
+    shared_legend(figure, ordered(rows), 6)
+    return figure
+
+
+def figures(tables: dict[str, pd.DataFrame], labels: Callable[[str], dict[str, str]]) -> Iterator[tuple[str, Figure]]:
+    """Every figure the tables allow, with its file name."""
+    work, laws, time = tables["work_precision"], tables["laws"], tables["laws_time"]
+    for scene in dict.fromkeys(work["scene"]):
+        if (work[work["scene"] == scene]["status"] == "ok").any():
+            yield f"work_precision_{scene}", work_precision(work, scene, labels("work_precision"))
+    if len(tables["convergence"]):
+        yield "convergence", convergence(tables["convergence"], labels("convergence"))
+    if len(laws):
+        yield "structure", structure(laws, labels("laws"))
+    for scene in dict.fromkeys(time["scene"]):
+        yield f"laws_{scene}", laws_along_time(time, scene, labels("laws_time"))
+
+
+def save(figure: Figure, folder: Path, name: str) -> None:
+    """Write SVG and PNG without timestamps, so that equal tables give equal files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    figure.savefig(folder / f"{name}.png", metadata={"Software": None})
+    plt.close(figure)

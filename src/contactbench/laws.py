@@ -1,0 +1,287 @@
+"""What is measured along a trajectory: solution error, decay laws, drifts.
+
+Every law is a named object ``law(solution) -> float``, the maximum over the saved times unless it
+says otherwise, and nan where the run did not end `ok`.  To add one, decorate a function with `law`.
+
+Quantities that decay are compared on the scale of their decay, and in a form that stays finite when
+e^{−γt} underflows: a saved value whose true size is below the smallest normal number divided by the
+machine precision carries no relative information and must merely be as small.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.errors import BadInput, Registry
+from contactbench.references import reference
+from contactbench.scene import Mechanical, RigidBody, Scene, rotation_matrix
+from contactbench.solution import Solution
+
+LAWS = Registry("law")
+
+#: below this a float64 has lost relative precision to gradual underflow
+MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
+
+
+@dataclass(frozen=True)
+class Law:
+    """A measure: `definition` is its label in tables and figures, `needs` the fields it reads."""
+
+    name: str
+    definition: str
+    measure: Callable[[Solution], float]
+    needs: tuple[str, ...]
+    applies: Callable[[Scene], bool]
+    #: whether a contact method keeps it to round-off whatever the step size
+    structural: bool = False
+
+    def __call__(self, solution: Solution) -> float:
+        """The measure; nan unless the run ended `ok`.
+
+        Raises `BadInput` when the scene has no such law or the run did not carry what it needs.
+        """
+        if not self.applies(solution.scene):
+            raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
+        missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
+        if missing:
+            raise BadInput(f"law {self.name!r} needs carry=({', '.join(map(repr, missing))},)")
+        return self.measure(solution) if solution.ok else math.nan
+
+    def needs_on(self, scene: Scene) -> tuple[str, ...]:
+        """The optional fields it reads on this scene."""
+        return tuple(field for field in self.needs if field in scene.optional)
+
+
+def law(
+    definition: str,
+    needs: tuple[str, ...] = (),
+    applies: Callable[[Scene], bool] = lambda scene: True,
+    structural: bool = False,
+) -> Callable[[Callable[[Solution], float]], Law]:
+    """Decorator that registers a measure under its function's name."""
+
+    def register(measure: Callable[[Solution], float]) -> Law:
+        return LAWS.add(Law(measure.__name__, definition, measure, needs, applies, structural))
+
+    return register
+
+
+def laws_of(scene: Scene) -> list[Law]:
+    """The laws that are defined for a scene, in table order."""
+    return [item for item in LAWS.values() if item.applies(scene)]
+
+
+# -- what applies where ----------------------------------------------------------------------------
+def is_contact(scene: Scene) -> bool:
+    """φ_t*η = e^{−γt} η holds with a constant γ."""
+    return scene.conformal_rate is not None
+
+
+def has_momentum_law(scene: Scene) -> bool:
+    return scene.conformal_rate is not None and bool(getattr(scene, "has_momentum_law", False))
+
+
+def has_torque(scene: Scene) -> bool:
+    return isinstance(scene, Mechanical) and len(scene.q) == 2 and not scene.rotation_invariant
+
+
+def is_body(scene: Scene) -> bool:
+    return isinstance(scene, RigidBody)
+
+
+# -- comparisons with the truth --------------------------------------------------------------------
+def observed(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
+    """Packed states with the attitude as its nine matrix entries: what q and −q have in common."""
+    if "R" not in carry:
+        return y
+    turned = scene.unpack(tuple(y.T), carry)
+    matrix = [entry for row in rotation_matrix(turned.R) for entry in row]
+    rest = [] if turned.s is None else [turned.s]
+    return np.array([*turned.M, *matrix, *rest]).T
+
+
+def truth(solution: Solution) -> Any:
+    """The reference at the saved times, from the run's own initial data."""
+    scene = solution.scene
+    if solution.y0 is not None:
+        own = scene.pack(scene.initial(solution.carry))
+        if not np.array_equal(own, solution.y0):
+            start = solution.start()._asdict()
+            scene = scene.with_(**{k: v for k, v in start.items() if v is not None})
+    return reference(scene, solution.t, solution.carry)
+
+
+def pointwise_error(solution: Solution) -> np.ndarray:
+    """‖y_k − y*(t_k)‖₂ / max_k ‖y*‖₂ at every saved time."""
+    exact = observed(solution.scene, truth(solution).y, solution.carry)
+    numerical = observed(solution.scene, solution.y, solution.carry)
+    size = np.linalg.norm(exact, axis=1).max()
+    return np.linalg.norm(numerical - exact, axis=1) / size
+
+
+@law("max ‖y − y*‖ / max ‖y*‖")
+def solution_error(solution: Solution) -> float:
+    return float(pointwise_error(solution).max())
+
+
+@law("‖y(T) − y*(T)‖ / max ‖y*‖")
+def solution_error_end(solution: Solution) -> float:
+    return float(pointwise_error(solution)[-1])
+
+
+def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray, float]:
+    """H0 along the run, along the truth, and at the start."""
+    scene = solution.scene
+    exact = truth(solution).states()
+    return scene.energy(solution.states()), scene.energy(exact), float(scene.energy(solution.start()))
+
+
+@law("max |H0(y) − H0(y*)| / |H0(y₀)|")
+def energy_law(solution: Solution) -> float:
+    numerical, exact, start = energies(solution)
+    return float(np.abs(numerical - exact).max() / abs(start))
+
+
+@law("max |H0(y) / H0(y*) − 1|")
+def energy_law_relative(solution: Solution) -> float:
+    numerical, exact, _ = energies(solution)
+    return relative_deviation(numerical, exact)
+
+
+def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> float:
+    """max |numerical/exact − 1| where the exact value is meaningful, and no excess where it is not."""
+    meaningful = np.abs(exact) > MEANINGFUL
+    ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
+    faint = np.where(meaningful, 0.0, np.abs(numerical) / MEANINGFUL)
+    return float(max(np.abs(ratio - 1).max(), np.maximum(faint - 1, 0.0).max()))
+
+
+# -- conformal laws --------------------------------------------------------------------------------
+def scaled(values: np.ndarray, t: np.ndarray, gamma: float) -> np.ndarray:
+    """values · e^{γt}, in two halves so that neither factor overflows before the product would."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        half = np.exp(np.minimum(gamma * t / 2, 700.0))
+        return values * half * half
+
+
+def conformal_deviation(values: np.ndarray, start: np.ndarray, t: np.ndarray, gamma: float) -> np.ndarray:
+    """‖values e^{γt} − start‖ / ‖start‖ at each time, for values of shape (k, m), start (m,).
+
+    Where the true size e^{−γt}‖start‖ is below the meaningful range, the deviation is how far the
+    value exceeds that range (0 when it has underflowed as it should).
+    """
+    size = float(np.linalg.norm(start)) or 1.0
+    true_log = math.log(size) - gamma * t
+    meaningful = true_log > math.log(MEANINGFUL)
+    deviation = np.linalg.norm(scaled(values, t, gamma) - start, axis=1) / size
+    excess = np.maximum(np.linalg.norm(values, axis=1) / MEANINGFUL - 1, 0.0)
+    return np.where(meaningful, deviation, excess)
+
+
+def hamiltonian_deviation(solution: Solution) -> np.ndarray:
+    scene = solution.scene
+    value = scene.hamiltonian(solution.states())
+    start = np.array([scene.hamiltonian(solution.start())])
+    return conformal_deviation(value[:, None], start, solution.t, scene.conformal_rate)
+
+
+@law("max |H e^{γt} − H(y₀)| / |H(y₀)|", needs=("s",), applies=is_contact)
+def hamiltonian_law(solution: Solution) -> float:
+    return float(hamiltonian_deviation(solution).max())
+
+
+def momentum_deviation(solution: Solution) -> np.ndarray:
+    scene = solution.scene
+    value = np.array(scene.momentum(solution.states())).T
+    start = np.array(scene.momentum(solution.start()))
+    return conformal_deviation(value, start, solution.t, scene.conformal_rate)
+
+
+@law("max ‖J e^{γt} − J(y₀)‖ / ‖J(y₀)‖", needs=("R",), applies=has_momentum_law, structural=True)
+def momentum_law(solution: Solution) -> float:
+    return float(momentum_deviation(solution).max())
+
+
+BALANCE_DEGREE = 9
+
+
+@law(
+    "max |J e^{γt} − J(y₀) − ∫ e^{γt} τ dt| / ‖y‖², τ = −∂V/∂θ, by degree-9 splines over the saved times",
+    applies=lambda scene: is_contact(scene) and has_torque(scene),
+)
+def momentum_balance(solution: Solution) -> float:
+    from scipy.interpolate import make_interp_spline
+
+    scene = solution.scene
+    if len(solution.t) <= BALANCE_DEGREE:
+        raise BadInput(f"momentum_balance needs more than {BALANCE_DEGREE} saved times")
+    states = solution.states()
+    momentum = scaled(scene.momentum(states)[0], solution.t, scene.conformal_rate)
+    torque = scaled(scene.torque(states)[0], solution.t, scene.conformal_rate)
+    integral = make_interp_spline(solution.t, torque, k=BALANCE_DEGREE).antiderivative()
+    start = solution.start()
+    gained = momentum - momentum[0] - (integral(solution.t) - integral(solution.t[0]))
+    return float(np.abs(gained).max() / (np.dot(start.q, start.q) + np.dot(start.p, start.p)))
+
+
+# -- contact structure -----------------------------------------------------------------------------
+def pullbacks(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """η(Φ)·DΦ at every saved time, shape (k, m), and η at the start, shape (m,), on the tangents."""
+    if solution.sensitivity is None:
+        raise BadInput(f"{solution.method}: no derivative of the numerical map is available")
+    scene, carry, start = solution.scene, solution.carry, solution.start()
+    form = np.array([scene.contact_form(start, v) for v in scene.tangents(start)], dtype=float)
+    derivative = solution.sensitivity()  # (k, d, m)
+    here = scene.unpack(tuple(solution.y.T), carry)
+    rows = [
+        scene.contact_form(here, scene.unpack(tuple(derivative[:, :, j].T), carry))
+        for j in range(derivative.shape[2])
+    ]
+    return np.array(rows).T, form
+
+
+def contact_deviation(solution: Solution) -> np.ndarray:
+    pulled, form = pullbacks(solution)
+    return conformal_deviation(pulled, form, solution.t, solution.scene.conformal_rate)
+
+
+@law("‖Φ*η − e^{−γt} η‖ / ‖e^{−γt} η‖", needs=("R", "s"), applies=is_contact, structural=True)
+def contact_drift(solution: Solution) -> float:
+    return float(contact_deviation(solution).max())
+
+
+@law("sine of the angle between Φ*η and η", needs=("R", "s"), applies=is_contact, structural=True)
+def distribution_drift(solution: Solution) -> float:
+    pulled, form = pullbacks(solution)
+    unit = form / np.linalg.norm(form)
+    size = np.linalg.norm(pulled, axis=1)
+    pulled = pulled / np.where(size > 0, size, 1.0)[:, None]
+    across = pulled - (pulled @ unit)[:, None] * unit  # the part of Φ*η that is not along η
+    return float(np.linalg.norm(across, axis=1)[size > MEANINGFUL].max(initial=0.0))
+
+
+@law("max ‖RᵀR − 1‖_F", needs=("R",), applies=is_body, structural=True)
+def attitude_drift(solution: Solution) -> float:
+    R = solution.R
+    assert R is not None
+    return float(np.linalg.norm(np.swapaxes(R, 1, 2) @ R - np.eye(3), axis=(1, 2)).max())
+
+
+@law("saved steps on which H0 grows although γ > 0", applies=lambda scene: not may_gain_energy(scene))
+def energy_increases(solution: Solution) -> float:
+    energy = solution.scene.energy(solution.states())
+    energy = np.concatenate([[solution.scene.energy(solution.start())], energy])
+    grows = np.diff(energy) > 4 * np.finfo(float).eps * np.abs(energy[:-1])  # more than round-off
+    return float(np.count_nonzero(grows))
+
+
+def may_gain_energy(scene: Scene) -> bool:
+    """H0 need not decay: no damping, negative damping, or damping whose sign follows s."""
+    if isinstance(scene, Mechanical):
+        return scene.nonlinear_damping or scene.gamma <= 0
+    return isinstance(scene, RigidBody) and scene.isotropic and (scene.gamma or 0) <= 0

@@ -1,0 +1,304 @@
+"""Markdown and figures from the CSV tables alone: nothing is solved here, no number is typed."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pandas as pd
+from tabulate import tabulate
+
+from contactbench import figures
+from contactbench.analysis import cost_at_error
+from contactbench.table import TABLES, read, replacing
+
+TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
+#: at or below this a drift counts as round-off
+ROUND_OFF = 1e-12
+DASH = "—"
+HEADLINE = "particle"
+
+
+def labels(table: str) -> dict[str, str]:
+    """Column meanings of a table, for axis labels and headers."""
+    return dict(TABLES[table].columns)
+
+
+def scientific(value: float, digits: int = 1) -> str:
+    return DASH if pd.isna(value) else f"{value:.{digits}e}"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a readable time; a dash for nan."""
+    if math.isnan(seconds):
+        return DASH
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"
+
+
+def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A GitHub table; the first column left, the others right aligned."""
+    head = list(header)
+    align = ["left", *["right"] * (len(head) - 1)]
+    return tabulate([list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True)
+
+
+# -- equal error -----------------------------------------------------------------------------------
+def equal_error(work: pd.DataFrame, scene: str, cost: str) -> pd.DataFrame:
+    """Cost at each target error, one row per (method, engine); nan outside a method's own data.
+
+    cost : "time_median_s", or "rhs_equivalents" (one row per method then: engines count alike).
+    """
+    part = work[(work["scene"] == scene) & (work["status"] == "ok")]
+    rows = []
+    for (method, engine), line in part.groupby(["method", "engine"], sort=False):
+        if cost == "rhs_equivalents" and any(row["method"] == method for row in rows):
+            continue
+        costs = [cost_at_error(line["solution_error_end"], line[cost], target) for target in TARGETS]
+        rows.append({"method": method, "engine": engine, **dict(zip(TARGETS, costs, strict=True))})
+    return pd.DataFrame(rows)
+
+
+def equal_error_table(frame: pd.DataFrame, show: Callable[[float], str]) -> str:
+    """The table with the best of each column in bold."""
+    best = {target: frame[target].min() for target in TARGETS}
+
+    def cell(value: float, target: float) -> str:
+        text = show(value)
+        return f"**{text}**" if value == best[target] else text
+
+    rows = [
+        [f"{row['method']} ({row['engine']})", *(cell(row[target], target) for target in TARGETS)]
+        for _, row in frame.iterrows()
+    ]
+    return markdown(["method (engine)", *(f"error {target:.0e}" for target in TARGETS)], rows)
+
+
+def winners(work: pd.DataFrame, cost: str, show: Callable[[float], str], engines: tuple[str, ...]) -> str:
+    """Who is cheapest at each target error, per scene, and how far ahead of the next method."""
+    rows = []
+    for scene in dict.fromkeys(work["scene"]):
+        frame = equal_error(work[work["engine"].isin(engines)], scene, cost)
+        cells = []
+        for target in TARGETS:
+            ranked = frame[["method", target]].dropna().sort_values(target) if len(frame) else frame
+            ranked = ranked.drop_duplicates("method") if len(ranked) else ranked
+            if not len(ranked):
+                cells.append(DASH)
+                continue
+            text = f"**{ranked['method'].iloc[0]}** {show(ranked[target].iloc[0])}"
+            if len(ranked) > 1:
+                ratio = ranked[target].iloc[1] / ranked[target].iloc[0]
+                text += f"; {ranked['method'].iloc[1]} ×{ratio:.2g}"
+            cells.append(text)
+        rows.append([scene, *cells])
+    return markdown(["scene", *(f"error {target:.0e}" for target in TARGETS)], rows)
+
+
+# -- documents -------------------------------------------------------------------------------------
+def convergence_document(frame: pd.DataFrame) -> str:
+    scenes = list(dict.fromkeys(frame["scene"]))
+    methods = list(dict.fromkeys(frame["method"]))
+    rows = []
+    for method in methods:
+        mine = frame[frame["method"] == method]
+        cells = []
+        for scene in scenes:
+            here = mine[mine["scene"] == scene]
+            if not len(here) or here["status"].iloc[0] == "unsupported":
+                cells.append("unsupported" if len(here) else DASH)
+                continue
+            fit = here.iloc[0]
+            if pd.isna(fit["order"]):
+                cells.append("no asymptotic range")
+            else:
+                half = (fit["order_high"] - fit["order_low"]) / 2
+                cells.append(f"{fit['order']:.3f} ± {half:.3f} ({int(here['in_fit'].sum())})")
+        rows.append([method, int(mine["order_nominal"].iloc[0]), *cells])
+    table = markdown(["method", "claimed", *scenes], rows)
+    return f"""# Order of convergence
+
+Slope of log error against log step with its 95 % interval, over the asymptotic range (number of
+points in parentheses). The errors behind it are in `convergence.csv`.
+
+{table}
+
+![error against step size](figures/convergence.svg)
+"""
+
+
+LAW_COLUMNS = (
+    "solution_error", "energy_law", "energy_law_relative", "hamiltonian_law", "momentum_law", "momentum_balance",
+    "contact_drift", "distribution_drift", "attitude_drift", "energy_increases",
+)  # fmt: skip
+
+
+def laws_document(frame: pd.DataFrame) -> str:
+    meaning = labels("laws")
+    parts = [
+        "# Decay laws and drifts",
+        "Maxima over the saved times of each run. A dash: the law is not defined on the scene, or not measured.",
+        "\n".join(f"- `{name}`: {meaning[name]}" for name in LAW_COLUMNS),
+    ]
+    for scene in dict.fromkeys(frame["scene"]):
+        part = frame[frame["scene"] == scene]
+        shown = [name for name in LAW_COLUMNS if part[name].notna().any()]
+        rows = []
+        for _, row in part.iterrows():
+            values = (
+                str(int(row[name])) if name == "energy_increases" and not pd.isna(row[name]) else scientific(row[name])
+                for name in shown
+            )
+            ending = row["status"] if row["status"] == "ok" else f"{row['status']}: {row['message']}"
+            rows.append([f"{row['method']} ({row['setting']})", *values, ending])
+        parts.append(f"## {scene}\n\n" + markdown(["method (setting)", *shown, "status"], rows))
+        if (Path("laws_") / scene) and scene in set(frame["scene"]):
+            parts.append(f"![laws along time](figures/laws_{scene}.svg)")
+    parts.append("![structure against accuracy](figures/structure.svg)")
+    return "\n\n".join(parts) + "\n"
+
+
+def work_precision_document(frame: pd.DataFrame) -> str:
+    parts = [
+        "# Cost at equal error",
+        "Log–log interpolation between a method's own settings; a dash outside them. The error is "
+        f"{labels('work_precision')['solution_error_end']}, that of the very run that is timed. Times compare "
+        "engines as well as methods: compare jax with jax and python with python; evaluations compare methods.",
+    ]
+    for scene in dict.fromkeys(frame["scene"]):
+        times = equal_error(frame, scene, "time_median_s")
+        if not len(times):
+            continue
+        evaluations = equal_error(frame, scene, "rhs_equivalents")
+        part = frame[frame["scene"] == scene]
+        parts += [
+            f"## {scene}\n\n![cost against error](figures/work_precision_{scene}.svg)",
+            "Median time per solve:\n\n" + equal_error_table(times, duration),
+            "Right-hand sides or equivalents:\n\n"
+            + equal_error_table(evaluations, lambda v: DASH if math.isnan(v) else f"{v:.0f}"),
+        ]
+        refused = part[part["status"] != "ok"]
+        if len(refused):
+            endings = [[f"{r['method']} ({r['engine']})", r["setting"], r["status"], r["message"]] for _, r in refused.iterrows()]
+            parts.append("Runs that did not end `ok`:\n\n" + markdown(["method (engine)", "setting", "status", "why"], endings))
+    return "\n\n".join(parts) + "\n"
+
+
+def worst(frame: pd.DataFrame, column: str) -> float:
+    return frame[column].max()
+
+
+def structure_table(laws: pd.DataFrame, convergence: pd.DataFrame) -> str:
+    """Per method: measured order on the headline scene, and the worst drift over all settings."""
+    rows = []
+    ok = laws[laws["status"] == "ok"]
+    for method in dict.fromkeys(laws["method"]):
+        mine = ok[ok["method"] == method]
+        fitted = convergence[(convergence["method"] == method) & (convergence["scene"] == HEADLINE)]
+        order = f"{fitted['order'].iloc[0]:.2f}" if len(fitted) else "adaptive"
+        body, central = mine[mine["scene"] == "rigid_body"], mine[mine["scene"] == "central"]
+        verdict = {}
+        for name, part in (
+            ("J law, central", central["momentum_law"]),
+            ("J law, body", body["momentum_law"]),
+            ("contact drift, central", central["contact_drift"]),
+            ("|R| drift, body", body["attitude_drift"]),
+        ):
+            high, low = part.max(), part.min()
+            if pd.isna(high):
+                verdict[name] = DASH
+            elif high <= ROUND_OFF:
+                verdict[name] = f"**{scientific(high)}**"
+            else:
+                verdict[name] = f"{scientific(low)} … {scientific(high)}"
+        rows.append([method, order, *verdict.values()])
+    head = ["method", f"order on {HEADLINE}", "J law, central", "J law, body", "contact drift, central", "attitude drift, body"]
+    return markdown(head, rows)
+
+
+COMPILED, CALLBACKS = ("jax", "llvm"), ("python", "c+python")
+ANY = COMPILED + CALLBACKS
+
+
+def headline_document(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
+    work = tables["work_precision"]
+
+    def count(value: float) -> str:
+        return f"{value:.0f}"
+
+    machines = []
+    for name, run in sorted(runs.items()):
+        packages = ", ".join(f"{k} {v}" for k, v in run["packages"].items() if k != "contactbench")
+        machines.append(
+            f"- run `{name}`: profile {run['profile']}, {run['cpu']}, {run['cores']} cores, Python {run['python']}, "
+            f"commit `{run['commit'][:12] or 'unknown'}`{' with local changes' if run['dirty'] else ''}; {packages}"
+        )
+    return f"""# Results
+
+Every number below is computed from the CSV files beside this page by `contactbench report`.
+
+## Who keeps the laws
+
+Bold: kept to round-off (≤ {ROUND_OFF:.0e}) at every step size tried, however inaccurate the solution.
+Otherwise the range over the settings tried. The printed scheme is first order; what it means is second.
+
+{structure_table(tables["laws"], tables["convergence"])}
+
+## Who is most accurate per second
+
+The fastest at each error, and the next method. Compiled engines:
+
+{winners(work, "time_median_s", duration, COMPILED)}
+
+Solvers that call back into Python, and our methods in plain Python:
+
+{winners(work, "time_median_s", duration, CALLBACKS)}
+
+## Who is most accurate per evaluation
+
+Right-hand sides or equivalents, whatever the engine (a Taylor order counts as one; three rotations of the
+body count as one):
+
+{winners(work, "rhs_equivalents", count, ANY)}
+
+![cost against error on the {HEADLINE}](figures/work_precision_{HEADLINE}.svg)
+
+## Tables
+
+- [work_precision.md](work_precision.md): cost at equal error, scene by scene (`work_precision.csv`)
+- [convergence.md](convergence.md): measured orders (`convergence.csv`)
+- [laws.md](laws.md): decay laws and drifts (`laws.csv`, along time `laws_time.csv`)
+
+## Where this was measured
+
+{chr(10).join(machines)}
+"""
+
+
+def report(results: Path) -> list[Path]:
+    """Write every markdown document and figure the tables in `results` allow; returns the paths."""
+    tables = {name: read(table, results) for name, table in TABLES.items()}
+    path = results / "environment.json"
+    runs = json.loads(path.read_text()) if path.exists() else {}
+    documents = {}
+    if len(tables["convergence"]):
+        documents["convergence.md"] = convergence_document(tables["convergence"])
+    if len(tables["laws"]):
+        documents["laws.md"] = laws_document(tables["laws"])
+    if len(tables["work_precision"]):
+        documents["work_precision.md"] = work_precision_document(tables["work_precision"])
+    if all(len(tables[name]) for name in ("work_precision", "laws", "convergence")):
+        documents["README.md"] = headline_document(tables, runs)
+    written = []
+    for name, text in documents.items():
+        with replacing(results / name) as file:
+            file.write(text)
+        written.append(results / name)
+    for name, figure in figures.figures(tables, labels):
+        figures.save(figure, results / "figures", name)
+        written.append(results / "figures" / f"{name}.svg")
+    return written

@@ -1,0 +1,358 @@
+"""The result tables: their columns, how rows are journalled and merged into CSV, and provenance.
+
+A row is keyed by the table's key columns.  New rows replace rows of the same key and leave the rest,
+so a partial run updates its own part.  Rows are appended to a journal as they are made and folded
+into the CSV, replaced atomically, at the end; after a kill the journal still has them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from contactbench.errors import BadInput
+
+SCHEMA_VERSION = 1
+KEY = ("scene", "method", "engine", "setting")
+PROVENANCE = {"schema": "version of this table's columns", "run_id": "run that made the row (environment.json)"}
+
+_COMMON = {
+    "scene": "name of the scene",
+    "method": "name of the method",
+    "engine": "what runs it: jax, python, c+python (compiled solver, Python callbacks), llvm",
+    "setting": "step size or tolerance",
+    "status": "ok, diverged, budget, failed, timeout, unsupported",
+    "message": "why, when the status is not ok",
+}
+_COUNTS = {
+    "steps": "accepted steps",
+    "evaluations": "evaluations of evaluation_kind in one run",
+    "evaluation_kind": "gradient, rhs, taylor (orders of Taylor coefficients) or rotation",
+    "rhs_equivalents": "evaluations on the scale of one right-hand side (three rotations count as one)",
+    "jacobians": "Jacobian evaluations",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A CSV table: `columns` maps each column, in order, to its meaning."""
+
+    name: str
+    about: str
+    columns: Mapping[str, str]
+    key: tuple[str, ...] = KEY
+
+    def path(self, results: Path) -> Path:
+        return results / f"{self.name}.csv"
+
+
+def _law_columns() -> dict[str, str]:
+    from contactbench.laws import LAWS
+
+    return {name: item.definition for name, item in LAWS.items()}
+
+
+CONVERGENCE = Table(
+    "convergence",
+    "error against step size, and the order fitted to it",
+    {
+        **_COMMON,
+        "step": "step size h",
+        "solution_error": "max ‖y − y*‖ / max ‖y*‖",
+        "pairwise_order": "slope between this step and the next larger one",
+        "in_fit": "whether the point lies in the asymptotic range the order is fitted on",
+        "order": "fitted order of the method on this scene (the same in every row of the method)",
+        "order_low": "lower end of its 95 % interval",
+        "order_high": "upper end of its 95 % interval",
+        "order_nominal": "order the method claims",
+        **_COUNTS,
+    },
+)
+
+LAWS_TABLE = Table(
+    "laws",
+    "decay laws and drifts over the whole run, maxima over the saved times",
+    {**_COMMON, "saved_times": "number of saved times", **_law_columns(),
+     "derivative": "how DΦ for the contact drift was obtained", **_COUNTS},
+)  # fmt: skip
+
+LAWS_TIME = Table(
+    "laws_time",
+    "energy and the deviation from each law along time",
+    {
+        **_COMMON,
+        "t": "time",
+        "energy": "H0",
+        "energy_true": "H0 of the reference",
+        "hamiltonian_deviation": "|H e^{γt} − H(y₀)| / |H(y₀)|",
+        "momentum_deviation": "‖J e^{γt} − J(y₀)‖ / ‖J(y₀)‖",
+        "contact_deviation": "‖Φ*η − e^{−γt} η‖ / ‖e^{−γt} η‖",
+    },
+    key=(*KEY, "t"),
+)
+
+WORK_PRECISION = Table(
+    "work_precision",
+    "time and evaluations against error",
+    {
+        **_COMMON,
+        "track": "fixed or adaptive step",
+        "carried": "fields integrated beside (q, p) or M",
+        "solution_error_end": "‖y(T) − y*(T)‖ / max ‖y*‖ of the very run that is timed",
+        "solution_error": "max ‖y − y*‖ / max ‖y*‖ over saved times, by the method's own dense output",
+        **_COUNTS,
+        "compile_s": "trace and compile, once per scene structure (once per tolerance for heyoka)",
+        "first_call_s": "first call after compilation",
+        "time_min_s": "fastest round, seconds per call",
+        "time_median_s": "median over rounds, seconds per call",
+        "time_iqr_s": "interquartile range over rounds",
+        "rounds": "timed rounds",
+        "iterations": "calls per round",
+    },
+)
+
+TABLES = {table.name: table for table in (CONVERGENCE, LAWS_TABLE, LAWS_TIME, WORK_PRECISION)}
+
+_WHOLE = ("steps", "evaluations", "jacobians", "rounds", "iterations", "saved_times", "schema")
+
+
+# -- reading and writing ---------------------------------------------------------------------------
+def read(table: Table, results: Path) -> pd.DataFrame:
+    """The table's rows, empty if there is no file.
+
+    Raises `BadInput` for a file that is not this table (foreign, corrupted, another schema).
+    """
+    path = table.path(results)
+    columns = [*table.columns, *PROVENANCE]
+    if not path.exists():
+        return pd.DataFrame(columns=columns)
+    try:
+        frame = pd.read_csv(path, dtype={"setting": str, "message": str, "run_id": str}, keep_default_na=True)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: not a readable CSV ({error}); move it away or restore it") from None
+    if list(frame.columns) != columns:
+        raise BadInput(f"{path}: columns are not those of table {table.name!r}; move it away or restore it")
+    if len(frame) and set(frame["schema"]) != {SCHEMA_VERSION}:
+        raise BadInput(f"{path}: schema {set(frame['schema'])}, this version reads {SCHEMA_VERSION}")
+    if frame.duplicated(list(table.key)).any():
+        raise BadInput(f"{path}: rows with the same key {table.key}; move it away or restore it")
+    return _typed(frame)
+
+
+def merge(table: Table, rows: Iterable[Mapping[str, Any]], results: Path) -> pd.DataFrame:
+    """Fold rows into the table's CSV, newest last; returns the merged table."""
+    old, new = read(table, results), pd.DataFrame(list(rows))
+    if new.empty:
+        return old
+    unknown = set(new.columns) - set(table.columns) - set(PROVENANCE)
+    if unknown:
+        raise BadInput(f"table {table.name!r} has no columns {sorted(unknown)}")
+    new["schema"] = SCHEMA_VERSION
+    new = new.reindex(columns=[*table.columns, *PROVENANCE]).drop_duplicates(list(table.key), keep="last")
+    frame = new if old.empty else pd.concat([_kept(old, new, table.key), new], ignore_index=True)
+    frame = _sorted(_typed(frame), table)
+    write(frame, table.path(results))
+    return frame
+
+
+def _kept(old: pd.DataFrame, new: pd.DataFrame, key: tuple[str, ...]) -> pd.DataFrame:
+    replaced = pd.MultiIndex.from_frame(new[list(key)])
+    return old[~pd.MultiIndex.from_frame(old[list(key)]).isin(replaced)]
+
+
+def _typed(frame: pd.DataFrame) -> pd.DataFrame:
+    for name in _WHOLE:
+        if name in frame:
+            frame[name] = pd.to_numeric(frame[name]).astype("Int64")
+    return frame
+
+
+def _sorted(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+    """Registry order for scenes and methods, coarse to fine for settings."""
+    from contactbench.methods import METHODS
+    from contactbench.scenes import SCENES
+
+    ranks = {"scene": list(SCENES), "method": list(METHODS)}
+
+    def rank(column: pd.Series) -> pd.Series:
+        if column.name in ranks:
+            known = {name: i for i, name in enumerate(ranks[str(column.name)])}
+            return column.map(lambda name: known.get(name, len(known)))
+        if column.name == "setting":
+            return column.map(lambda setting: -float(str(setting).rpartition("=")[2]))
+        return column
+
+    return frame.sort_values(list(table.key), key=rank, kind="stable", ignore_index=True)
+
+
+def write(frame: pd.DataFrame, path: Path) -> None:
+    """Write a CSV atomically; floats in scientific notation with all their digits."""
+
+    def cell(value: Any) -> Any:
+        if isinstance(value, float | np.floating):
+            return "" if np.isnan(value) else np.format_float_scientific(value, trim="0")
+        return value
+
+    with replacing(path) as file:
+        frame.map(cell).to_csv(file, index=False, lineterminator="\n")
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Any]:
+    """A text file that takes the place of `path` when the block ends without an exception."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+
+
+# -- journal ---------------------------------------------------------------------------------------
+class Journal:
+    """Rows as they are made, one JSON line each, in ``results/.journal``."""
+
+    def __init__(self, results: Path, run_id: str) -> None:
+        self.results, self.run_id = results, run_id
+        self.folder = results / ".journal"
+
+    def append(self, table: Table, row: Mapping[str, Any]) -> None:
+        """Add one row, on disk when this returns."""
+        self._write(f"{table.name}.jsonl", {**row, "run_id": self.run_id})
+
+    def finish(self, cell: tuple[str, ...]) -> None:
+        """Note that all rows of a cell are in; `--resume` skips it."""
+        self._write("done.jsonl", {"cell": list(cell)})
+
+    def done(self) -> set[tuple[str, ...]]:
+        """The cells a killed run had finished."""
+        return {tuple(entry["cell"]) for entry in self._read("done.jsonl")}
+
+    def rows(self, table: Table) -> list[dict[str, Any]]:
+        """The rows of a table made so far."""
+        return self._read(f"{table.name}.jsonl")
+
+    def fold(self) -> None:
+        """Merge every journalled row into its CSV and empty the journal."""
+        for table in TABLES.values():
+            merge(table, self.rows(table), self.results)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _write(self, name: str, entry: Mapping[str, Any]) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / name).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry, default=_plain) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def _read(self, name: str) -> list[dict[str, Any]]:
+        path = self.folder / name
+        if not path.exists():
+            return []
+        entries = []
+        for line in path.read_text(encoding="utf-8").split("\n"):
+            with contextlib.suppress(json.JSONDecodeError):  # a last line cut short by a kill
+                entries.append(json.loads(line))
+        return entries
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and enums as what JSON knows."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{value!r} cannot be put in a table")
+
+
+# -- provenance ------------------------------------------------------------------------------------
+PACKAGES = (
+    "contactbench", "numpy", "scipy", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka", "pandas",
+    "matplotlib", "mpmath", "pytest-benchmark",
+)  # fmt: skip
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "XLA_FLAGS", "JAX_PLATFORMS")
+
+
+def environment(profile: str, seed: int) -> dict[str, Any]:
+    """Where and with what a run was made."""
+    import jax
+
+    versions = {}
+    for name in PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    root = Path(__file__).parents[2]
+    manifest = root / "references" / "MANIFEST.json"
+    return {
+        "utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "profile": profile,
+        "shuffle_seed": seed,
+        "python": sys.version.split()[0],
+        "packages": versions,
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "jax_devices": [device.platform for device in jax.devices()],
+        "threads": {name: os.environ.get(name, "") for name in THREADS},
+        "commit": _git(root, "rev-parse", "HEAD"),
+        "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no", "--", ".", ":!results")),
+        "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
+    }
+
+
+def _cpu() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or "unknown"
+
+
+def _git(root: Path, *arguments: str) -> str:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=20
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return done.stdout.strip()
+
+
+def save_environment(run_id: str, record: Mapping[str, Any], results: Path) -> None:
+    """Add a run to environment.json and forget runs no row refers to any more."""
+    path = results / "environment.json"
+    runs = json.loads(path.read_text()) if path.exists() else {}
+    runs[run_id] = record
+    used = {run_id}
+    for table in TABLES.values():
+        used |= set(read(table, results)["run_id"].dropna())
+    kept = {name: run for name, run in runs.items() if name in used}
+    with replacing(path) as file:
+        json.dump(kept, file, indent=1, sort_keys=True)
+        file.write("\n")
+
+
+def new_run_id() -> str:
+    """UTC time to the second and the process, unique among runs on one machine."""
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"

@@ -1,0 +1,107 @@
+"""The compositions as data, and the loop that merges their joints."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import pytest
+from cases import by_name, in_mp, random_state
+
+import contactbench as cb
+from contactbench.composition import ABC, COMPOSITIONS, PRINTED, STRANG, advance, missing_flow, plan
+from contactbench.flows import flows_of
+
+SCENES = [cb.SCENES[name] for name in ("particle", "rigid_body", "rigid_body_anisotropic")]
+each = pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
+
+
+@each
+def test_every_part_of_the_hamiltonian_is_applied_for_one_whole_step(composition):
+    total = {}
+    for name, coefficient in composition.stages:
+        for part in name.split("_"):
+            total[part] = total.get(part, 0) + coefficient
+    assert total == {"kick": 1, "drift": 1, "damp": 1}
+
+
+def test_the_printed_scheme_is_not_palindromic_and_what_it_means_is():
+    assert not PRINTED.palindromic
+    assert ABC.palindromic
+    assert STRANG.palindromic
+    assert [name for name, _ in PRINTED.stages] == ["kick", "damp", "drift", "kick"]
+
+
+@each
+@by_name(SCENES)
+def test_merging_joints_changes_nothing(composition, scene, mp50):
+    """n steps in one run equal n runs of one step, to 45 digits."""
+    if missing_flow(composition, scene):
+        return
+    exact, x = in_mp(scene, random_state(scene, 1))
+    h = mp50.mpf("0.2")
+    together = advance(composition, exact, x, h, 5, mp50)
+    apart = x
+    for _ in range(5):
+        apart = advance(composition, exact, apart, h, 1, mp50)
+    for a, b in zip(scene.pack(together), scene.pack(apart), strict=True):
+        assert abs(a - b) < mp50.mpf(10) ** -45
+
+
+@each
+@by_name(SCENES)
+def test_counts_are_the_calls_really_made(composition, scene):
+    if missing_flow(composition, scene):
+        return
+    calls = [0]
+    if isinstance(scene, cb.Mechanical):
+        kind, gradient = "gradient", scene.gradient
+
+        def counted(q, **parameters):
+            calls[0] += 1
+            return gradient(q, **parameters)
+
+        probe = scene._replaced(gradient=counted)
+        advance(composition, probe, random_state(scene), 0.1, 7, math)
+        assert plan(composition, scene).count(flows_of(scene), kind, 7) == calls[0]
+    else:
+        sines = [0]
+
+        class Counting:
+            exp, expm1, cos = staticmethod(math.exp), staticmethod(math.expm1), staticmethod(math.cos)
+
+            @staticmethod
+            def sin(x):
+                sines[0] += 1
+                return math.sin(x)
+
+        advance(composition, scene, random_state(scene), 0.1, 7, Counting)
+        assert plan(composition, scene).count(flows_of(scene), "rotation", 7) == sines[0]
+
+
+def test_strang_costs_one_gradient_a_step():
+    scene = cb.SCENES["particle"]
+    assert plan(STRANG, scene).count(flows_of(scene), "gradient", 1000) == 1001
+
+
+@pytest.mark.parametrize("composition", [PRINTED, ABC, STRANG], ids=lambda c: c.name)
+def test_without_damping_each_is_velocity_verlet_bit_for_bit(composition):
+    """Plain velocity Verlet, written out independently, on floats."""
+    scene = cb.SCENES["particle"].with_(gamma=0.0)
+    (q1, q2), (p1, p2) = scene.q, scene.p
+    h, c = 0.1, scene.parameters["coupling"]
+    half = h / 2
+    x = scene.initial(())
+    for _ in range(200):
+        p1, p2 = p1 - half * (q1 + 2 * c * q1 * q2), p2 - half * (q2 + c * q1 * q1)
+        if composition is ABC:  # two half drifts round twice
+            q1, q2 = q1 + half * p1 + half * p1, q2 + half * p2 + half * p2
+        else:
+            q1, q2 = q1 + h * p1, q2 + h * p2
+        p1, p2 = p1 - half * (q1 + 2 * c * q1 * q2), p2 - half * (q2 + c * q1 * q1)
+        x = advance(composition, scene, x, h, 1, math)
+        assert (*x.q, *x.p) == (q1, q2, p1, p2)
+
+
+def test_coefficients_are_exact_numbers():
+    assert all(isinstance(c, Fraction) for composition in COMPOSITIONS for _, c in composition.stages)

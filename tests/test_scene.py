@@ -1,0 +1,184 @@
+"""One definition per scene, right on every kind of number, with derivatives that AD confirms."""
+
+from __future__ import annotations
+
+import heyoka
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
+from mpmath import mp
+
+import contactbench as cb
+from contactbench.scene import rotation_matrix
+
+MECHANICAL = [s for s in ALL_SCENES if isinstance(s, cb.Mechanical)]
+BODIES = [s for s in ALL_SCENES if isinstance(s, cb.RigidBody)]
+AD = 1e-13  # a handful of float64 operations on numbers of size one
+
+
+@by_name(MECHANICAL)
+def test_gradient_and_hessian_are_the_derivatives_of_the_potential(scene):
+    q = jnp.array(random_state(scene).q)
+    gradient = jax.grad(lambda q: scene.V(tuple(q)))(q)
+    np.testing.assert_allclose(scene.dV(tuple(q)), gradient, rtol=AD, atol=AD)
+    if scene.hessian is not None:
+        hessian = jax.hessian(lambda q: scene.V(tuple(q)))(q)
+        mine = np.array(scene.hessian(tuple(q.tolist()), **scene.parameters))
+        np.testing.assert_allclose(mine, hessian, rtol=AD, atol=AD)
+
+
+@by_name(MECHANICAL)
+@pytest.mark.parametrize("kappa", [0.0, 0.7])
+def test_right_hand_side_is_the_contact_hamiltonian_vector_field(scene, kappa):
+    """Against AD of H alone, by the general formula: no shared algebra with `rhs`."""
+    scene = scene.with_(kappa=kappa)
+    x = random_state(scene, 1)
+    n = len(x.q)
+
+    def H(y):
+        return scene.hamiltonian(scene.unpack(list(y), ("s",)))
+
+    y = jnp.array(scene.pack(x))
+    d = jax.grad(H)(y)
+    p, Hq, Hp, Hs = y[n : 2 * n], d[:n], d[n : 2 * n], d[-1]
+    expected = jnp.concatenate([Hp, -Hq - p * Hs, jnp.array([p @ Hp - H(y)])])
+    np.testing.assert_allclose(scene.pack(scene.rhs(x)), expected, rtol=AD, atol=AD)
+
+
+@by_name([s for s in BODIES if s.isotropic])
+def test_body_equations_are_the_left_trivialised_contact_equations(scene):
+    """M' = M × ∂H/∂M − M ∂H/∂s, ξ = ∂H/∂M, s' = M·∂H/∂M − H, from AD of H."""
+    x = random_state(scene, 2)
+    M = jnp.array(x.M)
+    H = lambda M, s: scene.hamiltonian(x._replace(M=tuple(M), s=s))  # noqa: E731
+    Hm, Hs = jax.grad(H, argnums=(0, 1))(M, x.s)
+    dx = scene.rhs(x)
+    np.testing.assert_allclose(dx.M, jnp.cross(M, Hm) - M * Hs, rtol=AD, atol=AD)
+    np.testing.assert_allclose(dx.s, M @ Hm - H(M, x.s), rtol=AD, atol=AD)
+    # the quaternion's rate turns the matrix as R Ω̂ does
+    _, dR = jax.jvp(lambda R: jnp.array(rotation_matrix(tuple(R))), (jnp.array(x.R),), (jnp.array(dx.R),))
+    hat = np.array([[0, -Hm[2], Hm[1]], [Hm[2], 0, -Hm[0]], [-Hm[1], Hm[0], 0]])
+    np.testing.assert_allclose(dR, np.array(rotation_matrix(x.R)) @ hat, rtol=AD, atol=AD)
+
+
+@by_name([s for s in ALL_SCENES if getattr(s, "hessian", True) is not None])
+def test_jacobian_is_the_derivative_of_the_right_hand_side(scene):
+    scene = scene.with_(kappa=0.3) if isinstance(scene, cb.Mechanical) else scene
+    for carry in [(), scene.optional]:
+        carry = scene.carry(carry)
+        x = random_state(scene, 3, carry)
+
+        def flat(y, carry=carry):
+            return jnp.stack(scene.pack(scene.rhs(scene.unpack(list(y), carry))))
+
+        expected = jax.jacfwd(flat)(jnp.array(scene.pack(x)))
+        np.testing.assert_allclose(scene.jacobian(x), expected, rtol=AD, atol=AD)
+
+
+@by_name(ALL_SCENES)
+def test_same_right_hand_side_on_floats_numpy_jax_mpmath_and_heyoka(scene):
+    x = random_state(scene, 4)
+    y = scene.pack(x)
+    expected = np.array(scene.pack(scene.rhs(x)))
+    carry = scene.optional
+
+    ensemble = scene.unpack(tuple(np.array([v, 2 * v]) for v in y), carry)
+    np.testing.assert_array_equal([c[0] for c in scene.pack(scene.rhs(ensemble))], expected)
+
+    traced = jax.jit(lambda y, n: jnp.stack(scene.pack(scene.with_numbers(list(n)).rhs(scene.unpack(list(y), carry)))))
+    np.testing.assert_allclose(traced(jnp.array(y), jnp.array(scene.numbers())), expected, rtol=AD, atol=AD)
+
+    exact, z = in_mp(scene, x)
+    np.testing.assert_allclose([float(c) for c in scene.pack(exact.rhs(z))], expected, rtol=AD, atol=AD)
+
+    from contactbench.methods.heyoka import taylor_system
+
+    system = taylor_system(scene, carry, heyoka)
+    field = heyoka.cfunc([e for _, e in system], [v for v, _ in system])
+    np.testing.assert_allclose(field(np.array(y), pars=np.array(scene.numbers())), expected, rtol=AD, atol=AD)
+
+
+@by_name(CONTACT_SCENES)
+def test_contact_hamiltonian_and_momentum_decay_at_the_conformal_rate(scene):
+    """H' = −γH always; J' = −γJ + torque, the torque zero where the law is claimed."""
+    x = random_state(scene, 5)
+    y = jnp.array(scene.pack(x))
+    slope = jnp.array(scene.pack(scene.rhs(x)))
+
+    def along(f):
+        return jax.jvp(lambda y: jnp.asarray(f(scene.unpack(list(y), scene.optional))), (y,), (slope,))
+
+    H, dH = along(scene.hamiltonian)
+    np.testing.assert_allclose(dH, -scene.conformal_rate * H, rtol=1e-12, atol=AD)
+    J, dJ = along(lambda x: jnp.array(scene.momentum(x)) if scene.momentum(x) else 0.0)
+    if scene.has_momentum_law:
+        np.testing.assert_allclose(dJ, -scene.conformal_rate * J, rtol=1e-12, atol=AD)
+    elif scene.momentum(x):
+        np.testing.assert_allclose(dJ, -scene.conformal_rate * J + jnp.array(scene.torque(x)), atol=1e-12)
+
+
+def test_tilted_damping_is_the_matrix_itself():
+    x = random_state(TILTED, 6)
+    expected = np.cross(x.M, np.array(x.M) / TILTED.inertia) - np.array(TILTED.damping) @ x.M
+    np.testing.assert_allclose(TILTED.rhs(x).M, expected, rtol=AD, atol=AD)
+
+
+def test_attitude_may_be_given_as_a_matrix_or_a_quaternion():
+    body = cb.SCENES["rigid_body"]
+    half = np.sqrt(0.5)
+    quarter_turn = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    np.testing.assert_allclose(body.with_(R=quarter_turn).R, (half, 0, 0, half), atol=AD)
+    np.testing.assert_allclose(rotation_matrix(body.with_(R=(half, 0, 0, half)).R), quarter_turn, atol=AD)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "says"),
+    [
+        ("particle", {"q": (1.0,)}, "q has 1 components and p 2"),
+        ("particle", {"q": (1.0, 2.0, 3.0), "p": (0.0, 0.0, 0.0)}, "q = (1.0, 2.0, 3.0)"),
+        ("particle", {"gamma": float("nan")}, "gamma = nan: must be a finite number"),
+        ("particle", {"gama": 0.1}, "did you mean 'gamma'?"),
+        ("particle", {"t_end": float("nan")}, "t_end = nan"),
+        ("particle", {"t_end": -1.0}, "t_end = -1.0: must be > 0"),
+        ("particle", {"mass": 0.0}, "mass = 0.0: must be > 0"),
+        ("particle", {"q": "ab"}, "q = 'ab'"),
+        ("rigid_body", {"inertia": (1.0, -2.0, 3.0)}, "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
+        ("rigid_body", {"M": (1.0, 2.0)}, "M = (1.0, 2.0): must be 3 numbers"),
+        ("rigid_body", {"R": ((1, 0, 0), (0, 1, 0), (0, 0, -1))}, "rotation matrix"),
+        ("rigid_body", {"gamma": 0.1, "damping": (1.0, 1.0, 1.0)}, "exactly one of gamma"),
+        ("rigid_body_anisotropic", {"damping": ((1, 2, 0), (0, 1, 0), (0, 0, 1))}, "symmetric positive semi-definite"),
+        ("rigid_body_anisotropic", {"damping": (1.0, 1.0, -0.1)}, "symmetric positive semi-definite"),
+    ],
+)
+def test_bad_parameters_give_one_clear_line(name, changes, says):
+    with pytest.raises(cb.BadInput) as caught:
+        cb.SCENES[name].with_(**changes)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_with_changes_any_parameter_and_nothing_else():
+    scene = cb.SCENES["particle"].with_(gamma=0.3, coupling=0.2, q=(1.0, 0.5), t_end=5.0)
+    assert (scene.gamma, scene.parameters["coupling"], scene.t_end) == (0.3, 0.2, 5.0)
+    assert cb.SCENES["particle"].gamma == 0.1
+    assert scene.structure == cb.SCENES["particle"].structure  # no recompilation
+
+
+def test_carry_decides_what_is_integrated():
+    assert cb.SCENES["particle"].carry(None) == ("s",)
+    assert cb.SCENES["rigid_body"].carry(("s", "R")) == ("R", "s")
+    assert cb.SCENES["particle"].with_(kappa=1.0).carry(()) == ("s",)  # s is part of the dynamics
+    with pytest.raises(cb.BadInput, match="can carry s"):
+        cb.SCENES["particle"].carry(("R",))
+    with pytest.raises(cb.BadInput, match="can carry R"):
+        cb.SCENES["rigid_body_anisotropic"].carry(("s",))
+
+
+def test_user_scene_has_what_named_ones_have():
+    assert USER.labels(("s",)) == ["q1", "q2", "q3", "p1", "p2", "p3", "s"]
+    assert USER.jacobian(random_state(USER)) is None
+    with mp.workdps(30):
+        exact, x = in_mp(USER, random_state(USER))
+        assert isinstance(exact.hamiltonian(x), mp.mpf)
