@@ -44,7 +44,7 @@ NEEDED = 30
 
 def grid(scene: Scene) -> list[str]:
     """The grid times as exact decimal strings."""
-    return [str((Decimal(repr(scene.t_end)) * k / INTERVALS).normalize() + 0) for k in range(INTERVALS + 1)]
+    return [f"{(Decimal(repr(scene.t_end)) * k / INTERVALS).normalize():f}" for k in range(INTERVALS + 1)]
 
 
 def closed_form_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dict[str, int]:

@@ -78,7 +78,7 @@ def work_precision(frame: pd.DataFrame, scene: str, labels: dict[str, str]) -> F
     """Cost against error for one scene: compiled time, callback time, evaluations."""
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
     figure, axes = plt.subplots(1, 3, figsize=(13.5, 4.6), layout="constrained")
-    error = rows["solution_error_end"].clip(lower=ROUND_OFF / 4)
+    error = rows["solution_error"].clip(lower=ROUND_OFF / 4)
     rows = rows.assign(error=error)
     for panel, (title, engines) in zip(axes, TRACKS.items(), strict=False):
         track = rows[rows["engine"].isin(engines)]
@@ -92,7 +92,7 @@ def work_precision(frame: pd.DataFrame, scene: str, labels: dict[str, str]) -> F
         axes[2].plot(line["error"], line["rhs_equivalents"], **style(method))
     axes[2].set(title="evaluations (engine does not matter)", ylabel="right-hand sides or equivalents")
     for panel in axes:
-        panel.set(xscale="log", yscale="log", xlabel=labels["solution_error_end"])
+        panel.set(xscale="log", yscale="log", xlabel=labels["solution_error"])
         panel.invert_xaxis()
     figure.suptitle(f"{scene}: cost against error (more accurate to the right, cheaper below)")
     shared_legend(figure, ordered(rows), 6)

@@ -139,14 +139,19 @@ def disagreement(a: Rows, b: Rows) -> list[Any]:
 def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
     """Decimal digits to which two computations agree, relative to the scale of the worst column."""
     worst = max(e / scale for e, scale in zip(disagreement(a, b), scales(b), strict=True))
-    return at_most if worst == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(worst)))))
+    return matching_digits(worst, at_most)
+
+
+def matching_digits(error: Any, at_most: int) -> int:
+    """Whole decimal digits that a relative error leaves."""
+    return at_most if error == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(error)))))
 
 
 def rounded(value: Any, places: int) -> str:
     """A number to a number of decimal places (half to even), in plain or scientific notation."""
     with localcontext() as context:
-        context.prec = 2000
-        exact = Decimal(mpmath.nstr(value, 700, strip_zeros=True))
+        context.prec = 200
+        exact = Decimal(mpmath.nstr(value, 100))
         return str(exact.quantize(Decimal(1).scaleb(-places)))
 
 
@@ -164,8 +169,8 @@ def print_columns(rows: Rows, digits: int) -> list[list[str]]:
 # -- closed form -----------------------------------------------------------------------------------
 def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
     """Decimals, digits and source from the scene's closed form, or None if it lacks a field."""
-    columns = closed_form_columns(scene, t, carry)
-    if columns is None or None in columns:
+    probe = closed_form_columns(scene, t[:1], carry)  # elliptic functions at every time are slow
+    if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry)) is None:
         return None
     digits = min(known for _, known in columns)
     return [list(row) for row in zip(*(c for c, _ in columns), strict=True)], digits, "closed form"
@@ -294,29 +299,36 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple:
     """Decimals, digits and source from two precisions, keeping the digits that agree.
 
     heyoka's Taylor series where it is installed, else extrapolation in mpmath.  Enough means 20
-    digits of the smallest state along the way (counted no smaller than 10⁻⁶⁰).  Columns known in
-    closed form are taken from there.
+    digits of every column and of the smallest state along the way, neither counted as less than
+    10⁻⁶⁰ of the largest.  Where entries decay below 10⁻²⁰, columns known in closed form are taken
+    from there, relative digits and all.
     """
     unique, back = np.unique(t, return_inverse=True)
     times = [repr(x) for x in unique.tolist()]
+    start = scene.pack(scene.initial(carry))
+    exact: list | None = None
     for rows, other in computations(scene, times, carry):
-        smallest = min(max(map(abs, row)) for row in rows)
-        enough = 1e-20 * max(smallest, 1e-60)
-        if max(disagreement(other, rows)) <= enough:
+        size = max(abs(x) for row in [*rows, start] for x in row)
+        if exact is None:
+            faint = any(0 < abs(x) < 1e-20 * size for row in rows for x in row)
+            exact = (closed_form_columns(scene, unique, carry) if faint else None) or [None] * len(start)
+        floor, smallest = 1e-60 * size, min(max(map(abs, row)) for row in rows)
+        sizes = [max(scale, floor) for scale in scales(rows)]
+        errors = disagreement(other, rows)
+        wanted = [1e-20 * max(min(scale, smallest), floor) for scale in sizes]
+        if all(e <= w or x for e, w, x in zip(errors, wanted, exact, strict=True)):
             break
     else:
         raise BadInput(
             f"no reference for scene {scene.name!r} at t = {t.max():g}: "
             "two high precisions disagree, the trajectory is too sensitive to its initial data"
         )
-    digits = agreeing_digits(other, rows, 40)
-    decimals = print_columns(rows, digits)
-    exact = closed_form_columns(scene, unique, carry) or []
-    for j, column in enumerate(exact):
-        if column is not None:
-            for row, value in zip(decimals, column[0], strict=True):
-                row[j] = value
-    return [list(decimals[k]) for k in back], digits, "live"
+    columns = []
+    for known, column, error, scale in zip(exact, zip(*rows, strict=True), errors, sizes, strict=True):
+        digits = matching_digits(error / scale, 40)
+        columns.append(known or ([rounded(x, place(scale, digits)) for x in column], digits))
+    decimals = list(zip(*(column for column, _ in columns), strict=True))
+    return [list(decimals[k]) for k in back], min(digits for _, digits in columns), "live"
 
 
 def computations(scene: Scene, times: list[str], carry: tuple[str, ...]) -> Iterator[tuple[Rows, Rows]]:
@@ -437,7 +449,8 @@ def extrapolated(
     slope: Callable[[list[Any]], list[Any]], y: list[Any], step: Any, most: int, tolerance: Any
 ) -> tuple[int, list[Any] | None]:
     """One extrapolated step and the number of columns it took; None if `most` are not enough."""
-    first, previous = slope(y), []
+    first = slope(y)
+    previous: Rows = []
     for j in range(1, most + 1):
         h = step / (2 * j)
         old, mid = y, [a + h * f for a, f in zip(y, first, strict=True)]

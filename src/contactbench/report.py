@@ -58,7 +58,7 @@ def equal_error(work: pd.DataFrame, scene: str, cost: str) -> pd.DataFrame:
     for (method, engine), line in part.groupby(["method", "engine"], sort=False):
         if cost == "rhs_equivalents" and any(row["method"] == method for row in rows):
             continue
-        costs = [cost_at_error(line["solution_error_end"], line[cost], target) for target in TARGETS]
+        costs = [cost_at_error(line["solution_error"], line[cost], target) for target in TARGETS]
         rows.append({"method": method, "engine": engine, **dict(zip(TARGETS, costs, strict=True))})
     return pd.DataFrame(rows)
 
@@ -166,7 +166,7 @@ def work_precision_document(frame: pd.DataFrame) -> str:
     parts = [
         "# Cost at equal error",
         "Log–log interpolation between a method's own settings; a dash outside them. The error is "
-        f"{labels('work_precision')['solution_error_end']}, that of the very run that is timed. Times compare "
+        f"{labels('work_precision')['solution_error']}. Times compare "
         "engines as well as methods: compare jax with jax and python with python; evaluations compare methods.",
     ]
     for scene in dict.fromkeys(frame["scene"]):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,13 +75,23 @@ class Solution:
     #: the initial state y was integrated from, packed
     y0: np.ndarray | None = None
     #: () -> (k, d, m): derivative of the saved states along the m tangents of the initial state
-    sensitivity: Callable[[], np.ndarray] | None = None
-    #: how `sensitivity` is obtained, for the tables
+    differentiate: Callable[[], np.ndarray] | None = None
+    #: how it is obtained, for the tables; empty where it is not available
     sensitivity_source: str = ""
 
     @property
     def ok(self) -> bool:
         return self.status is Status.ok
+
+    @cached_property
+    def sensitivity(self) -> np.ndarray:
+        """Derivative of the saved states along the scene's m tangents at the start, (k, d, m).
+
+        Raises `BadInput` where the method does not provide it.
+        """
+        if self.differentiate is None or not self.sensitivity_source:
+            raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
+        return self.differentiate()
 
     @property
     def labels(self) -> list[str]:

@@ -80,11 +80,12 @@ class Prepared:
         """Run from a packed initial state."""
         raise NotImplementedError
 
+    #: how `sensitivity` differentiates the numerical map; empty: it cannot
+    sensitivity_source = ""
+
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         """(k, d, m): derivative of the saved states along the scene's m tangent vectors at y0."""
-        raise BadInput(f"{self.method}: no derivative of the numerical map is available")
-
-    sensitivity_source = ""
+        raise NotImplementedError
 
     def __call__(self, **data: Any) -> Solution:
         r = self.request

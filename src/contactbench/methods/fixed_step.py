@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.composition import Repeat, repeat
-from contactbench.methods.base import METHODS, Outcome, Prepared, Request, steps_in, stopwatch
+from contactbench.methods.base import METHODS, Outcome, Prepared, Request, steps_in
+from contactbench.methods.compiled import CompiledRun
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status, first_divergence
 
@@ -156,30 +157,23 @@ def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> It
         yield x
 
 
-_compiled: dict[Any, tuple[Any, float]] = {}
+class JaxLoop(FixedStepRun, CompiledRun):
+    """The steps as one compiled loop inside a scan over the saved times."""
 
-
-class JaxLoop(FixedStepRun):
-    """One compiled program per (method, scene structure, fields carried, number of saved times)."""
+    sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        r = self.request
-        self.numbers = np.array(r.scene.numbers())
-        self.program, self.compile_s = self._program("run", self._kernel)
+        self.numbers = np.array(self.request.scene.numbers())
+        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, *self.arguments())
 
-    def _program(self, purpose: str, function: Callable[..., Any]) -> tuple[Any, float]:
-        import jax
+    def key(self) -> tuple[Any, ...]:
+        return (self.method_, len(self.n))
 
-        r = self.request
-        key = (purpose, self.method_, r.scene.structure, r.carry, len(self.n))
-        if key not in _compiled:
-            elapsed = stopwatch()
-            arguments = (self._own_start, self.numbers, self.h, self.n)
-            _compiled[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
-        return _compiled[key]
+    def arguments(self) -> tuple[Any, ...]:
+        return self.numbers, self.h, self.n
 
-    def _kernel(self, y0: Any, numbers: Any, h: Any, n: Any) -> Any:
+    def states(self, y0: Any, numbers: Any, h: Any, n: Any) -> Any:
         import jax.numpy as jnp
         from jax import lax
 
@@ -198,23 +192,10 @@ class JaxLoop(FixedStepRun):
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         return np.asarray(self.program(y0, self.numbers, h, n))
 
-    sensitivity_source = "forward-mode AD through the numerical map"
-
-    def _tangent_kernel(self, y0: Any, numbers: Any, h: Any, n: Any) -> Any:
-        import jax
-
-        r = self.request
-        x0 = r.scene.unpack(list(y0), r.carry)
-        directions = jax.numpy.array([r.scene.pack(v) for v in r.scene.tangents(x0)])
-        push = jax.vmap(lambda v: jax.jvp(lambda y: self._kernel(y, numbers, h, n), (y0,), (v,))[1])
-        return jax.numpy.moveaxis(push(directions), 0, -1)
-
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        program, _ = self._program("sensitivity", self._tangent_kernel)
-        tangent = np.asarray(program(y0, self.numbers, self.h, self.n))
-        if self.saves_start:
-            r = self.request
-            x0 = r.scene.unpack(tuple(y0.tolist()), r.carry)
-            start = np.array([r.scene.pack(v) for v in r.scene.tangents(x0)]).T
-            tangent = np.concatenate([start[None], tangent])
-        return tangent
+        derivative = super().sensitivity(y0)
+        if not self.saves_start:
+            return derivative
+        scene = self.request.scene
+        start = scene.unpack(tuple(y0.tolist()), self.request.carry)
+        return np.concatenate([np.array([scene.pack(v) for v in scene.tangents(start)]).T[None], derivative])

@@ -8,7 +8,7 @@ is a program of its own.
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,26 +27,33 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tup
     return list(zip(variables, slopes, strict=True))
 
 
+#: one integrator per structure and tolerance: state, time and parameters are set at every call
+_integrators: dict[Any, tuple[Any, float]] = {}
+
+
 @dataclass
 class TaylorRun(Prepared):
-    integrator: Any = field(init=False)
-
     def __post_init__(self) -> None:
         import heyoka
 
         super().__post_init__()
         r = self.request
-        elapsed = stopwatch()
-        self.integrator = heyoka.taylor_adaptive(
-            taylor_system(r.scene, r.carry, heyoka), self._own_start, pars=r.scene.numbers(), tol=r.rtol
-        )
-        self.compile_s = elapsed()
+        key = (r.scene.structure, r.carry, r.rtol)
+        if key not in _integrators:
+            elapsed = stopwatch()
+            integrator = heyoka.taylor_adaptive(
+                taylor_system(r.scene, r.carry, heyoka), self._own_start, pars=r.scene.numbers(), tol=r.rtol
+            )
+            _integrators[key] = integrator, elapsed()
+        self.integrator, self.compile_s = _integrators[key]
+        self.numbers = np.array(r.scene.numbers())
         self.outcomes = heyoka.taylor_outcome
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, ta = self.request, self.integrator
         ta.time = 0.0
         ta.state[:] = y0
+        ta.pars[:] = self.numbers
         if len(r.save_at) == 1:
             outcome, _, _, steps, *_ = ta.propagate_until(float(r.save_at[0]), max_steps=r.max_steps)
             y = ta.state.copy()[None]

@@ -1,0 +1,57 @@
+"""What the JAX engines share: one compiled program per structure, and its forward derivative."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import Prepared, stopwatch
+
+_programs: dict[Any, tuple[Any, float]] = {}
+
+
+class CompiledRun(Prepared):
+    """A run whose saved states are a JAX function of the packed initial state and other arguments.
+
+    Everything numerical (initial data, parameters, steps, tolerances, saved times) is an argument:
+    a program is compiled once per scene structure and number of saved times, then shared.
+    """
+
+    def key(self) -> tuple[Any, ...]:
+        """What the program depends on besides the scene's structure and the fields carried."""
+        raise NotImplementedError
+
+    def arguments(self) -> tuple[Any, ...]:
+        """The arguments after y0."""
+        raise NotImplementedError
+
+    def states(self, y0: Any, *arguments: Any) -> Any:
+        """Saved states (k, d), traceable."""
+        raise NotImplementedError
+
+    def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+        """The program for a purpose, and the seconds it took to trace and compile."""
+        import jax
+
+        r = self.request
+        key = (purpose, r.scene.structure, r.carry, *self.key())
+        if key not in _programs:
+            elapsed = stopwatch()
+            _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
+        return _programs[key]
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        import jax
+
+        r = self.request
+        rest = self.arguments()
+
+        def push(y0: Any, v: Any, *rest: Any) -> Any:
+            return jax.jvp(lambda y: self.states(y, *rest), (y0,), (v,))[1]
+
+        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
+        tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
+        program, _ = self.compiled("sensitivity", push, y0, tangents[0], *rest)
+        return np.stack([np.asarray(program(y0, v, *rest)) for v in tangents], axis=-1)

@@ -1,0 +1,282 @@
+"""The truth layer: frozen files are what they claim, and the right source answers."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from contactbench import references as truth
+from contactbench.errors import BadInput
+from contactbench.references import digest, reference
+from contactbench.scene import Mechanical
+from contactbench.scenes import SCENES
+from contactbench.scenes.standard import STANDARD
+
+FOLDER = Path(__file__).parents[1] / "references"
+ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
+NAMES = [scene.name for scene in STANDARD]
+each_scene = pytest.mark.parametrize("name", NAMES)
+
+
+@pytest.fixture(scope="module")
+def generate():
+    spec = importlib.util.spec_from_file_location("generate", FOLDER / "generate.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def stored(name):
+    """Times and rows of a frozen file as 60-digit numbers, and the context they live in."""
+    entry = ENTRIES[name]
+    context = truth.decimal_context(60)
+    _, rows = truth.table(FOLDER / entry["file"], entry["sha256"])
+    return context, [row[0] for row in rows], [[context.mpf(x) for x in row[1:]] for row in rows]
+
+
+# -- the frozen files ------------------------------------------------------------------------------
+@each_scene
+def test_manifest_matches_file_and_scene(name):
+    entry = ENTRIES[name]
+    assert hashlib.sha256((FOLDER / entry["file"]).read_bytes()).hexdigest() == entry["sha256"]
+    assert entry["scene_digest"] == digest(SCENES[name])
+    assert entry["digits"] >= 30
+    assert min(entry["engine"]["agreeing_digits"], entry["second_engine"]["agreeing_digits"]) >= 30
+    assert entry["grid"]["t_end"] == SCENES[name].t_end
+
+
+@each_scene
+def test_frozen_solves_the_scene_as_it_is_now(name):
+    """One grid interval integrated by mpmath from a stored state ends at the next stored one.
+
+    This ties the files to the formulas: a changed force keeps its name, and with it the digest.
+    """
+    scene = SCENES[name]
+    context, times, rows = stored(name)
+    twin = truth.with_decimals(scene, context.mpf)
+    interval = context.mpf(times[101]) - context.mpf(times[100])
+    steps = max(1, int(interval))
+    y = rows[100]
+    for _ in range(steps):
+        _, y = truth.extrapolated(
+            lambda y: twin.pack(twin.rhs(twin.unpack(y, scene.carry()))),
+            y, interval / steps, 30, context.mpf(10) ** -38,
+        )  # fmt: skip
+    assert truth.agreeing_digits([y], [rows[101]], 60) >= 30
+
+
+@pytest.mark.parametrize(("name", "fields"), [("oscillator", "qps"), ("rigid_body", "Ms")])
+def test_frozen_equals_closed_form(name, fields):
+    scene = SCENES[name]
+    context, times, rows = stored(name)
+    twin = truth.with_decimals(scene, context.mpf)
+    for field in fields:
+        pick = lambda state: twin.pack((getattr(state, field),))  # noqa: B023, E731
+        ours = [pick(twin.unpack(row, scene.carry())) for row in rows[::8]]
+        exact = [pick(twin.exact(twin, context.mpf(t), context)) for t in times[::8]]
+        assert truth.agreeing_digits(ours, exact, 60) >= 30
+
+
+@each_scene
+def test_frozen_floats_are_the_rounded_decimals(name):
+    scene = SCENES[name]
+    found = truth.frozen(scene, truth.checked_times(scene.t_end * np.arange(201) / 200), scene.carry())
+    assert found is not None
+    decimals, digits, source = found
+    _, _, rows = stored(name)
+    assert (source, digits) == ("frozen", ENTRIES[name]["digits"])
+    assert [float(x) for x in decimals[0]] == scene.pack(scene.initial(scene.carry()))
+    assert [[float(x) for x in row] for row in decimals] == [[float(x) for x in row] for row in rows]
+
+
+def test_planted_wrong_digit_is_noticed(generate, tmp_path):
+    scene = SCENES["oscillator"]
+    for file in ("oscillator.csv", "MANIFEST.json"):
+        shutil.copy(FOLDER / file, tmp_path / file)
+    path = tmp_path / "oscillator.csv"
+    lines = path.read_text().splitlines()
+    cells = lines[77].split(",")
+    place = 32  # of the characters of q1: far beyond double precision
+    cells[1] = cells[1][:place] + str((int(cells[1][place]) + 5) % 10) + cells[1][place + 1 :]
+    lines[77] = ",".join(cells)
+    path.write_text("\n".join(lines) + "\n")
+    by_sum, by_digit = generate.check(scene, tmp_path)  # and nothing else is wrong
+    assert "SHA-256" in by_sum
+    assert by_digit.startswith(f"q1 at t = {cells[0]}")
+
+
+def test_checker_refuses_a_changed_scene(generate):
+    found = generate.check(SCENES["oscillator"].with_(gamma=0.11))
+    assert any("definition has changed" in line for line in found)
+    assert any(line.startswith("q1 at t") for line in found)
+
+
+def test_damaged_file_is_never_used(monkeypatch, tmp_path):
+    for path in (FOLDER / "particle.csv", FOLDER / "MANIFEST.json"):
+        shutil.copy(path, tmp_path / path.name)
+    with open(tmp_path / "particle.csv", "a") as file:
+        file.write("\n")
+    monkeypatch.setattr(truth, "frozen_folder", lambda: tmp_path)
+    with pytest.raises(BadInput, match="SHA-256"):
+        truth.frozen(SCENES["particle"], np.array([0.1]), ())
+
+
+# -- which source answers --------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "carry", "changes", "times", "source"),
+    [
+        ("oscillator", None, {}, [0.0, 3.3], "closed form"),
+        ("oscillator", None, {"gamma": 50.0}, [0.0, 3.3], "closed form"),
+        ("oscillator", None, {"kappa": 0.5}, [0.0, 3.3], "live"),  # the closed form has no κ
+        ("rigid_body", ("s",), {}, [0.0, 3.3], "closed form"),
+        ("rigid_body", None, {}, [0.0, 3.3], "frozen"),
+        ("rigid_body", ("s",), {"damping": (0.1, 0.1, 0.1)}, [0.0, 3.3], "live"),
+        ("particle", None, {}, [0.1 * k for k in range(201)], "frozen"),
+        ("particle", (), {"t_end": 5.0, "name": "mine"}, [1.5, 0.2, 1.5], "frozen"),
+        ("particle", (), {}, [1.55], "live"),
+        ("particle", (), {"gamma": 0.3}, [1.5], "live"),
+        ("particle_long", ("s",), {}, [2000.0], "frozen"),
+    ],
+)
+def test_source(name, carry, changes, times, source):
+    scene = SCENES[name].with_(**changes)
+    if "damping" in changes:
+        carry = ()
+    found = reference(scene, times, carry)
+    assert found.source == source
+    assert found.y.shape == (len(times), len(scene.labels(found.carry)))
+    assert found.digits >= 28
+    first = found.y[np.flatnonzero(found.t == 0)]
+    start = scene.pack(scene.initial(found.carry))
+    assert all(np.array_equal(row, start) for row in first)
+
+
+@pytest.mark.parametrize("change", [{"gamma": 0.3}, {"q": (1.0, 0.4)}, {"coupling": 0.2}, {"mass": 1.5}])
+def test_other_parameters_never_get_frozen_values(change):
+    scene, t = SCENES["particle"].with_(**change), [4.0, 20.0]
+    assert truth.frozen(scene, np.array(t), ("s",)) is None
+    found = reference(scene, t)
+    assert found.source == "live"
+    run = solve_ivp(
+        lambda t, y: scene.pack(scene.rhs(scene.unpack(y, ("s",)))),
+        (0, 20), scene.pack(scene.initial(("s",))), method="DOP853", t_eval=t, rtol=1e-12, atol=1e-13,
+    )  # fmt: skip
+    # DOP853's global error at rtol 1e-12 is a few 1e-12 here
+    np.testing.assert_allclose(found.y, run.y.T, rtol=0, atol=1e-10)
+
+
+@each_scene
+def test_live_equals_frozen(name):
+    """The live path at its lower precision agrees with the files, at times in the first quarter."""
+    scene = SCENES[name]
+    t = np.array([scene.t_end * k / 200 for k in (0, 7, 50)])
+    decimals, digits, _ = truth.live(scene, t, scene.carry())
+    exact, _, _ = truth.frozen(scene, t, scene.carry())
+    context = truth.decimal_context(60)
+    numbers = [[[context.mpf(x) for x in row] for row in rows] for rows in (decimals, exact)]
+    assert digits >= 30
+    # the files count digits from the largest entry of 201 times, here it is the largest of three
+    assert truth.agreeing_digits(*numbers, 60) >= min(digits, ENTRIES[name]["digits"]) - 3
+
+
+def test_without_heyoka_extrapolation_answers(monkeypatch):
+    scene, t = SCENES["central"].with_(gamma=0.2), np.array([0.0, 1.0, 2.5])
+    with_heyoka, _, _ = truth.live(scene, t, ("s",))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    without, digits, _ = truth.live(scene, t, ("s",))
+    assert digits >= 25
+    assert [[float(x) for x in row] for row in without] == [[float(x) for x in row] for row in with_heyoka]
+
+
+def test_division_by_three_is_not_trusted_to_heyoka():
+    """heyoka rounds ``x / 3`` to x · 0.333…33 in double precision; the answer must not show it."""
+    pendulum = Mechanical(
+        name="soft", potential=lambda q: q[0] * q[0] / 6, gradient=lambda q: (q[0] / 3,),
+        q=(1.0,), p=(0.0,), t_end=1.0,
+    )  # fmt: skip
+    context = truth.decimal_context(40)
+    exact = context.cos(2 / context.sqrt(3))
+    found = reference(pendulum, [2.0], ())
+    assert truth.agreeing_digits([[context.mpf(found.decimals[0][0])]], [[exact]], 40) >= 25
+
+
+@pytest.mark.parametrize("times", [[0.0, 200.0], [200.0]])
+def test_decay_out_of_sight_keeps_relative_digits(times):
+    """Body momentum e^{−5·200} of its start: digits come from the closed form, relative to itself."""
+    scene = SCENES["rigid_body"].with_(gamma=5.0)
+    found = reference(scene, times)
+    assert found.source == "live"
+    assert found.digits >= 30
+    assert found.decimals[-1][0].endswith("E-436")
+    assert np.linalg.norm(found.states().R, axis=0) == pytest.approx(1, abs=1e-15)
+
+
+def test_same_question_is_answered_from_memory():
+    scene = SCENES["particle"].with_(gamma=0.25)
+    assert reference(scene, [1.0]) is reference(scene.with_(name="other"), 1.0)
+
+
+def test_functions_of_one_name_are_told_apart():
+    """Two lambdas share a qualified name; the cache must not confuse them."""
+    build = lambda k: Mechanical(  # noqa: E731
+        name="spring", potential=lambda q: k * q[0] ** 2 / 2, gradient=lambda q: (k * q[0],),
+        q=(1.0,), p=(0.0,), t_end=1.0,
+    )  # fmt: skip
+    soft, hard = (reference(build(k), [1.0], ()).y[0, 0] for k in (1.0, 4.0))
+    assert soft == pytest.approx(np.cos(1.0), abs=1e-15)
+    assert hard == pytest.approx(np.cos(2.0), abs=1e-15)
+
+
+# -- errors ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("scene", "times", "says"),
+    [
+        (SCENES["particle"], [1.0, -0.5], "-0.5"),
+        (SCENES["particle"], [1.0, float("nan")], "nan"),
+        (SCENES["particle"], [float("inf")], "inf"),
+        (SCENES["particle"], [], "shape"),
+        (SCENES["particle"], "soon", "soon"),
+        (SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0)), [20.0], "blows up at t = 3.409"),
+        (
+            Mechanical(
+                name="numpy", potential=lambda q: np.sin(q[0]), gradient=lambda q: (np.cos(q[0]),),
+                q=(1.0,), p=(0.0,), t_end=1.0,
+            ),
+            [1.0],
+            "fail in high precision",
+        ),
+    ],
+)  # fmt: skip
+def test_errors_are_one_line(scene, times, says):
+    with pytest.raises(BadInput) as caught:
+        reference(scene, times)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_blow_up_is_seen_without_heyoka():
+    scene = SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0))
+    with pytest.raises(BadInput, match=r"blows up at t = 3\.409"):
+        truth.extrapolation(scene, ["20.0"], (), 12)
+
+
+@pytest.mark.parametrize("path", [Path(truth.__file__), FOLDER / "generate.py"], ids=lambda p: p.name)
+def test_no_method_under_test_is_imported(path):
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    imported = [getattr(n, "module", "") or "" for n in nodes if isinstance(n, ast.ImportFrom)]
+    assert imported
+    assert not [name for name in imported if name.startswith("contactbench.methods")]
+
+
+@pytest.mark.slow
+@each_scene
+def test_recomputation_confirms_the_files(generate, name):
+    assert generate.check(SCENES[name]) == []
