@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from cells import cells, outcome, save_times, setting, steps
-
 import contactbench as cb
+from cells import cells, outcome, save_times, setting, steps
 from contactbench.analysis import fit_order
 from contactbench.table import CONVERGENCE
 
@@ -17,10 +16,7 @@ FLOOR = 1e-12
 
 def ladder(profile):
     return [
-        (scene, name)
-        for scene in cb.SCENES
-        for name, method in cb.METHODS.items()
-        if not method.adaptive
+        (scene, name) for scene in cb.SCENES for name, method in cb.METHODS.items() if not method.adaptive
     ]
 
 

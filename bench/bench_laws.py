@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from cells import cells, outcome, save_times, setting, steps
 
 import contactbench as cb
+from cells import cells, outcome, save_times, setting, steps
 from contactbench.laws import (
     contact_deviation,
     energies,
@@ -14,6 +14,7 @@ from contactbench.laws import (
     is_contact,
     laws_of,
     momentum_deviation,
+    relative_deviation,
 )
 from contactbench.table import LAWS_TABLE, LAWS_TIME
 
@@ -63,7 +64,7 @@ def along_time(solution):
     columns = {
         "t": solution.t,
         "energy": energy,
-        "energy_true": true_energy,
+        "energy_deviation": relative_deviation(energy, true_energy),
         "hamiltonian_deviation": hamiltonian_deviation(solution) if is_contact(scene) else nothing,
         "momentum_deviation": momentum_deviation(solution) if has_momentum_law(scene) else nothing,
         "contact_deviation": nothing,

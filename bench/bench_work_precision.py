@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from time import perf_counter
 
-from cells import RTOLS, cells, engines, outcome, setting, steps
-
 import contactbench as cb
+from cells import RTOLS, cells, engines, outcome, setting, steps
 from contactbench.laws import absolute_error
 from contactbench.table import WORK_PRECISION
 
@@ -30,7 +29,9 @@ def ladder(profile):
     for scene in cb.SCENES.values():
         for name, engine in engines():
             adaptive = cb.METHODS[name].adaptive
-            values = [r for r in RTOLS if r >= cb.METHODS[name].rtol_range[0]] if adaptive else steps(scene, STEPS)
+            values = (
+                [r for r in RTOLS if r >= cb.METHODS[name].rtol_range[0]] if adaptive else steps(scene, STEPS)
+            )
             for value in profile.choose(values):
                 rows.append((scene.name, name, engine, f"{'rtol' if adaptive else 'step'}={value:.6g}"))
     return rows

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-import contactbench as cb
-from contactbench.scene import Scene
-from contactbench.scenes import SCENES
 from contactbench.methods import METHODS
+from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder

@@ -6,9 +6,9 @@ import math
 from fractions import Fraction
 
 import pytest
-from cases import by_name, in_mp, random_state
 
 import contactbench as cb
+from cases import by_name, in_mp, random_state
 from contactbench.composition import ABC, COMPOSITIONS, PRINTED, STRANG, advance, missing_flow, plan
 from contactbench.flows import flows_of
 

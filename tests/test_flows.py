@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
-from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from mpmath import mp
 
 import contactbench as cb
+from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from contactbench.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation
 
 BITS = 180
@@ -27,7 +27,11 @@ def symbolic_flow(hamiltonian, n, y0, h):
     v = heyoka.make_vars(*names)
     q, p, s = v[:n], v[n : 2 * n], v[-1]
     energy = hamiltonian(q, p, s) + 0 * s
-    Hq, Hp, Hs = [heyoka.diff(energy, c) for c in q], [heyoka.diff(energy, c) for c in p], heyoka.diff(energy, s)
+    Hq, Hp, Hs = (
+        [heyoka.diff(energy, c) for c in q],
+        [heyoka.diff(energy, c) for c in p],
+        heyoka.diff(energy, s),
+    )
     slopes = Hp + [-a - b * Hs for a, b in zip(Hq, p, strict=True)]
     slopes.append(sum((a * b for a, b in zip(p, Hp, strict=True)), heyoka.expression(0.0)) - energy)
     real = lambda text: heyoka.real(text, BITS)  # noqa: E731

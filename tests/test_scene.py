@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from mpmath import mp
 
 import contactbench as cb
+from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from contactbench.scene import rotation_matrix
 
 MECHANICAL = [s for s in ALL_SCENES if isinstance(s, cb.Mechanical)]
@@ -87,7 +87,9 @@ def test_same_right_hand_side_on_floats_numpy_jax_mpmath_and_heyoka(scene):
     ensemble = scene.unpack(tuple(np.array([v, 2 * v]) for v in y), carry)
     np.testing.assert_array_equal([c[0] for c in scene.pack(scene.rhs(ensemble))], expected)
 
-    traced = jax.jit(lambda y, n: jnp.stack(scene.pack(scene.with_numbers(list(n)).rhs(scene.unpack(list(y), carry)))))
+    traced = jax.jit(
+        lambda y, n: jnp.stack(scene.pack(scene.with_numbers(list(n)).rhs(scene.unpack(list(y), carry))))
+    )
     np.testing.assert_allclose(traced(jnp.array(y), jnp.array(scene.numbers())), expected, rtol=AD, atol=AD)
 
     exact, z = in_mp(scene, x)
@@ -144,11 +146,19 @@ def test_attitude_may_be_given_as_a_matrix_or_a_quaternion():
         ("particle", {"t_end": -1.0}, "t_end = -1.0: must be > 0"),
         ("particle", {"mass": 0.0}, "mass = 0.0: must be > 0"),
         ("particle", {"q": "ab"}, "q = 'ab'"),
-        ("rigid_body", {"inertia": (1.0, -2.0, 3.0)}, "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
+        (
+            "rigid_body",
+            {"inertia": (1.0, -2.0, 3.0)},
+            "inertia = (1.0, -2.0, 3.0): all three moments must be > 0",
+        ),
         ("rigid_body", {"M": (1.0, 2.0)}, "M = (1.0, 2.0): must be 3 numbers"),
         ("rigid_body", {"R": ((1, 0, 0), (0, 1, 0), (0, 0, -1))}, "rotation matrix"),
         ("rigid_body", {"gamma": 0.1, "damping": (1.0, 1.0, 1.0)}, "exactly one of gamma"),
-        ("rigid_body_anisotropic", {"damping": ((1, 2, 0), (0, 1, 0), (0, 0, 1))}, "symmetric positive semi-definite"),
+        (
+            "rigid_body_anisotropic",
+            {"damping": ((1, 2, 0), (0, 1, 0), (0, 0, 1))},
+            "symmetric positive semi-definite",
+        ),
         ("rigid_body_anisotropic", {"damping": (1.0, 1.0, -0.1)}, "symmetric positive semi-definite"),
     ],
 )

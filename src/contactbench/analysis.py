@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: points needed for an order, and the most a pairwise slope may stray from the median slope
+#: points needed for an order
 MIN_POINTS = 4
-STRAY = 0.15
+#: how far pairwise slopes may stray from their median in an asymptotic range: strict, else lenient
+STRAYS = (0.05, 0.15)
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ def fit_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
 def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
     """Order of convergence from errors at a ladder of step sizes, in any order.
 
-    The asymptotic range is the longest run of neighbouring points, none at or below `floor`
-    (round-off), whose pairwise slopes differ by at most 0.15 from their median; of several equally
-    long runs the one with the smallest steps is taken.  It needs four points.
+    The asymptotic range is the longest run of at least four neighbouring points, none at or below
+    `floor` (round-off), whose pairwise slopes differ by at most 0.05 from their median, or 0.15 if
+    there is no such run; of several equally long runs the one with the smallest steps is taken.
     """
     h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(h)
@@ -51,14 +52,7 @@ def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = np.diff(np.log(e)) / np.diff(np.log(h))
     sound = np.isfinite(e) & (e > floor)
-    best = range(0)
-    for i in range(len(h)):
-        for j in range(i + MIN_POINTS, len(h) + 1):
-            inside = slopes[i : j - 1]
-            if not sound[i:j].all() or np.abs(inside - np.median(inside)).max() > STRAY:
-                continue
-            if j - i > len(best):
-                best = range(i, j)
+    best = next(filter(len, (longest_run(slopes, sound, stray) for stray in STRAYS)), range(0))
     used = np.zeros(len(h), dtype=bool)
     used[best.start : best.stop] = True
     pairwise = np.append(slopes, math.nan)
@@ -67,6 +61,17 @@ def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.
         return OrderFit(math.nan, math.nan, math.nan, used[back], pairwise[back])
     fitted = fit_line(np.log(h[used]), np.log(e[used]))
     return OrderFit(*fitted, used[back], pairwise[back])
+
+
+def longest_run(slopes: np.ndarray, sound: np.ndarray, stray: float) -> range:
+    """Indices of the longest run of sound points with slopes within `stray` of their median."""
+    best = range(0)
+    for i in range(len(sound)):
+        for j in range(i + MIN_POINTS, len(sound) + 1):
+            inside = slopes[i : j - 1]
+            if sound[i:j].all() and np.abs(inside - np.median(inside)).max() <= stray and j - i > len(best):
+                best = range(i, j)
+    return best
 
 
 def cost_at_error(errors: Sequence[float], costs: Sequence[float], target: float) -> float:

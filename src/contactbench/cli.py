@@ -33,11 +33,13 @@ def assignments(pairs: list[str]) -> dict[str, Any]:
     """``name=value`` arguments; a value is JSON (a number or a list of numbers)."""
     changes = {}
     for pair in pairs:
-        name, sign, text = pair.partition("=")
+        name, _, text = pair.partition("=")
         try:
             changes[name] = json.loads(text)
         except json.JSONDecodeError:
-            raise BadInput(f"--set {pair}: must be name=value, the value a number or [list, of, numbers]") from None
+            raise BadInput(
+                f"--set {pair}: must be name=value, the value a number or [list, of, numbers]"
+            ) from None
         if isinstance(changes[name], list):
             changes[name] = tuple(changes[name])
     return changes
@@ -93,7 +95,9 @@ def report(arguments: argparse.Namespace) -> int:
     from contactbench.report import report as write
 
     if not list(arguments.results.glob("*.csv")):
-        raise BadInput(f"--results {arguments.results}: no tables there; run the benchmark first (tox -e bench)")
+        raise BadInput(
+            f"--results {arguments.results}: no tables there; run the benchmark first (tox -e bench)"
+        )
     for path in write(arguments.results):
         print(path)
     return 0

@@ -129,9 +129,7 @@ def advance(
             x = flow.apply(scene, x, constants, xp)
         return x
 
-    opening, inner, closing, joint = map(
-        prepared, (steps.opening, steps.inner, steps.closing, steps.joint)
-    )
+    opening, inner, closing, joint = map(prepared, (steps.opening, steps.inner, steps.closing, steps.joint))
     x = run(opening, x)
     if joint:
         x = repeat(n - 1, lambda x: run(joint, run(inner, x)), x)

@@ -92,7 +92,7 @@ def work_precision(frame: pd.DataFrame, scene: str, labels: dict[str, str]) -> F
         axes[2].plot(line["error"], line["rhs_equivalents"], **style(method))
     axes[2].set(title="evaluations (engine does not matter)", ylabel="right-hand sides or equivalents")
     for panel in axes:
-        panel.set(xscale="log", yscale="log", xlabel=labels["solution_error"])
+        panel.set(xscale="log", yscale="log", xlabel=labels["solution_error"].partition(" over ")[0])
         panel.invert_xaxis()
     figure.suptitle(f"{scene}: cost against error (more accurate to the right, cheaper below)")
     shared_legend(figure, ordered(rows), 6)
@@ -128,28 +128,25 @@ def convergence(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
 
 
 def laws_along_time(frame: pd.DataFrame, scene: str, labels: dict[str, str]) -> Figure:
-    """H0 and the deviations from the H, J and contact laws along time."""
+    """The deviations from the H0, H, J and contact laws along time."""
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
-    figure, axes = plt.subplots(1, 4, figsize=(15, 4.4), layout="constrained")
-    first = rows[rows["method"] == rows["method"].iloc[0]]
-    axes[0].plot(first["t"], first["energy_true"], color="#bbbbbb", linewidth=4, label="truth")
-    axes[0].set(yscale="log", title="energy H0", ylabel="H0", xlabel="t")
-    panels = ("hamiltonian_deviation", "momentum_deviation", "contact_deviation")
-    titles = ("H law", "J law", "contact form")
-    for method in ordered(rows):
-        line = rows[rows["method"] == method]
-        look = {**style(method), "markevery": 4}
-        axes[0].plot(line["t"], line["energy"], **look)
-        for panel, column in zip(axes[1:], panels, strict=True):
-            panel.plot(line["t"], line[column].clip(lower=ROUND_OFF / 4), **look)
-    for panel, column, title in zip(axes[1:], panels, titles, strict=True):
+    panels = {
+        "energy_deviation": "energy H0",
+        "hamiltonian_deviation": "contact Hamiltonian H",
+        "momentum_deviation": "momentum map J",
+        "contact_deviation": "contact form η",
+    }
+    panels = {column: title for column, title in panels.items() if rows[column].notna().any()}
+    figure, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 4.4), layout="constrained")
+    for panel, (column, title) in zip(np.atleast_1d(axes), panels.items(), strict=True):
+        for method in ordered(rows):
+            line = rows[rows["method"] == method]
+            panel.plot(line["t"], line[column].clip(lower=ROUND_OFF / 4), **style(method), markevery=4)
+        panel.axhspan(ROUND_OFF / 4, 1e-12, color="#f0f4ff", zorder=0)
         panel.set(yscale="log", title=title, xlabel="t", ylabel=labels[column])
-        if rows[column].isna().all():
-            panel.text(0.5, 0.5, "no such law here", transform=panel.transAxes, ha="center")
-    axes[0].legend()
     settings = ", ".join(dict.fromkeys(rows["setting"]))
-    figure.suptitle(f"{scene}: laws along time ({settings})")
-    shared_legend(figure, ordered(rows), 6)
+    figure.suptitle(f"{scene}: deviation from each law along time ({settings}; shaded: round-off)")
+    shared_legend(figure, ordered(rows), max(3, 2 * len(panels) - 1))
     return figure
 
 
@@ -176,7 +173,9 @@ def structure(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
     return figure
 
 
-def figures(tables: dict[str, pd.DataFrame], labels: Callable[[str], dict[str, str]]) -> Iterator[tuple[str, Figure]]:
+def figures(
+    tables: dict[str, pd.DataFrame], labels: Callable[[str], dict[str, str]]
+) -> Iterator[tuple[str, Figure]]:
     """Every figure the tables allow, with its file name."""
     work, laws, time = tables["work_precision"], tables["laws"], tables["laws_time"]
     for scene in dict.fromkeys(work["scene"]):
@@ -186,7 +185,7 @@ def figures(tables: dict[str, pd.DataFrame], labels: Callable[[str], dict[str, s
         yield "convergence", convergence(tables["convergence"], labels("convergence"))
     if len(laws):
         yield "structure", structure(laws, labels("laws"))
-    for scene in dict.fromkeys(time["scene"]):
+    for scene in dict.fromkeys(time[time["status"] == "ok"]["scene"]):
         yield f"laws_{scene}", laws_along_time(time, scene, labels("laws_time"))
 
 

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from tabulate import tabulate
@@ -44,7 +45,9 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """A GitHub table; the first column left, the others right aligned."""
     head = list(header)
     align = ["left", *["right"] * (len(head) - 1)]
-    return tabulate([list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True)
+    return tabulate(
+        [list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True
+    )
 
 
 # -- equal error -----------------------------------------------------------------------------------
@@ -54,7 +57,7 @@ def equal_error(work: pd.DataFrame, scene: str, cost: str) -> pd.DataFrame:
     cost : "time_median_s", or "rhs_equivalents" (one row per method then: engines count alike).
     """
     part = work[(work["scene"] == scene) & (work["status"] == "ok")]
-    rows = []
+    rows: list[dict[Any, Any]] = []
     for (method, engine), line in part.groupby(["method", "engine"], sort=False):
         if cost == "rhs_equivalents" and any(row["method"] == method for row in rows):
             continue
@@ -150,13 +153,15 @@ def laws_document(frame: pd.DataFrame) -> str:
         rows = []
         for _, row in part.iterrows():
             values = (
-                str(int(row[name])) if name == "energy_increases" and not pd.isna(row[name]) else scientific(row[name])
+                str(int(row[name]))
+                if name == "energy_increases" and not pd.isna(row[name])
+                else scientific(row[name])
                 for name in shown
             )
             ending = row["status"] if row["status"] == "ok" else f"{row['status']}: {row['message']}"
             rows.append([f"{row['method']} ({row['setting']})", *values, ending])
         parts.append(f"## {scene}\n\n" + markdown(["method (setting)", *shown, "status"], rows))
-        if (Path("laws_") / scene) and scene in set(frame["scene"]):
+        if (part["status"] == "ok").any():
             parts.append(f"![laws along time](figures/laws_{scene}.svg)")
     parts.append("![structure against accuracy](figures/structure.svg)")
     return "\n\n".join(parts) + "\n"
@@ -183,8 +188,14 @@ def work_precision_document(frame: pd.DataFrame) -> str:
         ]
         refused = part[part["status"] != "ok"]
         if len(refused):
-            endings = [[f"{r['method']} ({r['engine']})", r["setting"], r["status"], r["message"]] for _, r in refused.iterrows()]
-            parts.append("Runs that did not end `ok`:\n\n" + markdown(["method (engine)", "setting", "status", "why"], endings))
+            endings = [
+                [f"{r['method']} ({r['engine']})", r["setting"], r["status"], r["message"]]
+                for _, r in refused.iterrows()
+            ]
+            parts.append(
+                "Runs that did not end `ok`:\n\n"
+                + markdown(["method (engine)", "setting", "status", "why"], endings)
+            )
     return "\n\n".join(parts) + "\n"
 
 
@@ -216,7 +227,14 @@ def structure_table(laws: pd.DataFrame, convergence: pd.DataFrame) -> str:
             else:
                 verdict[name] = f"{scientific(low)} … {scientific(high)}"
         rows.append([method, order, *verdict.values()])
-    head = ["method", f"order on {HEADLINE}", "J law, central", "J law, body", "contact drift, central", "attitude drift, body"]
+    head = [
+        "method",
+        f"order on {HEADLINE}",
+        "J law, central",
+        "J law, body",
+        "contact drift, central",
+        "attitude drift, body",
+    ]
     return markdown(head, rows)
 
 

@@ -123,7 +123,7 @@ class Scene:
 
         Raises `BadInput` for an unknown parameter or a value that is not allowed.
         """
-        allowed = [f.name for f in dataclasses.fields(self)]
+        allowed = [f.name for f in dataclasses.fields(self) if f.init]
         extra = dict(getattr(self, "parameters", {}))
         fields: dict[str, Any] = {}
         for key, value in changes.items():
@@ -212,8 +212,28 @@ class Scene:
         """Time derivative of the state, a state of the same fields."""
         raise NotImplementedError
 
+    def energy(self, x: Any) -> Any:
+        """Mechanical energy H0."""
+        raise NotImplementedError
+
+    def hamiltonian(self, x: Any) -> Any:
+        """Contact Hamiltonian H = H0 + Γ(s); needs s."""
+        raise NotImplementedError
+
+    def momentum(self, x: Any) -> Vector | None:
+        """Momentum map J of the rotations, None where there is none."""
+        raise NotImplementedError
+
+    def tangents(self, x: Any) -> list[Any]:
+        """A basis of the tangent space at x, as states."""
+        raise NotImplementedError
+
+    def contact_form(self, x: Any, dx: Any) -> Any:
+        """η(dx) at x."""
+        raise NotImplementedError
+
     @property
-    def conformal_rate(self) -> float | None:
+    def conformal_rate(self) -> Any:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
         raise NotImplementedError
 
@@ -387,7 +407,7 @@ class Mechanical(Scene):
         return [self.unpack([1.0 if i == j else 0.0 for j in range(size)], carry) for i in range(size)]
 
     @property
-    def conformal_rate(self) -> float | None:
+    def conformal_rate(self) -> Any:
         return None if self.nonlinear_damping else self.gamma
 
 
@@ -404,9 +424,12 @@ class RigidBody(Scene):
 
     inertia: Vector
     M: Vector
-    gamma: float | None = None
+    gamma: Any = None
     damping: Any = None
     R: Any = 1
+    #: eigenvalues of an anisotropic D, and its eigenvectors as columns (None when D is diagonal)
+    rates: Vector = field(init=False, repr=False, default=())
+    axes: Any = field(init=False, repr=False, default=None)
 
     initial_fields: ClassVar[tuple[str, ...]] = ("M", "R", "s")
 
@@ -555,7 +578,8 @@ class RigidBody(Scene):
 
     def contact_form(self, x: BodyState, dx: BodyState) -> Any:
         """η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
-        assert x.R is not None and dx.R is not None
+        assert x.R is not None
+        assert dx.R is not None
         w, a, b, c = x.R
         xi = quaternion_product((w, -a, -b, -c), dx.R)[1:]
         return dx.s - 2 * dot(x.M, xi)
@@ -576,7 +600,7 @@ class RigidBody(Scene):
         return basis
 
     @property
-    def conformal_rate(self) -> float | None:
+    def conformal_rate(self) -> Any:
         return self.gamma
 
 

@@ -30,7 +30,10 @@ from contactbench.errors import BadInput
 
 SCHEMA_VERSION = 1
 KEY = ("scene", "method", "engine", "setting")
-PROVENANCE = {"schema": "version of this table's columns", "run_id": "run that made the row (environment.json)"}
+PROVENANCE = {
+    "schema": "version of this table's columns",
+    "run_id": "run that made the row (environment.json)",
+}
 
 _COMMON = {
     "scene": "name of the scene",
@@ -99,7 +102,7 @@ LAWS_TIME = Table(
         **_COMMON,
         "t": "time",
         "energy": "H0",
-        "energy_true": "H0 of the reference",
+        "energy_deviation": "|H0(y) / H0(y*) − 1|",
         "hamiltonian_deviation": "|H e^{γt} − H(y₀)| / |H(y₀)|",
         "momentum_deviation": "‖J e^{γt} − J(y₀)‖ / ‖J(y₀)‖",
         "contact_deviation": "‖Φ*η − e^{−γt} η‖ / ‖e^{−γt} η‖",

@@ -23,7 +23,7 @@ import numpy as np
 
 from contactbench.errors import BadInput, Registry, positive
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Solution, Status, first_divergence
+from contactbench.solution import Counts, Solution, Status, divergence_bound, first_divergence
 
 METHODS = Registry("method")
 
@@ -108,6 +108,11 @@ class Prepared:
     def __post_init__(self) -> None:
         r = self.request
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
+        self._motion = len(r.scene.labels(()))  # leading components that are (q, p) or M
+
+    def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
+        """Index of the first saved state in y that is not finite or out of scale, or None."""
+        return first_divergence(y, self._motion, divergence_bound(y0[: self._motion]))
 
     def finished(
         self, y0: np.ndarray, y: np.ndarray, counts: Counts, status: Status = Status.ok, message: str = ""
@@ -115,7 +120,7 @@ class Prepared:
         """An outcome from the saved states reached so far: checked for divergence, padded with NaN."""
         times = self.request.save_at
         reached = len(y)
-        bad = first_divergence(self.request.scene, y0, y)
+        bad = self.first_divergence(y0, y)
         if bad is not None:
             at = float(times[bad])
             y, reached = y[:bad], bad
@@ -211,10 +216,7 @@ def prepare(
             raise BadInput(f"step is missing: {method} has a fixed step; give step > 0")
         step = positive("step", step)
     budget = _budget(chosen, max_steps)
-    if save_at is None:
-        times = _default_times(scene, step, budget)
-    else:
-        times = _times(save_at)
+    times = _default_times(scene, step, budget) if save_at is None else _times(save_at)
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
     why = chosen.refuses(scene)
     return chosen.prepare(request) if why is None else Refused(chosen.name, request, why)
@@ -271,17 +273,6 @@ def _times(save_at: Any) -> np.ndarray:
 def steps_in(span: float, step: float) -> int:
     """The fewest equal steps that cover `span` without exceeding `step` (up to round-off)."""
     return max(1, math.ceil(span / step * (1 - 1e-12)))
-
-
-def counting(f: Any) -> tuple[Any, list[int]]:
-    """`f` and a one-element list that counts its calls."""
-    calls = [0]
-
-    def counted(*args: Any) -> Any:
-        calls[0] += 1
-        return f(*args)
-
-    return counted, calls
 
 
 def stopwatch() -> Any:

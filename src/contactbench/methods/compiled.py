@@ -31,6 +31,13 @@ class CompiledRun(Prepared):
         """Saved states (k, d), traceable."""
         raise NotImplementedError
 
+    @staticmethod
+    def on_device(*arrays: np.ndarray) -> tuple[Any, ...]:
+        """Arguments that do not change from call to call, moved once."""
+        import jax
+
+        return tuple(jax.device_put(array) for array in arrays)
+
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to trace and compile."""
         import jax

@@ -7,6 +7,7 @@ parameters traced (one program for all of them), `throw=False` with the result c
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,8 @@ class DiffraxRun(CompiledRun):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        self.numbers = np.array(r.scene.numbers())
-        self.tolerances = np.array([r.rtol, r.atol])
+        tolerances = np.array([r.rtol, r.atol])
+        self.fixed = self.on_device(np.array(r.scene.numbers()), tolerances, r.save_at)
         self.final_only = len(r.save_at) == 1
         self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, *self.arguments())
 
@@ -41,7 +42,7 @@ class DiffraxRun(CompiledRun):
         return (self.method_, len(self.request.save_at), self.request.max_steps)
 
     def arguments(self) -> tuple[Any, ...]:
-        return self.numbers, self.tolerances, self.request.save_at
+        return self.fixed
 
     def states(self, y0: Any, *arguments: Any) -> Any:
         return self._solve(y0, *arguments)[0]
@@ -97,19 +98,22 @@ class DiffraxRun(CompiledRun):
         return self.finished(y0, y[:reached], counts, status, message)
 
     def count(self) -> Counts:
-        """For the implicit method, whose Newton iterations diffrax does not report: every right-hand
-        side counted by a callback from inside the compiled loop."""
+        counts = self().counts
+        return counts._replace(evaluations=self.counted_by_callback()) if self.method_.stiff else counts
+
+    def counted_by_callback(self) -> int:
+        """Right-hand sides of one run, counted from inside the compiled loop.
+
+        The implicit method needs it: diffrax does not report its Newton iterations.
+        """
         import jax
 
-        if not self.method_.stiff:
-            return super().count()
-        program, _ = self.compiled(
-            "count", lambda *a: self._solve(*a, counted=True), self._own_start, *self.arguments()
-        )
+        arguments = (self._own_start, *self.arguments())
+        program, _ = self.compiled("count", partial(self._solve, counted=True), *arguments)
         before = _calls[0]
-        jax.block_until_ready(program(self._own_start, *self.arguments()))
+        jax.block_until_ready(program(*arguments))
         jax.effects_barrier()
-        return self().counts._replace(evaluations=_calls[0] - before)
+        return _calls[0] - before
 
 
 @dataclass(frozen=True)
@@ -134,13 +138,12 @@ class DiffraxMethod(Adaptive):
         # The default, VeryChord, has one linearisation per step and a convergence criterion that
         # tight tolerances rarely meet: half of all steps are rejected and each is four times too
         # short.  Chord linearises at every stage and follows the error control.
-        finder = optimistix.Chord(rtol=tolerances[0], atol=tolerances[1])
+        finder: Any = optimistix.Chord(rtol=tolerances[0], atol=tolerances[1])
         return getattr(diffrax, self.solver_name)(root_finder=finder)
 
     def evaluations(self, accepted: int, rejected: int) -> int | None:
-        """Right-hand sides of an explicit method: stages per attempt and two to start (the first slope,
-        and one more by which diffrax chooses the first step)."""
-        return None if self.stiff else (accepted + rejected) * self.per_step + 2
+        """Right-hand sides of an explicit method: stages per attempt, and the very first slope."""
+        return None if self.stiff else (accepted + rejected) * self.per_step + 1
 
     def prepare(self, request: Request) -> Prepared:
         return DiffraxRun(self.name, request, self)

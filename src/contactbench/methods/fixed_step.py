@@ -17,7 +17,7 @@ from contactbench.composition import Repeat, repeat
 from contactbench.methods.base import METHODS, Outcome, Prepared, Request, steps_in
 from contactbench.methods.compiled import CompiledRun
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Status, first_divergence
+from contactbench.solution import Counts, Status
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
 
@@ -62,7 +62,7 @@ class FixedStep:
 
 
 def fixed_step(
-    name: str, order: int, *, evaluations: int = 1, about: str = "", **claims: bool
+    name: str, order: int, *, evaluations: int = 1, about: str = "", **claims: Any
 ) -> Callable[[Step], Step]:
     """Decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
 
@@ -85,10 +85,10 @@ class FixedStepRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        assert r.step is not None
+        step = r.step or math.nan  # a fixed-step request always has one
         self.saves_start = r.save_at[0] == 0
         self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
-        self.n = np.array([steps_in(span, r.step) for span in self.marks], dtype=np.int64)
+        self.n = np.array([steps_in(span, step) for span in self.marks], dtype=np.int64)
         self.h = self.marks / self.n
         total = int(self.n.sum())
         evaluations = sum(self.method_.counts(r.scene, int(n)) for n in self.n)
@@ -122,7 +122,7 @@ class FixedStepRun(Prepared):
             half = np.ones_like(self.n)  # the compiled loop has a fixed number of intervals
             half[0] = left // 2
             y = self.intervals(good, np.full(len(half), h), half)[:1]
-            if first_divergence(r.scene, y0, y) is None:
+            if self.first_divergence(y0, y) is None:
                 good, time = y[0], time + float(half[0] * h)
                 steps, left = steps + int(half[0]), left - int(half[0])
             else:
@@ -143,8 +143,8 @@ class PythonLoop(FixedStepRun):
         spans = zip(h.tolist(), n.tolist(), strict=True)
         rows = []
         try:
-            for x in trajectory(self.method_, r.scene, x, spans, math):
-                rows.append(r.scene.pack(x))
+            for state in trajectory(self.method_, r.scene, x, spans, math):
+                rows.append(r.scene.pack(state))
         except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
             rows += [[math.nan] * len(y0)] * (len(n) - len(rows))
         return np.array(rows, dtype=float)
@@ -164,14 +164,15 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.numbers = np.array(self.request.scene.numbers())
-        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, *self.arguments())
+        # on the device once: converting them at every call would cost as much as a short run
+        self.fixed = self.on_device(np.array(self.request.scene.numbers()), self.h, self.n)
+        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, *self.fixed)
 
     def key(self) -> tuple[Any, ...]:
         return (self.method_, len(self.n))
 
     def arguments(self) -> tuple[Any, ...]:
-        return self.numbers, self.h, self.n
+        return self.fixed
 
     def states(self, y0: Any, numbers: Any, h: Any, n: Any) -> Any:
         import jax.numpy as jnp
@@ -184,13 +185,15 @@ class JaxLoop(FixedStepRun, CompiledRun):
             return lax.fori_loop(0, n, lambda _, x: body(x), x)
 
         def interval(x: Any, span: Any) -> Any:
-            x = self.method_.advance(scene, x, *span, jnp, loop)
+            h, n = span
+            x = self.method_.advance(scene, x, h, n, jnp, loop)
             return x, jnp.stack(scene.pack(x))
 
         return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n))[1]
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return np.asarray(self.program(y0, self.numbers, h, n))
+        fixed = self.fixed if n is self.n else (self.fixed[0], h, n)
+        return np.asarray(self.program(y0, *fixed))
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         derivative = super().sensitivity(y0)

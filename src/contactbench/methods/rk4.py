@@ -10,7 +10,7 @@ from contactbench.scene import Scene
 
 def shifted(x: Any, h: Any, slope: Any) -> Any:
     """x + h·slope, component by component, fields that are not carried left alone."""
-    parts = []
+    parts: list[Any] = []
     for part, rate in zip(x, slope, strict=True):
         if isinstance(part, tuple):
             parts.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, counting
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.callback import flat_jacobian, flat_rhs
 from contactbench.solution import Counts, Status
 
@@ -30,15 +30,19 @@ class ScipyRun(Prepared):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        f, calls = self.f, None
+        f, calls = self.f, [0]
         options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}
         if self.stiff and self.jac is not None:
             options["jac"] = self.jac
         elif self.stiff:  # SciPy's own nfev leaves out the calls that difference the Jacobian
-            f, calls = counting(f)
+
+            def f(t: float, y: np.ndarray) -> list[float]:
+                calls[0] += 1
+                return self.f(t, y)
+
         times = r.save_at
         rows = [y0] if times[0] == 0 else []
-        steps, status, message = 0, Status.ok, ""
+        solver, steps, status, message = None, 0, Status.ok, ""
         try:
             solver = self.solver(f, 0.0, y0, float(times[-1]), **options)
             while len(rows) < len(times):
@@ -54,8 +58,11 @@ class ScipyRun(Prepared):
                 if due > len(rows):
                     rows.extend(self._dense(solver, times[len(rows) : due]))
         except (OverflowError, ZeroDivisionError, ValueError, np.linalg.LinAlgError) as error:
-            status, message = Status.failed, f"{type(error).__name__}: {error} (t = {solver.t:.6g})"
-        evaluations = solver.nfev if calls is None else calls[0]
+            reached = 0.0 if solver is None else solver.t
+            status, message = Status.failed, f"{type(error).__name__}: {error} (t = {reached:.6g})"
+        if solver is None:  # the right-hand side failed at the initial state
+            return self.finished(y0, np.empty((0, len(y0))), Counts(0, calls[0], 0, None), status, message)
+        evaluations = calls[0] or solver.nfev
         counts = Counts(steps, evaluations, solver.njev, None)
         return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message)
 

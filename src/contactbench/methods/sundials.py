@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, counting
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.callback import flat_jacobian, flat_rhs
 from contactbench.solution import Counts, Status
 
@@ -41,42 +41,63 @@ class CvodeRun(Prepared):
         from sksundae.cvode import CVODE
 
         r = self.request
-        return CVODE(
-            f, method=self.kind, rtol=r.rtol, atol=r.atol, jacfn=self.jac, max_num_steps=r.max_steps
-        )
+        return CVODE(f, method=self.kind, rtol=r.rtol, atol=r.atol, jacfn=self.jac, max_num_steps=r.max_steps)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        f, calls = self.f, None
+        f, calls = self.f, [0]
         if self.jac is None:  # CVODE's nfev leaves out the calls that difference the Jacobian
-            f, calls = counting(f)
+
+            def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
+                calls[0] += 1
+                self.f(t, y, yp)
+
         solver = self._solver(f)
-        start = r.save_at[0] == 0
+        final_only = len(r.save_at) == 1
         try:
-            if len(r.save_at) - start == 1:  # two-point `solve` would return after every step
-                solver.init_step(0.0, y0)
-                result = solver.step(float(r.save_at[-1]), tstop=float(r.save_at[-1]))
-                y = np.array([y0, result.y])
-            else:
-                result = solver.solve(r.save_at if start else np.concatenate([[0.0], r.save_at]), y0)
-                y = result.y
+            rows, steps, result = (self._to_the_end if final_only else self._step_by_step)(solver, y0)
         except (OverflowError, ZeroDivisionError, ValueError) as error:
             message = f"{type(error).__name__}: {error}"
             return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
         status, message = Status.ok, ""
-        if not result.success:
-            status = Status.budget if result.status == TOO_MUCH_WORK else Status.failed
-            message = f"{result.message} (t = {float(np.max(result.t)):.6g})"
-            y = y[:-1]  # the last state is where it stopped, not a saved time
-        evaluations = result.nfev if calls is None else calls[0]
-        counts = Counts(None, evaluations, result.njev, None)
-        return self.finished(y0, y if start else y[1:], counts, status, message)
+        if not result.success or len(rows) < len(r.save_at):
+            exhausted = result.success or result.status == TOO_MUCH_WORK
+            status = Status.budget if exhausted else Status.failed
+            reason = f"max_steps = {r.max_steps} spent" if exhausted else result.message
+            message = f"{reason} (t = {float(result.t):.6g})"
+        counts = Counts(steps, calls[0] or result.nfev, result.njev, None)
+        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message)
+
+    def _to_the_end(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
+        """Straight to the last time, in CVODE's fastest mode, which does not tell the steps."""
+        end = float(self.request.save_at[-1])
+        solver.init_step(0.0, y0)
+        result = solver.step(end, tstop=end)
+        return ([result.y] if result.success else []), None, result
+
+    def _step_by_step(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
+        """One internal step at a time, so that steps are counted; saved times are interpolated."""
+        times, budget = self.request.save_at, self.request.max_steps
+        rows, steps, end = ([y0] if times[0] == 0 else []), 0, float(times[-1])
+        result = solver.init_step(0.0, y0)
+        while len(rows) < len(times) and steps < budget:
+            result = solver.step(end, method="onestep", tstop=end)
+            if not result.success:
+                break
+            steps += 1
+            reached = float(result.t)
+            while len(rows) < len(times) and times[len(rows)] <= reached:
+                at = float(times[len(rows)])
+                rows.append(result.y if at == reached else solver.step(at, tstop=end).y)
+        return rows, steps, result
 
     def count(self) -> Counts:
-        """Counts with the number of steps, which only CVODE's slower one-step mode reveals."""
-        solver = self._solver(self.f)
-        every = solver.solve(np.array([0.0, float(self.request.save_at[-1])]), self._own_start)
-        return self().counts._replace(steps=len(every.t) - 1)
+        """Counts of a run to the last time, with its steps."""
+        counts = self().counts
+        if counts.steps is None:
+            _, steps, _ = self._step_by_step(self._solver(self.f), self._own_start)
+            counts = counts._replace(steps=steps)
+        return counts
 
 
 @dataclass(frozen=True)
@@ -93,5 +114,7 @@ class CvodeMethod(Adaptive):
         return CvodeRun(self.name, request, self.kind)
 
 
-METHODS.add(CvodeMethod("cvode-adams", "Adams", "variable-order Adams–Moulton, Newton with analytic Jacobian"))
+METHODS.add(
+    CvodeMethod("cvode-adams", "Adams", "variable-order Adams–Moulton, Newton with analytic Jacobian")
+)
 METHODS.add(CvodeMethod("cvode-bdf", "BDF", "variable-order BDF, Newton with analytic Jacobian", stiff=True))

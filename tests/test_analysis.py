@@ -1,0 +1,63 @@
+"""Order fits, equal-error costs and timing statistics on data whose answer is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from contactbench.analysis import cost_at_error, fit_order, timing
+
+H = [0.8 / 2**k for k in range(9)]
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 6, 8])
+def test_order_of_a_clean_power_law(order):
+    fit = fit_order(H, [3 * h**order for h in H])
+    assert fit.order == pytest.approx(order, abs=1e-12)
+    assert fit.used.all()
+    assert math.isnan(fit.pairwise[0])  # nothing coarser to compare with
+    np.testing.assert_allclose(fit.pairwise[1:], order)
+
+
+def test_pre_asymptotic_points_and_the_round_off_plateau_are_left_out():
+    errors = [h**4 * (1 + 30 * h**2) + 1e-10 for h in H]
+    fit = fit_order(H, errors, floor=1e-9)
+    assert fit.order == pytest.approx(4, abs=0.1)
+    assert not fit.used[0]
+    assert not fit.used[-1]
+    assert fit.low < fit.order < fit.high
+
+
+def test_the_answer_does_not_depend_on_the_order_of_the_points():
+    errors = [h**2 * (1 + h) for h in H]
+    one, other = fit_order(H, errors), fit_order(H[::-1], errors[::-1])
+    assert one.order == other.order
+    np.testing.assert_array_equal(one.used, other.used[::-1])
+    np.testing.assert_array_equal(one.pairwise, other.pairwise[::-1])
+
+
+def test_noise_has_no_order():
+    noise = np.random.default_rng(0).uniform(0.1, 1, len(H))
+    assert math.isnan(fit_order(H, noise).order)
+    assert math.isnan(fit_order(H[:3], [h**2 for h in H[:3]]).order)  # three points are too few
+    assert math.isnan(fit_order(H, [math.nan] * len(H)).order)
+
+
+def test_cost_at_error_interpolates_inside_and_refuses_outside():
+    errors, costs = [1e-2, 1e-4, 1e-6], [1.0, 10.0, 100.0]  # cost = error^{-1/2}/10
+    assert cost_at_error(errors, costs, 1e-3) == pytest.approx(10**0.5)
+    assert cost_at_error(errors, costs, 1e-6) == pytest.approx(100)
+    assert math.isnan(cost_at_error(errors, costs, 1e-7))
+    assert math.isnan(cost_at_error(errors, costs, 0.1))
+    assert math.isnan(cost_at_error([], [], 0.1))
+
+
+def test_a_setting_that_costs_more_for_less_does_not_count():
+    assert cost_at_error([1e-2, 1e-3, 1e-4], [1.0, 500.0, 10.0], 1e-3) == pytest.approx(10**0.5)
+
+
+def test_timing_statistics():
+    stats = timing([1.0, 2.0, 3.0, 4.0, 100.0])
+    assert (stats.minimum, stats.median, stats.iqr, stats.rounds) == (1.0, 3.0, 2.0, 5)

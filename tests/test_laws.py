@@ -1,0 +1,169 @@
+"""The laws measure what they say: zero on the truth, the planted size on a planted error, finite always."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import USER, by_name
+from contactbench.laws import conformal_deviation, laws_of, momentum_deviation, relative_deviation
+from contactbench.solution import Solution, Status
+
+TIMES = np.linspace(0.0, 20.0, 41)
+STANDARD = [
+    cb.SCENES[n] for n in ("oscillator", "particle", "central", "rigid_body", "rigid_body_anisotropic")
+]
+
+
+def truth_as_solution(scene, times=TIMES):
+    """The reference dressed up as a run."""
+    exact = cb.reference(scene, times)
+    y0 = np.array(scene.pack(scene.initial(scene.optional)))
+    return Solution(scene, "truth", "none", "exact", scene.optional, times, exact.y.copy(), y0=y0)
+
+
+def without_derivative(scene):
+    return [law for law in laws_of(scene) if law.name not in ("contact_drift", "distribution_drift")]
+
+
+@by_name(STANDARD)
+def test_every_law_vanishes_on_the_truth(scene):
+    """Up to the rounding of the reference to float64, amplified by the decay."""
+    solution = truth_as_solution(scene)
+    for law in without_derivative(scene):
+        assert law(solution) < 1e-13, law.name
+
+
+@by_name(STANDARD)
+def test_laws_see_a_planted_error(scene):
+    """The last state off by 1e-3 relative (attitude excepted): every law but the drifts must say so."""
+    solution = truth_as_solution(scene)
+    solution.y[-1, : len(scene.labels(()))] *= 1 + 1e-3
+    expected = {"energy_law_relative": 2e-3, "momentum_law": {"rigid_body": 1e-3, "central": 2e-3}}
+    for law in without_derivative(scene):
+        value = law(solution)
+        if law.name in ("attitude_drift", "energy_increases"):
+            continue
+        assert value > 1e-6, law.name
+        bound = expected.get(law.name)
+        bound = bound.get(scene.name) if isinstance(bound, dict) else bound
+        if bound and not (law.name == "energy_law_relative" and scene.name in ("central", "particle")):
+            assert value == pytest.approx(bound, rel=2e-2), law.name
+
+
+def test_attitude_drift_sees_a_stretched_quaternion():
+    solution = truth_as_solution(cb.SCENES["rigid_body"])
+    solution.y[-1, 3:7] *= 1 + 1e-4  # R is of degree two, RᵀR of degree four, the identity has norm √3
+    assert cb.LAWS["attitude_drift"](solution) == pytest.approx(4e-4 * math.sqrt(3), rel=1e-3)
+
+
+def test_solution_error_does_not_care_for_the_sign_of_the_quaternion():
+    solution = truth_as_solution(cb.SCENES["rigid_body"])
+    solution.y[:, 3:7] *= -1
+    assert cb.LAWS["solution_error"](solution) < 1e-14
+
+
+def test_energy_increases_counts_the_steps_on_which_energy_grows():
+    solution = truth_as_solution(cb.SCENES["oscillator"])
+    assert cb.LAWS["energy_increases"](solution) == 0
+    solution.y[7] *= 2
+    solution.y[20] *= 2
+    assert cb.LAWS["energy_increases"](solution) == 2
+
+
+def test_strang_gains_energy_on_some_steps_of_a_weakly_damped_oscillator():
+    scene = cb.SCENES["oscillator"].with_(gamma=1e-3)
+    assert cb.LAWS["energy_increases"](cb.solve(scene, "contact-strang", step=0.1)) > 0
+
+
+def test_contact_drift_is_that_of_the_derivative():
+    """Finite differences of the numerical map, an independent derivative, to their accuracy."""
+    scene = cb.SCENES["particle"].with_(t_end=2.0)
+    run = cb.prepare(scene, "rk4", step=0.5, save_at=[2.0])
+    solution = run()
+    eps = 1e-6
+    columns = []
+    for i in range(5):
+        shifted = []
+        for sign in (1, -1):
+            y = solution.y0.copy()
+            y[i] += sign * eps
+            shifted.append(run(q=tuple(y[:2]), p=tuple(y[2:4]), s=y[4]).y[-1])
+        columns.append((shifted[0] - shifted[1]) / (2 * eps))
+    D = np.array(columns).T
+    p0, p1 = solution.y0[2:4], solution.y[-1, 2:4]
+    pulled = D[4] - p1 @ D[:2]
+    form = np.array([-p0[0], -p0[1], 0, 0, 1])
+    expected = np.linalg.norm(pulled * math.exp(0.2) - form) / np.linalg.norm(form)
+    assert cb.LAWS["contact_drift"](solution) == pytest.approx(expected, rel=1e-6)
+    assert 0 < cb.LAWS["distribution_drift"](solution) <= cb.LAWS["contact_drift"](solution) * 1.01
+
+
+def test_rk4_contact_drift_falls_with_the_fourth_power_of_the_step():
+    drifts = [
+        cb.LAWS["contact_drift"](cb.solve("central", "rk4", step=h, save_at=[20.0])) for h in (0.05, 0.025)
+    ]
+    assert math.log2(drifts[0] / drifts[1]) == pytest.approx(4, abs=0.15)
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "contact-abc", "contact-printed", "rk4"])
+def test_laws_stay_finite_when_everything_underflows(method):
+    """e^{−2γT} = e^{−2000}: M is exactly zero at the end, and no law may be nan or inf."""
+    scene = cb.SCENES["rigid_body"].with_(gamma=5.0, t_end=200.0)
+    solution = cb.solve(scene, method, step=0.05)
+    assert solution.ok
+    assert not solution.M[-1].any()
+    for law in laws_of(scene):
+        assert math.isfinite(law(solution)), law.name
+    if method != "rk4":
+        assert cb.LAWS["momentum_law"](solution) < 1e-12
+    else:
+        assert cb.LAWS["momentum_law"](solution) > 1e-6
+
+
+def test_deviation_is_measured_only_where_numbers_mean_something():
+    t = np.array([0.0, 1.0, 800.0])
+    exact = np.array([[1.0], [math.exp(-1.0)], [0.0]])
+    assert conformal_deviation(exact, np.array([1.0]), t, 1.0).max() < 1e-15
+    wrong = exact + np.array([[0.0], [0.0], [1e-100]])  # far larger than e^{-800}
+    assert conformal_deviation(wrong, np.array([1.0]), t, 1.0)[-1] > 1e100
+    assert relative_deviation(np.array([1e-320]), np.array([3e-320])).max() == 0.0
+    assert relative_deviation(np.array([1.0]), np.array([3e-320])).max() > 1
+
+
+def test_anti_damping_has_finite_laws():
+    scene = cb.SCENES["rigid_body"].with_(gamma=-0.1)
+    assert cb.LAWS["momentum_law"](cb.solve(scene, "contact-strang", step=0.1)) < 1e-12
+
+
+def test_momentum_balance_holds_where_the_torque_breaks_the_law():
+    coarse, fine = (
+        cb.LAWS["momentum_balance"](cb.solve("particle", "contact-strang", step=h)) for h in (0.1, 0.05)
+    )
+    assert math.log2(coarse / fine) == pytest.approx(2, abs=0.2)
+    assert np.abs(momentum_deviation(truth_as_solution(cb.SCENES["particle"]))).max() > 0.1  # no J law here
+
+
+def test_laws_say_what_they_need():
+    with pytest.raises(cb.BadInput, match="not defined for scene 'oscillator'"):
+        cb.LAWS["momentum_law"](cb.solve("oscillator", "rk4", step=0.1))
+    with pytest.raises(cb.BadInput, match="needs carry=\\('R',\\)"):
+        cb.LAWS["momentum_law"](cb.solve("rigid_body", "rk4", step=0.1, carry=("s",)))
+    with pytest.raises(cb.BadInput, match="needs carry=\\('s',\\)"):
+        cb.LAWS["hamiltonian_law"](cb.solve("particle", "rk4", step=0.1, carry=()))
+
+
+def test_a_run_that_did_not_end_ok_has_no_law():
+    solution = cb.solve("particle", "rk4", step=0.1)
+    broken = dataclasses.replace(solution, status=Status.budget)
+    assert math.isnan(cb.LAWS["solution_error"](broken))
+
+
+def test_laws_apply_to_a_users_scene():
+    solution = cb.solve(USER, "contact-strang", step=0.05)
+    assert cb.LAWS["contact_drift"](solution) < 1e-12
+    assert cb.LAWS["solution_error"](solution) < 1e-3

@@ -1,0 +1,337 @@
+"""Every registered method: its order, its claims, its ends, its counts, and the traps of its solver."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import USER, by_name
+from contactbench.analysis import fit_order
+from contactbench.methods.base import steps_in
+from contactbench.methods.fixed_step import trajectory
+from contactbench.solution import Status
+
+FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
+ADAPTIVE = [m for m in cb.METHODS.values() if m.adaptive]
+#: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
+PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
+BODY = cb.SCENES["rigid_body"].with_(
+    inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=4.0
+)
+ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0)
+SCENES = [PARTICLE, BODY, ANISOTROPIC]
+
+fixed = pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
+adaptive = pytest.mark.parametrize("method", ADAPTIVE, ids=lambda m: m.name)
+every = pytest.mark.parametrize("method", cb.METHODS.values(), ids=lambda m: m.name)
+
+
+def setting(method, fine=False):
+    if method.adaptive:
+        return {"rtol": 1e-11 if fine else 1e-7}
+    return {"step": 0.002 if fine else 0.05}
+
+
+# -- order and accuracy ----------------------------------------------------------------------------
+@fixed
+@by_name(SCENES)
+def test_order_on_the_asymptotic_range(method, scene):
+    if method.refuses(scene):
+        assert cb.solve(scene, method.name, step=0.1).status is Status.unsupported
+        return
+    steps = [scene.t_end / n for n in (10, 20, 40, 80, 160, 320)]
+    errors = [
+        cb.LAWS["solution_error_end"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps
+    ]
+    fit = fit_order(steps, errors, floor=1e-12)
+    assert abs(fit.order - method.order) < 0.15, (fit.order, errors)
+
+
+@every
+@by_name(SCENES)
+def test_solution_approaches_the_reference(method, scene):
+    """Every engine of every method, all fields carried; the bound is what its order or tolerance gives."""
+    if method.refuses(scene):
+        return
+    for engine in method.engines:
+        solution = cb.solve(
+            scene, method.name, engine=engine, save_at=[2.0, 4.0], **setting(method, fine=True)
+        )
+        assert solution.status is Status.ok
+        bound = 1e-7 if method.adaptive else {1: 3e-3, 2: 3e-6}.get(method.order, 1e-9)
+        assert cb.LAWS["solution_error"](solution) < bound
+
+
+@adaptive
+def test_error_falls_with_the_tolerance(method):
+    errors = [
+        cb.LAWS["solution_error_end"](cb.solve(PARTICLE, method.name, rtol=rtol, save_at=[4.0]))
+        for rtol in (1e-4, 1e-7, 1e-10)
+    ]
+    assert errors[0] > 10 * errors[1] > 100 * errors[2]
+
+
+# -- declared properties ---------------------------------------------------------------------------
+@fixed
+@by_name(SCENES)
+def test_symmetric_methods_undo_themselves_and_others_do_not(method, scene, mp50):
+    from cases import in_mp
+
+    if method.refuses(scene):
+        return
+    exact, x = in_mp(scene, scene.initial(scene.optional))
+    h = mp50.mpf("0.2")
+    back = method.advance(exact, method.advance(exact, x, h, 3, mp50), -h, 3, mp50)
+    gap = max(abs(a - b) for a, b in zip(scene.pack(back), scene.pack(x), strict=True))
+    assert (gap < mp50.mpf(10) ** -45) == method.symmetric, gap
+
+
+@fixed
+@by_name([PARTICLE, BODY])
+def test_contact_methods_are_exact_conformal_maps_at_any_step_and_others_are_not(method, scene):
+    for step in (0.5, 0.1):
+        solution = cb.solve(scene, method.name, step=step)
+        drift = cb.LAWS["contact_drift"](solution)
+        assert (drift < 1e-12) == method.contact, drift
+
+
+@fixed
+@pytest.mark.parametrize("scene", [cb.SCENES["central"].with_(gamma=0.3), BODY], ids=["central", "body"])
+def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
+    for step in (0.5, 0.1):
+        law = cb.LAWS["momentum_law"](cb.solve(scene, method.name, step=step))
+        assert (law < 1e-12) == method.contact, law
+
+
+# -- one arithmetic, several engines ---------------------------------------------------------------
+@fixed
+@by_name(SCENES)
+def test_engines_agree_to_round_off(method, scene):
+    if method.refuses(scene):
+        return
+    runs = [cb.solve(scene, method.name, step=0.05, engine=engine) for engine in method.engines]
+    for run in runs[1:]:
+        np.testing.assert_allclose(run.y, runs[0].y, rtol=0, atol=1e-13)
+        assert run.counts == runs[0].counts
+
+
+@fixed
+@by_name([*SCENES, USER])
+def test_an_ensemble_of_numpy_arrays_is_the_same_map(method, scene):
+    if method.refuses(scene):
+        return
+    x = scene.initial(scene.optional)
+    pair = scene.unpack([np.array([v, 1.1 * v]) for v in scene.pack(x)], scene.optional)
+    (together,) = trajectory(method, scene, pair, [(0.1, 5)], np)
+    (alone,) = trajectory(method, scene, x, [(0.1, 5)], math)
+    np.testing.assert_allclose([c[0] for c in scene.pack(together)], scene.pack(alone), rtol=0, atol=1e-14)
+
+
+# -- prepared solvers ------------------------------------------------------------------------------
+@every
+def test_prepared_solver_takes_other_initial_data(method):
+    run = cb.prepare(PARTICLE, method.name, save_at=[1.0], **setting(method))
+    moved = run(q=(0.2, 0.1), p=(0.3, -0.4))
+    fresh = cb.solve(
+        PARTICLE.with_(q=(0.2, 0.1), p=(0.3, -0.4)), method.name, save_at=[1.0], **setting(method)
+    )
+    np.testing.assert_array_equal(moved.y, fresh.y)
+    assert cb.LAWS["solution_error"](moved) < 0.05  # against the truth from the other initial data
+    assert not np.array_equal(run().y, moved.y)
+
+
+@pytest.mark.parametrize(
+    "method", [m for m in cb.METHODS.values() if "jax" in m.engines], ids=lambda m: m.name
+)
+def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypatch):
+    from contactbench.methods import compiled
+
+    cb.solve(PARTICLE, method.name, save_at=[1.0], **setting(method))
+    before = len(compiled._programs)
+    other = PARTICLE.with_(gamma=0.5, coupling=0.3, q=(0.1, 0.2), t_end=9.0)
+    cb.solve(other, method.name, save_at=[2.0], **setting(method, fine=True))
+    assert len(compiled._programs) == before
+
+
+# -- saved times -----------------------------------------------------------------------------------
+@every
+def test_saved_times_are_the_ones_asked_for(method):
+    times = [0.0, 0.37, 1.0, 2.5]
+    solution = cb.solve(PARTICLE, method.name, save_at=times, **setting(method))
+    np.testing.assert_array_equal(solution.t, times)
+    np.testing.assert_array_equal(solution.y[0], PARTICLE.pack(PARTICLE.initial(("s",))))
+    assert solution.end_time == 2.5
+    assert (solution.q.shape, solution.p.shape, solution.s.shape) == ((4, 2), (4, 2), (4,))
+
+
+@fixed
+def test_steps_never_exceed_the_step_and_end_on_time(method):
+    """T = 4 is no multiple of 0.3: 14 equal steps of 4/14, documented in `prepare`."""
+    solution = cb.solve(PARTICLE, method.name, step=0.3)
+    assert solution.counts.steps == 14
+    np.testing.assert_allclose(solution.t, np.arange(15) * 4 / 14, rtol=1e-15)
+
+
+def test_a_span_that_is_a_multiple_up_to_round_off_is_not_cut_finer():
+    assert steps_in(20.0, 0.1) == 200
+    assert steps_in(2000.0, 0.01) == 200_000
+    assert steps_in(20.0, 0.3) == 67
+    assert steps_in(1e-3, 5.0) == 1
+
+
+def test_default_saves_are_bounded():
+    solution = cb.solve("particle", "contact-strang", step=0.001)
+    assert len(solution.t) <= 1001
+    assert solution.counts.steps == 20_000
+
+
+def test_body_solution_has_a_rotation_matrix():
+    solution = cb.solve(BODY, "contact-strang", step=0.1)
+    assert solution.R.shape == (41, 3, 3)
+    np.testing.assert_allclose(solution.R[0], np.eye(3))
+    np.testing.assert_allclose(np.linalg.det(solution.R), 1, rtol=1e-13)
+    assert solution.M.shape == (41, 3)
+    assert cb.solve(BODY, "contact-strang", step=0.1, carry=()).R is None
+
+
+# -- ways to end -----------------------------------------------------------------------------------
+@every
+def test_running_out_of_steps_is_a_status_and_never_a_number(method):
+    for engine in method.engines:
+        for times in ([4.0], [0.0, 2.0, 4.0]):
+            options = setting(method, fine=True) | {"max_steps": 7, "engine": engine, "save_at": times}
+            solution = cb.solve(PARTICLE, method.name, **options)
+            assert solution.status is Status.budget, (engine, times)
+            assert "7" in solution.message
+            assert np.isnan(solution.y[-1]).all()
+            assert math.isnan(cb.LAWS["solution_error"](solution))
+
+
+def escaping():
+    """Beyond the saddle and heading out: the cubic potential sends it to infinity in finite time."""
+    return cb.SCENES["particle"].with_(q=(8.0, -8.0), p=(6.0, -6.0), gamma=0.001, t_end=10.0)
+
+
+@every
+def test_escape_to_infinity_never_ends_ok(method):
+    """q ~ 1/(t* − t)²: explicit formula of nobody's, so only the ending is asserted here."""
+    for times in ([10.0], None):
+        solution = cb.solve(escaping(), method.name, save_at=times, max_steps=10_000, **setting(method))
+        assert solution.status in (Status.diverged, Status.failed, Status.budget)
+        assert np.isnan(solution.y[-1]).all()
+        assert solution.message
+
+
+@fixed
+def test_divergence_is_located_to_the_step(method):
+    """One save at the very end and a save at every step must tell the same time."""
+    times = []
+    for engine in method.engines:
+        for save in ([10.0], None):
+            solution = cb.solve(escaping(), method.name, step=0.01, save_at=save, engine=engine)
+            assert solution.status is Status.diverged
+            times.append(float(solution.message.rpartition("= ")[2]))
+    assert max(times) - min(times) < 1e-9
+    assert 0.5 < times[0] < 5
+
+
+def test_what_a_method_cannot_do_is_unsupported_with_the_reason():
+    solution = cb.solve("rigid_body_anisotropic", "contact-strang", step=0.1)
+    assert solution.status is Status.unsupported
+    assert "drift_damp" in solution.message
+    assert np.isnan(solution.y).all()
+
+
+# -- counts and traps ------------------------------------------------------------------------------
+def counted_scene(calls):
+    gradient = PARTICLE.gradient
+
+    def counting(q, **parameters):
+        calls[0] += 1
+        return gradient(q, **parameters)
+
+    return PARTICLE._replaced(gradient=counting)
+
+
+@pytest.mark.parametrize(
+    "method", [m for m in cb.METHODS.values() if "python" in m.engines[-1]], ids=lambda m: m.name
+)
+@pytest.mark.parametrize("hessian", [True, False], ids=["analytic", "differenced"])
+def test_callback_counts_are_the_calls_really_made(method, hessian):
+    """SciPy and CVODE leave the calls that difference a Jacobian out of their nfev; here they count."""
+    calls = [0]
+    scene = counted_scene(calls)
+    if not hessian:
+        scene = scene._replaced(hessian=None)
+    run = cb.prepare(
+        scene, method.name, engine=method.engines[-1], save_at=[4.0], carry=(), **setting(method)
+    )
+    calls[0] = 0
+    counts = run().counts
+    assert counts.evaluations == calls[0]
+
+
+@pytest.mark.parametrize("name", ["diffrax-tsit5", "diffrax-dopri8"])
+def test_explicit_diffrax_counts_follow_the_formula(name):
+    run = cb.prepare(PARTICLE, name, rtol=1e-8, save_at=[4.0])
+    assert run.count().evaluations == run.counted_by_callback()
+
+
+def test_implicit_diffrax_counts_every_newton_iteration():
+    run = cb.prepare(PARTICLE, "diffrax-kvaerno5", rtol=1e-6, save_at=[4.0])
+    counts = run.count()
+    assert run().counts.evaluations is None  # diffrax itself does not say
+    assert counts.evaluations > 6 * counts.steps
+
+
+def test_kvaerno_takes_the_steps_its_error_control_wants():
+    """With diffrax's default root finder half the steps are rejected at this tolerance."""
+    counts = cb.solve("particle", "diffrax-kvaerno5", rtol=1e-10, save_at=[20.0]).counts
+    assert counts.rejected < 0.1 * counts.steps
+
+
+def test_cvode_is_not_held_to_its_default_of_500_steps():
+    solution = cb.solve("particle_long", "cvode-bdf", rtol=1e-5, save_at=[2000.0])
+    assert solution.ok
+    run = cb.prepare("particle", "cvode-adams", rtol=1e-8, save_at=[20.0])
+    assert run().counts.steps is None
+    assert 100 < run.count().steps < 1000
+
+
+def test_diffrax_runs_in_double_precision():
+    error = cb.LAWS["solution_error"](cb.solve(PARTICLE, "diffrax-dopri8", rtol=1e-12, save_at=[4.0]))
+    assert error < 1e-10
+
+
+@adaptive
+def test_singular_right_hand_side_is_a_row_and_not_a_crash(method):
+    scene = cb.Mechanical(
+        name="collision", potential=lambda q: -((q[0] * q[0]) ** -0.5),
+        gradient=lambda q: (q[0] * (q[0] * q[0]) ** -1.5,),
+        gamma=0.0, q=(1.0,), p=(0.0,), t_end=3.0,
+    )  # fmt: skip
+    solution = cb.solve(scene, method.name, rtol=1e-6, save_at=[3.0], max_steps=20_000)
+    # straight into the singularity at t = π/√8 ≈ 1.11: nothing true can be said beyond it
+    assert solution.status in (Status.failed, Status.diverged, Status.budget)
+    assert np.isnan(solution.y).all()
+
+
+# -- plug-ins --------------------------------------------------------------------------------------
+def test_a_users_own_method_and_scene_run_everywhere():
+    @cb.fixed_step("midpoint-of-mine", order=2, evaluations=2)
+    def midpoint(scene, x, h, xp):
+        from contactbench.methods.rk4 import shifted
+
+        return shifted(x, h, scene.rhs(shifted(x, h / 2, scene.rhs(x))))
+
+    try:
+        for engine in ("jax", "python"):
+            fine = cb.solve(USER, "midpoint-of-mine", step=0.01, engine=engine)
+            assert cb.LAWS["solution_error"](fine) < 1e-4
+        with pytest.raises(cb.BadInput, match="already registered"):
+            cb.fixed_step("midpoint-of-mine", order=2)(midpoint)
+    finally:
+        del cb.METHODS["midpoint-of-mine"]
