@@ -100,9 +100,9 @@ class FixedStepRun(Prepared):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        if self.totals.steps > r.max_steps:
+        if int(self.n.sum()) > r.max_steps:
             nothing = np.empty((0, len(y0)))
-            message = f"{self.totals.steps} steps needed, max_steps = {r.max_steps}"
+            message = f"{self.n.sum()} steps needed, max_steps = {r.max_steps}"
             return self.finished(y0, nothing, Counts(), Status.budget, message)
         y = self.intervals(y0, self.h, self.n)
         if self.saves_start:
