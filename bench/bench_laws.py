@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from cells import cells, outcome, save_times, setting, steps
+from cells import cells, outcome, save_times, setting, step_budget, steps
 from contactbench.laws import (
     contact_deviation,
     energies,
@@ -35,7 +35,10 @@ def test_laws(cell, profile, record):
     values = RTOLS if method.adaptive else steps(scene, 6)[::2]
     shown = values[1]
     for value in [shown] if profile.points == 1 else values:
-        solution = cb.solve(scene, method.name, save_at=save_times(scene), **setting(method, value))
+        budget = step_budget(profile, scene, method, method.engines[0])
+        solution = cb.solve(
+            scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)
+        )
         row = {law.name: measured(law, solution) for law in laws_of(scene)}
         differentiable = bool(solution.sensitivity_source) and is_contact(scene)
         record(

@@ -12,14 +12,12 @@ from __future__ import annotations
 from time import perf_counter
 
 import contactbench as cb
-from cells import RTOLS, cells, engines, outcome, setting, steps
+from cells import RTOLS, cells, engines, outcome, setting, step_budget, steps
 from contactbench.laws import absolute_error
 from contactbench.table import WORK_PRECISION
 
 STEPS = 9
 ENDS = 5
-#: right-hand sides an adaptive callback solver spends per step, for its step budget
-PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf": 2}
 ROUND_SECONDS = 1e-3
 MOST_ROUNDS = 40
 
@@ -42,14 +40,6 @@ def carried(scene):
     return ("R",) if "R" in scene.optional and scene.conformal_rate is not None else ()
 
 
-def step_budget(profile, method, engine, scene):
-    """Steps that stay within the profile's budget for solvers that call back into Python."""
-    if "python" not in engine or method.refuses(scene):
-        return None
-    per_step = PER_STEP[method.name] if method.adaptive else method.counts(scene, 2) - method.counts(scene, 1)
-    return profile.callback_evaluations // per_step
-
-
 def error(solutions):
     """max ‖y − y*‖ / max ‖y*‖ over the ends of several runs."""
     pairs = [absolute_error(solution) for solution in solutions]
@@ -66,7 +56,7 @@ def test_work_precision(cell, profile, record, benchmark):
         **setting(method, value),
         "engine": engine,
         "carry": carried(scene),
-        "max_steps": step_budget(profile, method, engine, scene),
+        "max_steps": step_budget(profile, scene, method, engine),
     }
     run = cb.prepare(scene, method.name, save_at=[scene.t_end], **options)
     start = perf_counter()
@@ -74,7 +64,9 @@ def test_work_precision(cell, profile, record, benchmark):
     first = perf_counter() - start
     row = {
         "track": "adaptive" if method.adaptive else "fixed",
-        "carried": " ".join(carried(scene)),
+        "carried": " ".join(
+            [*scene.initial_fields[: 1 if "M" in scene.initial_fields else 2], *carried(scene)]
+        ),
         "compile_s": run.compile_s,
         "first_call_s": first,
     }

@@ -50,6 +50,23 @@ def engines() -> list[tuple[str, str]]:
     return [(name, engine) for name, method in METHODS.items() for engine in method.engines]
 
 
+#: right-hand sides an adaptive method spends per step, where its step budget limits the run
+PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf": 2}
+#: an implicit step compiled by XLA takes about as long as two right-hand sides in Python
+IMPLICIT = {"diffrax-kvaerno5": 2}
+
+
+def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | None:
+    """Steps that keep one run near a second: a cell that would take longer ends as `budget`."""
+    if method.refuses(scene):
+        return None
+    if "python" in engine and not method.adaptive:
+        per_step = method.counts(scene, 2) - method.counts(scene, 1)
+    else:
+        per_step = (PER_STEP | IMPLICIT).get(method.name)
+    return profile.callback_evaluations // per_step if per_step else None
+
+
 def outcome(solution: Solution, counts: Counts | None = None) -> dict[str, Any]:
     """The columns every row has: key, status, counts."""
     counts = counts or solution.counts

@@ -116,7 +116,7 @@ WORK_PRECISION = Table(
     {
         **_COMMON,
         "track": "fixed or adaptive step",
-        "carried": "fields integrated beside (q, p) or M",
+        "carried": "fields integrated",
         "solution_error": "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run",
         **_COUNTS,
         "compile_s": "trace and compile, once per scene structure (once per tolerance for heyoka)",

@@ -73,8 +73,8 @@ class Prepared:
 
     method: str
     request: Request
-    #: seconds spent tracing and compiling, nan where nothing is compiled
-    compile_s: float = field(default=math.nan, kw_only=True)
+    #: seconds spent tracing and compiling; zero where nothing is compiled
+    compile_s: float = field(default=0.0, kw_only=True)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         """Run from a packed initial state."""

@@ -1,0 +1,139 @@
+"""The experiments, run for real on a small part, and the report made from their tables alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from contactbench import figures
+from contactbench.report import duration, equal_error, report, winners
+from contactbench.table import CONVERGENCE, LAWS_TABLE, WORK_PRECISION, Journal, read
+
+REPOSITORY = Path(__file__).parents[1]
+SMALL = "particle and not long and (strang or rk4 or cvode or heyoka)"
+
+
+def bench(results, *more, keyword=SMALL):
+    command = [
+        sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
+        "--benchmark-quiet", "-p", "no:cacheprovider", "-k", keyword, *more,
+    ]  # fmt: skip
+    return subprocess.Popen(
+        command, cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**os.environ, "JAX_PLATFORMS": "cpu"},
+    )  # fmt: skip
+
+
+def finished(process):
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, output
+    return output
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    finished(bench(folder))
+    return folder
+
+
+def test_a_partial_run_fills_its_part_of_every_table(results):
+    work = read(WORK_PRECISION, results)
+    assert set(work["scene"]) == {"particle"}
+    assert set(work["method"]) == {"contact-strang", "rk4", "cvode-adams", "cvode-bdf", "heyoka-taylor"}
+    assert (work["status"] == "ok").all()
+    needed = [
+        "solution_error", "steps", "evaluations", "compile_s", "first_call_s", "time_min_s", "time_median_s",
+        "time_iqr_s", "rounds",
+    ]  # fmt: skip
+    assert work[needed].notna().all().all()
+    assert (work["rounds"] >= 5).all()
+    assert (work["time_min_s"] > 0).all()
+    assert {"contact-strang", "rk4"} == set(read(CONVERGENCE, results)["method"])
+    assert (results / "environment.json").exists()
+
+
+def test_a_second_partial_run_leaves_the_other_rows(results):
+    before = read(WORK_PRECISION, results)
+    finished(bench(results, keyword="work_precision and particle and rk4 and not long"))
+    after = read(WORK_PRECISION, results)
+    assert len(after) == len(before)
+    same = after["method"] != "rk4"
+    pd.testing.assert_frame_equal(after[same], before[same])
+    assert set(after[~same]["run_id"]).isdisjoint(set(before[~same]["run_id"]))
+
+
+def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path):
+    process = bench(tmp_path)
+    journal = Journal(tmp_path, "probe")
+    deadline = time.monotonic() + 60
+    while len(journal.done()) < 3 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    done = journal.done()
+    assert done
+    kept = [(table, journal.rows(table)) for table in (WORK_PRECISION, CONVERGENCE, LAWS_TABLE)]
+    finished(bench(tmp_path, "--resume"))
+    for table, rows in kept:
+        frame = read(table, tmp_path)
+        assert not frame.duplicated(list(table.key)).any()
+        for row in rows:  # the rows made before the kill are the ones in the table
+            mine = frame[(frame["method"] == row["method"]) & (frame["setting"] == row["setting"])]
+            assert row["run_id"] in set(mine["run_id"])
+    assert len(read(WORK_PRECISION, tmp_path)) == 7
+
+
+def test_report_writes_documents_and_figures_from_the_tables(results):
+    written = {path.name for path in report(results)}
+    assert {"README.md", "convergence.md", "work_precision.md"} <= written
+    text = (results / "README.md").read_text()
+    assert "contact-strang" in text
+    assert "nan" not in text
+    for path in (results / "figures").glob("*.svg"):
+        assert "<svg" in path.read_text()
+    again = {path: path.read_bytes() for path in results.rglob("*.svg")}
+    report(results)
+    assert {path: path.read_bytes() for path in again} == again  # equal tables give equal files
+
+
+def table(errors, times, method="rk4", engine="jax"):
+    return pd.DataFrame({
+        "scene": "s", "method": method, "engine": engine, "status": "ok", "solution_error": errors,
+        "time_median_s": times, "rhs_equivalents": times,
+    })  # fmt: skip
+
+
+def test_equal_error_and_winners_name_the_faster_one():
+    work = pd.concat([
+        table([1e-2, 1e-8], [1e-3, 1e-1], "slow"),
+        table([1e-2, 1e-4], [1e-4, 1e-3], "fast"),
+    ])  # fmt: skip
+    frame = equal_error(work, "s", "time_median_s").set_index("method")
+    assert frame.loc["slow", 1e-3] > frame.loc["fast", 1e-3]
+    assert pd.isna(frame.loc["fast", 1e-6])  # outside its data
+    text = winners(work, "time_median_s", duration, ("jax",))
+    assert "**fast**" in text
+    assert "**slow**" in text  # the only one at 1e-6: a peer that wins is named
+
+
+def test_every_method_has_its_own_look():
+    import contactbench as cb
+
+    looks = [(figures.style(m)["color"], figures.style(m)["marker"]) for m in cb.METHODS]
+    assert len(set(looks)) == len(looks)
+    assert set(cb.METHODS) <= set(figures.STYLES)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(2.0, "2 s"), (1.5e-3, "1.5 ms"), (2e-5, "20 µs"), (float("nan"), "—")]
+)
+def test_durations_are_readable(seconds, text):
+    assert duration(seconds) == text
