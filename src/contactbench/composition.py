@@ -1,19 +1,24 @@
-"""Compositions of subflows as data, and the one loop that runs them all.
+"""Compositions of subflows as data, and the loop that runs them all.
 
 A composition is the list of its stages, in the order in which they act, with exact coefficients.
-`advance` runs n equal steps; where a step ends with the flow the next one starts with, the two are
-merged into one (first same as last), so that for example Strang costs one gradient per step.
+Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is
+also a composition of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with
+b1 = α1, a1 = α1 + α2, b2 = α2 + α3, … (McLachlan 1995, doi:10.1137/0916010), which is how it is read
+where a scene comes in more than two parts: the three rotations of a body, damping without a merged
+flow.  Neighbouring stages of one flow are merged, within a step and from one step to the next (first
+same as last), so that for example Strang costs one gradient per step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import accumulate
 from typing import Any
 
-from contactbench.flows import Flow, flows_of
-from contactbench.scene import Mechanical, Scene
+from contactbench.flows import Flow, damped_time, flows_of
+from contactbench.scene import BodyState, Mechanical, RigidBody, Scene
 
 Stage = tuple[str, Fraction]
 HALF, ONE = Fraction(1, 2), Fraction(1)
@@ -21,17 +26,72 @@ HALF, ONE = Fraction(1, 2), Fraction(1)
 
 @dataclass(frozen=True)
 class Composition:
-    """A composition: `stages` act left to right; `order` is its classical order for γ > 0."""
+    """A composition: `stages` act left to right; `order` is its order for γ > 0.
+
+    nystrom : the order rests on [B, [B, [B, A]]] = 0, which holds for kicks and (merged) drifts
+    only; elsewhere the composition is refused.
+    """
 
     name: str
     order: int
     stages: tuple[Stage, ...]
     source: str
+    nystrom: bool = False
 
     @property
     def palindromic(self) -> bool:
         """Whether the stages read the same backwards, which makes the method time-symmetric."""
         return self.stages == self.stages[::-1]
+
+    @property
+    def two_part(self) -> bool:
+        """Whether it is a splitting into kicks and merged drifts."""
+        return {name for name, _ in self.stages} == {"kick", "drift_damp"}
+
+    def alphas(self) -> list[Fraction]:
+        """The coefficients of χ and χ* in turn (two-part compositions)."""
+        alphas: list[Fraction] = []
+        for _, coefficient in self.stages[:-1]:
+            alphas.append(coefficient - (alphas[-1] if alphas else 0))
+        return alphas
+
+
+def palindrome(first: str, second: str, half: Sequence[Any], total: int) -> tuple[Stage, ...]:
+    """A palindromic two-part list of `total` stages from the coefficients printed for its first half.
+
+    Consistency supplies the rest: the coefficients of each part add up to one.  `half` alternates
+    first, second, first, …; what is missing is the middle pair.
+    """
+    printed = [Fraction(str(c)) for c in half]
+    middle = total // 2
+    names = [(first, second)[i % 2] for i in range(total)]
+    given: dict[str, Fraction] = {first: Fraction(0), second: Fraction(0)}
+    for name, coefficient in zip(names, printed, strict=False):
+        given[name] += coefficient
+    beside = HALF - given[names[middle - 1]]  # stands twice
+    centre = ONE - 2 * given[names[middle]]  # stands once
+    left = [*printed, beside]
+    assert len(left) == middle
+    return tuple(zip(names, [*left, centre, *reversed(left)], strict=True))
+
+
+def strang_composition(gammas: Iterable[Any]) -> tuple[Stage, ...]:
+    """Strang steps of sizes γ1, γ2, … one after another, neighbouring kicks merged."""
+    stages: list[Stage] = []
+    for gamma in map(Fraction, gammas):
+        stages += [("kick", gamma / 2), ("drift_damp", gamma), ("kick", gamma / 2)]
+    return merged(stages)
+
+
+def merged(stages: Iterable[Stage]) -> tuple[Stage, ...]:
+    """Neighbours of the same flow added up."""
+    out: list[Stage] = []
+    for name, coefficient in stages:
+        if out and out[-1][0] == name:
+            out[-1] = (name, out[-1][1] + coefficient)
+        else:
+            out.append((name, coefficient))
+    return tuple(out)
 
 
 PRINTED = Composition(
@@ -53,7 +113,67 @@ STRANG = Composition(
     "Strang, SIAM J. Numer. Anal. 5, 506 (1968), doi:10.1137/0705041, on V and T + γs",
 )  # fmt: skip
 
-COMPOSITIONS = (PRINTED, ABC, STRANG)
+BLANES_MOAN = "Blanes, Moan, J. Comput. Appl. Math. 142, 313 (2002), doi:10.1016/S0377-0427(01)00492-7"
+
+BM4 = Composition(
+    "contact-bm4", 4,
+    palindrome(
+        "kick", "drift_damp",
+        ("0.0792036964311957", "0.209515106613362", "0.353172906049774", "-0.143851773179818",
+         "-0.0420650803577195"),
+        13,
+    ),
+    f"S6 of {BLANES_MOAN}",
+)  # fmt: skip
+
+BM6 = Composition(
+    "contact-bm6", 6,
+    palindrome(
+        "kick", "drift_damp",
+        ("0.0502627644003922", "0.148816447901042", "0.413514300428344", "-0.132385865767784",
+         "0.0450798897943977", "0.067307604692185", "-0.188054853819569", "0.432666402578175",
+         "0.541960678450780"),
+        21,
+    ),
+    f"S10 of {BLANES_MOAN}",
+)  # fmt: skip
+
+RKN4 = Composition(
+    "contact-rkn4", 4,
+    palindrome(
+        "kick", "drift_damp",
+        ("0.0829844064174052", "0.245298957184271", "0.396309801498368", "0.604872665711080",
+         "-0.0390563049223486"),
+        13,
+    ),
+    f"SRKN6b of {BLANES_MOAN}", nystrom=True,
+)  # fmt: skip
+
+RKN6 = Composition(
+    "contact-rkn6", 6,
+    palindrome(
+        "kick", "drift_damp",
+        ("0.0414649985182624", "0.123229775946271", "0.198128671918067", "0.290553797799558",
+         "-0.0400061921041533", "-0.127049212625417", "0.0752539843015807", "-0.246331761062075",
+         "-0.0115113874206879", "0.357208872795928"),
+        23,
+    ),
+    f"SRKN11b of {BLANES_MOAN}", nystrom=True,
+)  # fmt: skip
+
+_KAHAN_LI = (
+    "0.13020248308889008087881763", "0.56116298177510838456196441", "-0.38947496264484728640807860",
+    "0.15884190655515560089621075", "-0.39590389413323757733623154", "0.18453964097831570709183254",
+    "0.25837438768632204729397911", "0.29501172360931029887096624",
+)  # fmt: skip
+
+O8 = Composition(
+    "contact-o8", 8,
+    strang_composition([*_KAHAN_LI, 1 - 2 * sum(map(Fraction, _KAHAN_LI)), *reversed(_KAHAN_LI)]),
+    "s17odr8b of Kahan, Li, Math. Comput. 66, 1089 (1997), doi:10.1090/S0025-5718-97-00873-9, on Strang",
+)  # fmt: skip
+
+COMPOSITIONS = (PRINTED, ABC, STRANG, BM4, BM6, RKN4, RKN6, O8)
 
 
 def number(coefficient: Fraction, xp: Any) -> Any:
@@ -63,13 +183,42 @@ def number(coefficient: Fraction, xp: Any) -> Any:
     return float(coefficient)
 
 
-def missing_flow(composition: Composition, scene: Scene) -> str | None:
-    """Why the scene cannot be run with this composition, or None."""
-    flows = flows_of(scene)
-    for name, _ in composition.stages:
-        if name not in flows and (name != "kick" or isinstance(scene, Mechanical)):
-            return f"{composition.name} needs the subflow {name!r}, which scene {scene.name!r} does not have"
+# -- a composition on a scene ----------------------------------------------------------------------
+ROTATIONS = ("rotate1", "rotate2", "rotate3")
+
+
+def refusal(composition: Composition, scene: Scene) -> str | None:
+    """Why the composition does not have its order on this scene, or None."""
+    if composition.nystrom and "drift_damp" not in flows_of(scene):
+        return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
     return None
+
+
+def parts(scene: Scene) -> tuple[str, ...]:
+    """The flows χ is made of, in their order."""
+    if isinstance(scene, RigidBody):
+        return ROTATIONS if scene.isotropic else (*ROTATIONS, "damp")
+    return ("kick", "drift_damp") if "drift_damp" in flows_of(scene) else ("kick", "drift", "damp")
+
+
+def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
+    """The stages of one step on a scene."""
+    if composition.two_part:
+        order = parts(scene)
+        stages = []
+        for k, alpha in enumerate(composition.alphas()):
+            stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
+        return merged(stages)
+    if isinstance(scene, Mechanical):
+        return composition.stages
+    stages = []
+    for name, coefficient in composition.stages:  # a body has no kick; its drift is a palindrome
+        if name == "drift":
+            sweep = [(part, coefficient / 2) for part in ROTATIONS]
+            stages += [*sweep, *reversed(sweep)]
+        elif name == "damp":
+            stages.append((name, coefficient))
+    return merged(stages)
 
 
 @dataclass(frozen=True)
@@ -92,12 +241,10 @@ class Plan:
 
 def plan(composition: Composition, scene: Scene) -> Plan:
     """The composition on a scene, with the merged joint where first and last flow are the same."""
-    flows = flows_of(scene)
-    stages = tuple(stage for stage in composition.stages if stage[0] in flows)
+    stages = stages_on(composition, scene)
     first, last = stages[0], stages[-1]
-    if len(stages) > 1 and first[0] == last[0] and flows[first[0]].group:
-        joint = ((first[0], first[1] + last[1]),)
-        return Plan((first,), stages[1:-1], (last,), joint)
+    if len(stages) > 1 and first[0] == last[0]:
+        return Plan((first,), stages[1:-1], (last,), ((first[0], first[1] + last[1]),))
     return Plan((), stages, (), ())
 
 
@@ -118,6 +265,8 @@ def advance(
 
     Merging at the joints leaves the map unchanged up to round-off.
     """
+    if composition.two_part and isinstance(scene, RigidBody) and scene.isotropic:
+        return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     flows = flows_of(scene)
     steps = plan(composition, scene)
 
@@ -135,3 +284,43 @@ def advance(
         x = repeat(n - 1, lambda x: run(joint, run(inner, x)), x)
         return run(closing, run(inner, x))
     return repeat(n, lambda x: run(inner, x), x)
+
+
+def advance_by_the_clock(
+    composition: Composition, scene: RigidBody, x: BodyState, h: Any, n: Any, xp: Any, repeat: Repeat
+) -> BodyState:
+    """Rotations and isotropic damping together, for a body.
+
+    Damping only rescales the free body's clock: with m = e^{γt} M and dτ = e^{−γt} dt the rotations
+    act on (m, R) as if undamped, for times φ(αh) e^{−γt}, and the sweeps merge like undamped ones.
+    What is left of damping is one factor on M and s at the end.
+    """
+    flows, gamma = flows_of(scene), scene.gamma
+    alphas = composition.alphas()
+    starts = [Fraction(0), *accumulate(alphas)]
+    turns: list[tuple[str, Any]] = []
+    for k, (start, alpha) in enumerate(zip(starts, alphas, strict=False)):
+        tau = xp.exp(-gamma * number(start, xp) * h) * damped_time(gamma, number(alpha, xp) * h, xp)
+        for name in ROTATIONS if k % 2 == 0 else ROTATIONS[::-1]:
+            if turns and turns[-1][0] == name:
+                turns[-1] = (name, turns[-1][1] + tau)
+            else:
+                turns.append((name, tau))
+    decay = xp.exp(-gamma * h)
+    (first, opening), *inner, (_, closing) = turns
+    joint = closing + decay * opening  # the next step's clock is slower by `decay`
+
+    def run(turns: Iterable[tuple[str, Any]], x: BodyState, clock: Any) -> BodyState:
+        for name, tau in turns:
+            x = flows[name].apply(scene, x, clock * tau, xp)
+        return x
+
+    def step(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
+        x, clock = carried
+        return run([*inner, (first, joint)], x, clock), clock * decay
+
+    one = decay / decay  # one, as a number of the engine's kind
+    x, clock = repeat(n - 1, step, (run([(first, opening)], x, one), one))
+    x = run([*inner, (first, closing)], x, clock)
+    total = xp.exp(-gamma * h * n)
+    return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)

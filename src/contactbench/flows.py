@@ -21,13 +21,12 @@ class Flow(NamedTuple):
     """One exact subflow.
 
     costs : what one application adds to the counts, by kind ("gradient", "rotation").
-    group : flows for h1 and h2 compose to the flow for h1 + h2, so neighbours may be merged.
+    Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
     """
 
     constants: Callable[[Any, Any, Any], Any]
     apply: Callable[[Any, Any, Any, Any], Any]
     costs: dict[str, int]
-    group: bool = True
 
 
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
@@ -120,14 +119,17 @@ def rotation(scene: RigidBody, x: BodyState, axis: int, tau: Any, xp: Any) -> Bo
         quaternion[1 + j] = cos * v[j] + sin * v[k]
         quaternion[1 + k] = cos * v[k] - sin * v[j]
         R = tuple(quaternion)
-    return BodyState(tuple(turned), R, None if s is None else s + tau * M[axis] * rate / 2)
+    out = BodyState(tuple(turned), R, None if s is None else s + tau * M[axis] * rate / 2)
+    # XLA would recompute a rotation for every component that reads it: exponential along a chain
+    settle = getattr(xp, "settle", None)
+    return out if settle is None else settle(out)
 
 
-def sweep(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
-    """The free body for time tau: the palindrome of rotations 1 2 3 2 1 (second order, symmetric)."""
-    for axis, part in ((0, tau / 2), (1, tau / 2), (2, tau), (1, tau / 2), (0, tau / 2)):
-        x = rotation(scene, x, axis, part, xp)
-    return x
+def _rotation_flow(axis: int) -> Flow:
+    def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
+        return rotation(scene, x, axis, tau, xp)
+
+    return Flow(_plain, turn, {"rotation": 1})
 
 
 def _body_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
@@ -144,35 +146,16 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
     return BodyState(scene.damp_matrix_function(x.M, lambda rate: next(factor)), x.R, None)
 
 
-def _sweep_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
-    return damped_time(scene.gamma, h, xp), xp.exp(-scene.gamma * h)
-
-
-def sweep_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodyState:
-    """AC: the free body for time φ(h), then M, s *= e^{−γh}.
-
-    Exact in the damping, because damping only rescales the free body's clock; symmetric, because
-    scaling M by c and time by 1/c commutes with every rotation.
-    """
-    phi, decay = constants
-    return body_damp(scene, sweep(scene, x, phi, xp), decay, xp)
-
-
-ROTATIONS_PER_SWEEP = 5
-
 BODY = {
-    "drift": Flow(_plain, sweep, {"rotation": ROTATIONS_PER_SWEEP}, group=False),
+    **{f"rotate{axis + 1}": _rotation_flow(axis) for axis in range(3)},
     "damp": Flow(_body_damp_constants, body_damp, {}),
-    "drift_damp": Flow(_sweep_damp_constants, sweep_damp, {"rotation": ROTATIONS_PER_SWEEP}, group=False),
 }
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
     """The subflows a scene has, by name; a body has no potential, hence no kick."""
-    if isinstance(scene, Mechanical):
-        if scene.nonlinear_damping:  # T and Γ = ½κs² together have no elementary flow
-            return {name: flow for name, flow in MECHANICAL.items() if name != "drift_damp"}
-        return MECHANICAL
-    if isinstance(scene, RigidBody) and not scene.isotropic:
-        return {name: flow for name, flow in BODY.items() if name != "drift_damp"}
-    return BODY
+    if not isinstance(scene, Mechanical):
+        return BODY
+    if scene.nonlinear_damping:  # T and Γ = ½κs² together have no elementary flow
+        return {name: flow for name, flow in MECHANICAL.items() if name != "drift_damp"}
+    return MECHANICAL

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.composition import COMPOSITIONS, Composition, Repeat, advance, missing_flow, plan, repeat
+from contactbench.composition import COMPOSITIONS, Composition, Repeat, advance, plan, refusal, repeat
 from contactbench.flows import flows_of
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
@@ -19,7 +19,7 @@ class ContactMethod(FixedStep):
     composition: Composition = COMPOSITIONS[0]
 
     def refuses(self, scene: Scene) -> str | None:
-        return missing_flow(self.composition, scene)
+        return refusal(self.composition, scene)
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         return advance(self.composition, scene, x, h, n, xp, repeat)

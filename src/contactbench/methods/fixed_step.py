@@ -15,7 +15,7 @@ import numpy as np
 
 from contactbench.composition import Repeat, repeat
 from contactbench.methods.base import METHODS, Outcome, Prepared, Request, steps_in
-from contactbench.methods.compiled import CompiledRun
+from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -178,7 +178,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
         import jax.numpy as jnp
         from jax import lax
 
-        r = self.request
+        r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))
 
         def loop(n: Any, body: Any, x: Any) -> Any:
@@ -186,7 +186,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
         def interval(x: Any, span: Any) -> Any:
             h, n = span
-            x = self.method_.advance(scene, x, h, n, jnp, loop)
+            x = self.method_.advance(scene, x, h, n, xp, loop)
             return x, jnp.stack(scene.pack(x))
 
         return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n))[1]
