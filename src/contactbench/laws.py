@@ -235,8 +235,8 @@ def pullbacks(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """η(Φ)·DΦ at every saved time, shape (k, m), and η at the start, shape (m,), on the tangents."""
     scene, carry, start = solution.scene, solution.carry, solution.start()
     form = np.array([scene.contact_form(start, v) for v in scene.tangents(start)], dtype=float)
-    derivative = solution.sensitivity  # (k, d, m)
-    here = scene.unpack(tuple(solution.y.T), carry)
+    y, derivative = solution.linearised  # (k, d), (k, d, m)
+    here = scene.unpack(tuple(y.T), carry)
     rows = [
         scene.contact_form(here, scene.unpack(tuple(derivative[:, :, j].T), carry))
         for j in range(derivative.shape[2])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -136,6 +136,11 @@ class FixedStepRun(Prepared):
 
 class PythonLoop(FixedStepRun):
     """Plain Python floats."""
+
+    sensitivity_source = "forward-mode AD through the same steps on jax"
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        return JaxLoop(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         r = self.request

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, counting
-from contactbench.methods.callback import flat_jacobian, flat_rhs
+from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
+from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
 
 TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
@@ -22,6 +23,8 @@ TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
 @dataclass
 class CvodeRun(Prepared):
     kind: str
+
+    sensitivity_source = SOURCE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -49,7 +52,8 @@ class CvodeRun(Prepared):
         r = self.request
         f, calls = self.f, None
         if self.jac is None:  # CVODE's nfev leaves out the calls that difference the Jacobian
-            f, calls = counting(f)
+            counted, calls = counting(f)
+            f = lambda t, y, yp: counted(t, y, yp)  # noqa: E731 (sksundae takes no *args)
         solver = self._solver(f)
         start = r.save_at[0] == 0
         try:
@@ -71,6 +75,9 @@ class CvodeRun(Prepared):
         evaluations = result.nfev if calls is None else calls[0]
         counts = Counts(None, evaluations, result.njev, None)
         return self.finished(y0, y if start else y[1:], counts, status, message)
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return integrated(CvodeRun(self.method, variational(self.request), self.kind), y0)
 
     def count(self) -> Counts:
         """Counts with the number of steps, which only CVODE's slower one-step mode reveals."""
