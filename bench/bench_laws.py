@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from cells import cells, outcome, save_times, setting, steps
 
 import contactbench as cb
+from cells import cells, outcome, save_times, setting, steps
 from contactbench.laws import (
     contact_deviation,
     energies,

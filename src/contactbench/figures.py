@@ -24,6 +24,8 @@ STYLES = {
     "contact-abc": ("#0077BB", "s"),
     "contact-strang": ("#33BBEE", "o"),
     "rk4": ("#000000", "x"),
+    "herglotz1": ("#661100", "d"),
+    "herglotz2": ("#6699CC", "H"),
     "scipy-dop853": ("#CC3311", "^"),
     "scipy-radau": ("#EE7733", "v"),
     "cvode-adams": ("#AA4499", "<"),
@@ -33,7 +35,7 @@ STYLES = {
     "diffrax-kvaerno5": ("#999933", "h"),
     "heyoka-taylor": ("#EE3377", "*"),
 }
-SPARE = ["#332288", "#661100", "#6699CC", "#888888", "#44AA99"]
+SPARE = ["#332288", "#888888", "#44AA99"]
 TRACKS = {
     "compiled (jax, llvm)": ("jax", "llvm"),
     "Python callbacks (python, c+python)": ("python", "c+python"),
