@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -71,9 +70,9 @@ def ordered(frame: pd.DataFrame) -> list[str]:
     return list(dict.fromkeys(frame["method"]))
 
 
-def wrap(label: str) -> str:
-    """A long axis label in lines that fit the height of a panel."""
-    return "\n".join(textwrap.wrap(label, 52))
+def formula(definition: str) -> str:
+    """A definition without the conditions that follow its semicolon: short enough for an axis."""
+    return definition.partition(";")[0]
 
 
 def shared_legend(figure: Figure, methods: list[str], columns: int = 4) -> None:
@@ -176,7 +175,7 @@ def structure(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
             panel.plot(line["solution_error"], line[column].clip(lower=ROUND_OFF / 4), **style(method))
         panel.axhspan(ROUND_OFF / 4, 1e-12, color="#f0f4ff", zorder=0)
         panel.set(xscale="log", yscale="log", title=scene)
-        panel.set(xlabel=labels["solution_error"], ylabel=wrap(f"{column}: {labels[column]}"))
+        panel.set(xlabel=labels["solution_error"], ylabel=f"{column}: {formula(labels[column])}")
         panel.invert_xaxis()
     axes[0].text(0.02, 0.03, "round-off", transform=axes[0].transAxes, color="#5566aa")
     figure.suptitle("structure against accuracy, same runs: a structural law does not care for the error")

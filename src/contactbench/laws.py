@@ -180,7 +180,7 @@ def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> float:
 
 
 #: what ∫Γ' means in the definitions of the laws
-RATE = "∫Γ' = γt (changing rate: of the truth, e^{−∫Γ'} = H*/H(y₀))"
+RATE = "∫Γ' = γt, where Γ' changes that of the truth: e^{−∫Γ'} = H*(t)/H(y₀)"
 
 
 # -- conformal laws --------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ def hamiltonian_deviation(solution: Solution) -> np.ndarray:
     return conformal_deviation(value[:, None], start, solution.t, decay_rate(solution))
 
 
-@law(f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|, {RATE}", needs=("s",), applies=is_contact, compares_decay=True)
+@law(f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", needs=("s",), applies=is_contact, compares_decay=True)
 def hamiltonian_law(solution: Solution) -> float:
     return float(hamiltonian_deviation(solution).max())
 
@@ -243,7 +243,7 @@ def momentum_deviation(solution: Solution) -> np.ndarray:
 
 
 @law(
-    f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖, {RATE}",
+    f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}",
     needs=("R",), applies=has_momentum_law, structural=True, compares_decay=True,
 )  # fmt: skip
 def momentum_law(solution: Solution) -> float:
@@ -292,7 +292,7 @@ def contact_deviation(solution: Solution) -> np.ndarray:
 
 
 @law(
-    f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖, {RATE}",
+    f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}",
     needs=("R", "s"), applies=is_contact, structural=True, compares_decay=True,
 )  # fmt: skip
 def contact_drift(solution: Solution) -> float:
