@@ -54,6 +54,22 @@ def order_at(method: Any, scene: Scene, t: float, n: int) -> float:
     return float((weight * second - first) / (weight - 1))
 
 
+def local_order(method: Any, scene: Scene, step: str = "1e-6", digits: int = 150) -> float:
+    """Order from one step against two half steps, ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}).
+
+    No reference is needed, and at so small a step the lowest power of h stands out however small its
+    coefficient is.  It is the order towards the flow of what the method is consistent with.
+    """
+    context = decimal_context(digits)
+
+    def defect(h: Any) -> Any:
+        once, twice = march(method, scene, h, 1, context), march(method, scene, h / 2, 2, context)
+        return context.norm([a - b for a, b in zip(once, twice, strict=True)])
+
+    h = context.mpf(step)
+    return float(context.log(defect(h) / defect(h / 2), 2)) - 1
+
+
 def pullback(method: Any, scene: Scene, step: str, n: int) -> tuple[list[Any], list[Any]]:
     """η(Φ)·DΦ and η at the start, each on the scene's tangents, for n steps; mpmath numbers."""
     context = decimal_context(DERIVATIVE_DIGITS)

@@ -44,9 +44,7 @@ class CvodeRun(Prepared):
         from sksundae.cvode import CVODE
 
         r = self.request
-        return CVODE(
-            f, method=self.kind, rtol=r.rtol, atol=r.atol, jacfn=self.jac, max_num_steps=r.max_steps
-        )
+        return CVODE(f, method=self.kind, rtol=r.rtol, atol=r.atol, jacfn=self.jac, max_num_steps=r.max_steps)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
@@ -100,5 +98,7 @@ class CvodeMethod(Adaptive):
         return CvodeRun(self.name, request, self.kind)
 
 
-METHODS.add(CvodeMethod("cvode-adams", "Adams", "variable-order Adams–Moulton, Newton with analytic Jacobian"))
+METHODS.add(
+    CvodeMethod("cvode-adams", "Adams", "variable-order Adams–Moulton, Newton with analytic Jacobian")
+)
 METHODS.add(CvodeMethod("cvode-bdf", "BDF", "variable-order BDF, Newton with analytic Jacobian", stiff=True))
