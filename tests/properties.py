@@ -43,9 +43,8 @@ def differences(f: Any, y: list[Any]) -> list[Any]:
 
 def contact_field(scene: Any, hamiltonian: Any, x: Any) -> list[Any]:
     """Packed contact vector field of a Hamiltonian of the state, from its differences alone."""
-    d = scene.unpack(
-        differences(lambda y: hamiltonian(scene.unpack(y, scene.optional)), scene.pack(x)), scene.optional
-    )
+    slopes = differences(lambda y: hamiltonian(scene.unpack(y, scene.optional)), scene.pack(x))
+    d = scene.unpack(slopes, scene.optional)
     if isinstance(scene, cb.Mechanical):
         p = [-a - d.s * b for a, b in zip(d.q, x.p, strict=True)]
         return [*d.p, *p, dot(x.p, d.p) - hamiltonian(x)]
@@ -93,9 +92,8 @@ def body_flows_solve_their_equations() -> bool:
     for axis in range(3):
         part = lambda x, i=axis: x.M[i] ** 2 / exact.inertia[i] / 2  # noqa: E731
         flow = lambda h, i=axis: exact.pack(flows.rotation(exact, x, i, h, mp))  # noqa: E731
-        if not small(
-            residual(exact, flow, lambda x, part=part: contact_field(exact, part, x), mp.mpf(H)), DIFFERENCED
-        ):
+        field = lambda x, part=part: contact_field(exact, part, x)  # noqa: E731
+        if not small(residual(exact, flow, field, mp.mpf(H)), DIFFERENCED):
             return False
     parts = {
         "damp": lambda x: exact.gamma * x.s,
@@ -105,9 +103,8 @@ def body_flows_solve_their_equations() -> bool:
     for name, part in parts.items():
         h = mp.mpf(H) if name == "damp" else mp.mpf(0)
         flow = lambda h, name=name: applied(exact, name, x, h)  # noqa: E731
-        if not small(
-            residual(exact, flow, lambda x, part=part: contact_field(exact, part, x), h), DIFFERENCED
-        ):
+        field = lambda x, part=part: contact_field(exact, part, x)  # noqa: E731
+        if not small(residual(exact, flow, field, h), DIFFERENCED):
             return False
         there = exact.unpack(flow(mp.mpf(H)), exact.optional)
         back = applied(exact, name, there, -mp.mpf(H))

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from mpmath import mp
 
 import contactbench as cb
-from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from contactbench.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation
 
 BITS = 180

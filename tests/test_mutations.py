@@ -28,14 +28,8 @@ from properties import BODY, CENTRAL, PARTICLE
 
 STRUCTURED = [cb.METHODS[name] for name in ("contact-abc", "contact-strang", "herglotz1", "herglotz2")]
 MUTATED = [
-    (
-        flows,
-        ("kick", "drift", "damp", "_damp_constants", "drift_damp", "_drift_damp_constants", "damped_time"),
-    ),
-    (
-        flows,
-        ("rotation", "sweep", "body_damp", "_body_damp_constants", "sweep_damp", "_sweep_damp_constants"),
-    ),
+    (flows, ("kick", "drift", "damp", "drift_damp", "rotation", "body_damp", "sweep_damp", "damped_time")),
+    (flows, ("_damp_constants", "_drift_damp_constants", "_body_damp_constants", "_sweep_damp_constants")),
     (herglotz, ("explicit_kick", "implicit_kick")),
 ]
 

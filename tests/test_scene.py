@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from mpmath import mp
 
 import contactbench as cb
-from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from contactbench.scene import rotation_matrix
 
 MECHANICAL = [s for s in ALL_SCENES if isinstance(s, cb.Mechanical)]
