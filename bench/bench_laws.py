@@ -39,25 +39,17 @@ def test_laws(cell, profile, record):
         solution = cb.solve(
             scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)
         )
-        row = {law.name: measured(law, solution) for law in laws_of(scene)}
-        differentiable = bool(solution.sensitivity_source) and is_contact(scene)
+        row = {law.name: law(solution) for law in laws_of(scene)}
         record(
             LAWS_TABLE,
             **outcome(solution),
             saved_times=len(solution.t),
-            derivative=solution.sensitivity_source if differentiable else "not measured",
+            derivative=solution.sensitivity_source if is_contact(scene) and solution.ok else "",
             **row,
         )
         if value == shown and solution.ok:
             for moment in along_time(solution):
                 record(LAWS_TIME, **moment)
-
-
-def measured(law, solution):
-    """The law's value; nan where the derivative of the numerical map is not available."""
-    if law.name in ("contact_drift", "distribution_drift") and not solution.sensitivity_source:
-        return float("nan")
-    return law(solution)
 
 
 def along_time(solution):
@@ -70,10 +62,8 @@ def along_time(solution):
         "energy_deviation": relative_deviation(energy, true_energy),
         "hamiltonian_deviation": hamiltonian_deviation(solution) if is_contact(scene) else nothing,
         "momentum_deviation": momentum_deviation(solution) if has_momentum_law(scene) else nothing,
-        "contact_deviation": nothing,
+        "contact_deviation": contact_deviation(solution) if is_contact(scene) else nothing,
     }
-    if is_contact(scene) and solution.sensitivity_source:
-        columns["contact_deviation"] = contact_deviation(solution)
     key = {k: outcome(solution)[k] for k in ("scene", "method", "engine", "setting", "status", "message")}
     for values in zip(*columns.values(), strict=True):
         yield {**key, **dict(zip(columns, map(float, values), strict=True))}

@@ -11,6 +11,7 @@ import contactbench as cb
 from cases import by_name, in_mp, random_state
 from contactbench.composition import ABC, COMPOSITIONS, PRINTED, STRANG, advance, plan, refusal
 from contactbench.flows import flows_of
+from properties import parts_applied
 
 SCENES = [cb.SCENES[name] for name in ("particle", "rigid_body", "rigid_body_anisotropic")]
 each = pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
@@ -18,11 +19,7 @@ each = pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name
 
 @each
 def test_every_part_of_the_hamiltonian_is_applied_for_one_whole_step(composition):
-    total = {}
-    for name, coefficient in composition.stages:
-        for part in name.split("_"):
-            total[part] = total.get(part, 0) + coefficient
-    assert total == {"kick": 1, "drift": 1, "damp": 1}
+    assert parts_applied(composition) == {"kick": 1, "drift": 1, "damp": 1}
 
 
 def test_the_printed_scheme_is_not_palindromic_and_what_it_means_is():

@@ -29,6 +29,8 @@ STYLES = {
     "contact-rkn6": ("#4477AA", "*"),
     "contact-o8": ("#AA3377", "P"),
     "rk4": ("#000000", "x"),
+    "herglotz1": ("#661100", "d"),
+    "herglotz2": ("#6699CC", "H"),
     "scipy-dop853": ("#CC3311", "^"),
     "scipy-radau": ("#EE7733", "v"),
     "cvode-adams": ("#AA4499", "<"),
@@ -38,7 +40,7 @@ STYLES = {
     "diffrax-kvaerno5": ("#999933", "h"),
     "heyoka-taylor": ("#EE3377", "*"),
 }
-SPARE = ["#332288", "#661100", "#6699CC", "#888888", "#44AA99"]
+SPARE = ["#332288", "#888888", "#44AA99"]
 TRACKS = {
     "compiled (jax, llvm)": ("jax", "llvm"),
     "Python callbacks (python, c+python)": ("python", "c+python"),
@@ -71,6 +73,11 @@ def style(method: str) -> dict[str, Any]:
 def ordered(frame: pd.DataFrame) -> list[str]:
     """The methods of a table, in the order of its rows."""
     return list(dict.fromkeys(frame["method"]))
+
+
+def formula(definition: str) -> str:
+    """A definition without the conditions that follow its semicolon: short enough for an axis."""
+    return definition.partition(";")[0]
 
 
 def shared_legend(figure: Figure, methods: list[str], columns: int = 4) -> None:
@@ -170,7 +177,7 @@ def structure(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
             panel.plot(line["solution_error"], line[column].clip(lower=ROUND_OFF / 4), **style(method))
         panel.axhspan(ROUND_OFF / 4, 1e-12, color="#f0f4ff", zorder=0)
         panel.set(xscale="log", yscale="log", title=scene)
-        panel.set(xlabel=labels["solution_error"], ylabel=f"{column}: {labels[column]}")
+        panel.set(xlabel=labels["solution_error"], ylabel=f"{column}: {formula(labels[column])}")
         panel.invert_xaxis()
     axes[0].text(0.02, 0.03, "round-off", transform=axes[0].transAxes, color="#5566aa")
     figure.suptitle("structure against accuracy, same runs: a structural law does not care for the error")

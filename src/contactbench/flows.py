@@ -51,7 +51,7 @@ def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
     strong = gamma * h > STRONG
     factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)
     if isinstance(strong, bool):
-        return (factor, 0.0 * loss) if strong else (1 + 0 * loss, loss)
+        return (factor, 0.0) if strong else (1.0, loss)
     return xp.where(strong, factor, 1.0), xp.where(strong, 0.0, loss)
 
 

@@ -37,8 +37,10 @@ class Law:
     measure: Callable[[Solution], float]
     needs: tuple[str, ...]
     applies: Callable[[Scene], bool]
-    #: whether a contact method keeps it to round-off whatever the step size
+    #: whether a contact method keeps it to round-off whatever the step size (see `structural_on`)
     structural: bool = False
+    #: whether it compares with the decay e^{−∫Γ'} of the truth
+    compares_decay: bool = False
 
     def __call__(self, solution: Solution) -> float:
         """The measure; nan unless the run ended `ok`.
@@ -52,6 +54,13 @@ class Law:
             raise BadInput(f"law {self.name!r} needs carry=({', '.join(map(repr, missing))},)")
         return self.measure(solution) if solution.ok else math.nan
 
+    def structural_on(self, scene: Scene) -> bool:
+        """Whether a contact method keeps it to round-off on this scene.
+
+        Where Γ'(s) changes, the factor of a contact map follows the numerical s and has its error.
+        """
+        return self.structural and not (self.compares_decay and scene.conformal_rate is None)
+
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
         """The optional fields it reads on this scene."""
         return tuple(field for field in self.needs if field in scene.optional)
@@ -62,11 +71,14 @@ def law(
     needs: tuple[str, ...] = (),
     applies: Callable[[Scene], bool] = lambda scene: True,
     structural: bool = False,
+    compares_decay: bool = False,
 ) -> Callable[[Callable[[Solution], float]], Law]:
     """Decorator that registers a measure under its function's name."""
 
     def register(measure: Callable[[Solution], float]) -> Law:
-        return LAWS.add(Law(measure.__name__, definition, measure, needs, applies, structural))
+        return LAWS.add(
+            Law(measure.__name__, definition, measure, needs, applies, structural, compares_decay)
+        )
 
     return register
 
@@ -78,12 +90,17 @@ def laws_of(scene: Scene) -> list[Law]:
 
 # -- what applies where ----------------------------------------------------------------------------
 def is_contact(scene: Scene) -> bool:
-    """φ_t*η = e^{−γt} η holds with a constant γ."""
-    return scene.conformal_rate is not None
+    """The exact flow is a conformal contact map: φ_t*η = e^{−∫Γ'(s)dt} η."""
+    return scene.conformal_rate is not None or has_changing_rate(scene)
+
+
+def has_changing_rate(scene: Scene) -> bool:
+    """Γ'(s) is not constant."""
+    return isinstance(scene, Mechanical) and scene.nonlinear_damping
 
 
 def has_momentum_law(scene: Scene) -> bool:
-    return scene.conformal_rate is not None and bool(getattr(scene, "has_momentum_law", False))
+    return is_contact(scene) and bool(getattr(scene, "has_momentum_law", False))
 
 
 def has_torque(scene: Scene) -> bool:
@@ -161,15 +178,37 @@ def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
     return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))
 
 
+#: what ∫Γ' means in the definitions of the laws
+RATE = "∫Γ' = γt, where Γ' changes that of the truth: e^{−∫Γ'} = H*(t)/H(y₀)"
+
+
 # -- conformal laws --------------------------------------------------------------------------------
-def scaled(values: np.ndarray, t: np.ndarray, gamma: float) -> np.ndarray:
+def decay_rate(solution: Solution) -> float | np.ndarray:
+    """γ with which e^{−γt} is the conformal factor of the exact flow at the saved times.
+
+    Where Γ'(s) changes it is the mean rate up to each saved time, shape (k,), from the truth:
+    H' = −Γ'(s) H, hence e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `BadInput` if H(0) = 0.
+    """
+    scene = solution.scene
+    if scene.conformal_rate is not None:
+        return scene.conformal_rate
+    start = float(scene.hamiltonian(solution.start()))
+    if start == 0:
+        raise BadInput(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
+    ratio = scene.hamiltonian(truth(solution).states()) / start
+    return np.divide(-np.log(ratio), solution.t, out=np.zeros(len(ratio)), where=solution.t > 0)
+
+
+def scaled(values: np.ndarray, t: np.ndarray, gamma: float | np.ndarray) -> np.ndarray:
     """values · e^{γt}, in two halves so that neither factor overflows before the product would."""
     with np.errstate(over="ignore", invalid="ignore"):
         half = np.exp(np.minimum(gamma * t / 2, 700.0)).reshape(-1, *[1] * (values.ndim - 1))
         return values * half * half
 
 
-def conformal_deviation(values: np.ndarray, start: np.ndarray, t: np.ndarray, gamma: float) -> np.ndarray:
+def conformal_deviation(
+    values: np.ndarray, start: np.ndarray, t: np.ndarray, gamma: float | np.ndarray
+) -> np.ndarray:
     """‖values e^{γt} − start‖ / ‖start‖ at each time, for values of shape (k, m), start (m,).
 
     Where the true size e^{−γt}‖start‖ is below the meaningful range, the deviation is how far the
@@ -188,10 +227,10 @@ def hamiltonian_deviation(solution: Solution) -> np.ndarray:
     scene = solution.scene
     value = scene.hamiltonian(solution.states())
     start = np.array([scene.hamiltonian(solution.start())])
-    return conformal_deviation(value[:, None], start, solution.t, scene.conformal_rate)
+    return conformal_deviation(value[:, None], start, solution.t, decay_rate(solution))
 
 
-@law("max |H e^{γt} − H(y₀)| / |H(y₀)|", needs=("s",), applies=is_contact)
+@law(f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", needs=("s",), applies=is_contact, compares_decay=True)
 def hamiltonian_law(solution: Solution) -> float:
     return float(hamiltonian_deviation(solution).max())
 
@@ -200,17 +239,20 @@ def momentum_deviation(solution: Solution) -> np.ndarray:
     scene = solution.scene
     value = np.array(scene.momentum(solution.states())).T
     start = np.array(scene.momentum(solution.start()))
-    return conformal_deviation(value, start, solution.t, scene.conformal_rate)
+    return conformal_deviation(value, start, solution.t, decay_rate(solution))
 
 
-@law("max ‖J e^{γt} − J(y₀)‖ / ‖J(y₀)‖", needs=("R",), applies=has_momentum_law, structural=True)
+@law(
+    f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}",
+    needs=("R",), applies=has_momentum_law, structural=True, compares_decay=True,
+)  # fmt: skip
 def momentum_law(solution: Solution) -> float:
     return float(momentum_deviation(solution).max())
 
 
 @law(
     "max |J − J*| e^{γt} / max |J* e^{γt}|, J* of the truth: J' = −γJ − ∂V/∂θ",
-    applies=lambda scene: is_contact(scene) and has_torque(scene),
+    applies=lambda scene: scene.conformal_rate is not None and has_torque(scene),
 )
 def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
@@ -226,8 +268,8 @@ def pullbacks(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """η(Φ)·DΦ at every saved time, shape (k, m), and η at the start, shape (m,), on the tangents."""
     scene, carry, start = solution.scene, solution.carry, solution.start()
     form = np.array([float(scene.contact_form(start, v)) for v in scene.tangents(start)])
-    derivative = solution.sensitivity  # (k, d, m)
-    here = scene.unpack(tuple(solution.y.T), carry)
+    y, derivative = solution.linearised  # (k, d), (k, d, m)
+    here = scene.unpack(tuple(y.T), carry)
     rows = [
         scene.contact_form(here, scene.unpack(tuple(derivative[:, :, j].T), carry))
         for j in range(derivative.shape[2])
@@ -237,10 +279,13 @@ def pullbacks(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 def contact_deviation(solution: Solution) -> np.ndarray:
     pulled, form = pullbacks(solution)
-    return conformal_deviation(pulled, form, solution.t, solution.scene.conformal_rate)
+    return conformal_deviation(pulled, form, solution.t, decay_rate(solution))
 
 
-@law("‖Φ*η − e^{−γt} η‖ / ‖e^{−γt} η‖", needs=("R", "s"), applies=is_contact, structural=True)
+@law(
+    f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}",
+    needs=("R", "s"), applies=is_contact, structural=True, compares_decay=True,
+)  # fmt: skip
 def contact_drift(solution: Solution) -> float:
     return float(contact_deviation(solution).max())
 

@@ -220,6 +220,10 @@ class Scene:
         """Contact Hamiltonian H = H0 + Γ(s); needs s."""
         raise NotImplementedError
 
+    def jacobian(self, x: Any) -> Any:
+        """∂(rhs)/∂(state) in packed order, or None where the scene does not provide it."""
+        raise NotImplementedError
+
     def momentum(self, x: Any) -> Vector | None:
         """Momentum map J of the rotations, None where there is none."""
         raise NotImplementedError

@@ -75,8 +75,8 @@ class Solution:
     end_time: float = float("nan")
     #: the initial state y was integrated from, packed
     y0: np.ndarray | None = None
-    #: () -> (k, d, m): derivative of the saved states along the m tangents of the initial state
-    differentiate: Callable[[], np.ndarray] | None = None
+    #: () -> states (k, d) and their derivative (k, d, m) along the m tangents of the initial state
+    differentiate: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None
     #: how it is obtained, for the tables; empty where it is not available
     sensitivity_source: str = ""
 
@@ -84,11 +84,20 @@ class Solution:
     def ok(self) -> bool:
         return self.status is Status.ok
 
-    @cached_property
+    @property
     def sensitivity(self) -> np.ndarray:
         """Derivative of the saved states along the scene's m tangents at the start, (k, d, m).
 
         Raises `BadInput` where the method does not provide it.
+        """
+        return self.linearised[1]
+
+    @cached_property
+    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
+        """`sensitivity`, and the states (k, d) at which it is the derivative.
+
+        These are `y`, or, where the solver integrated the variational equations in a run of its
+        own, the states of that run, which differ from y by as much as the tolerance allows.
         """
         if self.differentiate is None or not self.sensitivity_source:
             raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")

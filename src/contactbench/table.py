@@ -103,9 +103,9 @@ LAWS_TIME = Table(
         "t": "time",
         "energy": "H0",
         "energy_deviation": "|H0(y) / H0(y*) − 1|",
-        "hamiltonian_deviation": "|H e^{γt} − H(y₀)| / |H(y₀)|",
-        "momentum_deviation": "‖J e^{γt} − J(y₀)‖ / ‖J(y₀)‖",
-        "contact_deviation": "‖Φ*η − e^{−γt} η‖ / ‖e^{−γt} η‖",
+        "hamiltonian_deviation": "|H e^{∫Γ'} − H(y₀)| / |H(y₀)|",
+        "momentum_deviation": "‖J e^{∫Γ'} − J(y₀)‖ / ‖J(y₀)‖",
+        "contact_deviation": "‖Φ*η − e^{−∫Γ'} η‖ / ‖e^{−∫Γ'} η‖",
     },
     key=(*KEY, "t"),
 )

@@ -87,6 +87,14 @@ class Prepared:
         """(k, d, m): derivative of the saved states along the scene's m tangent vectors at y0."""
         raise NotImplementedError
 
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Saved states (k, d) and their derivative (k, d, m), of one and the same numerical map.
+
+        y : the saved states of the plain run.  A solver that has to run anew for the derivative
+        gives the states of that run instead.
+        """
+        return y, self.sensitivity(y0)
+
     def __call__(self, **data: Any) -> Solution:
         r = self.request
         if data:
@@ -96,7 +104,7 @@ class Prepared:
         out = self.integrate(y0)
         solution = Solution(
             r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
-            out.message, out.counts, out.end_time, y0, lambda: self.sensitivity(y0),
+            out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
             self.sensitivity_source,
         )  # fmt: skip
         return solution

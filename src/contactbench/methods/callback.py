@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any
 
+from contactbench.methods.base import Request
+from contactbench.methods.variational import numerical_derivative, variational_request
 from contactbench.scene import Mechanical, Scene, State
 
 
@@ -32,3 +34,8 @@ def flat_jacobian(
     if jacobian is None or (isinstance(scene, Mechanical) and scene.hessian is None):
         return None
     return lambda y: jacobian(scene.unpack(y, carry))
+
+
+def variational(request: Request) -> Request:
+    """The same question about the scene and its tangents, on plain floats."""
+    return variational_request(request, numerical_derivative(request.scene, request.carry))

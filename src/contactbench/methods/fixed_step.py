@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from contactbench.solution import Counts, Status
 UNROLL = 32
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
+Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class FixedStep:
     #: declared properties, each tested for every registered method that claims it
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False  # Φ_{−h} ∘ Φ_h = id
+    factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     adaptive = False
 
     def refuses(self, scene: Scene) -> str | None:
@@ -51,6 +53,14 @@ class FixedStep:
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         """n ≥ 1 steps of size h."""
         return repeat(n, lambda x: self.step(scene, x, h, xp), x)
+
+    def conformal_factor(self, scene: Scene, h: Any, xp: Any = math) -> Any | None:
+        """The constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None where none is claimed."""
+        if self.refuses(scene) is not None or scene.conformal_rate is None:
+            return None
+        if self.factor is not None:
+            return self.factor(scene, h, xp)
+        return xp.exp(-scene.conformal_rate * h) if self.contact else None
 
     def counts(self, scene: Scene, n: int) -> int:
         """Evaluations in n uninterrupted steps."""
@@ -69,7 +79,8 @@ def fixed_step(
 ) -> Callable[[Step], Step]:
     """Decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
 
-    It then runs on both engines and appears in every table, figure and test.
+    It then runs on both engines and appears in every table, figure and test.  `claims` are the
+    properties it declares: kind, contact, symmetric, factor.
     """
 
     def register(step: Step) -> Step:
@@ -139,6 +150,11 @@ class FixedStepRun(Prepared):
 
 class PythonLoop(FixedStepRun):
     """Plain Python floats."""
+
+    sensitivity_source = "forward-mode AD through the same steps on jax"
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        return JaxLoop(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         r = self.request

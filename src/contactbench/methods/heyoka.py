@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, stopwatch
-from contactbench.scene import Scene
+from contactbench.methods.variational import SOURCE, integrated, variational_request
+from contactbench.scene import Mechanical, Scene
 from contactbench.solution import Counts, Status
 
 
@@ -27,12 +28,26 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tup
     return list(zip(variables, slopes, strict=True))
 
 
+def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
+    """Df on heyoka expressions: the scene's own Jacobian, or heyoka's derivatives of its right-hand side."""
+    if not isinstance(scene, Mechanical) or scene.hessian is not None:
+        return scene.jacobian(x)  # type: ignore[attr-defined,return-value]
+    import heyoka
+
+    return [[heyoka.diff(slope, c) for c in scene.pack(x)] for slope in scene.pack(scene.rhs(x))]
+
+
+#: above this many equations heyoka's default, all formulas written out, takes seconds to compile
+UNROLLED = 20
+
 #: one integrator per structure and tolerance: state, time and parameters are set at every call
 _integrators: dict[Any, tuple[Any, float]] = {}
 
 
 @dataclass
 class TaylorRun(Prepared):
+    sensitivity_source = SOURCE
+
     def __post_init__(self) -> None:
         import heyoka
 
@@ -42,8 +57,9 @@ class TaylorRun(Prepared):
         if key not in _integrators:
             elapsed = stopwatch()
             integrator = heyoka.taylor_adaptive(
-                taylor_system(r.scene, r.carry, heyoka), self._own_start, pars=r.scene.numbers(), tol=r.rtol
-            )
+                taylor_system(r.scene, r.carry, heyoka), self._own_start, pars=r.scene.numbers(), tol=r.rtol,
+                compact_mode=len(self._own_start) > UNROLLED,
+            )  # fmt: skip
             _integrators[key] = integrator, elapsed()
         self.integrator, self.compile_s = _integrators[key]
         self.numbers = np.array(r.scene.numbers())
@@ -72,6 +88,9 @@ class TaylorRun(Prepared):
         status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
         message = f"{outcome.name} at t = {ta.time:.6g}"
         return self.finished(y0, y, counts, status, message)
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return integrated(TaylorRun(self.method, variational_request(self.request, symbolic_derivative)), y0)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
-from contactbench.methods.callback import flat_jacobian, flat_rhs
+from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
+from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
 
 
@@ -19,6 +20,8 @@ from contactbench.solution import Counts, Status
 class ScipyRun(Prepared):
     solver: Any
     stiff: bool
+
+    sensitivity_source = SOURCE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,6 +68,9 @@ class ScipyRun(Prepared):
         evaluations = calls[0] or solver.nfev
         counts = Counts(steps, evaluations, solver.njev, None)
         return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message)
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return integrated(ScipyRun(self.method, variational(self.request), self.solver, self.stiff), y0)
 
     @staticmethod
     def _dense(solver: Any, times: np.ndarray) -> list[np.ndarray]:

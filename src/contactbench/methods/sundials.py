@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
-from contactbench.methods.callback import flat_jacobian, flat_rhs
+from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
+from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
 
 TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
@@ -22,6 +23,8 @@ TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
 @dataclass
 class CvodeRun(Prepared):
     kind: str
+
+    sensitivity_source = SOURCE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,6 +93,9 @@ class CvodeRun(Prepared):
                 at = float(times[len(rows)])
                 rows.append(result.y if at == reached else solver.step(at, tstop=end).y)
         return rows, steps, result
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return integrated(CvodeRun(self.method, variational(self.request), self.kind), y0)
 
     def count(self) -> Counts:
         """Counts of a run to the last time, with its steps."""

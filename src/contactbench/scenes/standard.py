@@ -98,4 +98,16 @@ PARTICLE_LONG = Mechanical(
     parameters={"coupling": 0.1}, gamma=1e-3, q=(1.0, 0.5), p=(0.0, 0.3), t_end=2000.0,
 )  # fmt: skip
 
-STANDARD = (OSCILLATOR, PARTICLE, CENTRAL, RIGID_BODY, RIGID_BODY_ANISOTROPIC, PARTICLE_LONG)
+# Γ'(s) = κs falls from 0.5 at the start to 0.09 at the end, so that a rate taken as constant would show.
+# s stays positive (0.18 at least): the force grows faster than linearly, so T exceeds V on average (virial
+# theorem) and feeds s, while s ≤ 0 would mean antidamping and, from s < 0 on, possible blow-up.
+QUADRATIC_DAMPING = Mechanical(
+    name="quadratic_damping",
+    about="the central force with Γ(s) = ½κs²: H and J both decay as e^{-∫Γ'(s)dt}, at a rate that changes",
+    potential=quartic, gradient=quartic_gradient, hessian=quartic_hessian, rotation_invariant=True,
+    parameters={"stiffness": 1.0}, kappa=0.5, q=(1.0, 0.0), p=(0.3, 0.8), s=1.0, t_end=20.0,
+)  # fmt: skip
+
+STANDARD = (
+    OSCILLATOR, PARTICLE, CENTRAL, RIGID_BODY, RIGID_BODY_ANISOTROPIC, PARTICLE_LONG, QUADRATIC_DAMPING,
+)  # fmt: skip

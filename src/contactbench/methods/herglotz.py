@@ -1,0 +1,109 @@
+"""Contact variational integrators: discrete Herglotz principles, as one-step maps (q, p, s) → (q, p, s).
+
+A discrete Lagrangian gives the action of one step, s₁ = s₀ + h L(q₀, q₁, s₀, s₁).  Its differential,
+with the discrete Legendre transforms p₀ = −h D₁L / (1 + h ∂L/∂s₀) and p₁ = h D₂L / (1 − h ∂L/∂s₁),
+reads ds₁ − p₁·dq₁ = σ (ds₀ − p₀·dq₀): every step is a conformal contact map with factor
+σ = (1 + h ∂L/∂s₀) / (1 − h ∂L/∂s₁).  That p at the end of one step is p at the start of the next is the
+discrete contact Euler–Lagrange (Herglotz) equation, for L without s₁
+D₁L(q_k, q_{k+1}, s_k) + (1 + h ∂L/∂s_k) D₂L(q_{k−1}, q_k, s_{k−1}) = 0.
+
+Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767, arXiv:1902.00436;
+the paper, eq. disc-Herglotz.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from contactbench.composition import Repeat, repeat
+from contactbench.flows import drift
+from contactbench.methods.base import METHODS
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.scene import Mechanical, Scene, State
+
+
+@dataclass(frozen=True)
+class Herglotz(FixedStep):
+    """What both have in common: mechanical scenes with Γ = γ s, one gradient per step."""
+
+    def refuses(self, scene: Scene) -> str | None:
+        if not isinstance(scene, Mechanical):
+            return f"{self.name} needs a configuration q in Rⁿ, which scene {scene.name!r} does not have"
+        if scene.nonlinear_damping:
+            return f"{self.name} is derived for Γ = γ s; scene {scene.name!r} has κ = {scene.kappa:g}"
+        return None
+
+
+def explicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:
+    """p → (1 − γh) p − h ∇V, s → (1 − γh) s − h V: potential and damping by one step forward."""
+    keep = 1 - scene.gamma * h
+    p = tuple(keep * p - h * g for p, g in zip(x.p, force, strict=True))
+    return State(x.q, p, None if x.s is None else keep * x.s - h * potential)
+
+
+def implicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:
+    """p → (p − h ∇V)/(1 + γh), s → (s − h V)/(1 + γh): the adjoint, one step backward."""
+    grown = 1 + scene.gamma * h
+    p = tuple((p - h * g) / grown for p, g in zip(x.p, force, strict=True))
+    return State(x.q, p, None if x.s is None else (x.s - h * potential) / grown)
+
+
+def pull(scene: Mechanical, x: State) -> tuple[Any, Any]:
+    """∇V and, where s is carried, V."""
+    return scene.dV(x.q), None if x.s is None else scene.V(x.q)
+
+
+def herglotz1(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+    """s_{k+1} = s_k + h L(q_k, q_{k+1}, s_k), L = ½m‖(q_{k+1} − q_k)/h‖² − V(q_k) − γ s_k.
+
+    V is taken at the left end, as s is.  D₂L = m(q_{k+1} − q_k)/h² and 1 + h ∂L/∂s = 1 − γh, hence
+    m(q₁ − q₀)/h = (1 − γh) p₀ − h ∇V(q₀) = p₁: explicit.
+    """
+    return drift(scene, explicit_kick(scene, x, h, *pull(scene, x)), h, xp)
+
+
+def herglotz2(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+    """L = ½m‖(q_{k+1} − q_k)/h‖² − ½(V(q_k) + V(q_{k+1})) − ½γ(s_k + s_{k+1}), solved for s_{k+1}.
+
+    m(q₁ − q₀)/h = (1 − ½γh) p₀ − ½h ∇V(q₀) and p₁ = (m(q₁ − q₀)/h − ½h ∇V(q₁))/(1 + ½γh): explicit.
+    """
+    x = drift(scene, explicit_kick(scene, x, h / 2, *pull(scene, x)), h, xp)
+    return implicit_kick(scene, x, h / 2, *pull(scene, x))
+
+
+@dataclass(frozen=True)
+class SecondHerglotz(Herglotz):
+    """`herglotz2` with the gradient at the end of a step used again at the start of the next."""
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        half = h / 2
+
+        def joined(x: State) -> State:
+            here = pull(scene, x)
+            return drift(
+                scene, explicit_kick(scene, implicit_kick(scene, x, half, *here), half, *here), h, xp
+            )
+
+        x = drift(scene, explicit_kick(scene, x, half, *pull(scene, x)), h, xp)
+        x = repeat(n - 1, joined, x)
+        return implicit_kick(scene, x, half, *pull(scene, x))
+
+    def counts(self, scene: Scene, n: int) -> int:
+        return n + 1
+
+
+METHODS.add(
+    Herglotz(
+        "herglotz1", 1, herglotz1, kind="gradient",
+        about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, eq. disc-Herglotz",
+        factor=lambda scene, h, xp: 1 - scene.gamma * h,
+    )
+)  # fmt: skip
+METHODS.add(
+    SecondHerglotz(
+        "herglotz2", 2, herglotz2, kind="gradient", symmetric=True,
+        about="Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767",
+        factor=lambda scene, h, xp: (1 - scene.gamma * h / 2) / (1 + scene.gamma * h / 2),
+    )
+)  # fmt: skip

@@ -1,0 +1,131 @@
+"""The variational equations: a scene and its tangent vectors as one larger scene.
+
+    y' = f(y),   v_j' = Df(y) v_j   for every tangent vector v_j of the scene at the initial state.
+
+Any solver runs it as it runs the scene itself, with the same tolerances.  The tangents are part of
+the error control, so the steps are those of the larger system and not those of the plain run.  The
+derivative belongs to the map of the larger run: contact form and drift are evaluated at the states of
+that run, which differ from the plain ones by as much as the tolerance allows (with the plain states
+the mismatch would be counted as drift; measured, up to five times the drift itself).
+
+Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1;
+Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from contactbench.methods.base import Prepared, Request
+from contactbench.scene import Mechanical, Scene, dot
+
+#: ``(scene, x) -> rows``: ∂(rhs)/∂(state) in packed order
+Derivative = Callable[[Scene, Any], Any]
+
+SOURCE = "variational equations, same solver and tolerance"
+
+
+class Bundle(NamedTuple):
+    """A state and its tangent vectors, each a state of the same fields."""
+
+    x: Any
+    v: tuple[Any, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variational(Scene):
+    """The variational equations of `base` with `count` tangent vectors."""
+
+    base: Scene
+    count: int
+    derivative: Derivative
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        own = self.base.labels(carry)
+        return own + [f"d{j + 1} {name}" for j in range(self.count) for name in own]
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
+        x = self.base.initial(carry, **data)
+        return Bundle(x, tuple(self.base.tangents(x)))
+
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Bundle:
+        d = len(y) // (1 + self.count)
+        x, *v = (self.base.unpack(y[i : i + d], carry) for i in range(0, len(y), d))
+        return Bundle(x, tuple(v))
+
+    @staticmethod
+    def pack(state: Bundle) -> list[Any]:
+        return [c for part in (state.x, *state.v) for c in Scene.pack(part)]
+
+    def numbers(self) -> list[float]:
+        return self.base.numbers()
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        return self._replaced(base=self.base.with_numbers(numbers))
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (Variational, self.count, *self.base.structure)
+
+    @property
+    def conformal_rate(self) -> float | None:
+        return self.base.conformal_rate
+
+    def rhs(self, z: Bundle) -> Bundle:
+        carry = tuple(name for name in self.base.optional if getattr(z.x, name) is not None)
+        rows = self.derivative(self.base, z.x)
+        pushed = (
+            self.base.unpack([dot(row, flat) for row in rows], carry) for flat in map(self.base.pack, z.v)
+        )
+        return Bundle(self.base.rhs(z.x), tuple(pushed))
+
+    def jacobian(self, z: Bundle) -> np.ndarray:
+        """diag(Df, …, Df), for the implicit solvers.
+
+        What is left out, the coupling D²f(y) v_j of the tangents to the state, is strictly block
+        triangular: Newton's iteration converges all the same, the tangents one iteration after the
+        state, and the convergence test of the solver sees both.
+        """
+        return np.kron(np.eye(1 + self.count), np.array(self.derivative(self.base, z.x), dtype=float))
+
+
+def numerical_derivative(scene: Scene, carry: tuple[str, ...]) -> Derivative:
+    """Df on plain floats: the scene's own Jacobian, or forward AD of its right-hand side by JAX."""
+    if not isinstance(scene, Mechanical) or scene.hessian is not None:
+        return lambda scene, x: scene.jacobian(x)
+    import jax
+    import jax.numpy as jnp
+
+    def flat(y: Any) -> Any:
+        return jnp.stack(scene.pack(scene.rhs(scene.unpack(list(y), carry))))
+
+    jacobian = jax.jit(jax.jacfwd(flat))
+    return lambda scene, x: np.asarray(jacobian(np.array(scene.pack(x), dtype=float))).tolist()
+
+
+def variational_request(request: Request, derivative: Derivative) -> Request:
+    """The same question about the scene and its tangents."""
+    scene = request.scene
+    count = len(scene.tangents(scene.initial(request.carry)))
+    larger = Variational(
+        name=f"variational equations of {scene.name}",
+        t_end=scene.t_end, base=scene, count=count, derivative=derivative,
+    )  # fmt: skip
+    return replace(request, scene=larger)
+
+
+def integrated(run: Prepared, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States (k, d) and tangents (k, d, m) at the saved times, from a run of a `variational_request`.
+
+    NaN where the run did not get.
+    """
+    scene, carry = run.request.scene, run.request.carry
+    assert isinstance(scene, Variational)
+    x = scene.base.unpack(tuple(y0.tolist()), carry)
+    start = np.array(scene.pack(Bundle(x, tuple(scene.base.tangents(x)))), dtype=float)
+    y = run.integrate(start).y.reshape(-1, 1 + scene.count, len(y0))
+    return y[:, 0], np.moveaxis(y[:, 1:], 1, 2)

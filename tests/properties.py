@@ -1,0 +1,163 @@
+"""What must hold of every subflow, composition and method, as functions that say whether it does.
+
+Used by the tests, and by the mutation check, which counts how many planted errors they notice.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mpmath import mp
+
+import contactbench as cb
+from cases import TILTED, in_mp, random_state
+from contactbench import flows
+from contactbench.precision import contact_defect, local_order, momentum_defect, order_at
+from contactbench.scene import cross, dot, quaternion_product
+
+PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
+ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"]
+BOTH_DAMPINGS = PARTICLE.with_(name="both dampings", mass=1.7, kappa=0.6, s=0.4)
+HEAVY = PARTICLE.with_(name="heavy", mass=1.7)
+H = "0.37"
+#: central differences of step 10⁻¹⁵ at 50 digits: truncation 10⁻³⁰, cancellation 10⁻³⁵
+DELTA, DIFFERENCED = 15, 25
+ROUND_OFF = 45
+
+
+def small(values: Any, digits: int) -> bool:
+    """Whether all are below 10^{−digits} (nan is not)."""
+    return all(abs(value) < mp.mpf(10) ** -digits for value in values)
+
+
+def differences(f: Any, y: list[Any]) -> list[Any]:
+    """∂f/∂y_i by central differences."""
+    delta = mp.mpf(10) ** -DELTA
+
+    def moved(i: int, d: Any) -> Any:
+        return f([c + d * (k == i) for k, c in enumerate(y)])
+
+    return [(moved(i, delta) - moved(i, -delta)) / (2 * delta) for i in range(len(y))]
+
+
+def contact_field(scene: Any, hamiltonian: Any, x: Any) -> list[Any]:
+    """Packed contact vector field of a Hamiltonian of the state, from its differences alone."""
+    slopes = differences(lambda y: hamiltonian(scene.unpack(y, scene.optional)), scene.pack(x))
+    d = scene.unpack(slopes, scene.optional)
+    if isinstance(scene, cb.Mechanical):
+        p = [-a - d.s * b for a, b in zip(d.q, x.p, strict=True)]
+        return [*d.p, *p, dot(x.p, d.p) - hamiltonian(x)]
+    M = [a - d.s * b for a, b in zip(cross(x.M, d.M), x.M, strict=True)]
+    R = [c / 2 for c in quaternion_product(x.R, (0, *d.M))]
+    return [*M, *R, dot(x.M, d.M) - hamiltonian(x)]
+
+
+def residual(scene: Any, flow: Any, field: Any, h: Any) -> list[Any]:
+    """dΦ_h/dh − X(Φ_h), `flow` a function of h and `field` of the state, both packed on return."""
+    delta = mp.mpf(10) ** -DELTA
+    slope = [(a - b) / (2 * delta) for a, b in zip(flow(h + delta), flow(h - delta), strict=True)]
+    here = scene.unpack(flow(h), scene.carry())
+    return [a - b for a, b in zip(slope, field(here), strict=True)]
+
+
+def applied(scene: Any, name: str, x: Any, h: Any, xp: Any = mp) -> list[Any]:
+    """The named subflow for time h, packed."""
+    flow = flows.flows_of(scene)[name]
+    return scene.pack(flow.apply(scene, x, flow.constants(scene, h, xp), xp))
+
+
+def mechanical_flows_solve_their_equations() -> bool:
+    for scene in (HEAVY, BOTH_DAMPINGS):
+        exact, x = in_mp(scene, random_state(scene, 31))
+        parts = {
+            "drift": lambda x, s=exact: s.kinetic(x.p),
+            "kick": lambda x, s=exact: s.V(x.q),
+            "damp": lambda x, s=exact: s.dissipation(x.s),
+            "drift_damp": lambda x, s=exact: s.kinetic(x.p) + s.dissipation(x.s),
+        }
+        for name in flows.flows_of(scene):
+            flow = lambda h, name=name: applied(exact, name, x, h)  # noqa: E731, B023
+            field = lambda x, name=name: contact_field(exact, parts[name], x)  # noqa: E731, B023
+            if not small([a - b for a, b in zip(flow(mp.mpf(0)), scene.pack(x), strict=True)], ROUND_OFF):
+                return False
+            if not small(residual(exact, flow, field, mp.mpf(H)), DIFFERENCED):
+                return False
+    return True
+
+
+def body_flows_solve_their_equations() -> bool:
+    """Each rotation and the damping."""
+    exact, x = in_mp(BODY, random_state(BODY, 32))
+    for axis in range(3):
+        part = lambda x, i=axis: x.M[i] ** 2 / exact.inertia[i] / 2  # noqa: E731
+        flow = lambda h, i=axis: exact.pack(flows.rotation(exact, x, i, h, mp))  # noqa: E731
+        field = lambda x, part=part: contact_field(exact, part, x)  # noqa: E731
+        if not small(residual(exact, flow, field, mp.mpf(H)), DIFFERENCED):
+            return False
+    flow = lambda h: applied(exact, "damp", x, h)  # noqa: E731
+    field = lambda x: contact_field(exact, lambda x: exact.gamma * x.s, x)  # noqa: E731
+    return small(residual(exact, flow, field, mp.mpf(H)), DIFFERENCED)
+
+
+def anisotropic_damping_solves_its_equation() -> bool:
+    """A full D is held as the eigenvectors of float64: orthogonal to 16 digits, whatever the arithmetic."""
+    for scene, digits in ((ANISOTROPIC, DIFFERENCED), (TILTED, 15)):
+        exact, x = in_mp(scene, random_state(scene, 33))
+        field = lambda x, s=exact: [*(-m for m in s.damp_matrix_function(x.M, lambda r: r)), 0, 0, 0, 0]  # noqa: E731
+        flow = lambda h, s=exact, x=x: applied(s, "damp", x, h)  # noqa: E731
+        if not small(residual(exact, flow, field, mp.mpf(H)), digits):
+            return False
+    return True
+
+
+def flows_agree_on_arrays() -> bool:
+    """NumPy arrays (an ensemble), which take the branches traced numbers take, against mpmath."""
+    for scene in (HEAVY, BOTH_DAMPINGS, BODY):
+        x = random_state(scene, 34)
+        exact, z = in_mp(scene, x)
+        twin = scene.with_numbers([np.float64(v) for v in scene.numbers()])
+        ensemble = scene.unpack([np.array([v, v]) for v in scene.pack(x)], scene.carry())
+        for name in flows.flows_of(scene):
+            mine = np.array(applied(twin, name, ensemble, np.float64(H), np))
+            truth = np.array([float(c) for c in applied(exact, name, z, mp.mpf(H))])
+            if not np.allclose(mine, truth[:, None], rtol=1e-13, atol=1e-13):
+                return False
+    return True
+
+
+def parts_applied(composition: Any) -> dict[str, Any]:
+    """For how many steps each part of the Hamiltonian acts in one step."""
+    total: dict[str, Any] = {}
+    for name, coefficient in composition.stages:
+        for part in name.split("_"):
+            total[part] = total.get(part, 0) + coefficient
+    return total
+
+
+def consistent(composition: Any) -> bool:
+    return parts_applied(composition) == {"kick": 1, "drift": 1, "damp": 1}
+
+
+def runs_on(method: Any, *scenes: Any) -> list[Any]:
+    return [scene for scene in scenes if method.refuses(scene) is None]
+
+
+def has_its_order(method: Any, *scenes: Any, n: int = 20) -> bool:
+    """The claimed order, to 0.1, from n, 2n and 4n steps to t = 1."""
+    return all(
+        abs(order_at(method, scene, 1.0, n) - method.order) < 0.1 for scene in runs_on(method, *scenes)
+    )
+
+
+def has_its_local_order(method: Any, *scenes: Any) -> bool:
+    """The claimed order, to 0.01, of a step of 10⁻⁶: its own error is as small as the step."""
+    return all(abs(local_order(method, scene) - method.order) < 0.01 for scene in runs_on(method, *scenes))
+
+
+def has_its_conformal_factor(method: Any, *scenes: Any) -> bool:
+    return small([contact_defect(method, scene, "0.2", 2) for scene in runs_on(method, *scenes)], ROUND_OFF)
+
+
+def has_its_momentum_law(method: Any, *scenes: Any) -> bool:
+    return small([momentum_defect(method, scene, "0.2", 4) for scene in runs_on(method, *scenes)], ROUND_OFF)

@@ -1,0 +1,79 @@
+"""Every method with a conformal factor in 50-digit arithmetic: order, contact form, momentum map."""
+
+from __future__ import annotations
+
+import pytest
+
+import contactbench as cb
+from contactbench.precision import contact_defect, error_at, momentum_defect, order_at
+
+METHODS = [m for m in cb.METHODS.values() if not m.adaptive and (m.contact or m.factor)]
+PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
+#: other parameters, mass and inertia ratios included; a generic attitude
+HEAVY = PARTICLE.with_(name="heavy", gamma=0.35, mass=1.6, coupling=-0.15, q=(0.7, -0.4), p=(0.5, 0.2), s=0.3)
+SLENDER = BODY.with_(
+    name="slender", gamma=0.3, inertia=(0.8, 1.1, 2.5), M=(-0.6, 0.4, 0.9), R=(0.5, 0.5, -0.5, 0.5), s=0.2
+)
+SCENES = [PARTICLE, HEAVY, BODY, SLENDER]
+BEYOND = 1e-45  # 50 digits less what a few hundred operations on numbers of size one lose
+STEPS = 40
+
+each = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
+
+
+def on(*scenes):
+    return pytest.mark.parametrize("scene", scenes, ids=lambda scene: scene.name)
+
+
+def applies(method, scene):
+    """Whether the method runs on the scene; a refusal is checked to be one that says why."""
+    why = method.refuses(scene)
+    if why is None:
+        return True
+    assert scene.name in why
+    assert method.conformal_factor(scene, 0.1) is None
+    return False
+
+
+@each
+@on(*SCENES)
+def test_order_is_the_claimed_one(method, scene):
+    """Slopes over 40, 80 and 160 steps to t = 2, extrapolated; order 8 leaves errors near 10⁻²⁰."""
+    if applies(method, scene):
+        assert order_at(method, scene, 2.0, STEPS) == pytest.approx(method.order, abs=0.02)
+
+
+@each
+@on(*SCENES)
+def test_map_is_conformal_contact_with_the_claimed_factor(method, scene):
+    """Five steps of size 0.2 as one map, at 150 digits."""
+    if applies(method, scene):
+        assert contact_defect(method, scene, "0.2", 5) < BEYOND
+
+
+@each
+@on(CENTRAL, CENTRAL.with_(name="soft", gamma=0.4, stiffness=0.3, p=(-0.2, 0.9)), BODY, SLENDER)
+def test_momentum_map_decays_by_the_claimed_factor(method, scene):
+    if applies(method, scene):
+        assert momentum_defect(method, scene, "0.2", 20) < BEYOND
+
+
+@on(PARTICLE, BODY)
+def test_methods_without_structure_are_seen_to_have_none(scene):
+    """The same measures on RK4, with the factor e^{−γh} it does not have."""
+    rk4 = cb.METHODS["rk4"]
+    claimed = type(rk4)(
+        rk4.name, rk4.order, rk4.step, factor=lambda scene, h, xp: xp.exp(-scene.conformal_rate * h)
+    )
+    assert contact_defect(claimed, scene, "0.2", 5) > 1e-7
+    if scene is BODY:
+        assert momentum_defect(claimed, scene, "0.2", 20) > 1e-7
+    assert order_at(rk4, scene, 2.0, STEPS) == pytest.approx(4, abs=0.02)
+
+
+def test_errors_reach_below_the_round_off_of_float64():
+    """Fourth order at h = 1/2000: an error near 10⁻¹⁶ is still the method's own, not round-off."""
+    rk4 = cb.METHODS["rk4"]
+    coarse, fine = (error_at(rk4, PARTICLE, 0.5, n) for n in (1000, 2000))
+    assert fine < 1e-16
+    assert coarse / fine == pytest.approx(16, rel=0.01)

@@ -1,0 +1,176 @@
+"""The discrete Herglotz principles, and the conformal factor every contact method claims."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import CONTACT_SCENES, USER, by_name, in_mp, random_state
+from contactbench.scene import dot
+
+FIXED = [method for method in cb.METHODS.values() if not method.adaptive]
+HERGLOTZ = [cb.METHODS["herglotz1"], cb.METHODS["herglotz2"]]
+each = pytest.mark.parametrize("method", HERGLOTZ, ids=lambda m: m.name)
+SCENES = [cb.SCENES["particle"].with_(mass=1.7), cb.SCENES["oscillator"].with_(gamma=2.0), USER]
+
+
+def lagrangian(name, scene, h, q0, q1, s0, s1):
+    """The two discrete Lagrangians, written as in their definitions."""
+    v = [(b - a) / h for a, b in zip(q0, q1, strict=True)]
+    kinetic = scene.mass * dot(v, v) / 2
+    if name == "herglotz1":
+        return kinetic - scene.V(q0) - scene.gamma * s0
+    return kinetic - (scene.V(q0) + scene.V(q1)) / 2 - scene.gamma * (s0 + s1) / 2
+
+
+@each
+@by_name(SCENES)
+def test_steps_satisfy_the_discrete_herglotz_principle(method, scene, mp50):
+    """s by its recursion and q by the discrete contact Euler–Lagrange equation, from L alone.
+
+    (1 + h ∂L_k/∂s_k) D₂L_{k−1} / (1 − h ∂L_{k−1}/∂s_k) + D₁L_k = 0, derivatives by central
+    differences; neither p nor any formula of the implementation enters.
+    """
+    exact, x = in_mp(scene, random_state(scene, 21))
+    h, delta = mp50.mpf("0.13"), mp50.mpf(10) ** -15
+    path = [x]
+    for _ in range(2):
+        path.append(method.step(exact, path[-1], h, mp50))
+    L = lambda *a: lagrangian(method.name, exact, h, *a)  # noqa: E731
+
+    def partial(arguments, which, i=None):
+        def at(d):
+            moved = list(arguments)
+            if i is None:
+                moved[which] = moved[which] + d
+            else:
+                moved[which] = tuple(c + d * (k == i) for k, c in enumerate(moved[which]))
+            return L(*moved)
+
+        return (at(delta) - at(-delta)) / (2 * delta)
+
+    (a, b, c) = path
+    first, second = (a.q, b.q, a.s, b.s), (b.q, c.q, b.s, c.s)
+    for before, after, arguments in ((a, b, first), (b, c, second)):
+        assert abs(after.s - before.s - h * L(*arguments)) < mp50.mpf(10) ** -45
+    weight = (1 + h * partial(second, 2)) / (1 - h * partial(first, 3))
+    for i in range(len(x.q)):
+        equation = weight * partial(first, 1, i) + partial(second, 0, i)
+        assert abs(equation) < mp50.mpf(10) ** -27  # differences: 10⁻³⁰ truncation, 10⁻³⁵ cancellation
+
+
+def test_second_method_is_the_published_one(mp50):
+    """q⁺ and p⁺ as Vermeeren, Bravetti and Seri print them (mass 1)."""
+    exact, x = in_mp(cb.SCENES["particle"], random_state(cb.SCENES["particle"], 22))
+    h, g = mp50.mpf("0.2"), exact.gamma
+    out = cb.METHODS["herglotz2"].step(exact, x, h, mp50)
+    before, after = exact.dV(x.q), exact.dV(out.q)
+    for i in range(2):
+        q = x.q[i] + h * (1 - g * h / 2) * x.p[i] - h * h * before[i] / 2
+        p = ((1 - g * h / 2) * x.p[i] - h / 2 * (before[i] + after[i])) / (1 + g * h / 2)
+        assert abs(out.q[i] - q) < mp50.mpf(10) ** -45
+        assert abs(out.p[i] - p) < mp50.mpf(10) ** -45
+
+
+@each
+def test_shared_gradients_change_nothing_and_are_counted(method, mp50):
+    scene = cb.SCENES["particle"]
+    exact, x = in_mp(scene, random_state(scene, 23))
+    h = mp50.mpf("0.2")
+    together, apart = method.advance(exact, x, h, 5, mp50), x
+    for _ in range(5):
+        apart = method.step(exact, apart, h, mp50)
+    for a, b in zip(scene.pack(together), scene.pack(apart), strict=True):
+        assert abs(a - b) < mp50.mpf(10) ** -45
+    calls = [0]
+
+    def counted(q, **parameters):
+        calls[0] += 1
+        return scene.gradient(q, **parameters)
+
+    method.advance(scene._replaced(gradient=counted), random_state(scene), 0.1, 7, math)
+    assert calls[0] == method.counts(scene, 7)
+
+
+def test_without_damping_both_are_symplectic_euler_and_verlet():
+    scene = cb.SCENES["particle"].with_(gamma=0.0)
+    h, x = 0.1, cb.SCENES["particle"].initial(())
+    p = [a - h * g for a, g in zip(x.p, scene.dV(x.q), strict=True)]
+    euler = cb.METHODS["herglotz1"].step(scene, x, h, math)
+    np.testing.assert_array_equal(euler.p, p)
+    verlet, strang = (cb.METHODS[m].advance(scene, x, h, 50, math) for m in ("herglotz2", "contact-strang"))
+    np.testing.assert_allclose(scene.pack(verlet), scene.pack(strang), rtol=0, atol=1e-14)  # other rounding
+
+
+@by_name(CONTACT_SCENES)
+@pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
+def test_claimed_conformal_factor_is_kept_to_round_off_over_many_steps(method, scene):
+    """Φ*η = cⁿ η in float64 by AD, for every method and scene with a factor c (none: not `contact`)."""
+    step, n = 0.05, 20
+    factor = method.conformal_factor(scene, step)
+    if factor is None:
+        assert method.refuses(scene) or not (method.contact or method.factor)
+        return
+    from contactbench.laws import pullbacks
+
+    solution = cb.solve(scene, method.name, step=step, save_at=[step * n])
+    pulled, form = pullbacks(solution)
+    bound = 1e-14 * n * np.abs(solution.sensitivity).max()  # a few roundings per stage
+    np.testing.assert_allclose(pulled[0] / factor**n, form, rtol=0, atol=bound)
+
+
+def test_factors_are_the_documented_ones():
+    scene = cb.SCENES["particle"].with_(gamma=0.4)
+    assert cb.METHODS["herglotz1"].conformal_factor(scene, 0.5) == 1 - 0.4 * 0.5
+    assert cb.METHODS["herglotz2"].conformal_factor(scene, 0.5) == (1 - 0.1) / (1 + 0.1)
+    assert cb.METHODS["contact-strang"].conformal_factor(scene, 0.5) == math.exp(-0.2)
+    assert cb.METHODS["rk4"].conformal_factor(scene, 0.5) is None
+    assert cb.METHODS["contact-abc"].conformal_factor(scene.with_(kappa=0.3), 0.5) is None
+
+
+@pytest.mark.parametrize(("name", "order"), [("herglotz1", 1), ("herglotz2", 2)])
+def test_contact_drift_sees_the_factor_and_distribution_drift_does_not(name, order):
+    """σⁿ against e^{−γt}: an error of order h, or h², in the factor alone."""
+    scene = cb.SCENES["particle"]
+    solutions = [cb.solve(scene, name, step=h, save_at=[5.0, 10.0]) for h in (0.1, 0.05, 0.025, 0.0125)]
+    drifts = [cb.LAWS["contact_drift"](s) for s in solutions]
+    assert drifts[0] > 1e-6  # γt (γh)²/12 = 8.3e-6 for the second method
+    for coarse, fine in pairwise(drifts):
+        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.05)
+    steps = 100
+    expected = cb.METHODS[name].conformal_factor(scene, 0.1) ** steps / math.exp(-scene.gamma * 10.0) - 1
+    assert drifts[0] == pytest.approx(abs(expected), rel=1e-9)
+    # measured 3e-15; the tangents grow to about 30 on the way
+    assert max(cb.LAWS["distribution_drift"](s) for s in solutions) < 1e-13
+
+
+@pytest.mark.parametrize("method", [m for m in FIXED if m.symmetric], ids=lambda m: m.name)
+@by_name([cb.SCENES["particle"], cb.SCENES["rigid_body"], USER])
+def test_symmetric_methods_return(method, scene, mp50):
+    if method.refuses(scene):
+        assert isinstance(scene, cb.RigidBody)
+        return
+    exact, x = in_mp(scene, random_state(scene, 24))
+    h = mp50.mpf("0.2")
+    back = method.step(exact, method.step(exact, x, h, mp50), -h, mp50)
+    for a, b in zip(scene.pack(back), scene.pack(x), strict=True):
+        assert abs(a - b) < mp50.mpf(10) ** -44
+
+
+@each
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        (cb.SCENES["rigid_body"], "needs a configuration q"),
+        (cb.SCENES["particle"].with_(kappa=0.5), "derived for Γ = γ s"),
+    ],
+    ids=["body", "kappa"],
+)
+def test_refusals_say_why(method, scene, says):
+    solution = cb.solve(scene, method.name, step=0.1)
+    assert solution.status is cb.Status.unsupported
+    assert says in solution.message

@@ -1,0 +1,176 @@
+"""The tests' own sensitivity: every wrong sign in a subflow and every wrong coefficient is noticed.
+
+Mutants are made one at a time, of the source (each + and − and unary minus) and of the data (each
+coefficient by one part in a thousand), and shown to the properties of properties.py.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from fractions import Fraction
+from types import ModuleType
+from typing import Any
+
+import pytest
+from mpmath import mp
+
+import contactbench as cb
+import properties
+from contactbench import flows
+from contactbench.composition import COMPOSITIONS
+from contactbench.methods import herglotz
+from contactbench.methods.contact import contact_method
+from properties import BODY, CENTRAL, PARTICLE
+
+STRUCTURED = [cb.METHODS[name] for name in ("contact-abc", "contact-strang", "herglotz1", "herglotz2")]
+MUTATED = [
+    (flows, ("kick", "drift", "damp", "drift_damp", "rotation", "body_damp", "damped_time", "damping")),
+    (flows, ("_damp_constants", "_drift_damp_constants", "_body_damp_constants")),
+    (herglotz, ("explicit_kick", "implicit_kick")),
+]
+
+
+def every(check: Callable[..., bool], *scenes: Any) -> bool:
+    return all(check(method, *scenes) for method in STRUCTURED)
+
+
+PROPERTIES: dict[str, Callable[[], bool]] = {
+    "own equations": lambda: (
+        properties.mechanical_flows_solve_their_equations()
+        and properties.body_flows_solve_their_equations()
+        and properties.anisotropic_damping_solves_its_equation()
+    ),
+    "arrays": properties.flows_agree_on_arrays,
+    "conformal factor": lambda: every(properties.has_its_conformal_factor, PARTICLE, BODY),
+    "momentum law": lambda: every(properties.has_its_momentum_law, CENTRAL, BODY),
+    "order": lambda: every(properties.has_its_order, PARTICLE, BODY),
+}
+
+
+def noticed(check: Callable[[], bool]) -> bool:
+    """Whether a property fails or cannot even be evaluated."""
+    try:
+        with mp.workdps(50):
+            return not check()
+    except (ArithmeticError, ValueError, IndexError, TypeError):
+        return True
+
+
+# -- signs -----------------------------------------------------------------------------------------
+def signs(tree: ast.AST) -> list[ast.AST]:
+    """Every binary + and − and every unary minus."""
+    return [
+        node
+        for node in ast.walk(tree)
+        if (isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub))
+        or (isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub))
+    ]
+
+
+def flipped(function: Callable[..., Any]) -> Iterator[tuple[str, Callable[..., Any]]]:
+    """The function with one sign flipped, for each of its signs, and the line it happened on."""
+    source = textwrap.dedent(inspect.getsource(function))
+    for k in range(len(signs(ast.parse(source)))):
+        tree = ast.parse(source)
+        node: Any = signs(tree)[k]
+        before = ast.unparse(node)
+        if isinstance(node, ast.UnaryOp):
+            node.op = ast.UAdd()
+        else:
+            node.op = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
+        namespace = dict(vars(inspect.getmodule(function)))  # type: ignore[arg-type]
+        exec(compile(tree, f"<{function.__name__} mutant {k}>", "exec"), namespace)
+        yield f"{function.__name__}: {before} → {ast.unparse(node)}", namespace[function.__name__]
+
+
+def install(patch: pytest.MonkeyPatch, module: ModuleType, name: str, mutant: Callable[..., Any]) -> None:
+    """Put a mutant wherever its original is used."""
+    original = getattr(module, name)
+    patch.setattr(module, name, mutant)
+    for table in (flows.MECHANICAL, flows.BODY):
+        for key, flow in table.items():
+            uses = {f: mutant for f in ("constants", "apply") if getattr(flow, f) is original}
+            patch.setitem(table, key, flow._replace(**uses))
+
+
+def test_the_code_as_it_is_has_every_property():
+    assert [name for name, check in PROPERTIES.items() if noticed(check)] == []
+    assert [c.name for c in COMPOSITIONS if not properties.consistent(c)] == []
+    for method in map(contact_method, COMPOSITIONS):
+        assert properties.has_its_local_order(method, PARTICLE, BODY), method.name
+
+
+def test_every_flipped_sign_is_noticed(record_property):
+    caught: dict[str, list[str]] = {}
+    for module, names in MUTATED:
+        for name in names:
+            for label, mutant in flipped(getattr(module, name)):
+                with pytest.MonkeyPatch.context() as patch:
+                    install(patch, module, name, mutant)
+                    caught[label] = [which for which, check in PROPERTIES.items() if noticed(check)]
+    score = sum(map(bool, caught.values())), len(caught)
+    record_property("signs", score)
+    by_property = {which: sum(which in found for found in caught.values()) for which in PROPERTIES}
+    print(f"\nsigns: {score[0]} of {score[1]} mutants noticed; by property: {by_property}")
+    assert [label for label, found in caught.items() if not found] == []
+    assert score[1] >= 33  # the source really was parsed
+    assert not noticed(PROPERTIES["own equations"])  # and is whole again
+
+
+# -- coefficients ----------------------------------------------------------------------------------
+RELATIVE = Fraction(1, 1000)
+
+
+def changed(composition: Any, changes: dict[int, Fraction]) -> Any:
+    stages = tuple((name, c + changes.get(i, 0)) for i, (name, c) in enumerate(composition.stages))
+    return replace(composition, stages=stages)
+
+
+def unbalanced(composition: Any) -> Iterator[Any]:
+    """One coefficient off, the sum broken."""
+    for i, (_, c) in enumerate(composition.stages):
+        yield changed(composition, {i: c * RELATIVE})
+
+
+def balanced(composition: Any) -> Iterator[Any]:
+    """One coefficient off and the next of its kind off the other way, the sum kept."""
+    for i, (name, c) in enumerate(composition.stages):
+        later = [j for j in range(i + 1, len(composition.stages)) if composition.stages[j][0] == name]
+        if later:
+            yield changed(composition, {i: c * RELATIVE, later[0]: -c * RELATIVE})
+
+
+@pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
+def test_every_wrong_coefficient_is_noticed(composition, record_property):
+    mutants = list(unbalanced(composition))
+    by_property = {"consistency": 0, "conformal factor": 0, "order": 0}
+    missed = []
+    for mutant in mutants:
+        method = contact_method(mutant)
+        found = {
+            "consistency": not properties.consistent(mutant),
+            # only a coefficient of the damping enters the factor
+            "conformal factor": noticed(lambda m=method: properties.has_its_conformal_factor(m, PARTICLE)),
+            "order": noticed(lambda m=method: properties.has_its_order(m, PARTICLE, n=20)),
+        }
+        by_property = {which: n + found[which] for which, n in by_property.items()}
+        if not any(found.values()):
+            missed.append(mutant.stages)
+    record_property("coefficients", (len(mutants) - len(missed), len(mutants)))
+    print(f"\n{composition.name}: {len(mutants) - len(missed)} of {len(mutants)} noticed; {by_property}")
+    assert missed == []
+
+
+@pytest.mark.parametrize("composition", [c for c in COMPOSITIONS if c.palindromic], ids=lambda c: c.name)
+def test_a_wrong_coefficient_that_keeps_the_sum_is_noticed_by_the_order(composition):
+    """Not asked of `contact-printed`: of order 1 is any composition whose sums are right."""
+    mutants = list(balanced(composition))
+    assert mutants
+    for mutant in mutants:
+        assert properties.consistent(mutant)
+        method = contact_method(mutant)
+        assert noticed(lambda m=method: properties.has_its_local_order(m, PARTICLE)), mutant.stages

@@ -1,0 +1,109 @@
+"""Γ(s) = ½κs²: the laws where the rate of decay changes along the motion."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import random_state
+from contactbench.laws import decay_rate, laws_of, pullbacks
+
+SCENE = cb.SCENES["quadratic_damping"]
+TIMES = SCENE.t_end * np.arange(1, 26) / 25
+LAWS = ("hamiltonian_law", "momentum_law", "contact_drift")
+
+
+def solve(method, **setting):
+    return cb.solve(SCENE, method, save_at=TIMES, **setting)
+
+
+def test_hamiltonian_and_momentum_decay_at_the_rate_of_the_moment():
+    """H' = −κs H and J' = −κs J at a generic state, s of either sign, by AD."""
+    for seed in (1, 2):
+        x = random_state(SCENE, seed)
+        y, slope = (jnp.array(SCENE.pack(state)) for state in (x, SCENE.rhs(x)))
+        for quantity in (SCENE.hamiltonian, lambda x: SCENE.momentum(x)[0]):
+            value, rate = jax.jvp(lambda y, f=quantity: f(SCENE.unpack(list(y), ("s",))), (y,), (slope,))
+            np.testing.assert_allclose(rate, -SCENE.kappa * x.s * value, rtol=1e-12, atol=1e-13)
+
+
+def test_default_data_stay_away_from_antidamping_and_the_rate_really_changes():
+    s = cb.reference(SCENE, TIMES).states().s
+    assert s.min() > 0.15
+    assert SCENE.s > 5 * s[-1]
+
+
+def test_the_laws_apply_and_take_their_rate_from_the_truth():
+    assert set(LAWS) <= {law.name for law in laws_of(SCENE)}
+    assert "momentum_balance" not in {law.name for law in laws_of(SCENE)}
+    assert "energy_increases" not in {law.name for law in laws_of(SCENE)}
+    truth = cb.reference(SCENE, TIMES)
+    rate = decay_rate(solve("scipy-dop853", rtol=1e-6))
+    J = SCENE.momentum(truth.states())[0] / SCENE.momentum(SCENE.initial(("s",)))[0]
+    np.testing.assert_allclose(np.exp(-rate * TIMES), J, rtol=1e-13)  # H and J decay alike
+    # and so does the integral of κs, here by the trapezoidal rule over the frozen grid (error h²/12)
+    grid = SCENE.t_end * np.arange(201) / 200
+    integral = np.trapezoid(SCENE.kappa * cb.reference(SCENE, grid).states().s, grid)
+    assert rate[-1] * SCENE.t_end == pytest.approx(integral, rel=1e-3)
+
+
+def test_rate_is_finite_at_a_saved_start():
+    solution = cb.solve(SCENE, "rk4", step=0.01, save_at=[0.0, 0.1])
+    assert decay_rate(solution)[0] == 0
+    assert cb.LAWS["momentum_law"](solution) < 1e-8
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_an_accurate_run_keeps_the_laws_and_a_rough_one_does_not(name):
+    tight, rough = (cb.LAWS[name](solve("scipy-dop853", rtol=rtol)) for rtol in (1e-12, 1e-4))
+    assert tight < 1e-9  # 1e-12 per step over about 300 steps, and the factor e^{∫Γ'} = 45
+    assert rough > 1e-6
+
+
+def test_contact_methods_are_contact_maps_whose_factor_has_the_order_of_the_method():
+    """Not the truth's factor, hence no round-off for drift and momentum, but the distribution is kept."""
+    assert not cb.LAWS["momentum_law"].structural_on(SCENE)
+    assert cb.LAWS["momentum_law"].structural_on(cb.SCENES["central"])
+    assert cb.LAWS["distribution_drift"].structural_on(SCENE)
+    solutions = [solve("contact-abc", step=h) for h in (0.1, 0.05, 0.025)]
+    for name in ("momentum_law", "contact_drift"):
+        drifts = [cb.LAWS[name](solution) for solution in solutions]
+        assert drifts[-1] > 1e-7
+        for coarse, fine in pairwise(drifts):
+            assert math.log2(coarse / fine) == pytest.approx(2, abs=0.1)
+    # measured 1e-14
+    assert max(cb.LAWS["distribution_drift"](solution) for solution in solutions) < 1e-12
+
+
+def test_the_factor_of_a_contact_method_is_the_ratio_by_which_its_momentum_decays():
+    """Φ*η = (J(Φ)/J) η exactly: damping multiplies p, hence J and η, and nothing else touches either."""
+    solution = solve("contact-abc", step=0.2)
+    pulled, form = pullbacks(solution)
+    ratio = SCENE.momentum(solution.states())[0] / SCENE.momentum(solution.start())[0]
+    np.testing.assert_allclose(
+        pulled / ratio[:, None], np.tile(form, (25, 1)), rtol=0, atol=1e-12
+    )  # measured 2e-15
+
+
+@pytest.mark.parametrize("method", ["contact-rkn6", "herglotz1", "herglotz2"])
+def test_methods_that_need_a_constant_rate_refuse(method):
+    solution = cb.solve(SCENE, method, step=0.1)
+    assert solution.status is cb.Status.unsupported
+    assert SCENE.name in solution.message
+
+
+def test_hamiltonian_zero_gives_no_rate():
+    """At rest in the minimum with s = 0: said, not divided by."""
+    scene = cb.Mechanical(
+        name="level", potential=lambda q: q[0] * q[0] / 2, gradient=lambda q: (q[0],),
+        q=(0.0,), p=(0.0,), s=0.0, kappa=0.5, t_end=1.0,
+    )  # fmt: skip
+    solution = cb.solve(scene, "rk4", step=0.1)
+    with pytest.raises(cb.BadInput, match=r"H\(0\) = 0"):
+        cb.LAWS["hamiltonian_law"](solution)
