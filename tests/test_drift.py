@@ -104,3 +104,14 @@ def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
     ahead, behind = (run(q=(0.4 + d, -0.7)).y[0] for d in (step, -step))
     np.testing.assert_allclose(here.sensitivity[0, :, 0], (ahead - behind) / (2 * step), rtol=0, atol=1e-5)
     assert np.abs(here.sensitivity - run().sensitivity).max() > 0.05
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_matrix_product_and_plain_components_push_the_same_tangents(name):
+    from contactbench.methods.callback import flat_rhs, variational
+
+    larger = variational(cb.prepare(name, "scipy-radau", rtol=1e-6).request)
+    scene, carry = larger.scene, larger.carry
+    y = np.random.default_rng(41).normal(size=len(scene.labels(carry))).tolist()
+    by_components = scene.pack(scene.rhs(scene.unpack(y, carry)))
+    np.testing.assert_allclose(list(flat_rhs(scene, carry)(y)), by_components, rtol=1e-14, atol=1e-14)
