@@ -1,0 +1,2 @@
+"""Claims about the damped rigid body (§4 of the paper)."""
+from contactbench.claims.ledger import claim  # noqa: F401
