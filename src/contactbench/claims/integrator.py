@@ -1,2 +1,539 @@
-"""Claims about the damped rigid body (§4 of the paper)."""
-from contactbench.claims.ledger import claim  # noqa: F401
+"""Claims about the integrators and the numerical example (§5 and §6 of the paper, and its conclusion)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from contactbench.analysis import fit_line
+from contactbench.claims.calculus import (
+    ROUND_OFF,
+    ROUND_OFF_WHY,
+    along,
+    canonical,
+    contact_equations,
+    eta,
+    everywhere,
+    largest,
+    packed,
+    points,
+    pullback,
+)
+from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
+from contactbench.flows import MECHANICAL, Flow
+from contactbench.laws import LAWS
+from contactbench.methods import METHODS, solve
+from contactbench.methods.fixed_step import FixedStep, trajectory
+from contactbench.references import decimal_context, reference, with_decimals
+from contactbench.scene import Mechanical, State
+from contactbench.scenes import SCENES
+
+PARTICLE = "particle"
+PRINTED, ABC, STRANG, RK4 = "contact-printed", "contact-abc", "contact-strang", "rk4"
+DIGITS = 50
+#: a fitted order may miss the nominal one by this much at the step sizes used
+ORDER_MISS, ORDER_WHY = 0.1, "higher-order terms at h = 1/8 … 1/128 bend the slope by a few per cent"
+PAPER_STEP = 0.01
+
+
+# -- orders in high precision ----------------------------------------------------------------------
+def gap(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """max |a − b|."""
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+
+
+@lru_cache
+def exact_numbers(scene_name: str, changes: tuple = ()) -> tuple[Any, Mechanical, Mechanical]:
+    """A 50-digit number namespace, the scene, and the scene with such numbers."""
+    context = decimal_context(DIGITS)
+    scene = SCENES[scene_name].with_(**dict(changes))
+    return context, scene, with_decimals(scene, context.mpf)
+
+
+END, LADDER = 4, (8, 16, 32, 64, 128)
+
+
+def exact_errors(method: FixedStep, scene_name: str = PARTICLE) -> dict[float, float]:
+    """max ‖(q, p) − true‖ over t = 1, …, 4 against the step, everything in 50 digits."""
+    context, scene, twin = exact_numbers(scene_name)
+    truth = [[context.mpf(x) for x in row] for row in reference(scene, range(1, END + 1), ()).decimals]
+    errors = {}
+    for n in LADDER:
+        h = context.mpf(1) / n
+        states = trajectory(method, twin, twin.initial(()), [(h, n)] * END, context)
+        errors[1 / n] = float(max(gap(twin.pack(x), y) for x, y in zip(states, truth, strict=True)))
+    return errors
+
+
+def slope(errors: dict[float, float]) -> float:
+    """The order: least-squares slope of log error against log step."""
+    h, e = np.array(list(errors)), np.array(list(errors.values()))
+    return fit_line(np.log(h), np.log(e))[0]
+
+
+@lru_cache
+def asymmetry(name: str) -> float:
+    """|Φ_{−h} Φ_h x − x| in 50 digits for one step of h = 1/10."""
+    context, _, twin = exact_numbers(PARTICLE)
+    x, h = twin.initial(("s",)), context.mpf(1) / 10
+    method = METHODS[name]
+    back = method.advance(twin, method.advance(twin, x, h, 1, context), -h, 1, context)
+    return float(gap(twin.pack(back), twin.pack(x)))
+
+
+# -- the discrete Herglotz principle ---------------------------------------------------------------
+def discrete_lagrangian(scene: Mechanical, q0: Any, q1: Any, s: Any, h: Any) -> Any:
+    """L(q_k, q_{k+1}, s_k) = ½‖(q_{k+1} − q_k)/h‖² − V(q_k) − γ s_k."""
+    v = [(b - a) / h for a, b in zip(q0, q1, strict=True)]
+    return sum(c * c for c in v) / 2 - scene.V(tuple(q0)) - scene.gamma * s
+
+
+def herglotz_step(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
+    """One step of the recursion s_{k+1} = s_k + h L with its discrete Euler–Lagrange equation.
+
+    Stationarity of s_N in q_k reads (1 + h ∂_s L_k) D₂L_{k−1} + D₁L_k = 0 (Vermeeren, Bravetti, Seri,
+    J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767); with p_k = h D₂L_{k−1} it is explicit:
+    v = (1 − γh) p_k − h ∇V(q_k), q_{k+1} = q_k + h v, p_{k+1} = v.
+    """
+    v = tuple((1 - scene.gamma * h) * p - h * g for p, g in zip(x.p, scene.dV(x.q), strict=True))
+    q = tuple(q + h * c for q, c in zip(x.q, v, strict=True))
+    s = None if x.s is None else x.s + h * discrete_lagrangian(scene, x.q, q, x.s, h)
+    return State(q, v, s)
+
+
+HERGLOTZ = FixedStep("discrete Herglotz", 1, herglotz_step)
+
+
+def one_step(method: FixedStep, scene: Mechanical, h: float) -> Any:
+    """Φ_h as a JAX map of (q, p, s)."""
+    return lambda y: packed(method.advance(scene, canonical(y), h, 1, jnp))
+
+
+def symplectic_defect(map_: Any, y: Any) -> Any:
+    """DΦᵀ Ω DΦ − Ω of the (q, p) part."""
+    n = (len(y) - 1) // 2
+    derivative = jax.jacfwd(map_)(y)[: 2 * n, : 2 * n]
+    omega = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.eye(n), jnp.zeros((n, n))]])
+    return derivative.T @ omega @ derivative - omega
+
+
+@claim("C23", "eq:disc-Herglotz", "s_{k+1} = s_k + h L(q_k, q_{k+1}, s_k) with variations of q_k is a variational "
+       "integrator, and reduces to the symplectic one when L does not depend on s.",
+       scene=PARTICLE, method="discrete Herglotz, L = ½‖v‖² − V(q_k) − γ s_k")  # fmt: skip
+def discrete_herglotz() -> Evidence:
+    scene, h, steps = SCENES[PARTICLE], 0.1, 20
+    path = [scene.initial(("s",))]
+    for _ in range(steps):
+        path.append(herglotz_step(scene, path[-1], h, math))
+    q = jnp.array([x.q for x in path])
+
+    def action(inner):
+        """s_N along a discrete curve with the ends q_0 and q_N held."""
+        curve, s = [q[0], *inner, q[-1]], scene.s
+        for a, b in zip(curve[:-1], curve[1:], strict=True):
+            s = s + h * discrete_lagrangian(scene, a, b, s, h)
+        return s
+
+    stationary = np.abs(jax.jit(jax.grad(action))(q[1:-1])).max()
+    free = one_step(HERGLOTZ, scene.with_(gamma=0.0), h)
+    order = slope(exact_errors(HERGLOTZ))
+    return Evidence(
+        [
+            at_most("max |∂s_N/∂q_k| along a computed curve of 20 steps", stationary, ROUND_OFF,
+                    ROUND_OFF_WHY),
+            at_most("|order − 1|, 50 digits", abs(order - 1), ORDER_MISS, ORDER_WHY),
+            at_most("max |DΦᵀΩDΦ − Ω| at γ = 0", largest(lambda y: symplectic_defect(free, y), points(5)), ROUND_OFF,
+                    ROUND_OFF_WHY),
+        ]
+    )  # fmt: skip
+
+
+# -- subflows and compositions ---------------------------------------------------------------------
+def flow_map(flow: Flow, scene: Mechanical) -> Any:
+    """(h, y) ↦ φ_h(y)."""
+    return lambda h, y: packed(flow.apply(scene, canonical(y), flow.constants(scene, h, jnp), jnp))
+
+
+def flow_defect(flow: Any, hamiltonian: Any) -> float:
+    """max |dφ_h/dh − X_H(φ_h)| and |φ_0 − id| at random points and random h: 0 for the exact flow."""
+    field = contact_equations(hamiltonian)
+
+    def defect(point):
+        h, y = point[0], point[1:]
+        value, rate = jax.jvp(lambda h: flow(h, y), (h,), (1.0,))
+        return jnp.append(rate - field(value), flow(0.0, y) - y)
+
+    return largest(defect, points(6))
+
+
+@claim("C24", "eq:A-flow, eq:B-flow, eq:C-flow", "The three subflows are the exact contact flows of T, V and γ s.",
+       kind=Correction.extends, scene=PARTICLE, method="the subflows of contact-*",
+       correction="A's update s += h T(p) needs T homogeneous of degree two; in general s += h (p·∂T/∂p − T).")  # fmt: skip
+def subflows() -> Evidence:
+    scene = SCENES[PARTICLE]
+    parts = {
+        "A (drift)": ("drift", lambda x: scene.kinetic(x.p)),
+        "B (kick)": ("kick", lambda x: scene.V(x.q)),
+        "C (damp)": ("damp", lambda x: scene.gamma * x.s),
+        "A and C together (drift_damp)": ("drift_damp", lambda x: scene.kinetic(x.p) + scene.gamma * x.s),
+    }
+    exact = [
+        at_most(f"max |dφ_h/dh − X(φ_h)|, |φ_0 − id|: {label}",
+                flow_defect(flow_map(MECHANICAL[name], scene), lambda y, H=part: H(canonical(y))), ROUND_OFF, ROUND_OFF_WHY)
+        for label, (name, part) in parts.items()
+    ]  # fmt: skip
+    stretch = {"kick": 1.0, "drift": 1.0, "damp": math.exp(-scene.gamma * 0.7)}
+    contact = max(
+        largest(lambda y, f=flow_map(MECHANICAL[name], scene), c=factor: pullback(lambda z: f(0.7, z), eta, y) - c * eta(y),
+                points(5))
+        for name, factor in stretch.items()
+    )  # fmt: skip
+
+    def quartic(y):
+        return jnp.sum(y[2:4] ** 4) / 4
+
+    def drift(general):
+        def flow(h, y):
+            T, p_T = quartic(y), jnp.sum(y[2:4] ** 4)
+            return jnp.concatenate([y[:2] + h * y[2:4] ** 3, y[2:4], jnp.array([y[4] + h * (p_T - T if general else T)])])
+
+        return flow
+
+    return Evidence(
+        [*exact, at_most("max |φ_h*η − e^{−γh}η| (A, B: factor 1)", contact, ROUND_OFF, ROUND_OFF_WHY)],
+        [
+            at_most("A with s += h (p·T_p − T) for T = ¼ Σ p⁴", flow_defect(drift(True), quartic), 10 * ROUND_OFF,
+                    "round-off of AD on numbers of size up to 100"),
+            at_least("A as printed, s += h T, for the same T", flow_defect(drift(False), quartic), 1e-3,
+                     "far above round-off: it is not the flow"),
+        ],
+    )  # fmt: skip
+
+
+@claim("C25", "eq:Strang-Integrator, §5.2", "Φ_h = B½ A C B½ is symmetric and second order.", kind=Correction.replaces,
+       correction="For γ > 0 it is first order and not time-symmetric, because A and C do not commute. The palindrome "
+       "B½ A½ C A½ B½ is symmetric and second order; so is B½ (AC) B½ with the exact joint flow of A and C.",
+       scene=PARTICLE, method="contact-printed; corrected: contact-abc, contact-strang")  # fmt: skip
+def printed_composition() -> Evidence:
+    palindromes = [METHODS[name] for name in (ABC, STRANG)]
+    return Evidence(
+        [
+            at_least("order of contact-printed, 50 digits", slope(exact_errors(METHODS[PRINTED])), 2 - ORDER_MISS, ORDER_WHY),
+            at_most("|Φ_{−h} Φ_h x − x| at h = 1/10, 50 digits", asymmetry(PRINTED), 1e-40, "round-off at 50 digits"),
+        ],
+        [
+            at_least("smallest order of contact-abc and contact-strang", min(slope(exact_errors(m)) for m in palindromes),
+                     2 - ORDER_MISS, ORDER_WHY),
+            at_most("largest |Φ_{−h} Φ_h x − x| of the two", max(asymmetry(m.name) for m in palindromes), 1e-40,
+                    "round-off at 50 digits"),
+        ],
+    )  # fmt: skip
+
+
+STEPS_OF_ANY_SIZE = (0.5, 0.1, 0.02)
+
+
+def step_drift(name: str, h: float) -> float:
+    """max ‖Φ_h*η − e^{−γh}η‖/‖e^{−γh}η‖ of one step at random points."""
+    scene = SCENES[PARTICLE]
+    decay = math.exp(-scene.gamma * h)
+    map_ = one_step(METHODS[name], scene, h)
+    return float(
+        everywhere(lambda y: jnp.linalg.norm(pullback(map_, eta, y) / decay - eta(y)) / jnp.linalg.norm(eta(y)), points(5)).max()
+    )
+
+
+@claim("C26", "§5.2", "The integrator preserves the contact structure up to O(h³).", kind=Correction.sharpens,
+       correction="Every step is an exact conformal contact map, Φ_h*η = e^{−γh}η, at every step size: a composition of "
+       "exact contact flows leaves nothing to O(h³).", scene=PARTICLE, method="contact-printed, contact-abc, contact-strang")  # fmt: skip
+def contact_structure() -> Evidence:
+    drifts = {h: max(step_drift(name, h) for name in (PRINTED, ABC, STRANG)) for h in STEPS_OF_ANY_SIZE}
+    long = solve(SCENES[PARTICLE], PRINTED, step=0.5, save_at=[SCENES[PARTICLE].t_end])
+    return Evidence(
+        [at_most(f"drift of one step over h³, h = {STEPS_OF_ANY_SIZE}", max(d / h**3 for h, d in drifts.items()), 1.0,
+                 "a constant of size one in O(h³)")],
+        [
+            at_most(f"drift of one step, h = {STEPS_OF_ANY_SIZE}", max(drifts.values()), ROUND_OFF, ROUND_OFF_WHY),
+            at_most("contact_drift of contact-printed over T = 20 at h = ½", LAWS["contact_drift"](long), ROUND_OFF,
+                    "round-off of 40 steps"),
+        ],
+    )  # fmt: skip
+
+
+def energy_errors(name: str, scene: Mechanical, counts: Sequence[int]) -> dict[float, float]:
+    """The paper's measure, max |H0 − H0*| over 20 equal times, against the step (double precision)."""
+    t = scene.t_end * np.arange(1, 21) / 20
+    truth = scene.energy(reference(scene, t, ()).states())
+    errors = {}
+    for n in counts:
+        h = scene.t_end / (20 * n)
+        run = solve(scene, name, step=h, save_at=t, carry=(), engine="python")
+        errors[h] = float(np.abs(scene.energy(run.states()) - truth).max())
+    return errors
+
+
+ENERGY_LADDER = (4, 8, 16, 32, 64)
+
+
+@claim("C27", "§5.2", "The integrator has the correct decay of both H0 and s.", kind=Correction.repairs,
+       correction="To the method's order only. What is exact at every step size is the conformal factor e^{−γh}, hence J and, "
+       "for the body, ‖M‖.", scene="particle; J: central, ‖M‖: rigid_body", method="contact-printed; orders: also contact-abc")  # fmt: skip
+def energy_and_action_decay() -> Evidence:
+    scene = SCENES[PARTICLE]
+    t = scene.t_end * np.arange(1, 21) / 20
+    truth = reference(scene, t)
+    run = solve(scene, PRINTED, step=0.1, save_at=t, engine="python")
+    H0 = scene.energy(truth.states())
+    off = np.abs(scene.energy(run.states()) - H0).max() / scene.energy(scene.initial(()))
+    s_off = np.abs(run.s - truth.states().s).max() / np.abs(truth.states().s).max()
+    orders = [slope(energy_errors(name, scene, ENERGY_LADDER)) - nominal for name, nominal in ((PRINTED, 1), (ABC, 2))]
+
+    def momentum_law(name):
+        other = SCENES[name]
+        run = solve(other, PRINTED, step=0.5, save_at=np.arange(1, 41) / 2, engine="python")
+        return LAWS["momentum_law"](run), run
+
+    central, _ = momentum_law("central")
+    body, run = momentum_law("rigid_body")
+    size = np.linalg.norm(run.M, axis=1) * np.exp(run.scene.gamma * run.t) / np.linalg.norm(run.scene.M)
+    exact = "round-off of the steps taken"
+    return Evidence(
+        [
+            at_most("max |H0 − H0*|/H0(0) at h = 0.1", off, ROUND_OFF, "exact decay means round-off"),
+            at_most("max |s − s*|/max |s*| at h = 0.1", s_off, ROUND_OFF, "exact decay means round-off"),
+        ],
+        [
+            at_most("|order of the H0 error − nominal|, contact-printed (1) and contact-abc (2)", max(map(abs, orders)),
+                    ORDER_MISS, "higher-order terms at h = ¼ … 1/64 bend the slope by a few per cent"),
+            at_most("momentum_law on central at h = ½", central, ROUND_OFF, exact),
+            at_most("momentum_law on rigid_body at h = ½", body, ROUND_OFF, exact),
+            at_most("max |‖M‖ e^{γt}/‖M(0)‖ − 1| there", np.abs(size - 1).max(), ROUND_OFF, exact),
+        ],
+    )  # fmt: skip
+
+
+@claim("C28", "eq:VV-limit", "At γ = 0 the integrator is velocity Verlet.", scene="particle, γ = 0", method=PRINTED)
+def verlet_limit() -> Evidence:
+    scene, h = SCENES[PARTICLE].with_(gamma=0.0), PAPER_STEP
+    q, p = (np.array(v) for v in (scene.q, scene.p))
+    states = trajectory(METHODS[PRINTED], scene, scene.initial(()), [(h, 1)] * 2000, math)
+    differ = 0.0
+    for x in states:
+        p = p - h / 2 * np.array(scene.dV(tuple(q)))
+        q = q + h * p
+        p = p - h / 2 * np.array(scene.dV(tuple(q)))
+        differ = max(differ, np.abs(q - np.array(x.q)).max(), np.abs(p - np.array(x.p)).max())
+    return Evidence(
+        [at_most("max |difference| from velocity Verlet over 2000 steps", differ, 0.0, "the same numbers, bit for bit")]
+    )
+
+
+# -- the paper's experiment ------------------------------------------------------------------------
+def paper_run(name: str, **changes: Any) -> Any:
+    """The experiment of §6, saved at every tenth step."""
+    scene = SCENES[PARTICLE].with_(**changes)
+    return solve(scene, name, step=PAPER_STEP, save_at=np.linspace(0, scene.t_end, 201), carry=(), engine="python")
+
+
+@claim("C29", "§6 Results", "The splitting integrator closely matches RK4 in q(t) and p(t).",
+       scene="particle, h = 0.01, T = 20", method="contact-printed against rk4")  # fmt: skip
+def closeness() -> Evidence:
+    printed, rk4 = paper_run(PRINTED).y, paper_run(RK4).y
+    size = np.abs(rk4).max()
+    return Evidence(
+        [at_most("max |(q, p) − (q, p)_RK4| / max |(q, p)|", np.abs(printed - rk4).max() / size, 1e-2,
+                 "one per cent of the amplitude, a line's width in the paper's figure")]
+    )  # fmt: skip
+
+
+def rises(name: str, gamma: float, h: float) -> tuple[int, float]:
+    """How many steps raise H0, and the largest rise over H0(0); T = 20."""
+    scene = SCENES[PARTICLE].with_(gamma=gamma)
+    run = solve(scene, name, step=h, save_at=h * np.arange(0, round(20 / h) + 1), carry=(), engine="python")
+    energy = scene.energy(run.states())
+    change = np.diff(energy) / energy[0]
+    return int(np.count_nonzero(change > 4 * np.finfo(float).eps)), float(change.max())
+
+
+@claim("C30", "§6 Energy decay", "Both methods decay H0 monotonically.", kind=Correction.repairs,
+       correction="At the paper's γ and h they do. For weak damping and coarse steps the splitting methods raise H0 near the "
+       "turning points, where −γ‖p‖² vanishes but the O(h²) oscillation of H0 does not; the rise shrinks as h³.",
+       scene="particle, γ = 10⁻³, h = 0.1; γ = 0.1, h = 0.01", method="contact-printed, contact-strang, rk4")  # fmt: skip
+def monotone_methods() -> Evidence:
+    weak = {name: rises(name, 1e-3, 0.1) for name in (PRINTED, STRANG, RK4)}
+    paper = {name: rises(name, 0.1, PAPER_STEP) for name in (PRINTED, STRANG, RK4)}
+    rate = slope({h: rises(STRANG, 0.0, h)[1] for h in (0.2, 0.1, 0.05, 0.025)})
+    return Evidence(
+        [
+            at_most(f"steps that raise H0, {name}, γ = 10⁻³, h = 0.1", weak[name][0], 0, "monotone decay has none")
+            for name in weak
+        ],
+        [
+            at_most("steps that raise H0 at γ = 0.1, h = 0.01, all three", max(n for n, _ in paper.values()), 0,
+                    "monotone decay has none"),
+            at_most("|power of h in the largest rise of a step at γ = 0 − 3|", abs(rate - 3), ORDER_MISS,
+                    "the derivative of an oscillation of size h², over a step h"),
+        ],
+    )  # fmt: skip
+
+
+def balance_defect(name: str, h: float) -> float:
+    """max |H0(t) − H0(0) + γ ∫‖p‖²| / H0(0), the integral by splines through every step."""
+    from scipy.interpolate import make_interp_spline
+
+    scene = SCENES[PARTICLE]
+    t = h * np.arange(0, round(20 / h) + 1)
+    run = solve(scene, name, step=h, save_at=t, carry=(), engine="python")
+    work = make_interp_spline(t, scene.gamma * (run.p**2).sum(axis=1), k=7).antiderivative()
+    energy = scene.energy(run.states())
+    return float(np.abs(energy - energy[0] + work(t) - work(0.0)).max() / energy[0])
+
+
+@claim("C31", "eq:dH0dt", "H0' = −γ‖p‖² is reproduced to high accuracy.", scene="particle, h = 0.01, T = 20",
+       method="contact-printed; order: also contact-strang")  # fmt: skip
+def dissipation_law() -> Evidence:
+    ladder = (0.1, 0.05, 0.025, 0.0125)
+    orders = {name: slope({h: balance_defect(name, h) for h in ladder}) for name in (PRINTED, STRANG)}
+    return Evidence(
+        [
+            at_most("max |H0(t) − H0(0) + γ∫‖p‖²|/H0(0), h = 0.01", balance_defect(PRINTED, PAPER_STEP), 1e-2,
+                    "one per cent of the energy, a line's width in the paper's figure"),
+            at_least("order of this defect, contact-printed", orders[PRINTED], 1 - ORDER_MISS, "its order is 1 (C25)"),
+            at_least("order of this defect, contact-strang", orders[STRANG], 2 - ORDER_MISS, "its order is 2 (C25)"),
+        ]
+    )  # fmt: skip
+
+
+@claim("C32", "fig7 left", "H0 of the particle follows an exact exponential law.", kind=Correction.replaces,
+       correction="H follows one, H(t) = H(0) e^{−γt}, and H0 of the isotropic body does. H0 of a particle in a potential "
+       "loses energy at −γ‖p‖², which stops at every turning point: it swings about e^{−γt}.",
+       scene="particle, γ = 0.1, T = 20", figures=("paper_7",))  # fmt: skip
+def exponential_energy() -> Evidence:
+    scene = SCENES[PARTICLE]
+    t = np.linspace(0, scene.t_end, 201)
+    truth = reference(scene, t).states()
+    H0, H = (f(truth) * np.exp(scene.gamma * t) for f in (scene.energy, scene.hamiltonian))
+    return Evidence(
+        [at_most("max |H0(t) e^{γt}/H0(0) − 1| of the truth", np.abs(H0 / H0[0] - 1).max(), 1e-2,
+                 "one per cent of the energy, a line's width in the paper's figure")],
+        [at_most("max |H(t) e^{γt}/H(0) − 1| of the truth", np.abs(H / H[0] - 1).max(), 1e-13,
+                 "the reference rounded to double precision, times e^{γT} = 7.4")],
+    )  # fmt: skip
+
+
+NOMINAL = {PRINTED: 1, ABC: 2, STRANG: 2, RK4: 4}
+
+
+@claim("C33", "fig7 right", "Both integrators, the splitting and RK4, converge with second order in H0.",
+       kind=Correction.replaces, correction="RK4 is of order 4; the splitting as printed of order 1; its palindromic forms of "
+       "order 2.", scene="particle, γ = 0.1, T = 20", method="contact-printed, contact-abc, contact-strang, rk4",
+       figures=("paper_7",))  # fmt: skip
+def convergence_orders() -> Evidence:
+    scene = SCENES[PARTICLE]
+    orders = {name: slope(energy_errors(name, scene, ENERGY_LADDER)) for name in NOMINAL}
+    why = "higher-order terms at h = ¼ … 1/64 bend the slope by a few per cent"
+    return Evidence(
+        [
+            at_most(f"|order of the H0 error − 2|, {name} (order {orders[name]:.2f})", abs(orders[name] - 2), ORDER_MISS, why)
+            for name in (PRINTED, RK4)
+        ],
+        [
+            at_most(f"|order of the H0 error − {nominal}|, {name} (order {orders[name]:.2f})", abs(orders[name] - nominal),
+                    ORDER_MISS, why)
+            for name, nominal in NOMINAL.items()
+        ],
+    )  # fmt: skip
+
+
+@claim("C34", "fig7 caption", "Only the geometric method preserves the contact structure.",
+       scene="particle, T = 20", method="contact-* and rk4 at h = 0.1, diffrax-tsit5 at rtol 10⁻⁶")  # fmt: skip
+def contact_drifts() -> Evidence:
+    scene, law = SCENES[PARTICLE], LAWS["contact_drift"]
+    end = {"save_at": [scene.t_end]}
+    ours = max(law(solve(scene, name, step=0.1, **end)) for name in (PRINTED, ABC, STRANG))
+    why = "a thousand times the bound the contact methods keep"
+    return Evidence(
+        [
+            at_most("largest contact_drift of the contact methods, h = 0.1", ours, ROUND_OFF, "round-off of 200 steps"),
+            at_least("contact_drift of rk4, h = 0.1", law(solve(scene, RK4, step=0.1, **end)), 1e3 * ROUND_OFF, why),
+            at_least("contact_drift of diffrax-tsit5, rtol 10⁻⁶", law(solve(scene, "diffrax-tsit5", rtol=1e-6, **end)),
+                     1e3 * ROUND_OFF, why),
+        ]
+    )  # fmt: skip
+
+
+def nearest_return(points_: np.ndarray) -> float:
+    """Distance from the start to the curve after it has left, relative to the size of the start.
+
+    points_ : states along the curve, (k, d), close enough to be joined by straight lines.
+    """
+    start = points_[0]
+    left = int(np.argmax(np.linalg.norm(points_ - start, axis=1) > np.linalg.norm(start)))
+    a, b = points_[left:-1], points_[left + 1 :]
+    along_ = np.clip(((start - a) * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1), 0, 1)
+    return float(np.linalg.norm(a + along_[:, None] * (b - a) - start, axis=1).min() / np.linalg.norm(start))
+
+
+@claim("C35", "§6 Conservative limit, fig8", "At γ = 0 there is no artificial dissipation: the energy stays bounded and the "
+       "orbits of the 2-DOF particle are closed.", kind=Correction.repairs,
+       correction="The energy stays bounded over long times. The orbit does not close: only the 1-DOF oscillator's does.",
+       scene="particle and oscillator, γ = 0", method=PRINTED, figures=("paper_8",))  # fmt: skip
+def conservative_limit() -> Evidence:
+    free = SCENES[PARTICLE].with_(gamma=0.0, t_end=2000.0)
+    run = solve(free, PRINTED, step=0.1, save_at=np.arange(0, 20001) * 0.1, carry=(), engine="python")
+    energy = free.energy(run.states())
+    energy = energy / energy[0] - 1
+    trend = abs(np.polyfit(run.t, energy, 1)[0]) * free.t_end
+
+    def returned(name):
+        scene = SCENES[name].with_(gamma=0.0)
+        t = np.arange(0, 10001) * PAPER_STEP
+        return nearest_return(solve(scene, PRINTED, step=PAPER_STEP, save_at=t, carry=(), engine="python").y)
+
+    bounded = [
+        at_most("max |H0/H0(0) − 1| over T = 2000 at h = 0.1", np.abs(energy).max(), 0.1**2, "h²: the oscillation of a "
+                "second-order symplectic method, with a constant of one"),
+        at_most("linear trend of H0/H0(0) over T = 2000", trend, 1e-4, "a hundredth of h²: no drift beside the oscillation"),
+    ]  # fmt: skip
+    closes = 1e-3, "ten times h² = 10⁻⁴ of the step used"
+    return Evidence(
+        [*bounded, at_most("nearest return to the start over T = 100, particle", returned(PARTICLE), *closes)],
+        [*bounded, at_most("nearest return to the start over T = 100, oscillator", returned("oscillator"), *closes)],
+    )
+
+
+def spectral_radius(name: str, gamma: float, h: float) -> float:
+    """Largest |eigenvalue| of one step on (q, p) of the oscillator, whose step map is linear."""
+    scene = SCENES["oscillator"].with_(gamma=gamma)
+    unit = ((1.0, 0.0), (0.0, 1.0))
+    columns = [METHODS[name].advance(scene, State((q,), (p,)), h, 1, math) for q, p in unit]
+    matrix = np.array([[*x.q, *x.p] for x in columns]).T
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+@claim("C36", "Conclusion", "Numerically stable integration.", kind=Correction.repairs,
+       correction="Conditionally stable: an explicit splitting of B with A and C needs ωh < 2, whatever the damping (see the "
+       "stability table for the merged flow AC and for the other methods).",
+       scene="oscillator, γ = 0, 0.1, 1", method="contact-printed, contact-abc")  # fmt: skip
+def conditional_stability() -> Evidence:
+    gammas = (0.0, 0.1, 1.0)
+
+    def radius(h):
+        return max(spectral_radius(name, gamma, h) for name in (PRINTED, ABC) for gamma in gammas)
+
+    below = max(radius(h) for h in np.linspace(0.05, 1.95, 39))
+    beyond = min(spectral_radius(name, gamma, 2.05) for name in (PRINTED, ABC) for gamma in gammas)
+    why = "bounded orbits need no eigenvalue beyond the unit circle; 10⁻⁷ is the square root of round-off"
+    return Evidence(
+        [at_most("largest spectral radius of a step at ωh = 2.5", radius(2.5), 1 + 1e-7, why)],
+        [
+            at_most("the same for ωh = 0.05, 0.1, …, 1.95", below, 1 + 1e-7, why),
+            at_least("smallest of them at ωh = 2.05: the border is 2", beyond, 1 + 1e-3, "growth by 10⁻³ a step is no round-off"),
+        ],
+    )  # fmt: skip
