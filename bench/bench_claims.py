@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from cells import cells
-
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.table import CLAIMS_TABLE, PAPER_FIGURES

@@ -49,7 +49,9 @@ def canonical(y: Any) -> State:
 
 def packed(x: Any) -> Any:
     """A state as a JAX vector."""
-    return jnp.stack([jnp.asarray(c, dtype=float) for part in x if part is not None for c in jnp.ravel(jnp.asarray(part))])
+    return jnp.stack(
+        [jnp.asarray(c, dtype=float) for part in x if part is not None for c in jnp.ravel(jnp.asarray(part))]
+    )
 
 
 def eta(y: Any) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from contactbench.claims.integrator import (
     ABC,
+    ENERGY_LADDER,
     NOMINAL,
     PAPER_STEP,
     PARTICLE,
@@ -44,12 +45,20 @@ def rows(name: str) -> Iterator[dict[str, Any]]:
     for panel, curve, kind, x, y, z in FIGURES[name]():
         point = count[panel, curve] = count.get((panel, curve), -1) + 1
         yield {
-            "figure": name, "panel": panel, "curve": curve, "point": point, "kind": kind,
-            "x": float(x), "y": float(y), "z": float(z),
-        }  # fmt: skip
+            "figure": name,
+            "panel": panel,
+            "curve": curve,
+            "point": point,
+            "kind": kind,
+            "x": float(x),
+            "y": float(y),
+            "z": float(z),
+        }
 
 
-def curve(panel: str, name: str, kind: str, x: Iterable[Any], y: Iterable[Any], z: Any = None) -> Iterator[Row]:
+def curve(
+    panel: str, name: str, kind: str, x: Iterable[Any], y: Iterable[Any], z: Any = None
+) -> Iterator[Row]:
     """The rows of one curve."""
     x, y = list(x), list(y)
     for point in zip(x, y, [math.nan] * len(x) if z is None else z, strict=True):
@@ -58,13 +67,18 @@ def curve(panel: str, name: str, kind: str, x: Iterable[Any], y: Iterable[Any], 
 
 def numerical(scene: Any, method: str, step: float, count: int) -> Any:
     """A run saved at `count` equal intervals, start included."""
-    return solve(scene, method, step=step, save_at=np.linspace(0, scene.t_end, count + 1), carry=(), engine="python")
+    return solve(
+        scene, method, step=step, save_at=np.linspace(0, scene.t_end, count + 1), carry=(), engine="python"
+    )
 
 
 @figure
 def paper_2() -> Iterator[Row]:
     """Phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
-    for gamma, kind, starts, end in ((0.0, "conservative", (0.5, 1.0, 1.5), 2 * math.pi), (0.2, "dissipative", (1.5,), 25.0)):
+    for gamma, kind, starts, end in (
+        (0.0, "conservative", (0.5, 1.0, 1.5), 2 * math.pi),
+        (0.2, "dissipative", (1.5,), 25.0),
+    ):
         for q0 in starts:
             scene = SCENES["oscillator"].with_(gamma=gamma, q=(q0,))
             truth = reference(scene, np.linspace(0, end, 161 if gamma == 0 else 301), ()).states()
@@ -91,7 +105,7 @@ def paper_4() -> Iterator[Row]:
         M = np.full(3, tilt)
         M[axis] = math.sqrt(1 - 2 * tilt * tilt)
         scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(M), t_end=100.0)
-        path = numerical(scene, ABC, 0.05, 400).M
+        path = numerical(scene, ABC, 0.05, 250).M
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
 
@@ -106,7 +120,9 @@ def paper_5() -> Iterator[Row]:
             kind = "unstable" if rate > 1e-9 else "stable"
             yield from curve("sphere", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, *[[c] for c in e])
             residual = float(np.linalg.norm(momentum_rate(scene)(e)))
-            yield from curve("rate", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, [axis + 1], [residual], [rate])
+            yield from curve(
+                "rate", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, [axis + 1], [residual], [rate]
+            )
     free = scene.with_(gamma=0.0)
     for axis in (0, 2):
         for sign in (1.0, -1.0):
@@ -116,7 +132,9 @@ def paper_5() -> Iterator[Row]:
                 path = numerical(free.with_(M=tuple(M), t_end=60.0), ABC, 0.1, 300).M
                 turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
                 once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
-                yield from curve("sphere", f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad", "flow", *path[: once + 1].T)
+                yield from curve(
+                    "sphere", f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad", "flow", *path[: once + 1].T
+                )
 
 
 @figure
@@ -133,9 +151,11 @@ def paper_7() -> Iterator[Row]:
         run = numerical(scene, name, PAPER_STEP, 50)
         energy = scene.energy(run.states())
         yield from curve("energy", name, "method", run.t, energy)
-        yield from curve("ratio", name, "method", run.t, energy / (truth[0] * np.exp(-scene.gamma * run.t)) - 1)
+        yield from curve(
+            "ratio", name, "method", run.t, energy / (truth[0] * np.exp(-scene.gamma * run.t)) - 1
+        )
     for name in NOMINAL:
-        errors = energy_errors(name, scene, (4, 8, 16, 32, 64, 128, 256))
+        errors = energy_errors(name, scene, (4, 8, *ENERGY_LADDER))
         order = slope(errors)
         yield from curve("convergence", name, "method", errors.keys(), errors.values(), [order] * len(errors))
 
@@ -145,11 +165,11 @@ def paper_8() -> Iterator[Row]:
     """The splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
         scene = SCENES[PARTICLE].with_(gamma=gamma, t_end=60.0)
-        run = numerical(scene, PRINTED, PAPER_STEP, 600)
+        run = numerical(scene, PRINTED, PAPER_STEP, 400)
         energy = scene.energy(run.states())
         label = f"γ = {gamma:g}"
         yield from curve("phase", label, kind, run.q[:, 0], run.p[:, 0])
-        yield from curve("energy", label, kind, run.t[::2], energy[::2])
+        yield from curve("energy", label, kind, run.t, energy)
         if gamma == 0:
             yield from curve("bounded", label, kind, run.t, energy / energy[0] - 1)
 
@@ -160,8 +180,10 @@ def paper_stability() -> Iterator[Row]:
     for axis in range(3):
         e = np.eye(3)[axis]
         across = [i for i in range(3) if i != axis]
-        grid = [(a, b) for a in np.linspace(0, 0.6, 25) for b in np.linspace(0, 0.6, 25)]
-        scenes = [with_damping(*(0.0 if i == axis else pair[across.index(i)] for i in range(3))) for pair in grid]
+        grid = [(a, b) for a in np.linspace(0, 0.6, 21) for b in np.linspace(0, 0.6, 21)]
+        scenes = [
+            with_damping(*(0.0 if i == axis else pair[across.index(i)] for i in range(3))) for pair in grid
+        ]
         for (a, b), rate in zip(grid, growths(scenes, [e] * len(grid)), strict=True):
             kind = "unstable" if rate > SPECTRUM else "stable" if rate < -SPECTRUM else "neutral"
             yield (f"axis {axis + 1}", "growth rate", kind, a, b, rate)

@@ -52,13 +52,23 @@ def volume() -> Evidence:
 
     smallest = min(everywhere(density, points(2 * n + 1)).min() for n in DEGREES)
     return Evidence(
-        [at_least("min |η ∧ (dη)ⁿ|/n! at random points", smallest, 1 - 1e-9,
-                  "in canonical coordinates the density is 1; 10⁻⁹ for the determinant of a large p")]
-    )  # fmt: skip
+        [
+            at_least(
+                "min |η ∧ (dη)ⁿ|/n! at random points",
+                smallest,
+                1 - 1e-9,
+                "in canonical coordinates the density is 1; 10⁻⁹ for the determinant of a large p",
+            )
+        ]
+    )
 
 
-@claim("C02", "eq:ReebDef, eq:Reeb-in-coordinates", "R = ∂_s is the vector field with η(R) = 1 and ι_R dη = 0, "
-       "and the only one.", scene="T*Rⁿ × R, n = 1, 2, 3")  # fmt: skip
+@claim(
+    "C02",
+    "eq:ReebDef, eq:Reeb-in-coordinates",
+    "R = ∂_s is the vector field with η(R) = 1 and ι_R dη = 0, and the only one.",
+    scene="T*Rⁿ × R, n = 1, 2, 3",
+)
 def reeb_field() -> Evidence:
     def defect(y):
         unit = jnp.zeros(len(y)).at[-1].set(1.0)
@@ -70,17 +80,29 @@ def reeb_field() -> Evidence:
 
     return Evidence(
         [
-            at_most("max |ι_R dη|, |η(R) − 1| for R = ∂_s", max(largest(defect, points(2 * n + 1)) for n in DEGREES),
-                    ROUND_OFF, ROUND_OFF_WHY),
-            at_least("second smallest singular value of dη", min(everywhere(others, points(2 * n + 1)).min()
-                     for n in DEGREES), 1 - 1e-9, "canonical coordinates: all but one are 1"),
+            at_most(
+                "max |ι_R dη|, |η(R) − 1| for R = ∂_s",
+                max(largest(defect, points(2 * n + 1)) for n in DEGREES),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            ),
+            at_least(
+                "second smallest singular value of dη",
+                min(everywhere(others, points(2 * n + 1)).min() for n in DEGREES),
+                1 - 1e-9,
+                "canonical coordinates: all but one are 1",
+            ),
         ]
-    )  # fmt: skip
+    )
 
 
-@claim("C03", "eq:contact-vector-field, eq:canonical-contact-equations",
-       "The coordinate equations q' = H_p, p' = −H_q − p H_s, s' = p·H_p − H solve ι_X dη = dH − R(H) η, ι_X η = −H.",
-       scene="random cubic H(q, p, s), n = 1, 2, 3; particle, γ s and ½ κ s²")  # fmt: skip
+@claim(
+    "C03",
+    "eq:contact-vector-field, eq:canonical-contact-equations",
+    "The coordinate equations q' = H_p, p' = −H_q − p H_s, s' = p·H_p − H solve ι_X dη = dH − R(H) "
+    "η, ι_X η = −H.",
+    scene="random cubic H(q, p, s), n = 1, 2, 3; particle, γ s and ½ κ s²",
+)
 def contact_hamilton_equations() -> Evidence:
     def defect(field, hamiltonian):
         def at(y):
@@ -101,16 +123,30 @@ def contact_hamilton_equations() -> Evidence:
     )
     return Evidence(
         [
-            at_most("max defect of the two defining relations, random H", random, 100 * ROUND_OFF,
-                    "round-off of cubic polynomials with 400 terms of size up to 10"),
-            at_most("the same for the right-hand side every method here integrates", ours, ROUND_OFF, ROUND_OFF_WHY),
+            at_most(
+                "max defect of the two defining relations, random H",
+                random,
+                100 * ROUND_OFF,
+                "round-off of cubic polynomials with 400 terms of size up to 10",
+            ),
+            at_most(
+                "the same for the right-hand side every method here integrates",
+                ours,
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            ),
         ]
-    )  # fmt: skip
+    )
 
 
-@claim("C04", "eq:H-evolution-Reeb", "Along the flow H' = −R(H).", kind=Correction.replaces,
-       correction="H' = −R(H)·H, hence H(t) = H(0) e^{−γt}: the rate is proportional to H.",
-       scene="random cubic H(q, p, s); particle")  # fmt: skip
+@claim(
+    "C04",
+    "eq:H-evolution-Reeb",
+    "Along the flow H' = −R(H).",
+    kind=Correction.replaces,
+    correction="H' = −R(H)·H, hence H(t) = H(0) e^{−γt}: the rate is proportional to H.",
+    scene="random cubic H(q, p, s); particle",
+)
 def hamiltonian_evolution() -> Evidence:
     H = random_polynomial(5)
     rate = lambda y: along(contact_equations(H), H, y)  # noqa: E731
@@ -120,23 +156,42 @@ def hamiltonian_evolution() -> Evidence:
     truth = reference(scene, np.linspace(0, scene.t_end, 201)).states()
     value = scene.hamiltonian(truth) * np.exp(scene.gamma * np.linspace(0, scene.t_end, 201))
     return Evidence(
-        [at_most("max |H' + R(H)| / max |R(H)|",
-                 largest(lambda y: rate(y) + dissipation(y), at) / largest(dissipation, at),
-                 100 * ROUND_OFF, "round-off of cubic polynomials with 400 terms of size up to 10")],
         [
-            at_most("max |H' + R(H) H| / max |R(H) H|",
-                    largest(lambda y: rate(y) + dissipation(y) * H(y), at) / largest(lambda y: dissipation(y) * H(y), at),
-                    100 * ROUND_OFF, "round-off of cubic polynomials with 400 terms of size up to 10"),
-            at_most("max |H(t) e^{γt}/H(0) − 1| along the true particle", np.abs(value / value[0] - 1).max(),
-                    TRUTH, TRUTH_WHY),
+            at_most(
+                "max |H' + R(H)| / max |R(H)|",
+                largest(lambda y: rate(y) + dissipation(y), at) / largest(dissipation, at),
+                100 * ROUND_OFF,
+                "round-off of cubic polynomials with 400 terms of size up to 10",
+            )
         ],
-    )  # fmt: skip
+        [
+            at_most(
+                "max |H' + R(H) H| / max |R(H) H|",
+                largest(lambda y: rate(y) + dissipation(y) * H(y), at)
+                / largest(lambda y: dissipation(y) * H(y), at),
+                100 * ROUND_OFF,
+                "round-off of cubic polynomials with 400 terms of size up to 10",
+            ),
+            at_most(
+                "max |H(t) e^{γt}/H(0) − 1| along the true particle",
+                np.abs(value / value[0] - 1).max(),
+                TRUTH,
+                TRUTH_WHY,
+            ),
+        ],
+    )
 
 
-@claim("C05", "eq:damped-Newton", "g q̈ + Γ' g q̇ + ∇V = 0 for H0 = ½ g^{ij}(q) p_i p_j + V(q).", kind=Correction.repairs,
-       correction="True for a constant metric, which is what the paper assumes two equations earlier. For g(q) the "
-       "acceleration is covariant: g_ij (q̈^j + Γ^j_kl q̇^k q̇^l) + Γ' g_ij q̇^j + ∂_i V = 0.",
-       scene="central in polar coordinates, g = diag(1, r²)")  # fmt: skip
+@claim(
+    "C05",
+    "eq:damped-Newton",
+    "g q̈ + Γ' g q̇ + ∇V = 0 for H0 = ½ g^{ij}(q) p_i p_j + V(q).",
+    kind=Correction.repairs,
+    correction="True for a constant metric, which is what the paper assumes two equations earlier. For g(q) "
+    "the "
+    "acceleration is covariant: g_ij (q̈^j + Γ^j_kl q̇^k q̇^l) + Γ' g_ij q̇^j + ∂_i V = 0.",
+    scene="central in polar coordinates, g = diag(1, r²)",
+)
 def damped_newton() -> Evidence:
     scene = SCENES["central"]
     gamma = scene.gamma
@@ -163,7 +218,9 @@ def damped_newton() -> Evidence:
             velocity = field(y)[:2]
             acceleration = along(field, lambda z: field(z)[:2], y)
             d = jax.jacfwd(metric)(q)  # [i, j, k] = ∂_k g_ij
-            christoffel = (jnp.einsum("ijk->ijk", d) + jnp.einsum("ikj->ijk", d) - jnp.einsum("jki->ijk", d)) / 2
+            christoffel = (
+                jnp.einsum("ijk->ijk", d) + jnp.einsum("ikj->ijk", d) - jnp.einsum("jki->ijk", d)
+            ) / 2
             curved = jnp.einsum("ijk,j,k", christoffel, velocity, velocity) if connection else 0.0
             return g @ acceleration + curved + gamma * g @ velocity + jax.grad(potential)(q)
 
@@ -177,7 +234,13 @@ def damped_newton() -> Evidence:
             at_most("max |g q̈ + Γ' g q̇ + ∇V|, polar coordinates", largest(newton(polar, False), at), *bound),
             at_most("the same, constant metric", largest(newton(lambda q: constant, False), at), *bound),
         ],
-        [at_most("the same with the Christoffel term, polar coordinates", largest(newton(polar, True), at), *bound)],
+        [
+            at_most(
+                "the same with the Christoffel term, polar coordinates",
+                largest(newton(polar, True), at),
+                *bound,
+            )
+        ],
     )
 
 
@@ -192,18 +255,33 @@ def energy_balance() -> Evidence:
 
     return Evidence(
         [
-            at_most(f"max |H0' + Γ' p·∂H0/∂p|, {label}", largest(defect(scene), points(5)), ROUND_OFF, ROUND_OFF_WHY)
-            for label, scene in (("Γ = γ s", SCENES["particle"]), ("Γ = γ s + ½ κ s²", quadratically_damped()))
+            at_most(
+                f"max |H0' + Γ' p·∂H0/∂p|, {label}",
+                largest(defect(scene), points(5)),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            )
+            for label, scene in (
+                ("Γ = γ s", SCENES["particle"]),
+                ("Γ = γ s + ½ κ s²", quadratically_damped()),
+            )
         ]
     )
 
 
-@claim("C07", "after eq:dH0dt-quadratic", "H0 decreases monotonically when Γ' ≥ 0.", scene="particle, γ s and γ s + ½ κ s²")
+@claim(
+    "C07",
+    "after eq:dH0dt-quadratic",
+    "H0 decreases monotonically when Γ' ≥ 0.",
+    scene="particle, γ s and γ s + ½ κ s²",
+)
 def monotone_energy() -> Evidence:
     def rate(scene):
         """H0' where Γ'(s) ≥ 0."""
         return lambda y: jnp.where(
-            scene.dissipation_rate(y[4]) >= 0, along(vector_field(scene), function_of(scene.energy), y), -jnp.inf
+            scene.dissipation_rate(y[4]) >= 0,
+            along(vector_field(scene), function_of(scene.energy), y),
+            -jnp.inf,
         )
 
     scene = SCENES["particle"]
@@ -213,14 +291,24 @@ def monotone_energy() -> Evidence:
     return Evidence(
         [
             at_most("largest H0' at 2000 random states with Γ' ≥ 0", highest, ROUND_OFF, ROUND_OFF_WHY),
-            at_most("largest rise of H0 between 201 times along the true particle, over H0(0)",
-                    np.diff(energy).max() / energy[0], 4 * np.finfo(float).eps, "round-off of H0 itself"),
+            at_most(
+                "largest rise of H0 between 201 times along the true particle, over H0(0)",
+                np.diff(energy).max() / energy[0],
+                4 * np.finfo(float).eps,
+                "round-off of H0 itself",
+            ),
         ]
-    )  # fmt: skip
+    )
 
 
-@claim("C08", "fig2", "The oscillator's orbits are closed at λ = 0 and spiral to the origin for λ > 0; R(H) = λ.",
-       scene="oscillator, λ = 0 and 0.2", method="none: the closed form", figures=("paper_2",))  # fmt: skip
+@claim(
+    "C08",
+    "fig2",
+    "The oscillator's orbits are closed at λ = 0 and spiral to the origin for λ > 0; R(H) = λ.",
+    scene="oscillator, λ = 0 and 0.2",
+    method="none: the closed form",
+    figures=("paper_2",),
+)
 def oscillator_portrait() -> Evidence:
     free, damped = (SCENES["oscillator"].with_(gamma=g) for g in (0.0, 0.2))
     start = free.pack(free.initial(()))
@@ -234,14 +322,23 @@ def oscillator_portrait() -> Evidence:
     R_of_H = function_of(damped.hamiltonian)
     return Evidence(
         [
-            at_most("‖y(2π) − y(0)‖ at λ = 0", gap, 1e-14, "round-off of 2π times a velocity of one, and of y"),
-            at_most("largest ratio of |y| over a turn at λ = 0.2", np.max(turns[1:] / turns[:-1]),
-                    math.exp(-damped.gamma * period / 2) * (1 + 1e-12),
-                    "e^{−λT/2}, T the period of the spiral, up to round-off"),
-            at_most("max |R(H) − λ|", largest(lambda y: jax.grad(R_of_H)(y)[-1] - damped.gamma, points(3)),
-                    ROUND_OFF, ROUND_OFF_WHY),
+            at_most(
+                "‖y(2π) − y(0)‖ at λ = 0", gap, 1e-14, "round-off of 2π times a velocity of one, and of y"
+            ),
+            at_most(
+                "largest ratio of |y| over a turn at λ = 0.2",
+                np.max(turns[1:] / turns[:-1]),
+                math.exp(-damped.gamma * period / 2) * (1 + 1e-12),
+                "e^{−λT/2}, T the period of the spiral, up to round-off",
+            ),
+            at_most(
+                "max |R(H) − λ|",
+                largest(lambda y: jax.grad(R_of_H)(y)[-1] - damped.gamma, points(3)),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            ),
         ]
-    )  # fmt: skip
+    )
 
 
 def turned(y, angle, axis=None):
@@ -259,8 +356,12 @@ def turned(y, angle, axis=None):
 AXIS = np.array([0.48, 0.6, 0.64])  #: a unit vector
 
 
-@claim("C09", "eq:strict-invariance", "Cotangent lifts, extended trivially in s, preserve η.",
-       scene="T*R² × R, T*R³ × R")  # fmt: skip
+@claim(
+    "C09",
+    "eq:strict-invariance",
+    "Cotangent lifts, extended trivially in s, preserve η.",
+    scene="T*R² × R, T*R³ × R",
+)
 def cotangent_lifts() -> Evidence:
     def bend(q):
         """A diffeomorphism of R² that is no rotation."""
@@ -277,16 +378,25 @@ def cotangent_lifts() -> Evidence:
     }
     return Evidence(
         [
-            at_most(f"max |Φ*η − η|, {label}", largest(lambda y, f=map_: pullback(f, eta, y) - eta(y), at),
-                    ROUND_OFF, ROUND_OFF_WHY)
+            at_most(
+                f"max |Φ*η − η|, {label}",
+                largest(lambda y, f=map_: pullback(f, eta, y) - eta(y), at),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            )
             for label, (map_, at) in defects.items()
         ]
-    )  # fmt: skip
+    )
 
 
-@claim("C10", "eq:xiM-Lie-eta", "Strictness implies L_ξ η = −dJ_ξ.", kind=Correction.replaces,
-       correction="L_ξ η = 0, which is what strictness says; J_ξ = −ι_ξ η, and dJ_ξ = ι_ξ dη.",
-       scene="T*R³ × R under rotations")  # fmt: skip
+@claim(
+    "C10",
+    "eq:xiM-Lie-eta",
+    "Strictness implies L_ξ η = −dJ_ξ.",
+    kind=Correction.replaces,
+    correction="L_ξ η = 0, which is what strictness says; J_ξ = −ι_ξ η, and dJ_ξ = ι_ξ dη.",
+    scene="T*R³ × R under rotations",
+)
 def infinitesimal_strictness() -> Evidence:
     def generator(y):
         return jax.jvp(lambda angle: turned(y, angle, AXIS), (0.0,), (1.0,))[1]
@@ -297,19 +407,39 @@ def infinitesimal_strictness() -> Evidence:
     lie = lambda y: lie_derivative(generator, eta, y)  # noqa: E731
     at = points(7)
     return Evidence(
-        [at_most("max |L_ξ η + dJ_ξ|", largest(lambda y: lie(y) + jax.grad(momentum)(y), at), ROUND_OFF, ROUND_OFF_WHY)],
+        [
+            at_most(
+                "max |L_ξ η + dJ_ξ|",
+                largest(lambda y: lie(y) + jax.grad(momentum)(y), at),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            )
+        ],
         [
             at_most("max |L_ξ η|", largest(lie, at), ROUND_OFF, ROUND_OFF_WHY),
-            at_most("max |J_ξ + ι_ξ η|", largest(lambda y: momentum(y) + eta(y) @ generator(y), at), ROUND_OFF,
-                    ROUND_OFF_WHY),
-            at_most("max |dJ_ξ − ι_ξ dη|",
-                    largest(lambda y: jax.grad(momentum)(y) - generator(y) @ exterior(eta, y), at), ROUND_OFF, ROUND_OFF_WHY),
+            at_most(
+                "max |J_ξ + ι_ξ η|",
+                largest(lambda y: momentum(y) + eta(y) @ generator(y), at),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            ),
+            at_most(
+                "max |dJ_ξ − ι_ξ dη|",
+                largest(lambda y: jax.grad(momentum)(y) - generator(y) @ exterior(eta, y), at),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            ),
         ],
-    )  # fmt: skip
+    )
 
 
-@claim("C14", "eq:symplectification", "The contact flow is the projection of a homogeneous Hamiltonian flow on "
-       "(M × R₊, d(rη)).", scene="particle", method="SciPy DOP853, rtol 10⁻¹³, on Hamilton's equations")  # fmt: skip
+@claim(
+    "C14",
+    "eq:symplectification",
+    "The contact flow is the projection of a homogeneous Hamiltonian flow on (M × R₊, d(rη)).",
+    scene="particle",
+    method="SciPy DOP853, rtol 10⁻¹³, on Hamilton's equations",
+)
 def symplectification() -> Evidence:
     scene = SCENES["particle"]
 
@@ -331,6 +461,7 @@ def symplectification() -> Evidence:
     q, P, s, r = run.y[:2], run.y[2:4], run.y[4], run.y[5]
     projected = np.vstack([q, -P / r, s]).T
     truth = reference(scene, t).y
+
     def degree(z):
         scaled = z * jnp.array([1, 1, 3.0, 3.0, 1, 3.0])
         return homogeneous(scaled) - 3 * homogeneous(z)
@@ -339,10 +470,23 @@ def symplectification() -> Evidence:
     somewhere[:, 5] = 0.5 + np.abs(somewhere[:, 5])
     return Evidence(
         [
-            at_most("max ‖projected − true‖ / max ‖true‖", np.linalg.norm(projected - truth, axis=1).max()
-                    / np.linalg.norm(truth, axis=1).max(), SOLVER_BOUND, SOLVER_WHY),
-            at_most("max |r(t) e^{−γt} − 1|", np.abs(r * np.exp(-scene.gamma * t) - 1).max(), SOLVER_BOUND, SOLVER_WHY),
-            at_most("max |K(q, 3P, s, 3r) − 3K(q, P, s, r)|", largest(degree, somewhere), 10 * ROUND_OFF,
-                    "round-off of AD on numbers of size up to 100"),
+            at_most(
+                "max ‖projected − true‖ / max ‖true‖",
+                np.linalg.norm(projected - truth, axis=1).max() / np.linalg.norm(truth, axis=1).max(),
+                SOLVER_BOUND,
+                SOLVER_WHY,
+            ),
+            at_most(
+                "max |r(t) e^{−γt} − 1|",
+                np.abs(r * np.exp(-scene.gamma * t) - 1).max(),
+                SOLVER_BOUND,
+                SOLVER_WHY,
+            ),
+            at_most(
+                "max |K(q, 3P, s, 3r) − 3K(q, P, s, r)|",
+                largest(degree, somewhere),
+                10 * ROUND_OFF,
+                "round-off of AD on numbers of size up to 100",
+            ),
         ]
-    )  # fmt: skip
+    )

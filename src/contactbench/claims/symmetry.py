@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from contactbench.claims.calculus import ROUND_OFF, ROUND_OFF_WHY, along, function_of, largest, points, vector_field
+from contactbench.claims.calculus import (
+    ROUND_OFF,
+    along,
+    function_of,
+    largest,
+    points,
+    vector_field,
+)
 from contactbench.claims.geometry import SOLVER, SOLVER_BOUND, SOLVER_WHY, TRUTH, TRUTH_WHY
 from contactbench.claims.ledger import Evidence, at_least, at_most, claim
 from contactbench.references import reference
@@ -22,9 +29,13 @@ def momenta(scene):
     return np.array(scene.momentum(reference(scene, times(scene)).states())).T
 
 
-@claim("C11", "eq:momentum-decay-general, eq:J-decay-solution, fig3",
-       "For a symmetry of H the momentum decays: J' = −R(H) J, J(t) = e^{−λt} J(0).",
-       scene="central, rigid_body; central with γ s + ½ κ s²", figures=("paper_3",))  # fmt: skip
+@claim(
+    "C11",
+    "eq:momentum-decay-general, eq:J-decay-solution, fig3",
+    "For a symmetry of H the momentum decays: J' = −R(H) J, J(t) = e^{−λt} J(0).",
+    scene="central, rigid_body; central with γ s + ½ κ s²",
+    figures=("paper_3",),
+)
 def momentum_decay() -> Evidence:
     def deviation(name):
         scene = SCENES[name]
@@ -40,15 +51,26 @@ def momentum_decay() -> Evidence:
 
     return Evidence(
         [
-            at_most("max ‖J e^{λt} − J(0)‖/‖J(0)‖ along the true central", deviation("central"), TRUTH, TRUTH_WHY),
+            at_most(
+                "max ‖J e^{λt} − J(0)‖/‖J(0)‖ along the true central", deviation("central"), TRUTH, TRUTH_WHY
+            ),
             at_most("the same for the true rigid body, J = R M", deviation("rigid_body"), TRUTH, TRUTH_WHY),
-            at_most("max |J' + Γ'(s) J| for Γ = γ s + ½ κ s²", largest(defect, points(5)), 10 * ROUND_OFF,
-                    "round-off of AD on forces of size up to 100"),
+            at_most(
+                "max |J' + Γ'(s) J| for Γ = γ s + ½ κ s²",
+                largest(defect, points(5)),
+                10 * ROUND_OFF,
+                "round-off of AD on forces of size up to 100",
+            ),
         ]
-    )  # fmt: skip
+    )
 
 
-@claim("C12", "eq:level-set-not-invariant", "J⁻¹(μ) is not invariant for λ ≠ 0, unless μ = 0.", scene="central, λ = 0 and 0.1")
+@claim(
+    "C12",
+    "eq:level-set-not-invariant",
+    "J⁻¹(μ) is not invariant for λ ≠ 0, unless μ = 0.",
+    scene="central, λ = 0 and 0.1",
+)
 def level_sets() -> Evidence:
     damped = SCENES["central"]
 
@@ -66,8 +88,13 @@ def level_sets() -> Evidence:
     )
 
 
-@claim("C13", "eq:time-dependent-level", "One may reduce along the decaying level μ(t) = e^{−λt} μ0.",
-       scene="central in polar coordinates", method="SciPy DOP853, rtol 10⁻¹³, on the reduced equations")  # fmt: skip
+@claim(
+    "C13",
+    "eq:time-dependent-level",
+    "One may reduce along the decaying level μ(t) = e^{−λt} μ0.",
+    scene="central in polar coordinates",
+    method="SciPy DOP853, rtol 10⁻¹³, on the reduced equations",
+)
 def time_dependent_reduction() -> Evidence:
     scene = SCENES["central"]
     t = times(scene)
@@ -84,6 +111,4 @@ def time_dependent_reduction() -> Evidence:
 
     run = solve_ivp(reduced, (0, scene.t_end), [radius[0], radial[0]], t_eval=t, **SOLVER)
     error = np.hypot(run.y[0] - radius, run.y[1] - radial).max() / np.hypot(radius, radial).max()
-    return Evidence(
-        [at_most("max ‖(r, p_r) reduced − full‖ / max ‖full‖", error, SOLVER_BOUND, SOLVER_WHY)]
-    )
+    return Evidence([at_most("max ‖(r, p_r) reduced − full‖ / max ‖full‖", error, SOLVER_BOUND, SOLVER_WHY)])
