@@ -12,7 +12,7 @@ from tabulate import tabulate
 
 from contactbench import figures, paper_figures
 from contactbench.analysis import cost_at_error
-from contactbench.table import TABLES, read, replacing
+from contactbench.table import SEPARATOR, TABLES, read, replacing
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 #: at or below this a drift counts as round-off
@@ -188,18 +188,24 @@ def work_precision_document(frame: pd.DataFrame) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+# -- claims ----------------------------------------------------------------------------------------
 VERDICTS = ("holds", "holds, corrected", "refuted")
 MEANINGS = {
     "holds": "the measurements agree with the claim as it stands",
     "holds, corrected": "true once the stated correction is made",
     "refuted": "a number contradicts it, and what is true instead is stated",
 }
-CAPTIONS = {"repairs": "Corrected", "replaces": "True instead", "sharpens": "Stronger", "extends": "How far it goes"}
+CAPTIONS = {
+    "repairs": "Corrected",
+    "replaces": "True instead",
+    "sharpens": "Stronger",
+    "extends": "How far it goes",
+}
 
 
 def measured_list(evidence: str) -> str:
     """A row's measurements, one bullet each."""
-    return "\n".join(f"- {item}" for item in evidence.replace(" fails (", " **fails** (").split(" | "))
+    return "\n".join(f"- {item}" for item in evidence.replace(" fails (", " **fails** (").split(SEPARATOR))
 
 
 def claim_section(row: pd.Series, drawn: set[str]) -> str:
@@ -217,22 +223,25 @@ def claim_section(row: pd.Series, drawn: set[str]) -> str:
     if row["corrected_evidence"]:
         parts.append(measured_list(row["corrected_evidence"]))
     parts.append(f"Measure it again: `{row['command']}`")
-    parts += [f"![{name} for {row['id']}](figures/{name}.png)" for name in row["figures"].split() if name in drawn]
+    shown = [name for name in row["figures"].split() if name in drawn]
+    parts += [f"![{name} for {row['id']}](figures/{name}.png)" for name in shown]
     return "\n\n".join(parts)
 
 
 def claims_document(frame: pd.DataFrame, drawn: set[str]) -> str:
     """The claims as a review of the paper; `drawn`: the figures there are."""
-    text = [name for name in frame if name not in ("measured", "bound", "corrected_measured", "corrected_bound")]
+    numbers = ("measured", "bound", "corrected_measured", "corrected_bound")
+    text = [name for name in frame if name not in numbers]
     frame = frame.assign(**{name: frame[name].astype(object).where(frame[name].notna(), "") for name in text})
     count = frame["verdict"].value_counts()
     summary = ", ".join(f"**{count.get(name, 0)}** {name}" for name in VERDICTS)
     undecided = int((frame["status"] != "ok").sum())
     rows = [
-        [f"[{r['id']}](#{anchor(r)})", r["where"], r["quantity"], f"{r['measured']:.2g}",
+        [f"[{r['id']}](#{anchor(r)})", r["where"], r["quantity"].replace("|", "\\|"), f"{r['measured']:.2g}",
          f"{r['relation']} {r['bound']:.2g}", r["verdict"] or r["status"]]
         for _, r in frame.iterrows()
     ]  # fmt: skip
+    header = ["claim", "where", "quantity", "measured", "needed", "verdict"]
     changes = [
         f"- [{r['id']}](#{anchor(r)}), {r['where']}: {r['correction']}"
         for _, r in frame[frame["verdict"].isin(VERDICTS[1:])].iterrows()
@@ -244,14 +253,14 @@ def claims_document(frame: pd.DataFrame, drawn: set[str]) -> str:
             "# The paper's claims, measured",
             f"Of {len(frame)} claims {summary}{f', {undecided} not measured' if undecided else ''}.",
             "Each verdict is computed from the numbers beside it, none is typed in. Identities are tested by "
-            "automatic differentiation at random points, independently of the formulas they test; trajectories "
-            "against references "
-            "of 30 digits or more; orders where it matters in 50-digit arithmetic. The paper prints step and end "
-            "time of its experiment; damping and initial data are ours. All quantities are dimensionless, as in the "
-            "paper. Of several measurements the table shows the first that fails, else the first.",
+            "automatic differentiation at random points, independently of the formulas they test; "
+            "trajectories against references of 30 digits or more; orders where it matters in 50-digit "
+            "arithmetic. The paper prints step and end time of its experiment; damping and initial data are "
+            "ours. All quantities are dimensionless, as in the paper. Of several measurements the table shows "
+            "the first that fails, else the first.",
             meanings,
             "## What to change in the paper\n\n" + "\n".join(changes),
-            "## All claims\n\n" + markdown(["claim", "where", "quantity", "measured", "needed", "verdict"], rows),
+            "## All claims\n\n" + markdown(header, rows),
             "## Claim by claim",
             *sections,
         ]
@@ -306,7 +315,8 @@ def claims_line(frame: pd.DataFrame) -> str:
         return ""
     count = frame["verdict"].value_counts()
     summary = ", ".join(f"{count.get(name, 0)} {name}" for name in VERDICTS)
-    return f"- [claims.md](claims.md): the paper's {len(frame)} claims: {summary} (`claims.csv`, `paper_figures.csv`)\n"
+    files = "`claims.csv`, figures `paper_figures.csv`"
+    return f"- [claims.md](claims.md): the paper's {len(frame)} claims: {summary} ({files})\n"
 
 
 def headline_document(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:

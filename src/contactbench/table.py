@@ -128,6 +128,8 @@ WORK_PRECISION = Table(
     },
 )
 
+SEPARATOR = " // "  #: between the measurements listed in one cell
+
 CLAIMS_TABLE = Table(
     "claims",
     "every claim of the paper with a measured number and the verdict that follows from it",
@@ -150,8 +152,8 @@ CLAIMS_TABLE = Table(
         "corrected_relation": "how it must compare with its bound",
         "corrected_bound": "its bound",
         "corrected_bound_reason": "why that bound",
-        "evidence": "all measurements of the claim",
-        "corrected_evidence": "all measurements of the corrected statement",
+        "evidence": "all measurements of the claim, separated by //",
+        "corrected_evidence": "all measurements of the corrected statement, separated by //",
         "figures": "the paper's figures drawn for it",
         "command": "the command that measures it again",
         "status": "ok, or failed: not measured, no verdict",

@@ -1,4 +1,4 @@
-"""Claims about contact geometry and the contact Hamilton equations (§2 of the paper, and eq. symplectification)."""
+"""Claims about contact geometry and the contact Hamilton equations (§2, and eq. symplectification)."""
 
 from __future__ import annotations
 
@@ -349,7 +349,7 @@ def turned(y, angle, axis=None):
         matrix = jnp.array([[c, -s], [s, c]])
     else:
         hat = jnp.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0.0]])
-        matrix = jax.scipy.linalg.expm(angle * hat)
+        matrix = jnp.eye(3) + jnp.sin(angle) * hat + (1 - jnp.cos(angle)) * hat @ hat  # Rodrigues
     return jnp.concatenate([matrix @ y[:n], matrix @ y[n : 2 * n], y[2 * n :]])
 
 

@@ -14,6 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from contactbench.errors import Registry
+from contactbench.table import SEPARATOR
 
 CLAIMS = Registry("claim")
 
@@ -153,7 +154,7 @@ class Claim:
             "verdict": str(result),
             "correction_kind": str(self.kind or ""),
             "correction": self.correction,
-            "evidence": " | ".join(map(str, evidence.statement)),
+            "evidence": SEPARATOR.join(map(str, evidence.statement)),
             "status": "ok",
         }
         if mended is not None:
@@ -163,7 +164,7 @@ class Claim:
                 "corrected_relation": mended.relation,
                 "corrected_bound": mended.bound,
                 "corrected_bound_reason": mended.why,
-                "corrected_evidence": " | ".join(map(str, evidence.corrected)),
+                "corrected_evidence": SEPARATOR.join(map(str, evidence.corrected)),
             }
         return row
 

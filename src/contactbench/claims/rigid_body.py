@@ -22,7 +22,7 @@ from contactbench.claims.calculus import (
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.methods import solve
 from contactbench.references import reference
-from contactbench.scene import BodyState, RigidBody
+from contactbench.scene import BodyState, RigidBody, cross
 from contactbench.scenes import SCENES
 
 BODY = "rigid_body"
@@ -39,7 +39,7 @@ def momentum_rate(scene: RigidBody):
 
 def equation(inertia, D):
     """M × I⁻¹M − D M for any matrix D, symmetric or not (eq. anisotropic)."""
-    return lambda M: np.cross(M, M / inertia) - D @ M
+    return lambda M: np.array(cross(M, M / inertia)) - D @ M
 
 
 def with_damping(*rates: float, inertia=(1.0, 2.0, 3.0)) -> RigidBody:
@@ -207,7 +207,7 @@ def distance_from_set(M, D) -> float:
 
 
 def equilibria(D, rng) -> list[np.ndarray]:
-    """Nonzero solutions of M × I⁻¹M = D M found from random starts, by least squares on a sphere-scaled residual."""
+    """Nonzero solutions of M × I⁻¹M = D M found from random starts, by least squares on residual/‖M‖²."""
     f = equation(INERTIA, D)
     found = []
     for _ in range(STARTS):
