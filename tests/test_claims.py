@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 
@@ -132,10 +133,10 @@ def test_wrong_rate_in_damp(ledger, monkeypatch, fresh):
     assert changes(ledger, "C27") == ("holds, corrected", "refuted")
 
 
-def test_wrong_sign_in_kick(ledger, monkeypatch, fresh):
-    """The force is reversed: no Verlet at γ = 0."""
-    back = lambda new, old: new._replace(p=tuple(2 * a - b for a, b in zip(old.p, new.p, strict=True)))  # noqa: E731
-    mutated_flow(monkeypatch, "kick", back)
+def test_half_the_force_in_kick(ledger, monkeypatch, fresh):
+    """No Verlet at γ = 0, and no longer the motion RK4 finds."""
+    half = lambda new, old: new._replace(p=tuple((a + b) / 2 for a, b in zip(old.p, new.p, strict=True)))  # noqa: E731
+    mutated_flow(monkeypatch, "kick", half)
     assert changes(ledger, "C28") == ("holds", "refuted")
     assert changes(ledger, "C29") == ("holds", "refuted")
 
@@ -187,7 +188,7 @@ def test_document(ledger, tmp_path):
     for name in IDS:
         assert f"### {name} · {ledger[name]['verdict']}" in text
         assert ledger[name]["claim"] in text
-    assert "nan" not in text
+    assert not re.search(r"\bnan\b", text)
     assert all(f"figures/{name}.png" in text for name in FIGURES)
 
 

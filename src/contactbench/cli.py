@@ -99,15 +99,17 @@ def claim(arguments: argparse.Namespace) -> int:
 
 def readable(row: dict[str, Any]) -> str:
     """A claim's row: the claim, each measurement on a line, the verdict, the correction."""
+    from contactbench.table import SEPARATOR
+
     lines = [f"{row['id']}  {row['where']}", f"claim       {row['claim']}"]
     lines += [f"scene       {row['scene']}", f"method      {row['method']}"]
     if row["status"] != "ok":
         return "\n".join([*lines, f"status      {row['status']}: {row['message']}"])
-    lines += [f"measured    {item}" for item in row["evidence"].split(" | ")]
+    lines += [f"measured    {item}" for item in row["evidence"].split(SEPARATOR)]
     lines.append(f"verdict     {row['verdict']}")
     if row["correction"]:
         lines.append(f"correction  {row['correction']}")
-    lines += [f"measured    {item}" for item in row.get("corrected_evidence", "").split(" | ") if item]
+    lines += [f"measured    {item}" for item in row.get("corrected_evidence", "").split(SEPARATOR) if item]
     return "\n".join(lines)
 
 
@@ -151,7 +153,9 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--json", action="store_true", help="print one JSON object")
     one.set_defaults(run=solve)
 
-    ledger = commands.add_parser("claim", help="measure one claim of the paper", epilog="example: contactbench claim C25")
+    ledger = commands.add_parser(
+        "claim", help="measure one claim of the paper", epilog="example: contactbench claim C25"
+    )
     ledger.add_argument("id", help="C01 to C36")
     ledger.add_argument("--json", action="store_true", help="print one JSON object")
     ledger.set_defaults(run=claim)

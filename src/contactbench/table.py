@@ -170,7 +170,7 @@ PAPER_FIGURES = Table(
         "panel": "panel of the figure",
         "curve": "curve in the panel",
         "point": "number of the point along its curve",
-        "kind": "what it is: truth, law, method, conservative, dissipative, stable, unstable, neutral, flow, criterion",
+        "kind": "what it is: truth, law, method, conservative, dissipative, flow, criterion; or its stability",
         "x": "abscissa",
         "y": "ordinate",
         "z": "third coordinate, fitted order or growth rate where the figure has one",
@@ -220,7 +220,8 @@ def merge(table: Table, rows: Iterable[Mapping[str, Any]], results: Path) -> pd.
         raise BadInput(f"table {table.name!r} has no columns {sorted(unknown)}")
     new["schema"] = SCHEMA_VERSION
     new = new.reindex(columns=[*table.columns, *PROVENANCE]).drop_duplicates(list(table.key), keep="last")
-    frame = new if old.empty else pd.concat([_kept(old, new, table.whole or table.key), new], ignore_index=True)
+    replaced = table.whole or table.key
+    frame = new if old.empty else pd.concat([_kept(old, new, replaced), new], ignore_index=True)
     frame = _sorted(_typed(frame), table)
     write(frame, table.path(results))
     return frame
