@@ -6,6 +6,7 @@ Where a claim behind a figure fell, the figure shows what is true beside what wa
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -47,7 +48,7 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[tuple[str, str, pd.DataFr
 def paper_2(rows: pd.DataFrame) -> Figure:
     """Oscillator: closed orbits and a spiral."""
     figure, axes = plt.subplots(figsize=(5.6, 5.2), layout="constrained")
-    looks = {
+    looks: dict[str, dict[str, Any]] = {
         "conservative": {"color": BLACK, "linewidth": 1.2},
         "dissipative": {"color": BLUE, "linestyle": "--"},
     }
@@ -129,7 +130,7 @@ def paper_4(rows: pd.DataFrame) -> Figure:
         across.plot(size, np.degrees(np.arccos(np.clip(cosine, -1, 1))), dash, color=color, label=name)
     axes.plot([0], [0], [0], "k+", markersize=8)
     momentum_space(axes, "M")
-    axes.view_init(elev=22, azim=-50)
+    axes.view_init(elev=22, azim=-50)  # type: ignore[attr-defined]
     across.set_ylabel("angle of M with the axis it started near, degrees")
     across.set_xlabel("‖M‖ / ‖M(0)‖ = $e^{-γt}$ (time runs to the right)")
     across.set_ylim(0, 185)
@@ -138,8 +139,8 @@ def paper_4(rows: pd.DataFrame) -> Figure:
     across.legend(loc="upper left")
     figure.suptitle(
         "damped rigid body (figure 4, corrected): all decay to the origin; from near axis 2 the "
-        "direction tumbles\n"
-        "to −e₂ and back, on its polhode, and does not settle on a stable axis"
+        "direction swings over\n"
+        "to near −e₂, on its polhode, and does not settle on a stable axis"
     )
     return figure
 
@@ -150,7 +151,8 @@ def paper_5(rows: pd.DataFrame) -> Figure:
     figure = plt.figure(figsize=(9.5, 5.6), layout="constrained")
     axes = figure.add_subplot(1, 1, 1, projection="3d", computed_zorder=False)
     elevation, azimuth = 22.0, 52.0
-    axes.view_init(elev=elevation, azim=azimuth)
+    axes.view_init(elev=elevation, azim=azimuth)  # type: ignore[attr-defined]
+    axes.set_proj_type("ortho")  # type: ignore[attr-defined]  # near and far as the greys say
     e, a = np.radians([elevation, azimuth])
     towards = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     sphere(axes)

@@ -99,8 +99,8 @@ def reeb_field() -> Evidence:
 @claim(
     "C03",
     "eq:contact-vector-field, eq:canonical-contact-equations",
-    "The coordinate equations q' = H_p, p' = −H_q − p H_s, s' = p·H_p − H solve ι_X dη = dH − R(H) "
-    "η, ι_X η = −H.",
+    "The coordinate equations q' = H_p, p' = −H_q − p H_s, s' = p·H_p − H solve ι_X dη = dH − R(H) η, ι_X "
+    "η = −H.",
     scene="random cubic H(q, p, s), n = 1, 2, 3; particle, γ s and ½ κ s²",
 )
 def contact_hamilton_equations() -> Evidence:
@@ -187,9 +187,9 @@ def hamiltonian_evolution() -> Evidence:
     "eq:damped-Newton",
     "g q̈ + Γ' g q̇ + ∇V = 0 for H0 = ½ g^{ij}(q) p_i p_j + V(q).",
     kind=Correction.repairs,
-    correction="True for a constant metric, which is what the paper assumes two equations earlier. For g(q) "
-    "the "
-    "acceleration is covariant: g_ij (q̈^j + Γ^j_kl q̇^k q̇^l) + Γ' g_ij q̇^j + ∂_i V = 0.",
+    correction="True for a constant metric, which is what the paper assumes two equations earlier. For "
+    "g(q) the acceleration is covariant: g_ij (q̈^j + Γ^j_kl q̇^k q̇^l) + Γ' g_ij q̇^j + ∂_i V "
+    "= 0.",
     scene="central in polar coordinates, g = diag(1, r²)",
 )
 def damped_newton() -> Evidence:
@@ -371,6 +371,9 @@ def cotangent_lifts() -> Evidence:
         q, p = y[:2], y[2:4]
         return jnp.concatenate([bend(q), jnp.linalg.solve(jax.jacfwd(bend)(q).T, p), y[4:]])
 
+    def strictness(map_):
+        return lambda y: pullback(map_, eta, y) - eta(y)
+
     defects = {
         "rotations of the plane": (lambda y: turned(y, 0.7), points(5)),
         "rotations of space": (lambda y: turned(y, 0.7, AXIS), points(7)),
@@ -380,7 +383,7 @@ def cotangent_lifts() -> Evidence:
         [
             at_most(
                 f"max |Φ*η − η|, {label}",
-                largest(lambda y, f=map_: pullback(f, eta, y) - eta(y), at),
+                largest(strictness(map_), at),
                 ROUND_OFF,
                 ROUND_OFF_WHY,
             )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -50,20 +49,19 @@ def gap(a: Sequence[Any], b: Sequence[Any]) -> Any:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-@lru_cache
-def exact_numbers(scene_name: str, changes: tuple = ()) -> tuple[Any, Mechanical, Mechanical]:
-    """A 50-digit number namespace, the scene, and the scene with such numbers."""
+def exact_numbers(scene: Mechanical) -> tuple[Any, Any]:
+    """A 50-digit number namespace, and the scene with such numbers."""
     context = decimal_context(DIGITS)
-    scene = SCENES[scene_name].with_(**dict(changes))
-    return context, scene, with_decimals(scene, context.mpf)
+    return context, with_decimals(scene, context.mpf)
 
 
 END, LADDER = 4, (32, 64, 128, 256)
 
 
-def exact_errors(method: FixedStep, scene_name: str = PARTICLE) -> dict[float, float]:
+def exact_errors(method: FixedStep) -> dict[float, float]:
     """max ‖(q, p) − true‖ over t = 1, …, 4 against the step, everything in 50 digits."""
-    context, scene, twin = exact_numbers(scene_name)
+    scene = SCENES[PARTICLE]
+    context, twin = exact_numbers(scene)
     truth = [[context.mpf(x) for x in row] for row in reference(scene, range(1, END + 1), ()).decimals]
     errors = {}
     for n in LADDER:
@@ -80,7 +78,7 @@ def slope(errors: dict[float, float]) -> float:
 
 def asymmetry(name: str) -> float:
     """|Φ_{−h} Φ_h x − x| in 50 digits for one step of h = 1/10."""
-    context, _, twin = exact_numbers(PARTICLE)
+    context, twin = exact_numbers(SCENES[PARTICLE])
     x, h = twin.initial(("s",)), context.mpf(1) / 10
     method = METHODS[name]
     back = method.advance(twin, method.advance(twin, x, h, 1, context), -h, 1, context)
@@ -126,8 +124,8 @@ def symplectic_defect(map_: Any, y: Any) -> Any:
 @claim(
     "C23",
     "eq:disc-Herglotz",
-    "s_{k+1} = s_k + h L(q_k, q_{k+1}, s_k) with variations of q_k is a variational "
-    "integrator, and reduces to the symplectic one when L does not depend on s.",
+    "s_{k+1} = s_k + h L(q_k, q_{k+1}, s_k) with variations of q_k is a variational integrator, and "
+    "reduces to the symplectic one when L does not depend on s.",
     scene=PARTICLE,
     method="discrete Herglotz, L = ½‖v‖² − V(q_k) − γ s_k",
 )
@@ -254,8 +252,8 @@ def subflows() -> Evidence:
     "Φ_h = B½ A C B½ is symmetric and second order.",
     kind=Correction.replaces,
     correction="For γ > 0 it is first order and not time-symmetric, because A and C do not commute. The "
-    "palindrome "
-    "B½ A½ C A½ B½ is symmetric and second order; so is B½ (AC) B½ with the exact joint flow of A and C.",
+    "palindrome B½ A½ C A½ B½ is symmetric and second order; so is B½ (AC) B½ with the exact "
+    "joint flow of A and C.",
     scene=PARTICLE,
     method="contact-printed; corrected: contact-abc, contact-strang",
 )
@@ -315,8 +313,7 @@ def step_drift(name: str, h: float) -> float:
     "The integrator preserves the contact structure up to O(h³).",
     kind=Correction.sharpens,
     correction="Every step is an exact conformal contact map, Φ_h*η = e^{−γh}η, at every step size: a "
-    "composition of "
-    "exact contact flows leaves nothing to O(h³).",
+    "composition of exact contact flows leaves nothing to O(h³).",
     scene=PARTICLE,
     method="contact-printed, contact-abc, contact-strang",
 )
@@ -367,8 +364,7 @@ ENERGY_LADDER = (16, 32, 64, 128, 256, 512)  #: steps per unit of time
     "The integrator has the correct decay of both H0 and s.",
     kind=Correction.repairs,
     correction="To the method's order only. What is exact at every step size is the conformal factor "
-    "e^{−γh}, hence J and, "
-    "for the body, ‖M‖.",
+    "e^{−γh}, hence J and, for the body, ‖M‖.",
     scene="particle; J: central, ‖M‖: rigid_body",
     method="contact-printed; orders: also contact-abc",
 )
@@ -468,10 +464,8 @@ SLACK = 1e-7
     "Numerically stable integration.",
     kind=Correction.repairs,
     correction="Conditionally stable. The palindromic B½ A½ C A½ B½ needs ωh < 2 whatever the damping; the "
-    "printed order "
-    "(ωh)² < 2 (1 + e^{γh}), which is 2 at γ = 0 and a little more with damping. See the stability "
-    "table for the merged "
-    "flow AC and for the other methods.",
+    "printed order (ωh)² < 2 (1 + e^{γh}), which is 2 at γ = 0 and a little more with damping. "
+    "See the stability table for the merged flow AC and for the other methods.",
     scene="oscillator, γ = 0, 0.1, 1",
     method="contact-printed, contact-abc",
 )

@@ -28,6 +28,7 @@ from contactbench.scenes import SCENES
 BODY = "rigid_body"
 ANISOTROPIC = "rigid_body_anisotropic"
 DOP853 = "scipy-dop853, rtol 10⁻¹³"
+COARSER = "scipy-dop853, rtol 10⁻¹² and 10⁻⁹"
 SOLVER_BOUND, SOLVER_WHY = 1e-10, "10³ times the tolerance 10⁻¹³ of the solver"
 SPECTRUM, SPECTRUM_WHY = 1e-12, "round-off of the eigenvalues of a 3×3 matrix of size one"
 
@@ -110,8 +111,7 @@ def body_equations() -> Evidence:
     "The left action of SO(3) has momentum map J(R, M) = M.",
     kind=Correction.replaces,
     correction="J = R M, the spatial momentum. It decays as e^{−γt}, component by component; body M does "
-    "not. "
-    "(M is the momentum map of the right action.)",
+    "not. (M is the momentum map of the right action.)",
     scene=BODY,
 )
 def body_momentum_map() -> Evidence:
@@ -229,10 +229,9 @@ def equilibria(D, rng) -> list[np.ndarray]:
     scene="M' = M × I⁻¹M − DM, I = (1, 2, 3), random D",
     method="none: least squares from random starts",
     correction="Needs D symmetric: then M·DM = 0, which every equilibrium obeys, forces DM = 0. With D = S "
-    "+ Â, S "
-    "symmetric ≥ 0 and  antisymmetric, M·DM = M·SM ≥ 0 still, but S M = 0 leaves M × Ω = Â M to "
-    "balance off the axes: "
-    "S = 1 − uuᵀ, u = (1, 1, 0)/√2, Â = a×, a = −(1, −1, 0)/(4√2) has the equilibrium M = u.",
+    "+ Â, S symmetric ≥ 0 and Â antisymmetric, M·DM = M·SM ≥ 0 still, but S M = 0 leaves M × Ω "
+    "= Â M to balance off the axes: S = 1 − uuᵀ, u = (1, 1, 0)/√2, Â = a×, a = −(1, −1, "
+    "0)/(4√2) has the equilibrium M = u.",
 )
 def equilibrium_set() -> Evidence:
     rng = np.random.default_rng(3)
@@ -299,10 +298,9 @@ def equilibrium_set() -> Evidence:
     "Stability theorem 1",
     "A rotation about an extreme axis in ker D is linearly asymptotically stable.",
     kind=Correction.repairs,
-    correction="The eigenvalue along the axis is always 0, because the whole axis consists of "
-    "equilibria. The rotation is asymptotically stable only transversally, and only if D damps the "
-    "transverse plane "
-    "(D ≠ 0 there; at D = 0 the transverse eigenvalues are imaginary).",
+    correction="The eigenvalue along the axis is always 0, because the whole axis consists of equilibria. "
+    "The rotation is asymptotically stable only transversally, and only if D damps the "
+    "transverse plane (D ≠ 0 there; at D = 0 the transverse eigenvalues are imaginary).",
     scene="anisotropic body, axes 1 and 3 in ker D, 100 random (I, D)",
 )
 def extreme_axes() -> Evidence:
@@ -318,7 +316,7 @@ def extreme_axes() -> Evidence:
         free.append(with_damping(0, 0, 0, inertia=inertia))
     values, undamped = spectra(damped, momenta).real, spectra(free, momenta).real
     one = with_damping(0, 0.5, 0.5).with_(M=(1.0, 0.02, 0.02), t_end=60.0)
-    end = solve(one, "scipy-dop853", rtol=1e-12, save_at=[60.0], carry=()).M[-1]
+    end = solve(one, "scipy-dop853", rtol=1e-12, save_at=[60.0], carry=()).y[-1]
     return Evidence(
         [at_most("largest real part of the whole spectrum", values.max(), -SPECTRUM, SPECTRUM_WHY)],
         [
@@ -350,9 +348,9 @@ def coupling(inertia, size) -> float:
     "Stability theorem 2",
     "A rotation about the intermediate axis in ker D is always a saddle.",
     kind=Correction.replaces,
-    correction="It is a saddle only while d₁d₃ < ab, with ab = |M*|² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂) "
-    "the product of the coupling rates; for d₁d₃ > ab damping stabilises it. With I = (1, 2, 3), |M*| = 1, "
-    "D = diag(d, 0, d) the border is d² = 1/12.",
+    correction="It is a saddle only while d₁d₃ < ab, with ab = |M*|² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂) the "
+    "product of the coupling rates; for d₁d₃ > ab damping stabilises it. With I = (1, 2, 3), "
+    "|M*| = 1, D = diag(d, 0, d) the border is d² = 1/12.",
     scene="anisotropic body, D = diag(d₁, 0, d₃)",
     figures=("paper_stability",),
 )
@@ -372,7 +370,7 @@ def intermediate_axis() -> Evidence:
         predicted.append(d1 * d3 > coupling(inertia, size))
     wrong = np.count_nonzero((growths(cases, momenta) < 0) != np.array(predicted))
     calm = with_damping(0.5, 0, 0.5).with_(M=(0.05, 1.0, 0.05), t_end=60.0)
-    end = solve(calm, "scipy-dop853", rtol=1e-12, save_at=[60.0], carry=()).M[-1]
+    end = solve(calm, "scipy-dop853", rtol=1e-12, save_at=[60.0], carry=()).y[-1]
     return Evidence(
         [
             at_least(
@@ -407,20 +405,19 @@ def intermediate_axis() -> Evidence:
     "Stability theorem 3",
     "If M* is not in ker D there is no steady rotation and all trajectories decay to the origin.",
     kind=Correction.replaces,
-    correction="A trajectory that starts off ker D may still settle on it: "
-    "with D = diag(0, 1, 1) it ends in a steady rotation about axis 1. All decay to the origin if "
-    "ker D contains no principal axis, "
-    "and where ker D ≠ 0 then only as t^{−1/2}.",
+    correction="A trajectory that starts off ker D may still settle on it: with D = diag(0, 1, 1) it ends "
+    "in a steady rotation about axis 1. All decay to the origin if ker D contains no principal "
+    "axis, and where ker D ≠ 0 then only as t^{−1/2}.",
     scene="anisotropic body, D = diag(0, 1, 1)",
-    method=DOP853,
+    method=COARSER,
 )
 def decay_to_the_origin() -> Evidence:
     scene = with_damping(0, 1, 1)
-    left = solve(scene, "scipy-dop853", rtol=1e-12, save_at=[80.0], carry=()).M[-1] / np.linalg.norm(scene.M)
+    left = solve(scene, "scipy-dop853", rtol=1e-12, save_at=[80.0], carry=()).y[-1] / np.linalg.norm(scene.M)
     D = ((1.0, -0.5, 0.0), (-0.5, 0.25, 0.0), (0.0, 0.0, 1.0))  # kernel (1, 2, 0), no principal axis
     tilted = SCENES[ANISOTROPIC].with_(damping=D)
     sizes = np.linalg.norm(
-        solve(tilted, "scipy-dop853", rtol=1e-9, save_at=[80.0, 8000.0], carry=()).M, axis=1
+        solve(tilted, "scipy-dop853", rtol=1e-9, save_at=[80.0, 8000.0], carry=()).y, axis=1
     )
     return Evidence(
         [
@@ -454,16 +451,14 @@ def decay_to_the_origin() -> Evidence:
 @claim(
     "C22",
     "fig4, fig5",
-    "With isotropic damping the equilibria lie on all principal axes of the momentum sphere, the "
-    "outer two stable, the middle one unstable.",
+    "With isotropic damping the equilibria lie on all principal axes of the momentum sphere, the outer two "
+    "stable, the middle one unstable.",
     kind=Correction.repairs,
     correction="With γ > 0 the only equilibrium is M = 0. The axes are relative equilibria: the direction "
-    "M/‖M‖ stays "
-    "while ‖M‖ decays as e^{−γt}. In the damped time τ = (1 − e^{−γt})/γ directions near axes 1 and "
-    "3 turn about them, "
-    "near axis 2 they leave (until τ runs out at 1/γ). They do not migrate to a stable axis, as "
-    "fig4 says: H0/‖M‖² is "
-    "constant, so the direction stays on the polhode of the free body.",
+    "M/‖M‖ stays while ‖M‖ decays as e^{−γt}. In the damped time τ = (1 − e^{−γt})/γ directions "
+    "near axes 1 and 3 turn about them, near axis 2 they leave (until τ runs out at 1/γ). They "
+    "do not migrate to a stable axis, contrary to the caption of fig4: H0/‖M‖² is constant, so "
+    "the direction stays on the polhode of the free body.",
     scene=BODY,
     figures=("paper_4", "paper_5"),
 )
