@@ -109,6 +109,12 @@ def record(request: pytest.FixtureRequest) -> Callable[..., None]:
 
 
 @pytest.fixture
+def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """``record_all(table, rows)`` journals many rows at once."""
+    return lambda which, rows: request.config.journal.append(which, *rows)
+
+
+@pytest.fixture
 def profile(request: pytest.FixtureRequest) -> Profile:
     return request.config.profile
 

@@ -1,4 +1,4 @@
-"""The command line: ``contactbench list | solve | report | references``."""
+"""The command line: ``contactbench list | solve | claim | report | references``."""
 
 from __future__ import annotations
 
@@ -92,6 +92,31 @@ def described(summary: dict[str, Any]) -> str:
     return "\n".join(f"{key:8} {value}" for key, value in summary.items() if value not in (None, ""))
 
 
+def claim(arguments: argparse.Namespace) -> int:
+    """Measure one claim of the paper and print its row."""
+    from contactbench.claims import CLAIMS
+
+    row = CLAIMS[arguments.id].row()
+    print(json.dumps(row, allow_nan=False, ensure_ascii=False) if arguments.json else readable(row))
+    return 0 if row["status"] == "ok" else 1
+
+
+def readable(row: dict[str, Any]) -> str:
+    """A claim's row: the claim, each measurement on a line, the verdict, the correction."""
+    from contactbench.table import SEPARATOR
+
+    lines = [f"{row['id']}  {row['where']}", f"claim       {row['claim']}"]
+    lines += [f"scene       {row['scene']}", f"method      {row['method']}"]
+    if row["status"] != "ok":
+        return "\n".join([*lines, f"status      {row['status']}: {row['message']}"])
+    lines += [f"measured    {item}" for item in row["evidence"].split(SEPARATOR)]
+    lines.append(f"verdict     {row['verdict']}")
+    if row["correction"]:
+        lines.append(f"correction  {row['correction']}")
+    lines += [f"measured    {item}" for item in row.get("corrected_evidence", "").split(SEPARATOR) if item]
+    return "\n".join(lines)
+
+
 def report(arguments: argparse.Namespace) -> int:
     """Write markdown and figures from the CSV tables."""
     from contactbench.report import report as write
@@ -133,6 +158,13 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--max-steps", type=int, help="step budget")
     one.add_argument("--json", action="store_true", help="print one JSON object")
     one.set_defaults(run=solve)
+
+    ledger = commands.add_parser(
+        "claim", help="measure one claim of the paper", epilog="example: contactbench claim C25"
+    )
+    ledger.add_argument("id", help="C01 to C36")
+    ledger.add_argument("--json", action="store_true", help="print one JSON object")
+    ledger.set_defaults(run=claim)
 
     write = commands.add_parser("report", help="markdown and figures from the CSV tables")
     write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")

@@ -60,6 +60,8 @@ class Table:
     about: str
     columns: Mapping[str, str]
     key: tuple[str, ...] = KEY
+    #: leading key columns of what is always made as a whole: a new run replaces all its rows
+    whole: tuple[str, ...] = ()
 
     def path(self, results: Path) -> Path:
         return results / f"{self.name}.csv"
@@ -129,9 +131,63 @@ WORK_PRECISION = Table(
     },
 )
 
-TABLES = {table.name: table for table in (CONVERGENCE, LAWS_TABLE, LAWS_TIME, WORK_PRECISION)}
+SEPARATOR = " // "  #: between the measurements listed in one cell
 
-_WHOLE = ("steps", "evaluations", "jacobians", "rounds", "iterations", "saved_times", "schema")
+CLAIMS_TABLE = Table(
+    "claims",
+    "every claim of the paper with a measured number and the verdict that follows from it",
+    {
+        "id": "number of the claim",
+        "where": "equation label, section or figure of the paper",
+        "claim": "what is claimed, in our words",
+        "scene": "what it is measured on",
+        "method": "integrator, or how the equations themselves are tested",
+        "quantity": "what was measured; of several measurements the first that fails, else the first",
+        "measured": "its value",
+        "relation": "how it must compare with the bound for the claim to hold",
+        "bound": "the bound",
+        "bound_reason": "why the bound is what it is",
+        "verdict": "holds; holds, corrected; refuted: computed from the measurements",
+        "correction_kind": "repairs (substance survives), replaces (contradicts), sharpens, extends",
+        "correction": "the corrected statement",
+        "corrected_quantity": "what was measured of it",
+        "corrected_measured": "its value",
+        "corrected_relation": "how it must compare with its bound",
+        "corrected_bound": "its bound",
+        "corrected_bound_reason": "why that bound",
+        "evidence": "all measurements of the claim, separated by //",
+        "corrected_evidence": "all measurements of the corrected statement, separated by //",
+        "figures": "the paper's figures drawn for it",
+        "command": "the command that measures it again",
+        "status": "ok, or failed: not measured, no verdict",
+        "message": "why, when the status is not ok",
+    },
+    key=("id",),
+)
+
+PAPER_FIGURES = Table(
+    "paper_figures",
+    "the data of the paper's figures, corrected where the claim behind them fell",
+    {
+        "figure": "paper_N, or the name of a figure of ours",
+        "panel": "panel of the figure",
+        "curve": "curve in the panel",
+        "point": "number of the point along its curve",
+        "kind": "what it is: truth, law, method, conservative, dissipative, flow, criterion; or its stability",
+        "x": "abscissa",
+        "y": "ordinate",
+        "z": "third coordinate, fitted order or growth rate where the figure has one",
+    },
+    key=("figure", "panel", "curve", "point"),
+    whole=("figure",),
+)
+
+TABLES = {
+    table.name: table
+    for table in (CONVERGENCE, LAWS_TABLE, LAWS_TIME, WORK_PRECISION, CLAIMS_TABLE, PAPER_FIGURES)
+}
+
+_WHOLE = ("steps", "evaluations", "jacobians", "rounds", "iterations", "saved_times", "schema", "point")
 
 
 # -- reading and writing ---------------------------------------------------------------------------
@@ -167,7 +223,8 @@ def merge(table: Table, rows: Iterable[Mapping[str, Any]], results: Path) -> pd.
         raise BadInput(f"table {table.name!r} has no columns {sorted(unknown)}")
     new["schema"] = SCHEMA_VERSION
     new = new.reindex(columns=[*table.columns, *PROVENANCE]).drop_duplicates(list(table.key), keep="last")
-    frame = new if old.empty else pd.concat([_kept(old, new, table.key), new], ignore_index=True)
+    replaced = table.whole or table.key
+    frame = new if old.empty else pd.concat([_kept(old, new, replaced), new], ignore_index=True)
     frame = _sorted(_typed(frame), table)
     write(frame, table.path(results))
     return frame
@@ -241,9 +298,9 @@ class Journal:
         self.results, self.run_id = results, run_id
         self.folder = results / ".journal"
 
-    def append(self, table: Table, row: Mapping[str, Any]) -> None:
-        """Add one row, on disk when this returns."""
-        self._write(f"{table.name}.jsonl", {**row, "run_id": self.run_id})
+    def append(self, table: Table, *rows: Mapping[str, Any]) -> None:
+        """Add rows, on disk when this returns."""
+        self._write(f"{table.name}.jsonl", *({**row, "run_id": self.run_id} for row in rows))
 
     def finish(self, cell: tuple[str, ...]) -> None:
         """Note that all rows of a cell are in; `--resume` skips it."""
@@ -263,10 +320,10 @@ class Journal:
             merge(table, self.rows(table), self.results)
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _write(self, name: str, entry: Mapping[str, Any]) -> None:
+    def _write(self, name: str, *entries: Mapping[str, Any]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / name).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(entry, default=_plain) + "\n")
+            file.writelines(json.dumps(entry, default=_plain) + "\n" for entry in entries)
             file.flush()
             os.fsync(file.fileno())
 

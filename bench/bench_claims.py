@@ -1,0 +1,20 @@
+"""Is it true?  One cell: a claim of the paper, or the data of one of its figures."""
+
+from __future__ import annotations
+
+from cells import cells
+from contactbench.claims import CLAIMS
+from contactbench.claims.curves import FIGURES, rows
+from contactbench.table import CLAIMS_TABLE, PAPER_FIGURES
+
+
+@cells(lambda profile: [(name,) for name in CLAIMS])
+def test_claim(cell, record):
+    row = CLAIMS[cell[0]].row()
+    record(CLAIMS_TABLE, **row)
+    assert row["status"] == "ok", row["message"]
+
+
+@cells(lambda profile: [(name,) for name in FIGURES])
+def test_paper_figure(cell, record_all):
+    record_all(PAPER_FIGURES, rows(cell[0]))

@@ -1,0 +1,12 @@
+"""The paper's claims, each with a measurement and the verdict that follows from it.
+
+Each module registers its own; the registry is in the order of the ids.
+"""
+
+from contactbench.claims import experiment, geometry, integrator, rigid_body, symmetry  # noqa: F401
+from contactbench.claims.ledger import CLAIMS, Claim, Correction, Evidence, Measurement, Verdict, verdict
+
+for _name in sorted(CLAIMS):
+    CLAIMS[_name] = CLAIMS.pop(_name)
+
+__all__ = ["CLAIMS", "Claim", "Correction", "Evidence", "Measurement", "Verdict", "verdict"]

@@ -1,0 +1,192 @@
+"""The data of the paper's figures, corrected where the claim behind them fell.
+
+Every function yields rows ``(panel, curve, kind, x, y, z)``, z nan in the plane; `FIGURES` maps a
+figure to its function.  `kind` says what a curve or point is: truth, law, method, stable, ….
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from contactbench.claims.experiment import NOMINAL
+from contactbench.claims.integrator import (
+    ABC,
+    ENERGY_LADDER,
+    PAPER_STEP,
+    PARTICLE,
+    PRINTED,
+    RK4,
+    STRANG,
+    energy_errors,
+    slope,
+)
+from contactbench.claims.rigid_body import SPECTRUM, coupling, growth, growths, momentum_rate, with_damping
+from contactbench.methods import solve
+from contactbench.references import reference
+from contactbench.scenes import SCENES
+
+Row = tuple[str, str, str, float, float, float]
+FIGURES: dict[str, Callable[[], Iterator[Row]]] = {}
+
+
+def figure(draw: Callable[[], Iterator[Row]]) -> Callable[[], Iterator[Row]]:
+    """Register the data of a figure under the function's name."""
+    FIGURES[draw.__name__] = draw
+    return draw
+
+
+def rows(name: str) -> Iterator[dict[str, Any]]:
+    """The table's rows of a figure, points numbered along each curve."""
+    count: dict[tuple[str, str], int] = {}
+    for panel, curve, kind, x, y, z in FIGURES[name]():
+        point = count[panel, curve] = count.get((panel, curve), -1) + 1
+        yield {
+            "figure": name,
+            "panel": panel,
+            "curve": curve,
+            "point": point,
+            "kind": kind,
+            "x": float(x),
+            "y": float(y),
+            "z": float(z),
+        }
+
+
+def curve(
+    panel: str, name: str, kind: str, x: Iterable[Any], y: Iterable[Any], z: Any = None
+) -> Iterator[Row]:
+    """The rows of one curve."""
+    x, y = list(x), list(y)
+    for point in zip(x, y, [math.nan] * len(x) if z is None else z, strict=True):
+        yield (panel, name, kind, *point)
+
+
+def numerical(scene: Any, method: str, step: float, count: int) -> Any:
+    """A run saved at `count` equal intervals, start included."""
+    return solve(
+        scene, method, step=step, save_at=np.linspace(0, scene.t_end, count + 1), carry=(), engine="python"
+    )
+
+
+@figure
+def paper_2() -> Iterator[Row]:
+    """Phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
+    for gamma, kind, starts, end in (
+        (0.0, "conservative", (0.5, 1.0, 1.5), 2 * math.pi),
+        (0.2, "dissipative", (1.5,), 25.0),
+    ):
+        for q0 in starts:
+            scene = SCENES["oscillator"].with_(gamma=gamma, q=(q0,))
+            truth = reference(scene, np.linspace(0, end, 161 if gamma == 0 else 301), ()).states()
+            yield from curve("phase", f"λ = {gamma:g}, q(0) = {q0:g}", kind, truth.q[0], truth.p[0])
+
+
+@figure
+def paper_3() -> Iterator[Row]:
+    """The momentum map of a rotation-invariant force along time, measured and by the law."""
+    for gamma in (0.0, 0.05, 0.1, 0.2, 0.4):
+        scene = SCENES["central"].with_(gamma=gamma)
+        run = numerical(scene, STRANG, 0.1, 40)
+        J = scene.momentum(run.states())[0]
+        fine = np.linspace(0, scene.t_end, 101)
+        yield from curve("decay", f"λ = {gamma:g}", "law", fine, np.exp(-gamma * fine))
+        yield from curve("decay", f"λ = {gamma:g}, {STRANG}", "method", run.t, J / J[0])
+
+
+@figure
+def paper_4() -> Iterator[Row]:
+    """Trajectories of the damped body in momentum space, from near each principal axis."""
+    tilt = 0.08
+    for axis in range(3):
+        M = np.full(3, tilt)
+        M[axis] = math.sqrt(1 - 2 * tilt * tilt)
+        scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(M), t_end=100.0)
+        path = numerical(scene, ABC, 0.05, 250).M
+        yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
+
+
+@figure
+def paper_5() -> Iterator[Row]:
+    """Directions of the momentum: the flow of M/‖M‖, and its six equilibria with their stability."""
+    scene = SCENES["rigid_body"]
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            e = sign * np.eye(3)[axis]
+            rate = growth(scene, e) + scene.gamma  # of the direction: ‖M‖ itself decays with γ
+            kind = "unstable" if rate > 1e-9 else "stable"
+            yield from curve("sphere", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, *[[c] for c in e])
+            residual = float(np.linalg.norm(momentum_rate(scene)(e)))
+            yield from curve(
+                "rate", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, [axis + 1], [residual], [rate]
+            )
+    free = scene.with_(gamma=0.0)
+    for axis in (0, 2):
+        for sign in (1.0, -1.0):
+            for angle in (0.25, 0.5, 0.7):  # from the axis towards axis 2
+                M = np.zeros(3)
+                M[axis], M[1] = sign * math.cos(angle), math.sin(angle)
+                path = numerical(free.with_(M=tuple(M), t_end=60.0), ABC, 0.1, 300).M
+                turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
+                once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
+                yield from curve(
+                    "sphere", f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad", "flow", *path[: once + 1].T
+                )
+
+
+@figure
+def paper_7() -> Iterator[Row]:
+    """Left: H0 along time at h = 0.01.  Right: error of H0 against the step, with fitted orders."""
+    scene = SCENES[PARTICLE]
+    t = np.linspace(0, scene.t_end, 201)
+    truth = scene.energy(reference(scene, t, ()).states())
+    law = truth[0] * np.exp(-scene.gamma * t)
+    yield from curve("energy", "true H0", "truth", t, truth)
+    yield from curve("energy", "H0(0) e^{-γt}", "law", t, law)
+    yield from curve("ratio", "true H0", "truth", t, truth / law - 1)
+    for name in (PRINTED, RK4):
+        run = numerical(scene, name, PAPER_STEP, 50)
+        energy = scene.energy(run.states())
+        yield from curve("energy", name, "method", run.t, energy)
+        yield from curve(
+            "ratio", name, "method", run.t, energy / (truth[0] * np.exp(-scene.gamma * run.t)) - 1
+        )
+    for name in NOMINAL:
+        errors = energy_errors(name, scene, (4, 8, *ENERGY_LADDER))
+        order = slope(errors)
+        yield from curve("convergence", name, "method", errors.keys(), errors.values(), [order] * len(errors))
+
+
+@figure
+def paper_8() -> Iterator[Row]:
+    """The splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
+    for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
+        scene = SCENES[PARTICLE].with_(gamma=gamma, t_end=60.0)
+        run = numerical(scene, PRINTED, PAPER_STEP, 400)
+        energy = scene.energy(run.states())
+        label = f"γ = {gamma:g}"
+        yield from curve("phase", label, kind, run.q[:, 0], run.p[:, 0])
+        yield from curve("energy", label, kind, run.t, energy)
+        if gamma == 0:
+            yield from curve("bounded", label, kind, run.t, energy / energy[0] - 1)
+
+
+@figure
+def paper_stability() -> Iterator[Row]:
+    """Growth rate across each axis in ker D over the transverse damping rates; the border d₁d₃ = ab."""
+    for axis in range(3):
+        e = np.eye(3)[axis]
+        across = [i for i in range(3) if i != axis]
+        grid = [(a, b) for a in np.linspace(0, 0.6, 21) for b in np.linspace(0, 0.6, 21)]
+        scenes = [
+            with_damping(*(0.0 if i == axis else pair[across.index(i)] for i in range(3))) for pair in grid
+        ]
+        for (a, b), rate in zip(grid, growths(scenes, [e] * len(grid)), strict=True):
+            kind = "unstable" if rate > SPECTRUM else "stable" if rate < -SPECTRUM else "neutral"
+            yield (f"axis {axis + 1}", "growth rate", kind, a, b, rate)
+    ab = coupling((1.0, 2.0, 3.0), 1.0)
+    d = np.linspace(ab / 0.6, 0.6, 61)
+    yield from curve("axis 2", "d₁d₃ = ab", "criterion", d, ab / d)

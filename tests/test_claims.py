@@ -1,0 +1,237 @@
+"""The ledger of claims: complete, computed, and sensitive to the formulas it judges."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+
+from contactbench import flows, paper_figures, references, report, table
+from contactbench.claims import CLAIMS, Correction, Evidence, Verdict, verdict
+from contactbench.claims.curves import FIGURES, rows
+from contactbench.claims.ledger import Claim, at_least, at_most
+from contactbench.cli import main
+from contactbench.composition import ABC
+from contactbench.methods import METHODS, compiled
+from contactbench.methods.contact import contact_method
+from contactbench.scene import BodyState, Mechanical, RigidBody, State
+
+IDS = [f"C{n:02d}" for n in range(1, 37)]
+REFUTED = {"C04", "C10", "C16", "C20", "C21", "C25", "C32", "C33"}
+CORRECTED = {"C05", "C19", "C22", "C26", "C27", "C30", "C35", "C36"}
+
+
+@pytest.fixture(scope="module")
+def ledger():
+    """Every row, measured once."""
+    return {name: item.row() for name, item in CLAIMS.items()}
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """No truth and no compiled program from before a mutation, and none left after it."""
+    monkeypatch.setattr(references, "_cache", {})
+    monkeypatch.setattr(compiled, "_programs", {})
+
+
+# -- the rows --------------------------------------------------------------------------------------
+def test_ids():
+    assert list(CLAIMS) == IDS
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_row(ledger, name):
+    row = ledger[name]
+    assert row["status"] == "ok", row
+    assert all(math.isfinite(row[key]) for key in ("measured", "bound"))
+    assert set(row) <= set(table.CLAIMS_TABLE.columns)
+    assert row["command"] == f"contactbench claim {name}"
+    expected = "refuted" if name in REFUTED else "holds, corrected" if name in CORRECTED else "holds"
+    assert row["verdict"] == expected, row["evidence"]
+
+
+@pytest.mark.parametrize("name", sorted(REFUTED | CORRECTED - {"C26"}))
+def test_a_verdict_against_the_paper_has_a_counterexample_and_a_correction(ledger, name):
+    row = ledger[name]
+    within = row["measured"] <= row["bound"] if row["relation"] == "≤" else row["measured"] >= row["bound"]
+    assert not within
+    assert row["correction"]
+    assert math.isfinite(row["corrected_measured"])
+    assert "fails" not in row["corrected_evidence"]
+
+
+@pytest.mark.parametrize("name", ["C18", "C24", "C26"])
+def test_what_goes_beyond_a_claim_is_measured_too(ledger, name):
+    assert "fails" not in ledger[name]["evidence"] + ledger[name]["corrected_evidence"]
+    assert ledger[name]["correction"]
+
+
+# -- the logic -------------------------------------------------------------------------------------
+PASS, FAIL = at_most("x", 0.0, 1.0, "test"), at_least("x", 0.0, 1.0, "test")
+
+
+@pytest.mark.parametrize(
+    ("statement", "corrected", "kind", "expected"),
+    [
+        ([PASS], [], None, Verdict.holds),
+        ([PASS], [PASS], Correction.extends, Verdict.holds),
+        ([PASS], [PASS], Correction.repairs, Verdict.holds),
+        ([PASS], [PASS], Correction.sharpens, Verdict.corrected),
+        ([PASS], [FAIL], Correction.sharpens, Verdict.holds),
+        ([PASS, FAIL], [PASS], Correction.repairs, Verdict.corrected),
+        ([PASS, FAIL], [PASS, FAIL], Correction.repairs, Verdict.refuted),
+        ([FAIL], [PASS], Correction.replaces, Verdict.refuted),
+        ([FAIL], [], None, Verdict.refuted),
+    ],
+)
+def test_verdict(statement, corrected, kind, expected):
+    assert verdict(Evidence(statement, corrected), kind) is expected
+
+
+def test_a_number_that_is_not_finite_gives_no_verdict():
+    def measure():
+        return Evidence([at_most("x", math.nan, 1.0, "test")])
+
+    row = Claim("C00", "", "", "", "", measure).row()
+    assert row["status"] == "failed"
+    assert "verdict" not in row
+    assert "not finite" in row["message"]
+
+
+def test_a_measurement_that_raises_gives_no_verdict():
+    row = Claim("C00", "", "", "", "", lambda: 1 / 0).row()
+    assert row["status"] == "failed"
+    assert "ZeroDivisionError" in row["message"]
+    assert "verdict" not in row
+
+
+# -- the verdicts follow the formulas --------------------------------------------------------------
+def changes(ledger, name):
+    """The verdict before and after."""
+    return ledger[name]["verdict"], CLAIMS[name].row().get("verdict")
+
+
+def mutated_flow(monkeypatch, name, change):
+    flow = flows.MECHANICAL[name]
+    apply = lambda scene, x, constants, xp: change(flow.apply(scene, x, constants, xp), x)  # noqa: E731
+    monkeypatch.setitem(flows.MECHANICAL, name, flow._replace(apply=apply))
+
+
+def test_wrong_action_in_drift_damp(ledger, monkeypatch, fresh):
+    """s is left undamped: no contact flow, and no contact structure."""
+    mutated_flow(monkeypatch, "drift_damp", lambda new, old: new._replace(s=old.s))
+    assert changes(ledger, "C24") == ("holds", "refuted")
+    assert changes(ledger, "C26") == ("holds, corrected", "refuted")
+
+
+def test_wrong_rate_in_damp(ledger, monkeypatch, fresh):
+    """p is damped twice: J decays at the wrong rate."""
+    twice = lambda new, old: new._replace(p=tuple(b * b / a for a, b in zip(old.p, new.p, strict=True)))  # noqa: E731
+    mutated_flow(monkeypatch, "damp", twice)
+    assert changes(ledger, "C24") == ("holds", "refuted")
+    assert changes(ledger, "C27") == ("holds, corrected", "refuted")
+
+
+def test_half_the_force_in_kick(ledger, monkeypatch, fresh):
+    """No Verlet at γ = 0, and no longer the motion RK4 finds."""
+    half = lambda new, old: new._replace(p=tuple((a + b) / 2 for a, b in zip(old.p, new.p, strict=True)))  # noqa: E731
+    mutated_flow(monkeypatch, "kick", half)
+    assert changes(ledger, "C28") == ("holds", "refuted")
+    assert changes(ledger, "C29") == ("holds", "refuted")
+
+
+def test_friction_missing_in_the_equations(ledger, monkeypatch, fresh):
+    rhs = Mechanical.rhs
+
+    def frictionless(scene, x):
+        new = rhs(scene, x)
+        return State(new.q, tuple(-g for g in scene.dV(x.q)), new.s)
+
+    monkeypatch.setattr(Mechanical, "rhs", frictionless)
+    assert changes(ledger, "C03") == ("holds", "refuted")
+    assert changes(ledger, "C06") == ("holds", "refuted")
+
+
+def test_body_momentum_taken_for_the_momentum_map(ledger, monkeypatch, fresh):
+    monkeypatch.setattr(RigidBody, "momentum", lambda scene, x: x.M)
+    assert changes(ledger, "C11") == ("holds", "refuted")
+    assert "fails" in CLAIMS["C16"].row()["corrected_evidence"]
+
+
+def test_gyroscopic_term_missing_in_the_body(ledger, monkeypatch, fresh):
+    """Without M × Ω every axis is as good as another: the intermediate one is no saddle."""
+    rhs = RigidBody.rhs
+
+    def no_torque(scene, x):
+        new = rhs(scene, x)
+        return BodyState(tuple(-d for d in scene.damp_matrix_function(x.M, lambda rate: rate)), new.R, new.s)
+
+    monkeypatch.setattr(RigidBody, "rhs", no_torque)
+    assert changes(ledger, "C15") == ("holds", "refuted")
+    assert changes(ledger, "C22") == ("holds, corrected", "refuted")
+
+
+def test_the_printed_composition_made_palindromic(ledger, monkeypatch, fresh):
+    """A verdict against the paper falls too, once what it rests on is mended."""
+    monkeypatch.setitem(METHODS, "contact-printed", contact_method(ABC))
+    assert changes(ledger, "C25") == ("refuted", "holds")
+
+
+# -- the table, the document, the figures, the command line ----------------------------------------
+def test_document(ledger, tmp_path):
+    table.merge(table.CLAIMS_TABLE, ledger.values(), tmp_path)
+    again = table.read(table.CLAIMS_TABLE, tmp_path)
+    assert list(again["id"]) == IDS
+    text = report.claims_document(again, set(FIGURES))
+    assert "Of 36 claims **20** holds, **8** holds, corrected, **8** refuted." in text
+    for name in IDS:
+        assert f"### {name} · {ledger[name]['verdict']}" in text
+        assert ledger[name]["claim"] in text
+    assert not re.search(r"\bnan\b", text)
+    assert all(f"figures/{name}.png" in text for name in FIGURES)
+
+
+def test_a_failed_claim_is_a_row(tmp_path):
+    failed = Claim("C00", "nowhere", "nothing", "", "", lambda: 1 / 0).row()
+    frame = table.merge(table.CLAIMS_TABLE, [failed, CLAIMS["C28"].row()], tmp_path)
+    assert "1 not measured" in report.claims_document(frame, set())
+
+
+def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
+    point = {"panel": "a", "curve": "c", "kind": "law", "x": 0.0, "y": 1.0, "z": math.nan}
+    long = [{**point, "figure": name, "point": k} for name in ("one", "two") for k in range(3)]
+    table.merge(table.PAPER_FIGURES, long, tmp_path)
+    table.merge(table.PAPER_FIGURES, long[:1], tmp_path)
+    assert list(table.read(table.PAPER_FIGURES, tmp_path)["figure"]) == ["one", "two", "two", "two"]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures(name, tmp_path):
+    frame = table.merge(table.PAPER_FIGURES, rows(name), tmp_path)
+    assert frame[["x", "y"]].map(math.isfinite).all(axis=None)
+    ((drawn, figure),) = paper_figures.figures(frame)
+    assert drawn == name
+    assert figure.axes
+
+
+def test_every_figure_belongs_to_a_claim():
+    assert (
+        set(FIGURES)
+        == {name for item in CLAIMS.values() for name in item.figures}
+        == set(paper_figures.DRAWN)
+    )
+
+
+def test_command_line(capsys):
+    assert main(["claim", "C28"]) == 0
+    assert "verdict     holds" in capsys.readouterr().out
+    assert main(["claim", "C28", "--json"]) == 0
+    assert '"verdict": "holds"' in capsys.readouterr().out
+
+
+def test_unknown_claim(capsys):
+    assert main(["claim", "C99"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("contactbench: unknown claim 'C99'")
+    assert error.count("\n") == 1
