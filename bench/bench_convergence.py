@@ -1,4 +1,8 @@
-"""How fast does the error fall with the step?  One cell: a fixed-step method on a scene."""
+"""How fast does the error fall with the step?  One cell: a fixed-step method on a scene.
+
+Up to order 4 in double precision over the whole scene; above it at 50 digits over its first part,
+because round-off would hide the slope.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,13 @@ import math
 import contactbench as cb
 from cells import cells, outcome, save_times, setting, steps
 from contactbench.analysis import fit_order
+from contactbench.precision import error_at
 from contactbench.table import CONVERGENCE
 
 POINTS = 9
 #: below this, relative to the solution, an error is round-off
 FLOOR = 1e-12
+EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
 
 
 def ladder(profile):
@@ -20,20 +26,41 @@ def ladder(profile):
     ]
 
 
+def in_double_precision(scene, method, points):
+    """(row, step, error) for each step size."""
+    for h in steps(scene, points):
+        solution = cb.solve(scene, method.name, save_at=save_times(scene), carry=(), **setting(method, h))
+        yield outcome(solution), h, cb.LAWS["solution_error"](solution)
+
+
+def at_fifty_digits(scene, method):
+    """The same on mpmath numbers: the error at t = 4, relative to the size of the initial state."""
+    size = math.hypot(*scene.pack(scene.initial(scene.optional)))
+    for n in EXTENDED_STEPS:
+        h = EXTENDED_TIME / n
+        row = {
+            "scene": scene.name, "method": method.name, "engine": "mpmath", "setting": f"step={h:.6g}",
+            "status": "ok", "message": "", "steps": n, "evaluations": method.counts(scene, n),
+            "evaluation_kind": method.kind_on(scene), "jacobians": 0,
+        }  # fmt: skip
+        yield row, h, float(error_at(method, scene, EXTENDED_TIME, n)) / size
+
+
 @cells(ladder)
 def test_convergence(cell, profile, record):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    hs = steps(scene, POINTS if profile.points > 1 else 4)
-    solutions = [
-        cb.solve(scene, method.name, save_at=save_times(scene), carry=(), **setting(method, h)) for h in hs
-    ]
-    errors = [cb.LAWS["solution_error"](solution) for solution in solutions]
-    fit = fit_order(hs, errors, FLOOR)
-    for i, (h, solution) in enumerate(zip(hs, solutions, strict=True)):
+    extended = method.order > 4 and method.refuses(scene) is None
+    if extended:
+        measured = list(at_fifty_digits(scene, method))
+    else:
+        measured = list(in_double_precision(scene, method, POINTS if profile.points > 1 else 4))
+    rows, hs, errors = zip(*measured, strict=True)
+    fit = fit_order(hs, errors, EXTENDED_FLOOR if extended else FLOOR)
+    for i, row in enumerate(rows):
         record(
             CONVERGENCE,
-            **outcome(solution),
-            step=h,
+            **row,
+            step=hs[i],
             solution_error=errors[i],
             pairwise_order=fit.pairwise[i],
             in_fit=bool(fit.used[i]),
@@ -42,5 +69,5 @@ def test_convergence(cell, profile, record):
             order_high=fit.high,
             order_nominal=method.order,
         )
-    assert all(s.ok or s.message for s in solutions)
+    assert all(row["status"] == "ok" or row["message"] for row in rows)
     assert math.isnan(fit.order) or fit.order > 0

@@ -48,7 +48,7 @@ class Profile:
 
 PROFILES = {
     "smoke": Profile("smoke", 1, 5, 0.0, 20_000),
-    "standard": Profile("standard", 8, 5, 0.06, 60_000),
+    "standard": Profile("standard", 7, 5, 0.05, 50_000),
     "full": Profile("full", 99, 15, 0.3, 1_000_000),
 }
 

@@ -287,6 +287,9 @@ def plan(composition: Composition, scene: Scene) -> Plan:
 Repeat = Callable[[Any, Callable[[Any], Any], Any], Any]
 
 
+#: a `repeat` with a true attribute `roll` asks for loops over stages too
+
+
 def repeat(n: int, body: Callable[[Any], Any], x: Any) -> Any:
     """n-fold application as a plain loop (the JAX engine passes its own)."""
     for _ in range(n):
@@ -334,29 +337,42 @@ def advance_by_the_clock(
     flows, gamma = flows_of(scene), scene.gamma
     alphas = composition.alphas()
     starts = [Fraction(0), *accumulate(alphas)]
-    turns: list[tuple[str, Any]] = []
-    for k, (start, alpha) in enumerate(zip(starts, alphas, strict=False)):
-        tau = xp.exp(-gamma * number(start, xp) * h) * damped_time(gamma, number(alpha, xp) * h, xp)
-        for name in ROTATIONS if k % 2 == 0 else ROTATIONS[::-1]:
-            if turns and turns[-1][0] == name:
-                turns[-1] = (name, turns[-1][1] + tau)
-            else:
-                turns.append((name, tau))
+    taus = [
+        xp.exp(-gamma * number(start, xp) * h) * damped_time(gamma, number(alpha, xp) * h, xp)
+        for start, alpha in zip(starts, alphas, strict=False)
+    ]
+    # Forward and backward sweeps in turn, 123 321 123 …, merged: 1 then 2321 again and again, the last
+    # 1 of a step merged with the first of the next, whose clock is slower by `decay`.
     decay = xp.exp(-gamma * h)
-    (first, opening), *inner, (_, closing) = turns
-    joint = closing + decay * opening  # the next step's clock is slower by `decay`
+    ones = [b + c for b, c in zip(taus[1::2], [*taus[2::2], decay * taus[0]], strict=True)]
+    rounds = [(a, a + b, b, one) for a, b, one in zip(taus[::2], taus[1::2], ones, strict=True)]
+    table = xp.asarray(rounds) if hasattr(xp, "asarray") else rounds
 
-    def run(turns: Iterable[tuple[str, Any]], x: BodyState, clock: Any) -> BodyState:
-        for name, tau in turns:
-            x = flows[name].apply(scene, x, clock * tau, xp)
+    def turn(x: BodyState, axes: Sequence[int], times: Any, clock: Any) -> BodyState:
+        for axis, tau in zip(axes, times, strict=True):
+            x = flows[ROTATIONS[axis]].apply(scene, x, clock * tau, xp)
         return x
+
+    def rolled(x: BodyState, clock: Any, count: int) -> BodyState:
+        """The first `count` rounds of a step: written out, or a loop where short code matters more."""
+        if not getattr(repeat, "roll", False):
+            for times in rounds[:count]:
+                x = turn(x, (1, 2, 1, 0), times, clock)
+            return x
+
+        def body(carried: tuple[BodyState, int]) -> tuple[BodyState, int]:
+            x, k = carried
+            return turn(x, (1, 2, 1, 0), [table[k][i] for i in range(4)], clock), k + 1
+
+        return repeat(count, body, (x, 0))[0]
 
     def step(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
         x, clock = carried
-        return run([*inner, (first, joint)], x, clock), clock * decay
+        return rolled(x, clock, len(rounds)), clock * decay
 
     one = decay / decay  # one, as a number of the engine's kind
-    x, clock = repeat(n - 1, step, (run([(first, opening)], x, one), one))
-    x = run([*inner, (first, closing)], x, clock)
+    x, clock = repeat(n - 1, step, (turn(x, (0,), (taus[0],), one), one))
+    x = rolled(x, clock, len(rounds) - 1)
+    x = turn(x, (1, 2, 1, 0), (*rounds[-1][:3], taus[-1]), clock)
     total = xp.exp(-gamma * h * n)
     return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)

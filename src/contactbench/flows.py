@@ -32,9 +32,16 @@ class Flow(NamedTuple):
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     """φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
     undamped = gamma == 0
-    if isinstance(undamped, bool):
+    if not hasattr(xp, "where"):  # math, mpmath: plain numbers
         return h if undamped else -xp.expm1(-gamma * h) / gamma
     return xp.where(undamped, h, -xp.expm1(-gamma * h) / xp.where(undamped, 1.0, gamma))
+
+
+def settled(x: Any, xp: Any) -> Any:
+    """x, computed once: XLA would redo divisions and sines for every later component that reads them,
+    which grows exponentially along a chain of flows."""
+    settle = getattr(xp, "settle", None)
+    return x if settle is None else settle(x)
 
 
 #: above this γh the decay is applied as a factor, below it as a small loss
@@ -50,7 +57,7 @@ def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
     """
     strong = gamma * h > STRONG
     factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)
-    if isinstance(strong, bool):
+    if not hasattr(xp, "where"):
         return (factor, 0.0) if strong else (1.0, loss)
     return xp.where(strong, factor, 1.0), xp.where(strong, 0.0, loss)
 
@@ -88,11 +95,11 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
     if half_kappa is None:
         return State(x.q, p, s)
     blowup = 1 + half_kappa * x.s
-    if isinstance(blowup > 0, bool):
+    if not hasattr(xp, "where"):
         factor = 1 / blowup if blowup > 0 else xp.inf
     else:
         factor = xp.where(blowup > 0, 1 / blowup, xp.inf)
-    return State(x.q, tuple(factor * factor * p for p in p), factor * s)
+    return settled(State(x.q, tuple(factor * factor * p for p in p), factor * s), xp)
 
 
 def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
@@ -137,10 +144,7 @@ def rotation(scene: RigidBody, x: BodyState, axis: int, tau: Any, xp: Any) -> Bo
         quaternion[1 + j] = cos * v[j] + sin * v[k]
         quaternion[1 + k] = cos * v[k] - sin * v[j]
         R = tuple(quaternion)
-    out = BodyState(tuple(turned), R, None if s is None else s + tau * M[axis] * rate / 2)
-    # XLA would recompute a rotation for every component that reads it: exponential along a chain
-    settle = getattr(xp, "settle", None)
-    return out if settle is None else settle(out)
+    return settled(BodyState(tuple(turned), R, None if s is None else s + tau * M[axis] * rate / 2), xp)
 
 
 def _rotation_flow(axis: int) -> Flow:

@@ -259,23 +259,26 @@ def claims_document(frame: pd.DataFrame, drawn: set[str]) -> str:
     ]
     sections = [claim_section(row, drawn) for _, row in frame.iterrows()]
     meanings = "\n".join(f"- *{name}*: {meaning}" for name, meaning in MEANINGS.items())
-    return "\n\n".join(
-        [
-            "# The paper's claims, measured",
-            f"Of {len(frame)} claims {summary}{f', {undecided} not measured' if undecided else ''}.",
-            "Each verdict is computed from the numbers beside it, none is typed in. Identities are tested by "
-            "automatic differentiation at random points, independently of the formulas they test; "
-            "trajectories against references of 30 digits or more; orders where it matters in 50-digit "
-            "arithmetic. The paper prints step and end time of its experiment; damping and initial data are "
-            "ours. All quantities are dimensionless, as in the paper. Of several measurements the table shows "
-            "the first that fails, else the first.",
-            meanings,
-            "## What to change in the paper\n\n" + "\n".join(changes),
-            "## All claims\n\n" + markdown(header, rows),
-            "## Claim by claim",
-            *sections,
-        ]
-    ) + "\n"
+    return (
+        "\n\n".join(
+            [
+                "# The paper's claims, measured",
+                f"Of {len(frame)} claims {summary}{f', {undecided} not measured' if undecided else ''}.",
+                "Each verdict is computed from the numbers beside it, none is typed in. Identities are tested by "
+                "automatic differentiation at random points, independently of the formulas they test; "
+                "trajectories against references of 30 digits or more; orders where it matters in 50-digit "
+                "arithmetic. The paper prints step and end time of its experiment; damping and initial data are "
+                "ours. All quantities are dimensionless, as in the paper. Of several measurements the table shows "
+                "the first that fails, else the first.",
+                meanings,
+                "## What to change in the paper\n\n" + "\n".join(changes),
+                "## All claims\n\n" + markdown(header, rows),
+                "## Claim by claim",
+                *sections,
+            ]
+        )
+        + "\n"
+    )
 
 
 def anchor(row: pd.Series) -> str:

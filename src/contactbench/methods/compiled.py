@@ -47,6 +47,10 @@ class CompiledRun(Prepared):
 
         return tuple(jax.device_put(array) for array in arrays)
 
+    def differentiable(self, y0: Any, *arguments: Any) -> Any:
+        """`states`, in whatever form is best differentiated."""
+        return self.states(y0, *arguments)
+
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to trace and compile."""
         import jax
@@ -65,7 +69,7 @@ class CompiledRun(Prepared):
         rest = self.arguments()
 
         def push(y0: Any, v: Any, *rest: Any) -> Any:
-            return jax.jvp(lambda y: self.states(y, *rest), (y0,), (v,))[1]
+            return jax.jvp(lambda y: self.differentiable(y, *rest), (y0,), (v,))[1]
 
         start = r.scene.unpack(tuple(y0.tolist()), r.carry)
         tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
