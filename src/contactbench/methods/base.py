@@ -200,7 +200,8 @@ def prepare(
 
     step : step size of a fixed-step method.  Steps never straddle a saved time: each interval
         between saved times is divided into the fewest equal steps not longer than `step`.
-    rtol, atol : tolerances of an adaptive method (atol defaults to rtol).
+    rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
+        rtol instead of step chooses its step from pilots, which are part of every call and its counts.
     save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
         most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
     carry : which of s and R to integrate; by default all the scene has.
@@ -218,11 +219,13 @@ def prepare(
             raise BadInput(f"step = {step!r}: {method} chooses its own steps; give rtol")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
     else:
-        if rtol is not None or atol is not None:
-            raise BadInput(f"rtol = {rtol!r}: {method} has a fixed step; give step")
+        if atol is not None or (step is None) == (rtol is None):
+            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
+            raise BadInput(f"{given}: {method} has a fixed step; give step > 0, or rtol to have it chosen")
         if step is None:
-            raise BadInput(f"step is missing: {method} has a fixed step; give step > 0")
-        step = positive("step", step)
+            rtol, _ = _tolerances(chosen, rtol, None)
+        else:
+            step = positive("step", step)
     budget = _budget(chosen, max_steps)
     times = _default_times(scene, step, budget) if save_at is None else _times(save_at)
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)

@@ -46,6 +46,8 @@ class FixedStep:
     symmetric: bool = False  # Φ_{−h} ∘ Φ_h = id
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     adaptive = False
+    #: tolerances from which a step can be chosen
+    rtol_range = (1e-13, 1e-1)
 
     def refuses(self, scene: Scene) -> str | None:
         return None
@@ -71,7 +73,10 @@ class FixedStep:
         return self.kind
 
     def prepare(self, request: Request) -> Prepared:
-        return {"jax": JaxLoop, "python": PythonLoop}[request.engine](self.name, request, self)
+        from contactbench.methods.step_choice import chosen_step
+
+        run = {"jax": JaxLoop, "python": PythonLoop}[request.engine]
+        return run(self.name, request, self) if request.step else chosen_step(self, request, run)
 
 
 def fixed_step(
@@ -99,14 +104,28 @@ class FixedStepRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        step = r.step or math.nan  # a fixed-step request always has one
         self.saves_start = r.save_at[0] == 0
         self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
+        counts = self.method_.counts
+        self.first_step, self.each_step = counts(r.scene, 1), counts(r.scene, 2) - counts(r.scene, 1)
+        self.kind = self.method_.kind_on(r.scene)
+        self.divide(r.step or math.nan)  # a fixed-step request always has one
+
+    def divide(self, step: float) -> None:
+        """Divide every interval into the fewest equal steps not longer than `step`."""
         self.n = np.array([steps_in(span, step) for span in self.marks], dtype=np.int64)
         self.h = self.marks / self.n
-        total = int(self.n.sum())
-        evaluations = sum(self.method_.counts(r.scene, int(n)) for n in self.n)
-        self.totals = Counts(total, evaluations, 0, 0, self.method_.kind_on(r.scene))
+        self.totals = self.cost(self.n)
+
+    def cost(self, n: np.ndarray) -> Counts:
+        """Counts of intervals of n[k] steps; every interval starts afresh."""
+        steps = int(n.sum())
+        evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
+        return Counts(steps, evaluations, 0, 0, self.kind)
+
+    def steps_at(self, step: float) -> int:
+        """How many steps a division by `step` makes."""
+        return sum(steps_in(span, step) for span in self.marks)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Packed states after each interval of n[k] steps of size h[k]; shape (k, d)."""
@@ -142,8 +161,7 @@ class FixedStepRun(Prepared):
             else:
                 left = int(half[0])
         end = time + float(h)
-        evaluations = self.method_.counts(r.scene, steps + 1)
-        counts = Counts(steps + 1, evaluations, 0, 0, self.method_.kind_on(r.scene))
+        counts = self.cost(np.array([steps + 1]))
         message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
         return Outcome(out.y, counts, Status.diverged, message, end)
 
@@ -186,6 +204,11 @@ class JaxLoop(FixedStepRun, CompiledRun):
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = self.on_device(np.array(self.request.scene.numbers()), self.h, self.n)
         self.program, self.compile_s = self.compiled("run", self.states, self._own_start, *self.fixed)
+
+    def divide(self, step: float) -> None:
+        super().divide(step)
+        if hasattr(self, "fixed"):  # a step for one call: not worth moving ahead of it
+            self.fixed = (self.fixed[0], self.h, self.n)
 
     def key(self) -> tuple[Any, ...]:
         return (self.method_, len(self.n))

@@ -1,0 +1,121 @@
+"""A fixed step chosen from a tolerance: pilots at halving steps, then one run at the step they imply.
+
+The step is the same throughout a run, so that a contact method keeps everything it keeps.  Two pilots
+h and h/2 over the same saved times give the error of the finer one, gap/(2^p − 1) (Richardson); once
+two successive gaps fall as the order says, e(h) = C h^p is trusted to give the step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import Outcome, Prepared
+from contactbench.methods.fixed_step import FixedStep, FixedStepRun
+from contactbench.solution import Status
+
+#: error aimed at, as a part of the tolerance
+AIM = 0.4
+#: first pilot: this many steps over the whole span
+FIRST = 4
+#: gaps larger than this are not asymptotic
+TRUSTED_GAP = 0.05
+#: how far the observed order may be from the method's
+LEEWAY = 0.5
+#: a gap of this size is round-off
+ROUND_OFF = 1e-13
+#: the last pilot's step is at most this many times the chosen one
+REACH = 6.0
+
+
+@dataclass
+class ChosenStep(Prepared):
+    """A fixed-step method run to a tolerance on max ‖y − y*‖ / max ‖y*‖ over the saved times.
+
+    The pilots are part of every call: their evaluations are in the counts and their time in the call.
+    """
+
+    method_: FixedStep
+    engine_run: type[FixedStepRun]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        first = float(self.request.save_at[-1]) / FIRST
+        self.run = self.engine_run(self.method, replace(self.request, step=first), self.method_)
+        self.compile_s = self.run.compile_s
+        self.sensitivity_source = self.run.sensitivity_source
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        step, evaluations = self.choose(y0)
+        self.run.divide(step)
+        out = self.run.integrate(y0)
+        counts = out.counts._replace(evaluations=(out.counts.evaluations or 0) + evaluations)
+        message = out.message
+        if out.status is Status.budget:
+            message = f"{out.message} (step {step:.3g} for rtol = {self.request.rtol:g})"
+        return replace(out, counts=counts, message=message)
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.run.divide(self.choose(y0)[0])
+        return self.run.linearised(y0, y)
+
+    def choose(self, y0: np.ndarray) -> tuple[float, int]:
+        """The step for the tolerance, and the evaluations spent on finding it."""
+        r, order = self.request, self.method_.order
+        assert r.rtol is not None
+        target, step, spent, gap = AIM * r.rtol, float(r.save_at[-1]) / FIRST, 0, math.inf
+        pilots: list[tuple[float, np.ndarray]] = []
+        while self.run.steps_at(step) <= r.max_steps:
+            y, cost = self.pilot(y0, step)
+            pilots.append((step, y))
+            spent += cost
+            if len(pilots) > 1:
+                before, gap = gap, distance(pilots[-2][1], y)
+                if gap < ROUND_OFF:  # exact, or as good as it gets
+                    return step, spent
+                rate = math.log2(before / gap) if math.isfinite(before) else 0.0
+                settled = gap < TRUSTED_GAP and rate > order - LEEWAY
+                finest = gap / (2**order - 1)
+                if settled and finest <= target:
+                    return self.between(pilots, finest, target), spent
+                ahead = (target / finest) ** (1 / order)
+                if settled and rate < order + LEEWAY and ahead > 1 / REACH:
+                    return step * ahead, spent
+            step /= 2
+        return step, spent  # will end as `budget`
+
+    @staticmethod
+    def between(pilots: list[tuple[float, np.ndarray]], finest: float, target: float) -> float:
+        """The step between two pilots at which the error, measured against the finest, is the target."""
+        fine, error = pilots[-1][0], finest
+        for step, y in reversed(pilots[:-1]):
+            larger = distance(y, pilots[-1][1])
+            if not larger <= target:
+                if not math.isfinite(larger):
+                    return fine
+                return fine * (step / fine) ** (math.log(target / error) / math.log(larger / error))
+            fine, error = step, max(larger, error)
+        return fine
+
+    def pilot(self, y0: np.ndarray, step: float) -> tuple[np.ndarray, int]:
+        """(q, p) or M at the saved times with a step, and the evaluations it took."""
+        self.run.divide(step)
+        y = self.run.intervals(y0, self.run.h, self.run.n)
+        return y[:, : self._motion], self.run.totals.evaluations or 0
+
+
+def distance(coarse: np.ndarray, fine: np.ndarray) -> float:
+    """max ‖coarse − fine‖ / max ‖fine‖ over the saved times; infinite unless both are finite."""
+    size = float(np.linalg.norm(fine, axis=1).max())
+    gap = float(np.linalg.norm(coarse - fine, axis=1).max())
+    if not (math.isfinite(size) and math.isfinite(gap)):
+        return math.inf
+    return gap / size if size > 0 else 0.0
+
+
+def chosen_step(method: Any, request: Any, engine_run: type[FixedStepRun]) -> Prepared:
+    """A prepared solver that chooses its step at every call."""
+    return ChosenStep(method.name, request, method, engine_run)

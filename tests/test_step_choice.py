@@ -1,0 +1,65 @@
+"""A tolerance asked of a fixed-step method is met: the error is near it and never far above."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+
+FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
+SCENES = ["oscillator", "particle", "central", "rigid_body"]
+
+
+@pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
+@pytest.mark.parametrize("name", SCENES)
+def test_error_is_within_a_factor_of_ten_of_the_tolerance(method, name):
+    scene = cb.SCENES[name]
+    if method.refuses(scene):
+        return
+    for rtol in (1e-3, 1e-6, 1e-8) if method.order >= 4 else (1e-3, 1e-5):
+        if method.order == 1 and rtol < 1e-3:
+            continue
+        solution = cb.solve(scene, method.name, rtol=rtol, save_at=[scene.t_end], carry=())
+        assert rtol / 10 < cb.LAWS["solution_error"](solution) < 2 * rtol
+
+
+def test_the_pilots_are_counted():
+    run = cb.prepare("particle", "contact-rkn6", rtol=1e-8, save_at=[20.0])
+    solution = run()
+    alone = cb.solve("particle", "contact-rkn6", step=20.0 / solution.counts.steps, save_at=[20.0])
+    np.testing.assert_allclose(alone.y, solution.y, rtol=1e-12)
+    assert alone.counts.evaluations < solution.counts.evaluations < 2.5 * alone.counts.evaluations
+    assert solution.setting == "rtol=1e-08"
+
+
+def test_other_initial_data_get_a_step_of_their_own():
+    run = cb.prepare("particle", "contact-rkn6", rtol=1e-8, save_at=[20.0])
+    gentle, wild = run(q=(0.01, 0.0), p=(0.0, 0.0)), run(q=(2.5, 1.0), p=(1.0, 2.0))
+    assert wild.counts.steps != gentle.counts.steps
+    for solution in (gentle, wild):
+        assert cb.LAWS["solution_error"](solution) < 2e-8
+
+
+def test_structure_is_kept_at_the_chosen_step():
+    solution = cb.solve("central", "contact-rkn6", rtol=1e-4, save_at=[10.0, 20.0])
+    assert cb.LAWS["contact_drift"](solution) < 1e-12
+    assert cb.LAWS["momentum_law"](solution) < 1e-12
+
+
+@pytest.mark.parametrize("engine", ["jax", "python"])
+def test_a_tolerance_out_of_reach_ends_as_budget(engine):
+    solution = cb.solve(
+        "particle", "contact-printed", rtol=1e-9, save_at=[20.0], max_steps=2000, engine=engine
+    )
+    assert solution.status is cb.Status.budget
+    assert "rtol = 1e-09" in solution.message
+    assert np.isnan(solution.y).all()
+
+
+def test_a_motion_every_step_solves_exactly_needs_no_small_step():
+    free = cb.Mechanical(
+        name="free", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],),
+        gamma=0.1, q=(0.0,), p=(1.0,), t_end=10.0,
+    )  # fmt: skip
+    assert cb.solve(free, "contact-strang", rtol=1e-10, save_at=[10.0]).counts.steps < 100
