@@ -11,13 +11,17 @@ from __future__ import annotations
 
 from time import perf_counter
 
+import numpy as np
+
 import contactbench as cb
-from cells import RTOLS, cells, engines, outcome, setting, step_budget, steps
+from cells import RTOLS, cells, engines, outcome, step_budget, work_ladder
 from contactbench.laws import absolute_error
 from contactbench.table import WORK_PRECISION
+from limit import KERNELS, kernel
 
-STEPS = 9
 ENDS = 5
+#: a fixed-step method that is also run to tolerances, its pilots counted and timed
+CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"), [1e-4, 1e-6, 1e-8, 1e-10]
 ROUND_SECONDS = 1e-3
 MOST_ROUNDS = 40
 
@@ -27,12 +31,24 @@ def ladder(profile):
     for scene in cb.SCENES.values():
         for name, engine in engines():
             adaptive = cb.METHODS[name].adaptive
-            values = (
-                [r for r in RTOLS if r >= cb.METHODS[name].rtol_range[0]] if adaptive else steps(scene, STEPS)
-            )
+            method = cb.METHODS[name]
+            tolerances = [rtol for rtol in RTOLS if rtol >= method.rtol_range[0]]
+            values = tolerances if adaptive else work_ladder(scene, method.order)
             for value in profile.choose(values):
                 rows.append((scene.name, name, engine, f"{'rtol' if adaptive else 'step'}={value:.6g}"))
+    for scene in CHOSEN_ON:
+        rows += [(scene, CHOSEN, "jax", f"rtol={rtol:.6g}") for rtol in profile.choose(CHOSEN_RTOLS)]
     return rows
+
+
+def limits(profile):
+    """The C loops, on the finest and the middle step of the ladder."""
+    return [
+        (scene, method, f"{work_ladder(cb.SCENES[scene], cb.METHODS[method].order)[k]:.6g}")
+        for scene in ("particle", "particle_long")
+        for method in KERNELS
+        for k in ((-1, -3) if profile.points > 1 else (-3,))
+    ]
 
 
 def carried(scene):
@@ -49,11 +65,12 @@ def error(solutions):
 @cells(ladder)
 def test_work_precision(cell, profile, record, benchmark):
     scene, method, engine = cb.SCENES[cell[0]], cb.METHODS[cell[1]], cell[2]
-    value = float(cell[3].partition("=")[2])
-    if not method.adaptive:  # the exact step, not its six printed digits
-        value = min(steps(scene, STEPS), key=lambda h: abs(h - value))
+    kind, _, value = cell[3].partition("=")
+    value = float(value)
+    if kind == "step":
+        value = exact_step(work_ladder(scene, method.order), value)
     options = {
-        **setting(method, value),
+        kind: value,
         "engine": engine,
         "carry": carried(scene),
         "max_steps": step_budget(profile, scene, method, engine),
@@ -63,7 +80,7 @@ def test_work_precision(cell, profile, record, benchmark):
     solution = run()
     first = perf_counter() - start
     row = {
-        "track": "adaptive" if method.adaptive else "fixed",
+        "track": "adaptive" if method.adaptive else "fixed" if kind == "step" else "chosen",
         "carried": " ".join(
             [*scene.initial_fields[: 1 if "M" in scene.initial_fields else 2], *carried(scene)]
         ),
@@ -76,21 +93,52 @@ def test_work_precision(cell, profile, record, benchmark):
     earlier = [scene.t_end * k / ENDS for k in range(1, ENDS)]
     shorter = [cb.solve(scene, method.name, save_at=[t], **options) for t in earlier]
     row["solution_error"] = error([*shorter, solution])
+    counts = outcome(solution, run.count())
+    record(WORK_PRECISION, **counts, **row, **timed(run, profile, benchmark, scene.name))
+
+
+@cells(limits)
+def test_limit(cell, profile, record, benchmark):
+    """The same arithmetic as a C loop: what a compiled kernel is compared with."""
+    scene, method = cb.SCENES[cell[0]], cell[1]
+    step = exact_step(work_ladder(scene, cb.METHODS[method].order), float(cell[2]))
+    row = {
+        "scene": scene.name, "method": "limit-c", "engine": "c", "setting": f"{method} step={cell[2]}",
+        "track": "limit", "carried": "q p", "jacobians": 0, "evaluation_kind": "gradient",
+    }  # fmt: skip
+    made = kernel(method, scene, step)
+    if isinstance(made, str):
+        record(WORK_PRECISION, **row, status="unsupported", message=made)
+        return
+    run, evaluations = made
+    start = perf_counter()
+    end = run()
+    first = perf_counter() - start
+    truth = cb.reference(scene, [scene.t_end], ()).y[0]
+    record(
+        WORK_PRECISION, **row, status="ok", message="", steps=round(scene.t_end / step),
+        evaluations=evaluations, rhs_equivalents=float(evaluations), compile_s=0.0, first_call_s=first,
+        solution_error=float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p])),
+        **timed(run, profile, benchmark, scene.name),
+    )  # fmt: skip
+
+
+def exact_step(ladder, printed):
+    """The step of the ladder that was printed with six digits."""
+    return min(ladder, key=lambda h: abs(h - printed))
+
+
+def timed(run, profile, benchmark, group):
+    """The time columns: rounds of about a millisecond, as many as the profile fills."""
     start = perf_counter()
     run()
     once = perf_counter() - start
     iterations = max(1, round(ROUND_SECONDS / once))
     rounds = min(MOST_ROUNDS, max(profile.rounds, round(profile.seconds / (iterations * once))))
-    benchmark.group = scene.name
+    benchmark.group = group
     benchmark.pedantic(run, rounds=rounds, iterations=iterations, warmup_rounds=1)
     stats = benchmark.stats.stats
-    record(
-        WORK_PRECISION,
-        **outcome(solution, run.count()),
-        **row,
-        time_min_s=stats.min,
-        time_median_s=stats.median,
-        time_iqr_s=stats.iqr,
-        rounds=stats.rounds,
-        iterations=iterations,
-    )
+    return {
+        "time_min_s": stats.min, "time_median_s": stats.median, "time_iqr_s": stats.iqr,
+        "rounds": stats.rounds, "iterations": iterations,
+    }  # fmt: skip

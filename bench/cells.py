@@ -36,6 +36,17 @@ def steps(scene: Scene, count: int) -> list[float]:
     return [scene.t_end / (n * 2**k) for k in range(count)]
 
 
+def work_ladder(scene: Scene, order: int) -> list[float]:
+    """Nine steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
+
+    Halving from 0.8; from order 6 on by √2 from 1.6, because finer steps meet round-off.
+    """
+    if order < 6:
+        return steps(scene, 9)
+    coarse = steps(scene, 1)[0] * 2
+    return [scene.t_end / (5 * round(scene.t_end / coarse / 5 * 2 ** (k / 2))) for k in range(9)]
+
+
 def save_times(scene: Scene) -> np.ndarray:
     """The 25 times every ladder has in common, on the grid of the frozen references."""
     return scene.t_end * np.arange(1, SAVES + 1) / SAVES

@@ -308,21 +308,44 @@ def advance(
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     flows = flows_of(scene)
     steps = plan(composition, scene)
+    constants = stage_constants((*steps.opening, *steps.inner, *steps.closing, *steps.joint), scene, h, xp)
 
-    def prepared(stages: tuple[Stage, ...]) -> list[tuple[Flow, Any]]:
-        return [(flows[f], flows[f].constants(scene, number(c, xp) * h, xp)) for f, c in stages]
-
-    def run(stages: list[tuple[Flow, Any]], x: Any) -> Any:
-        for flow, constants in stages:
-            x = flow.apply(scene, x, constants, xp)
+    def run(stages: Iterable[Stage], x: Any) -> Any:
+        for name, coefficient in stages:
+            x = flows[name].apply(scene, x, constants(name, coefficient), xp)
         return x
 
-    opening, inner, closing, joint = map(prepared, (steps.opening, steps.inner, steps.closing, steps.joint))
+    opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
     x = run(opening, x)
     if joint:
         x = repeat(n - 1, lambda x: run(joint, run(inner, x)), x)
         return run(closing, run(inner, x))
     return repeat(n, lambda x: run(inner, x), x)
+
+
+def stage_constants(stages: Iterable[Stage], scene: Any, h: Any, xp: Any) -> Callable[[str, Fraction], Any]:
+    """The constants of every stage, computed once and looked up by flow and coefficient.
+
+    For array namespaces all stages of a flow are one vector: an exponential for all of them costs what
+    one costs, and compiled code reads its scalars where it needs them.
+    """
+    flows, distinct = flows_of(scene), list(dict.fromkeys(stages))
+    if not hasattr(xp, "asarray"):
+        scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}
+        return lambda name, coefficient: scalars[name, coefficient]
+    coefficients = {name: [c for f, c in distinct if f == name] for name, _ in distinct}
+    vectors = {
+        name: flows[name].constants(scene, xp.asarray([number(c, xp) for c in cs]) * h, xp)
+        for name, cs in coefficients.items()
+    }
+    return lambda name, coefficient: entry(vectors[name], coefficients[name].index(coefficient))
+
+
+def entry(constants: Any, i: int) -> Any:
+    """Entry i of constants that are a vector, None, or a tuple of such."""
+    if isinstance(constants, tuple):
+        return tuple(entry(c, i) for c in constants)
+    return None if constants is None else constants[i]
 
 
 def advance_by_the_clock(
@@ -334,45 +357,52 @@ def advance_by_the_clock(
     act on (m, R) as if undamped, for times φ(αh) e^{−γt}, and the sweeps merge like undamped ones.
     What is left of damping is one factor on M and s at the end.
     """
-    flows, gamma = flows_of(scene), scene.gamma
-    alphas = composition.alphas()
-    starts = [Fraction(0), *accumulate(alphas)]
-    taus = [
-        xp.exp(-gamma * number(start, xp) * h) * damped_time(gamma, number(alpha, xp) * h, xp)
-        for start, alpha in zip(starts, alphas, strict=False)
-    ]
-    # Forward and backward sweeps in turn, 123 321 123 …, merged: 1 then 2321 again and again, the last
-    # 1 of a step merged with the first of the next, whose clock is slower by `decay`.
-    decay = xp.exp(-gamma * h)
-    ones = [b + c for b, c in zip(taus[1::2], [*taus[2::2], decay * taus[0]], strict=True)]
-    rounds = [(a, a + b, b, one) for a, b, one in zip(taus[::2], taus[1::2], ones, strict=True)]
-    table = xp.asarray(rounds) if hasattr(xp, "asarray") else rounds
+    flows, gamma, decay = flows_of(scene), scene.gamma, xp.exp(-scene.gamma * h)
+    taus, rounds = clock_times(composition.alphas(), gamma, h, xp), len(composition.alphas()) // 2
 
     def turn(x: BodyState, axes: Sequence[int], times: Any, clock: Any) -> BodyState:
         for axis, tau in zip(axes, times, strict=True):
             x = flows[ROTATIONS[axis]].apply(scene, x, clock * tau, xp)
         return x
 
-    def rolled(x: BodyState, clock: Any, count: int) -> BodyState:
-        """The first `count` rounds of a step: written out, or a loop where short code matters more."""
+    def round_of(k: Any, x: BodyState, clock: Any) -> BodyState:
+        """Rotations 2 3 2 1 of round k: the end of a forward sweep, a backward one, the next beginning."""
+        forward, backward, following = taus[2 * k], taus[2 * k + 1], taus[2 * k + 2]
+        return turn(x, (1, 2, 1, 0), (forward, forward + backward, backward, backward + following), clock)
+
+    def first_rounds(x: BodyState, clock: Any, count: int) -> BodyState:
+        """Rounds 0 … count − 1 of a step: written out, or a loop where short code matters more."""
         if not getattr(repeat, "roll", False):
-            for times in rounds[:count]:
-                x = turn(x, (1, 2, 1, 0), times, clock)
+            for k in range(count):
+                x = round_of(k, x, clock)
             return x
-
-        def body(carried: tuple[BodyState, int]) -> tuple[BodyState, int]:
-            x, k = carried
-            return turn(x, (1, 2, 1, 0), [table[k][i] for i in range(4)], clock), k + 1
-
-        return repeat(count, body, (x, 0))[0]
+        return repeat(
+            count, lambda carried: (round_of(carried[1], carried[0], clock), carried[1] + 1), (x, 0)
+        )[0]
 
     def step(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
         x, clock = carried
-        return rolled(x, clock, len(rounds)), clock * decay
+        return first_rounds(x, clock, rounds), clock * decay
 
     one = decay / decay  # one, as a number of the engine's kind
     x, clock = repeat(n - 1, step, (turn(x, (0,), (taus[0],), one), one))
-    x = rolled(x, clock, len(rounds) - 1)
-    x = turn(x, (1, 2, 1, 0), (*rounds[-1][:3], taus[-1]), clock)
+    x = first_rounds(x, clock, rounds - 1)
+    forward, backward = taus[2 * rounds - 2], taus[2 * rounds - 1]
+    x = turn(x, (1, 2, 1, 0), (forward, forward + backward, backward, backward), clock)
     total = xp.exp(-gamma * h * n)
     return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)
+
+
+def clock_times(alphas: Sequence[Fraction], gamma: Any, h: Any, xp: Any) -> Any:
+    """e^{−γ u_k} φ(α_k h) for each sweep, u_k the time at which it starts, and for the first sweep of
+    the next step, whose clock is slower by e^{−γh}."""
+    starts = [Fraction(0), *accumulate(alphas)]
+    lengths = [*alphas, alphas[0]]
+
+    def tau(start: Any, length: Any) -> Any:
+        return xp.exp(-gamma * start * h) * damped_time(gamma, length * h, xp)
+
+    columns = ([number(c, xp) for c in column] for column in (starts, lengths))
+    if hasattr(xp, "asarray"):
+        return tau(*map(xp.asarray, columns))
+    return [tau(start, length) for start, length in zip(*columns, strict=True)]

@@ -89,6 +89,7 @@ def shared_legend(figure: Figure, methods: list[str], columns: int = 4) -> None:
 def work_precision(frame: pd.DataFrame, scene: str, labels: dict[str, str]) -> Figure:
     """Cost against error for one scene: compiled time, callback time, evaluations."""
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
+    rows = rows[rows["track"].isin(["fixed", "adaptive"])]
     figure, axes = plt.subplots(1, 3, figsize=(13.5, 4.6), layout="constrained")
     error = rows["solution_error"].clip(lower=ROUND_OFF / 4)
     rows = rows.assign(error=error)

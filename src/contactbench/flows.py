@@ -75,7 +75,8 @@ def kick(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
 
 def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
-    q = tuple(q + h / scene.mass * p for q, p in zip(x.q, x.p, strict=True))
+    over_m = h * scene.inverse_mass
+    q = tuple(q + over_m * p for q, p in zip(x.q, x.p, strict=True))
     return State(q, x.p, None if x.s is None else x.s + h * scene.kinetic(x.p))
 
 
@@ -104,7 +105,7 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
 
 def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
     phi = damped_time(scene.gamma, h, xp)
-    return phi / scene.mass, phi, *damping(scene.gamma, h, xp)
+    return phi * scene.inverse_mass, phi, *damping(scene.gamma, h, xp)
 
 
 def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
@@ -131,7 +132,7 @@ def rotation(scene: RigidBody, x: BodyState, axis: int, tau: Any, xp: Any) -> Bo
     """
     j, k = (axis + 1) % 3, (axis + 2) % 3
     M, R, s = x
-    rate = M[axis] / scene.inertia[axis]
+    rate = M[axis] * scene.inverse_inertia[axis]
     half = tau * rate / 2
     cos, sin = xp.cos(half), xp.sin(half)
     cos2, sin2 = 1 - 2 * sin * sin, 2 * sin * cos

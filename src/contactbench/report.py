@@ -57,6 +57,7 @@ def equal_error(work: pd.DataFrame, scene: str, cost: str) -> pd.DataFrame:
     cost : "time_median_s", or "rhs_equivalents" (one row per method then: engines count alike).
     """
     part = work[(work["scene"] == scene) & (work["status"] == "ok")]
+    part = part[part["track"].isin(["fixed", "adaptive"])]
     rows: list[dict[Any, Any]] = []
     for (method, engine), line in part.groupby(["method", "engine"], sort=False):
         if cost == "rhs_equivalents" and any(row["method"] == method for row in rows):
@@ -167,6 +168,43 @@ def laws_document(frame: pd.DataFrame) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def kernel_table(frame: pd.DataFrame) -> str:
+    """Time per gradient of our compiled kernels beside the same arithmetic as a C loop."""
+    rows = []
+    for _, limit in frame[(frame["track"] == "limit") & (frame["status"] == "ok")].iterrows():
+        method, _, step = str(limit["setting"]).partition(" ")
+        same = (frame["scene"] == limit["scene"]) & (frame["method"] == method)
+        ours = frame[
+            same & (frame["engine"] == "jax") & (frame["setting"] == step) & (frame["status"] == "ok")
+        ]
+        if len(ours):
+            c, jax = (r["time_min_s"] / r["evaluations"] * 1e9 for r in (limit, ours.iloc[0]))
+            times = (f"{c:.2f} ns", f"{jax:.2f} ns", f"{jax / c:.2f}")
+            rows.append([limit["scene"], method, step, limit["evaluations"], *times])
+    return markdown(["scene", "method", "step", "gradients", "C loop", "jax, whole call", "ratio"], rows)
+
+
+def chosen_table(frame: pd.DataFrame) -> str:
+    """What a tolerance asked of a fixed-step method gives, pilots included."""
+    rows = []
+    for _, row in frame[(frame["track"] == "chosen") & (frame["status"] == "ok")].iterrows():
+        rtol = float(row["setting"].partition("=")[2])
+        found = (f"{rtol:.0e}", scientific(row["solution_error"]), f"{row['solution_error'] / rtol:.2f}")
+        cost = (row["steps"], f"{row['rhs_equivalents']:.0f}", duration(row["time_median_s"]))
+        rows.append([row["scene"], row["method"], *found, *cost])
+    head = [
+        "scene",
+        "method",
+        "rtol",
+        "error",
+        "error / rtol",
+        "steps",
+        "evaluations with pilots",
+        "time with pilots",
+    ]
+    return markdown(head, rows)
+
+
 def work_precision_document(frame: pd.DataFrame) -> str:
     parts = [
         "# Cost at equal error",
@@ -196,6 +234,12 @@ def work_precision_document(frame: pd.DataFrame) -> str:
                 "Runs that did not end `ok`:\n\n"
                 + markdown(["method (engine)", "setting", "status", "why"], endings)
             )
+    parts += [
+        "## Compiled kernels beside a C loop\n\nFastest round, per gradient, one thread. The jax column is the "
+        "whole call of a prepared solver, its dispatch included.",
+        kernel_table(frame),
+        "## A step chosen from a tolerance\n\n" + chosen_table(frame),
+    ]
     return "\n\n".join(parts) + "\n"
 
 

@@ -263,6 +263,8 @@ class Mechanical(Scene):
     hessian: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
+    #: kept so that no division is left in the right-hand side: compiled loops run up to twice as fast
+    inverse_mass: Any = field(init=False, repr=False, default=1.0)
 
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
 
@@ -275,6 +277,7 @@ class Mechanical(Scene):
         for name in ("gamma", "kappa", "s"):
             fix(self, name, finite(name, getattr(self, name)))
         fix(self, "mass", positive("mass", self.mass))
+        fix(self, "inverse_mass", 1 / self.mass)
         fix(self, "t_end", positive("t_end", self.t_end))
         fix(self, "parameters", {k: finite(k, v) for k, v in self.parameters.items()})
         self._check_dimension()
@@ -316,7 +319,12 @@ class Mechanical(Scene):
         parameters = dict(zip(self.parameters, rest, strict=True))
         nonlinear = self.nonlinear_damping
         return self._replaced(
-            gamma=gamma, kappa=kappa, mass=mass, parameters=parameters, _nonlinear=nonlinear
+            gamma=gamma,
+            kappa=kappa,
+            mass=mass,
+            inverse_mass=1 / mass,
+            parameters=parameters,
+            _nonlinear=nonlinear,
         )
 
     @property
@@ -334,7 +342,7 @@ class Mechanical(Scene):
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
         """T(p) = ‖p‖²/2m."""
-        return dot(p, p) / (2 * self.mass)
+        return dot(p, p) * self.inverse_mass / 2
 
     def V(self, q: Vector) -> Any:
         return self.potential(q, **self.parameters)
@@ -361,7 +369,7 @@ class Mechanical(Scene):
 
     def rhs(self, x: State) -> State:
         rate = self.dissipation_rate(x.s)
-        velocity = tuple(p / self.mass for p in x.p)
+        velocity = tuple(p * self.inverse_mass for p in x.p)
         force = tuple(-g - rate * p for g, p in zip(self.dV(x.q), x.p, strict=True))
         if x.s is None:
             return State(velocity, force)
@@ -375,13 +383,13 @@ class Mechanical(Scene):
         hess = self.hessian(x.q, **self.parameters)
         rate = self.dissipation_rate(x.s)
         tail: list[Any] = [] if x.s is None else [0.0]
-        rows = [[0.0] * n + [1 / self.mass if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
+        rows = [[0.0] * n + [self.inverse_mass if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
             damping = [-rate if i == j else 0.0 for j in range(n)]
             column = [] if x.s is None else [-self.kappa * x.p[i] if self.nonlinear_damping else 0.0]
             rows.append([-hess[i][j] for j in range(n)] + damping + column)
         if x.s is not None:
-            rows.append([-g for g in self.dV(x.q)] + [p / self.mass for p in x.p] + [-rate])
+            rows.append([-g for g in self.dV(x.q)] + [p * self.inverse_mass for p in x.p] + [-rate])
         return rows
 
     def momentum(self, x: State) -> Vector | None:
@@ -434,6 +442,8 @@ class RigidBody(Scene):
     #: eigenvalues of an anisotropic D, and its eigenvectors as columns (None when D is diagonal)
     rates: Vector = field(init=False, repr=False, default=())
     axes: Any = field(init=False, repr=False, default=None)
+    #: kept so that no division is left in the right-hand side
+    inverse_inertia: Vector = field(init=False, repr=False, default=())
 
     initial_fields: ClassVar[tuple[str, ...]] = ("M", "R", "s")
 
@@ -442,6 +452,7 @@ class RigidBody(Scene):
         fix(self, "inertia", vector("inertia", self.inertia, 3))
         if min(self.inertia) <= 0:
             raise BadInput(f"inertia = {self.inertia!r}: all three moments must be > 0")
+        fix(self, "inverse_inertia", tuple(1 / i for i in self.inertia))
         fix(self, "M", vector("M", self.M, 3))
         fix(self, "R", quaternion_of(self.R))
         fix(self, "s", finite("s", self.s))
@@ -495,10 +506,11 @@ class RigidBody(Scene):
 
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
         inertia, rest = tuple(numbers[:3]), tuple(numbers[3:])
+        moments = {"inertia": inertia, "inverse_inertia": tuple(1 / i for i in inertia)}
         if self.isotropic:
-            return self._replaced(inertia=inertia, gamma=rest[0])
+            return self._replaced(**moments, gamma=rest[0])
         axes = None if self.axes is None else (rest[3:6], rest[6:9], rest[9:12])
-        return self._replaced(inertia=inertia, rates=rest[:3], axes=axes)
+        return self._replaced(**moments, rates=rest[:3], axes=axes)
 
     @property
     def structure(self) -> tuple[Any, ...]:
@@ -507,7 +519,7 @@ class RigidBody(Scene):
     # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:
         """Ω = I⁻¹ M."""
-        return tuple(m / i for m, i in zip(M, self.inertia, strict=True))
+        return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
 
     def damp_matrix_function(self, M: Vector, f: Callable[[Any], Any]) -> Vector:
         """f(D) M through the eigen-decomposition of D."""
@@ -546,7 +558,7 @@ class RigidBody(Scene):
 
     def jacobian(self, x: BodyState) -> list[list[Any]]:
         """∂(rhs)/∂(state) in packed order."""
-        inv = tuple(1 / i for i in self.inertia)
+        inv = self.inverse_inertia
         omega = self.angular_velocity(x.M)
         width = 3 + (4 if x.R is not None else 0) + (1 if x.s is not None else 0)
         rows = [[0.0] * width for _ in range(width)]

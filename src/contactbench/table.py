@@ -38,7 +38,7 @@ PROVENANCE = {
 _COMMON = {
     "scene": "name of the scene",
     "method": "name of the method",
-    "engine": "what runs it: jax, python, c+python (compiled solver, Python callbacks), llvm",
+    "engine": "what runs it: jax, python, c+python (compiled solver, Python callbacks), llvm, c, mpmath",
     "setting": "step size or tolerance",
     "status": "ok, diverged, budget, failed, timeout, unsupported",
     "message": "why, when the status is not ok",
@@ -117,7 +117,7 @@ WORK_PRECISION = Table(
     "time and evaluations against error",
     {
         **_COMMON,
-        "track": "fixed or adaptive step",
+        "track": "step: fixed, adaptive, or chosen (fixed, from pilots for a tolerance); limit: a plain C loop",
         "carried": "fields integrated",
         "solution_error": "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run",
         **_COUNTS,
@@ -371,6 +371,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "packages": versions,
         "cpu": _cpu(),
         "cores": os.cpu_count(),
+        "cores_used": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
         "jax_devices": [device.platform for device in jax.devices()],
         "threads": {name: os.environ.get(name, "") for name in THREADS},
