@@ -95,6 +95,13 @@ def test_command_line_solves_and_prints_json(capsys):
     assert out["H"] == pytest.approx(start * math.exp(-0.3 * 20), rel=1e-3)
 
 
+def test_command_line_tells_the_stored_references(capsys):
+    assert main(["references"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(cb.SCENES)
+    assert all(int(line.split()[1]) >= 30 for line in lines)
+
+
 def test_command_line_lists_everything(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out

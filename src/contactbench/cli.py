@@ -132,10 +132,15 @@ def report(arguments: argparse.Namespace) -> int:
 
 def references(_: argparse.Namespace) -> int:
     """Print the stored references, their digits and their digests."""
-    from contactbench.references import manifest
+    from contactbench.references import frozen_folder, manifest
 
-    for name, entry in manifest()["scenes"].items():
-        print(f"{name:24} {entry['digits']:3d} digits  sha256 {entry['sha256'][:16]}…")
+    folder = frozen_folder()
+    if folder is None:
+        raise BadInput("no stored references in this installation; they are computed live")
+    for name, entry in manifest(folder).items():
+        second = entry["second_engine"]["agreeing_digits"]
+        digits = f"{entry['digits']} digits stored, {second} confirmed by a second engine"
+        print(f"{name:24} {digits}, sha256 {entry['sha256'][:16]}…")
     return 0
 
 
