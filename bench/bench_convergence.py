@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import contactbench as cb
-from cells import cells, outcome, save_times, setting, steps
+from cells import cells, outcome, save_times, scenes, setting, steps
 from contactbench.analysis import fit_order
 from contactbench.precision import error_at
 from contactbench.table import CONVERGENCE
@@ -21,9 +21,8 @@ EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
 
 
 def ladder(profile):
-    return [
-        (scene, name) for scene in cb.SCENES for name, method in cb.METHODS.items() if not method.adaptive
-    ]
+    fixed = [name for name, method in cb.METHODS.items() if not method.adaptive]
+    return [(scene, name) for scene in scenes(profile) for name in fixed]
 
 
 def in_double_precision(scene, method, points):

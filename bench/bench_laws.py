@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from cells import cells, outcome, save_times, setting, step_budget, steps
+from cells import cells, outcome, save_times, scenes, setting, step_budget, steps
 from contactbench.laws import (
     contact_deviation,
     energies,
@@ -21,12 +21,8 @@ from contactbench.table import LAWS_TABLE, LAWS_TIME
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
 
-SMOKE = ("particle", "rigid_body")  # compiling the derivative of every map would fill the profile's time
-
-
 def ladder(profile):
-    scenes = SMOKE if profile.points == 1 else cb.SCENES
-    return [(scene, method) for scene in scenes for method in cb.METHODS]
+    return [(scene, method) for scene in scenes(profile) for method in cb.METHODS]
 
 
 @cells(ladder)

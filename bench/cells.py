@@ -15,6 +15,8 @@ from contactbench.solution import Counts, Solution
 SAVES = 25
 #: coarsest step; below it a ladder halves
 COARSEST = 0.8
+#: scenes of the experiments other than work–precision in the smoke profile, which has a minute and a half
+SMOKE = ("particle", "rigid_body")
 RTOLS = [10.0**-k for k in range(3, 14)]
 
 
@@ -26,6 +28,11 @@ def cells(*ladders: Any) -> Callable[..., Any]:
         return test
 
     return attach
+
+
+def scenes(profile: Any) -> list[str]:
+    """The scenes of an experiment: all, or two in the smoke profile."""
+    return list(SMOKE) if profile.points == 1 else list(cb.SCENES)
 
 
 def steps(scene: Scene, count: int) -> list[float]:
