@@ -9,6 +9,7 @@ import numpy as np
 
 from contactbench.methods import METHODS
 from contactbench.scene import Scene
+from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
@@ -32,7 +33,7 @@ def cells(*ladders: Any) -> Callable[..., Any]:
 
 def scenes(profile: Any) -> list[str]:
     """The scenes of an experiment: all, or two in the smoke profile."""
-    return list(SMOKE) if profile.points == 1 else list(cb.SCENES)
+    return list(SMOKE) if profile.points == 1 else list(SCENES)
 
 
 def steps(scene: Scene, count: int) -> list[float]:
