@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -460,7 +461,8 @@ def report(results: Path) -> list[Path]:
         with replacing(results / name) as file:
             file.write(text)
         written.append(results / name)
-    for name, figure in [*figures.figures(tables, labels), *paper_figures.figures(tables["paper_figures"])]:
+    drawn = chain(figures.figures(tables, labels), paper_figures.figures(tables["paper_figures"]))
+    for name, figure in drawn:  # saved and closed one by one
         figures.save(figure, results / "figures", name)
         written.append(results / "figures" / f"{name}.svg")
     return written
