@@ -52,7 +52,7 @@ class Profile:
 
 PROFILES = {
     "smoke": Profile("smoke", 1, 5, 0.0, 20_000),
-    "standard": Profile("standard", 6, 5, 0.04, 40_000),
+    "standard": Profile("standard", 6, 5, 0.02, 40_000),
     "full": Profile("full", 99, 15, 0.3, 1_000_000),
 }
 
