@@ -332,10 +332,6 @@ def anchor(row: pd.Series) -> str:
     return "".join(c for c in heading if c.isalnum() or c in " -").replace(" ", "-")
 
 
-def worst(frame: pd.DataFrame, column: str) -> float:
-    return frame[column].max()
-
-
 def structure_table(laws: pd.DataFrame, convergence: pd.DataFrame) -> str:
     """Per method: measured order on the headline scene, and the worst drift over all settings."""
     rows = []

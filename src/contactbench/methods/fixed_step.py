@@ -73,10 +73,12 @@ class FixedStep:
         return self.kind
 
     def prepare(self, request: Request) -> Prepared:
-        from contactbench.methods.step_choice import chosen_step
+        from contactbench.methods.step_choice import ChosenStep
 
         run = {"jax": JaxLoop, "python": PythonLoop}[request.engine]
-        return run(self.name, request, self) if request.step else chosen_step(self, request, run)
+        if request.step is not None:
+            return run(self.name, request, self)
+        return ChosenStep(self.name, request, self, run)
 
 
 def fixed_step(

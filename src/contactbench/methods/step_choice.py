@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -114,8 +113,3 @@ def distance(coarse: np.ndarray, fine: np.ndarray) -> float:
     if not (math.isfinite(size) and math.isfinite(gap)):
         return math.inf
     return gap / size if size > 0 else 0.0
-
-
-def chosen_step(method: Any, request: Any, engine_run: type[FixedStepRun]) -> Prepared:
-    """A prepared solver that chooses its step at every call."""
-    return ChosenStep(method.name, request, method, engine_run)
