@@ -12,12 +12,15 @@ from __future__ import annotations
 from time import perf_counter
 
 import numpy as np
+import pytest
 
 import contactbench as cb
 from cells import RTOLS, cells, engines, outcome, step_budget, work_ladder
 from contactbench.laws import absolute_error
 from contactbench.table import WORK_PRECISION
 from limit import KERNELS, kernel
+
+pytestmark = pytest.mark.timed
 
 ENDS = 5
 #: a fixed-step method that is also run to tolerances, its pilots counted and timed

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +12,10 @@ from typing import Any
 # One thread for every engine; read when the libraries are first imported.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-# One core: XLA sizes its thread pool by the cores it may use, and handing parts of a small program to
-# another thread costs more than running them (up to 70 µs a call, measured).
-if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-
 import pytest
 
-from contactbench import table
+from contactbench import journal, table
+from contactbench.errors import BadInput
 
 SHUFFLE_SEED = 20
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -66,7 +61,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.profile = PROFILES[config.getoption("--profile")]
-    config.journal = table.Journal(config.getoption("--results").resolve(), table.new_run_id())
+    worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
+    config.controls = worker is None
+    if worker or not config.getoption("numprocesses", None):
+        pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
+    run_id = worker["run_id"] if worker else table.new_run_id()
+    config.journal = journal.Journal(config.getoption("--results").resolve(), run_id)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    node.workerinput["run_id"] = node.config.journal.run_id
+
+
+def pin_to_one_core(which: int) -> None:
+    """XLA sizes its thread pool by the cores it may use, and handing parts of a small program to another
+    thread costs more than running them (up to 70 µs a call, measured)."""
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[which % len(cores)]})
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -76,46 +89,72 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("cell", cells, ids=["-".join(map(str, c)) for c in cells])
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Timed cells run in shuffled order, so that slow drifts of the machine hit all methods alike."""
+    """Timed cells run in shuffled order, so that slow drifts of the machine hit all methods alike.
+
+    The others are handed out by method and scene, so that a compiled program is made once.
+    """
     random.Random(SHUFFLE_SEED).shuffle(items)
     items.sort(key=lambda item: item.path.name)
-    if config.getoption("--resume"):
-        done = config.journal.done()
-        skipped = [i for i in items if _identity(i) in done]
-        config.hook.pytest_deselected(items=skipped)
-        items[:] = [i for i in items if _identity(i) not in done]
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group("-".join(item.callspec.params["cell"][:2])))
 
 
-def _identity(item: pytest.Item) -> tuple[str, str]:
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """What --resume leaves out; a new run takes its cells off the list of what is done."""
+    config, items = session.config, session.items
+    if config.getoption("collectonly"):
+        return
+    results, name = config.journal.results, config.profile.name
+    if not config.getoption("--resume"):
+        journal.begin_anew(results, name, map(_identity, items))
+        return
+    done = journal.done(results, name)
+    config.hook.pytest_deselected(items=[item for item in items if _identity(item) in done])
+    items[:] = [item for item in items if _identity(item) not in done]
+
+
+def _identity(item: pytest.Item) -> journal.Cell:
     return (item.path.name, item.name)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
-    if not config.getoption("collectonly"):
-        if not config.getoption("--resume"):
-            config.journal.fold()  # rows a killed run left behind are still good rows
-        config.environment = table.environment(config.profile.name, SHUFFLE_SEED)
+    if not config.controls or config.getoption("collectonly"):
+        return
+    results = config.journal.results
+    try:
+        for each in table.TABLES.values():  # refused now rather than after ten minutes
+            table.read(each, results)
+        journal.fold_dead_runs(results)
+        config.journal.open(table.environment(config.profile.name, SHUFFLE_SEED))
+    except BadInput as error:
+        raise pytest.UsageError(str(error)) from None
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Any:
-    result = yield
-    item.config.journal.finish(_identity(item))
-    return result
+    item.rows, finished = [], False
+    try:
+        result = yield
+        finished = True
+        return result
+    finally:
+        item.config.journal.append(item.rows, _identity(item) if finished else None)
 
 
 @pytest.fixture
 def record(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """``record(table, **row)`` journals one row of a result table."""
-    return lambda which, **row: request.config.journal.append(which, row)
+    """``record(table, **row)`` adds a row to a result table."""
+    return lambda which, **row: request.node.rows.append((which, row))
 
 
 @pytest.fixture
 def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """``record_all(table, rows)`` journals many rows at once."""
-    return lambda which, rows: request.config.journal.append(which, *rows)
+    """``record_all(table, rows)`` adds many rows at once."""
+    return lambda which, rows: request.node.rows.extend((which, row) for row in rows)
 
 
 @pytest.fixture
@@ -125,10 +164,8 @@ def profile(request: pytest.FixtureRequest) -> Profile:
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
-    if config.getoption("collectonly") or not hasattr(config, "environment"):
+    if not config.controls or not config.journal.alive.is_locked:
         return
-    journal = config.journal
-    journal.fold()
-    table.save_environment(journal.run_id, config.environment, journal.results)
-    if session.testscollected and sys.stderr.isatty():
-        print(f"\ntables in {journal.results}; now run: contactbench report", file=sys.stderr)
+    config.journal.close()
+    if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
+        session.exitstatus = pytest.ExitCode.OK

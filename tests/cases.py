@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mpmath import mp
 
 import contactbench as cb
+
+REPOSITORY = Path(__file__).parents[1]
 
 
 def user_scene() -> cb.Mechanical:
@@ -55,3 +62,25 @@ def in_mp(scene, x):
     exact = scene.with_numbers([mp.mpf(repr(v)) for v in scene.numbers()])
     carry = [f for f in scene.optional if getattr(x, f) is not None]
     return exact, scene.unpack([mp.mpf(repr(v)) for v in scene.pack(x)], carry)
+
+
+# -- experiments -----------------------------------------------------------------------------------
+def bench(results, keyword, *more):
+    """A smoke run of the experiments in a process of its own."""
+    command = [
+        sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
+        "--benchmark-quiet", "-p", "no:cacheprovider", "-k", keyword, *more,
+    ]  # fmt: skip
+    # a benchmark is a run of its own, not a worker of the tests': workers are not timed
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    return subprocess.Popen(
+        command, cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**own, "JAX_PLATFORMS": "cpu"},
+    )  # fmt: skip
+
+
+def finished(process):
+    """Its output, once it has ended well."""
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, output
+    return output

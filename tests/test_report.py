@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
-
 import pandas as pd
 import pytest
 
+from cases import bench, finished
 from contactbench import figures
 from contactbench.report import duration, equal_error, report, winners
-from contactbench.table import CONVERGENCE, LAWS_TABLE, WORK_PRECISION, Journal, read
+from contactbench.table import CONVERGENCE, WORK_PRECISION, read
 
-REPOSITORY = Path(__file__).parents[1]
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
-
-
-def bench(results, *more, keyword=SMALL):
-    command = [
-        sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
-        "--benchmark-quiet", "-p", "no:cacheprovider", "-k", keyword, *more,
-    ]  # fmt: skip
-    # a benchmark is a run of its own, not a worker of the tests': workers are not timed
-    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    return subprocess.Popen(
-        command, cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env={**own, "JAX_PLATFORMS": "cpu"},
-    )  # fmt: skip
-
-
-def finished(process):
-    output, _ = process.communicate(timeout=120)
-    assert process.returncode == 0, output
-    return output
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
-    finished(bench(folder))
+    finished(bench(folder, SMALL))
     return folder
 
 
@@ -64,33 +38,12 @@ def test_a_partial_run_fills_its_part_of_every_table(results):
 
 def test_a_second_partial_run_leaves_the_other_rows(results):
     before = read(WORK_PRECISION, results)
-    finished(bench(results, keyword="work_precision and particle and rk4 and not long"))
+    finished(bench(results, "work_precision and particle and rk4 and not long"))
     after = read(WORK_PRECISION, results)
     assert len(after) == len(before)
     same = after["method"] != "rk4"
     pd.testing.assert_frame_equal(after[same], before[same])
     assert set(after[~same]["run_id"]).isdisjoint(set(before[~same]["run_id"]))
-
-
-def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path):
-    process = bench(tmp_path)
-    journal = Journal(tmp_path, "probe")
-    deadline = time.monotonic() + 60
-    while len(journal.done()) < 3 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    done = journal.done()
-    assert done
-    kept = [(table, journal.rows(table)) for table in (WORK_PRECISION, CONVERGENCE, LAWS_TABLE)]
-    finished(bench(tmp_path, "--resume"))
-    for table, rows in kept:
-        frame = read(table, tmp_path)
-        assert not frame.duplicated(list(table.key)).any()
-        for row in rows:  # the rows made before the kill are the ones in the table
-            mine = frame[(frame["method"] == row["method"]) & (frame["setting"] == row["setting"])]
-            assert row["run_id"] in set(mine["run_id"])
-    assert len(read(WORK_PRECISION, tmp_path)) == 7
 
 
 def test_report_writes_documents_and_figures_from_the_tables(results):

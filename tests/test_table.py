@@ -10,7 +10,7 @@ import pytest
 
 import contactbench as cb
 from contactbench import table
-from contactbench.table import CONVERGENCE, Journal, merge, read, replacing
+from contactbench.table import CONVERGENCE, merge, read, replacing
 
 
 def row(method="rk4", setting="step=0.1", error=1e-3, **more):
@@ -85,20 +85,6 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
         fail()
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["x.txt"]
-
-
-def test_the_journal_survives_a_kill_in_the_middle_of_a_line(tmp_path):
-    journal = Journal(tmp_path, "one")
-    journal.append(CONVERGENCE, row("rk4"))
-    journal.finish(("bench.py", "rk4"))
-    with (tmp_path / ".journal" / "convergence.jsonl").open("a") as file:
-        file.write('{"scene": "particle", "meth')
-    again = Journal(tmp_path, "two")
-    assert [r["method"] for r in again.rows(CONVERGENCE)] == ["rk4"]
-    assert again.done() == {("bench.py", "rk4")}
-    again.fold()
-    assert list(read(CONVERGENCE, tmp_path)["method"]) == ["rk4"]
-    assert not (tmp_path / ".journal").exists()
 
 
 def test_every_column_has_a_meaning_and_every_law_a_column():

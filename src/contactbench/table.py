@@ -1,8 +1,7 @@
-"""The result tables: their columns, how rows are journalled and merged into CSV, and provenance.
+"""The result tables: their columns, how rows are merged into CSV, and provenance.
 
 A row is keyed by the table's key columns.  New rows replace rows of the same key and leave the rest,
-so a partial run updates its own part.  Rows are appended to a journal as they are made and folded
-into the CSV, replaced atomically, at the end; after a kill the journal still has them.
+so a partial run updates its own part.  Files are replaced atomically.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import hashlib
 import json
 import os
 import platform
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -288,61 +286,6 @@ def replacing(path: Path) -> Iterator[Any]:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
         raise
-
-
-# -- journal ---------------------------------------------------------------------------------------
-class Journal:
-    """Rows as they are made, one JSON line each, in ``results/.journal``."""
-
-    def __init__(self, results: Path, run_id: str) -> None:
-        self.results, self.run_id = results, run_id
-        self.folder = results / ".journal"
-
-    def append(self, table: Table, *rows: Mapping[str, Any]) -> None:
-        """Add rows, on disk when this returns."""
-        self._write(f"{table.name}.jsonl", *({**row, "run_id": self.run_id} for row in rows))
-
-    def finish(self, cell: tuple[str, ...]) -> None:
-        """Note that all rows of a cell are in; `--resume` skips it."""
-        self._write("done.jsonl", {"cell": list(cell)})
-
-    def done(self) -> set[tuple[str, ...]]:
-        """The cells a killed run had finished."""
-        return {tuple(entry["cell"]) for entry in self._read("done.jsonl")}
-
-    def rows(self, table: Table) -> list[dict[str, Any]]:
-        """The rows of a table made so far."""
-        return self._read(f"{table.name}.jsonl")
-
-    def fold(self) -> None:
-        """Merge every journalled row into its CSV and empty the journal."""
-        for table in TABLES.values():
-            merge(table, self.rows(table), self.results)
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _write(self, name: str, *entries: Mapping[str, Any]) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with (self.folder / name).open("a", encoding="utf-8") as file:
-            file.writelines(json.dumps(entry, default=_plain) + "\n" for entry in entries)
-            file.flush()
-            os.fsync(file.fileno())
-
-    def _read(self, name: str) -> list[dict[str, Any]]:
-        path = self.folder / name
-        if not path.exists():
-            return []
-        entries = []
-        for line in path.read_text(encoding="utf-8").split("\n"):
-            with contextlib.suppress(json.JSONDecodeError):  # a last line cut short by a kill
-                entries.append(json.loads(line))
-        return entries
-
-
-def _plain(value: Any) -> Any:
-    """NumPy scalars and enums as what JSON knows."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{value!r} cannot be put in a table")
 
 
 # -- provenance ------------------------------------------------------------------------------------

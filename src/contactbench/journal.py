@@ -1,0 +1,140 @@
+"""What a run has made so far: safe from kills, and from other runs into the same folder.
+
+Every process of a run appends to a file of its own in ``results/.journal/RUN``, one line per finished
+cell with all of its rows, so that a cell is there as a whole or not at all.  Folding merges the rows
+into the CSV tables under a lock and notes which cells are done; the lines go only after that, and
+folding them twice does no harm.  A run holds a lock while it lives: what a dead run left behind is
+folded by the next one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from contactbench.table import TABLES, Table, merge, replacing, save_environment
+
+Cell = tuple[str, ...]
+FOLDER = ".journal"
+
+
+class Journal:
+    """The journal of one run, written to by one or several processes.
+
+    record : where and with what the run is made (`table.environment`); its "profile" says which cells
+    count as done for `--resume`.
+    """
+
+    def __init__(self, results: Path, run_id: str) -> None:
+        self.results, self.run_id = results, run_id
+        self.folder = results / FOLDER / run_id
+        self.alive = FileLock(self.folder / "alive")
+
+    def open(self, record: Mapping[str, Any]) -> None:
+        """Begin the run."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.alive.acquire()
+        with replacing(self.folder / "run.json") as file:
+            json.dump(record, file)
+
+    def append(self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell | None = None) -> None:
+        """Add the rows of a cell, on disk when this returns; without a cell, rows of one that failed."""
+        entry = {"cell": cell, "rows": [[table.name, {**row, "run_id": self.run_id}] for table, row in rows]}
+        with (self.folder / f"{os.getpid()}.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry, default=_plain) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def close(self) -> None:
+        """Fold the run into the tables and end it."""
+        with folding(self.results):
+            _fold(self.folder)
+        self.alive.release()
+        shutil.rmtree(self.folder)
+
+
+@contextlib.contextmanager
+def folding(results: Path) -> Iterator[None]:
+    """One process at a time changes the tables."""
+    (results / FOLDER).mkdir(parents=True, exist_ok=True)
+    with FileLock(results / FOLDER / "folding"):
+        yield
+
+
+def fold_dead_runs(results: Path) -> None:
+    """Merge what killed runs left behind: good rows, every one."""
+    with folding(results):
+        for folder in sorted(path for path in (results / FOLDER).iterdir() if path.is_dir()):
+            lock = FileLock(folder / "alive")
+            try:
+                lock.acquire(blocking=False)
+            except Timeout:
+                continue  # it lives
+            _fold(folder)
+            lock.release()
+            shutil.rmtree(folder)
+
+
+def entries(folder: Path) -> Iterator[dict[str, Any]]:
+    """The finished lines of a run; one cut short by a kill does not count."""
+    for path in sorted(folder.glob("*.jsonl")):
+        for line in path.read_text(encoding="utf-8").split("\n"):
+            with contextlib.suppress(json.JSONDecodeError):
+                yield json.loads(line)
+
+
+def _fold(folder: Path) -> None:
+    results = folder.parents[1]
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
+    cells = []
+    for entry in entries(folder):
+        for name, row in entry["rows"]:
+            rows[name].append(row)
+        if entry["cell"]:
+            cells.append(tuple(entry["cell"]))
+    run = folder / "run.json"
+    if not run.exists():  # killed before it began
+        return
+    record = json.loads(run.read_text(encoding="utf-8"))
+    for name, new in rows.items():
+        merge(TABLES[name], new, results)
+    save_environment(folder.name, record, results)
+    _save_done(results, record["profile"], done(results, record["profile"]) | set(cells))
+
+
+# -- which cells are done ------------------------------------------------------------------------------
+def done(results: Path, profile: str) -> set[Cell]:
+    """The cells of a profile that have been folded since they were last begun anew."""
+    path = results / FOLDER / "done.json"
+    if not path.exists():
+        return set()
+    return {tuple(cell) for cell in json.loads(path.read_text(encoding="utf-8")).get(profile, [])}
+
+
+def begin_anew(results: Path, profile: str, cells: Iterable[Cell]) -> None:
+    """Cells that are about to be run are not done, whatever an earlier run says."""
+    with folding(results):
+        _save_done(results, profile, done(results, profile) - set(cells))
+
+
+def _save_done(results: Path, profile: str, cells: set[Cell]) -> None:
+    path = results / FOLDER / "done.json"
+    profiles = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    profiles[profile] = sorted(cells)
+    with replacing(path) as file:
+        json.dump(profiles, file)
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and enums as what JSON knows."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{value!r} cannot be put in a table")

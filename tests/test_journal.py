@@ -1,0 +1,163 @@
+"""Runs that are killed, at any moment, and runs at the same time: no row lost, doubled or half-written."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import contactbench as cb
+from cases import bench, finished
+from contactbench.journal import FOLDER, Journal, begin_anew, done, entries, fold_dead_runs
+from contactbench.table import CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, read
+
+RECORD = {"profile": "smoke"}
+SMALL = "particle and not long and not limit and (strang or cvode-adams)"
+CELLS = 6
+
+
+def row(method="rk4", setting="step=0.1", **more):
+    return {
+        "scene": "particle", "method": method, "engine": "jax", "setting": setting, "status": "ok",
+        "message": "", **more,
+    }  # fmt: skip
+
+
+def test_a_run_ends_in_the_tables(tmp_path):
+    journal = Journal(tmp_path, "one")
+    journal.open(RECORD)
+    journal.append([(CONVERGENCE, row()), (LAWS_TABLE, row())], ("bench.py", "a"))
+    journal.append([(CONVERGENCE, row("contact-abc", status="failed"))])  # the cell itself failed
+    journal.close()
+    assert list(read(CONVERGENCE, tmp_path)["method"]) == ["contact-abc", "rk4"]
+    assert set(read(LAWS_TABLE, tmp_path)["run_id"]) == {"one"}
+    assert done(tmp_path, "smoke") == {("bench.py", "a")}
+    assert done(tmp_path, "standard") == set()
+    begin_anew(tmp_path, "smoke", [("bench.py", "a")])
+    assert done(tmp_path, "smoke") == set()
+    assert sorted(os.listdir(tmp_path / FOLDER)) == ["done.json", "folding"]
+
+
+def test_a_line_cut_short_is_no_cell(tmp_path):
+    journal = Journal(tmp_path, "one")
+    journal.open(RECORD)
+    journal.append([(CONVERGENCE, row())], ("bench.py", "a"))
+    with next(journal.folder.glob("*.jsonl")).open("a") as file:
+        file.write('{"cell": ["bench.py", "b"], "rows": [["conv')
+    journal.close()
+    assert done(tmp_path, "smoke") == {("bench.py", "a")}
+    assert len(read(CONVERGENCE, tmp_path)) == 1
+
+
+def test_a_living_run_is_left_alone(tmp_path):
+    living = Journal(tmp_path, "living")
+    living.open(RECORD)
+    living.append([(CONVERGENCE, row())], ("bench.py", "a"))
+    fold_dead_runs(tmp_path)
+    assert living.folder.exists()
+    assert read(CONVERGENCE, tmp_path).empty
+    other = Journal(tmp_path, "other")
+    other.open(RECORD)
+    other.append([(CONVERGENCE, row("contact-abc"))], ("bench.py", "b"))
+    other.close()
+    living.close()
+    assert list(read(CONVERGENCE, tmp_path)["method"]) == ["contact-abc", "rk4"]
+    assert done(tmp_path, "smoke") == {("bench.py", "a"), ("bench.py", "b")}
+
+
+KILLED_WHILE_FOLDING = """
+import os, sys
+from pathlib import Path
+from contactbench import journal, table
+from contactbench.journal import Journal
+replacing, calls = table.replacing, []
+def dying(path):
+    calls.append(path)
+    if len(calls) > int(sys.argv[2]):
+        os._exit(9)
+    return replacing(path)
+run = Journal(Path(sys.argv[1]), "killed")
+run.open({"profile": "smoke"})
+row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
+three = [(t, row) for t in (table.CONVERGENCE, table.LAWS_TABLE, table.WORK_PRECISION)]
+run.append([*three, (table.LAWS_TIME, {**row, "t": 1.0})], ("bench.py", "a"))
+table.replacing = journal.replacing = dying
+run.close()
+"""
+
+
+@pytest.mark.parametrize("writes", [0, 1, 3, 4, 5, 6])
+def test_a_kill_while_folding_loses_nothing(tmp_path, writes):
+    """Four tables, the environment and the list of what is done: killed before any of them is written."""
+    child = subprocess.run(
+        [sys.executable, "-c", KILLED_WHILE_FOLDING, str(tmp_path), str(writes)], timeout=60
+    )
+    assert child.returncode == (9 if writes < 6 else 0)
+    fold_dead_runs(tmp_path)
+    for table in (CONVERGENCE, LAWS_TABLE, WORK_PRECISION):
+        assert list(read(table, tmp_path)["run_id"]) == ["killed"]
+    assert done(tmp_path, "smoke") == {("bench.py", "a")}
+    assert not [path for path in (tmp_path / FOLDER).iterdir() if path.is_dir()]
+
+
+def lines(results):
+    return sum(1 for run in (results / FOLDER).glob("*/") for _ in entries(run))
+
+
+@pytest.mark.parametrize("moment", [0, 1, 4], ids="killed after {} cells".format)
+def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
+    process = bench(tmp_path, SMALL)
+    deadline = time.monotonic() + 60
+    while not list((tmp_path / FOLDER).glob("*/run.json")) or lines(tmp_path) < moment:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    kept = [entry for run in (tmp_path / FOLDER).glob("*/") for entry in entries(run)]
+    output = finished(bench(tmp_path, SMALL, "--resume"))
+    assert f"{CELLS - len(kept)} passed" in output
+    for name, one in [pair for entry in kept for pair in entry["rows"]]:  # made before the kill, kept after
+        frame = read(TABLES[name], tmp_path)
+        mine = frame[(frame["method"] == one["method"]) & (frame["setting"] == one["setting"])]
+        assert one["run_id"] in set(mine["run_id"])
+    assert len(read(WORK_PRECISION, tmp_path)) == 3
+    assert len(read(LAWS_TABLE, tmp_path)) == 2
+
+
+def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
+    first, second = bench(tmp_path, f"{SMALL} and cvode"), bench(tmp_path, f"{SMALL} and strang")
+    for process in (first, second):
+        finished(process)
+    work = read(WORK_PRECISION, tmp_path)
+    assert set(work["method"]) == {"contact-strang", "cvode-adams"}
+    assert work["run_id"].nunique() == 2
+
+
+@pytest.mark.parametrize("content", ["a,b\n1,2\n", "not a table"])
+def test_a_foreign_file_is_refused_at_once_and_kept(tmp_path, content):
+    path = CONVERGENCE.path(tmp_path)
+    path.write_text(content)
+    process = bench(tmp_path, SMALL)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 4
+    assert f"{path}: columns are not those of table 'convergence'; move it away or restore it" in output
+    assert path.read_text() == content
+
+
+def test_rows_of_a_run_whose_tables_are_foreign_stay_in_the_journal(tmp_path):
+    journal = Journal(tmp_path, "one")
+    journal.open(RECORD)
+    journal.append([(CONVERGENCE, row())], ("bench.py", "a"))
+    path = CONVERGENCE.path(tmp_path)
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(cb.BadInput, match="columns are not those"):
+        journal.close()
+    journal.alive.release()
+    shutil.move(path, tmp_path / "elsewhere")
+    fold_dead_runs(tmp_path)
+    assert len(read(CONVERGENCE, tmp_path)) == 1
