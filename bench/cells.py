@@ -75,15 +75,20 @@ PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf":
 IMPLICIT = {"diffrax-kvaerno5": 2}
 
 
+#: the profile's budget is meant for scenes up to this long; longer ones get more in proportion
+LONG = 800.0
+
+
 def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | None:
-    """Steps that keep one run near a second: a cell that would take longer ends as `budget`."""
+    """Steps that keep one run below a second: a cell that would take longer ends as `budget`."""
     if method.refuses(scene):
         return None
     if "python" in engine and not method.adaptive:
         per_step = method.counts(scene, 2) - method.counts(scene, 1)
     else:
         per_step = (PER_STEP | IMPLICIT).get(method.name)
-    return profile.callback_evaluations // per_step if per_step else None
+    evaluations = round(profile.callback_evaluations * max(1.0, scene.t_end / LONG))
+    return evaluations // per_step if per_step else None
 
 
 def outcome(solution: Solution, counts: Counts | None = None) -> dict[str, Any]:

@@ -109,9 +109,9 @@ class Prepared:
         )  # fmt: skip
         return solution
 
-    def count(self) -> Counts:
-        """What one run costs; may repeat the run in a slower mode that tells more."""
-        return self().counts
+    def count(self, counts: Counts) -> Counts:
+        """What one run costs, from its own counts; may repeat it in a slower mode that tells more."""
+        return counts
 
     def __post_init__(self) -> None:
         r = self.request

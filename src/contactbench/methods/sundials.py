@@ -97,9 +97,8 @@ class CvodeRun(Prepared):
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return integrated(CvodeRun(self.method, variational(self.request), self.kind), y0)
 
-    def count(self) -> Counts:
-        """Counts of a run to the last time, with its steps."""
-        counts = self().counts
+    def count(self, counts: Counts) -> Counts:
+        """With the steps of a run to the last time."""
         if counts.steps is None:
             _, steps, _ = self._step_by_step(self._solver(self.f), self._own_start)
             counts = counts._replace(steps=steps)
