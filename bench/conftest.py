@@ -57,6 +57,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--profile", choices=list(PROFILES), default="standard", help="how much to run")
     group.addoption("--results", type=Path, default=REPOSITORY / "results", help="where the tables go")
     group.addoption("--resume", action="store_true", help="keep the rows of a run that was killed")
+    group.addoption("--report", action="store_true", help="write documents and figures at the end")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -167,5 +168,9 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     if not config.controls or not config.journal.alive.is_locked:
         return
     config.journal.close()
+    if config.getoption("--report"):
+        from contactbench.report import report
+
+        report(config.journal.results)
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
         session.exitstatus = pytest.ExitCode.OK

@@ -7,7 +7,7 @@ import pytest
 
 from cases import bench, finished
 from contactbench import figures
-from contactbench.report import duration, equal_error, report, winners
+from contactbench.report import decades, duration, equal_error, losses, report, winners
 from contactbench.table import CONVERGENCE, WORK_PRECISION, read
 
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
@@ -77,6 +77,18 @@ def test_equal_error_and_winners_name_the_faster_one():
     text = winners(work, "time_median_s", duration, ("jax",))
     assert "**fast**" in text
     assert "**slow**" in text  # the only one at 1e-6: a peer that wins is named
+
+
+def test_losses_name_the_peer_that_wins_and_by_how_much():
+    work = pd.concat([
+        table([1e-2, 1e-6], [1e-3, 1e-1], "contact-strang"),
+        table([1e-2, 1e-6], [1e-4, 1e-2], "rk4"),
+    ])  # fmt: skip
+    assert "rk4 ×10" in losses(work)
+    assert "**100 µs (×0.1)**" not in decades(work, "s", "time_median_s", duration)  # 1e-2 is no decade of it
+    assert "**316 µs (×0.1)**" in decades(work, "s", "time_median_s", duration)
+    ahead = work.assign(method=work["method"].map({"contact-strang": "rk4", "rk4": "contact-strang"}))
+    assert "rk4" not in losses(ahead)
 
 
 def test_every_method_has_its_own_look():
