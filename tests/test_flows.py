@@ -14,7 +14,7 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
-from contactbench.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation
+from contactbench.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation, spin
 
 BITS = 180
 DIGITS = mp.mpf(10) ** -45
@@ -81,26 +81,49 @@ def test_subflow_solves_its_own_equations_to_45_digits(scene, name, mp50):
         assert abs(a - b) < DIGITS * 10
 
 
+def turned_about(x, omega, h, xp):
+    """M' = M × ω, R' = R ω̂ with ω constant, by matrix exponentials: M and R after time h."""
+    a, b, c = omega
+    hat = xp.matrix([[0, -c, b], [c, 0, -a], [-b, a, 0]])
+    left = xp.matrix([[0, -a, -b, -c], [a, 0, c, -b], [b, -c, 0, a], [c, b, -a, 0]]) / 2  # q' = ½ q ⊗ (0, ω)
+    return [*(xp.expm(-h * hat) * xp.matrix(list(x.M))), *(xp.expm(h * left) * xp.matrix(list(x.R)))]
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_rotation_is_the_flow_of_its_part_of_the_kinetic_energy(axis, mp50):
-    """M' = M × ω e_i, R' = R ω ê_i, s' = M_i²/2I_i with ω = M_i/I_i constant: by matrix exponentials."""
-    body = cb.SCENES["rigid_body"].with_(inertia=(0.7, 1.9, 2.3))
-    exact, x = in_mp(body, random_state(body, 8))
-    h = mp50.mpf(H)
-    out = rotation(exact, x, axis, h, mp50)
-    rate = x.M[axis] / exact.inertia[axis]
-    hat = mp50.zeros(3)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    hat[j, k], hat[k, j] = -rate, rate
-    turned = mp50.expm(-h * hat) * mp50.matrix(list(x.M))  # M × Ω = −Ω̂ M
-    left = mp50.zeros(4)  # q' = ½ q ⊗ (0, ω e_i)
-    a = axis + 1
-    b, c = j + 1, k + 1
-    left[0, a], left[a, 0], left[b, c], left[c, b] = -rate / 2, rate / 2, rate / 2, -rate / 2
-    attitude = mp50.expm(h * left) * mp50.matrix(list(x.R))
-    for mine, truth in zip([*out.M, *out.R], [*turned, *attitude], strict=True):
+def test_rotation_is_the_flow_of_a_square_of_one_component(axis, mp50):
+    """½ a M_i²: ω = a M_i e_i is constant, and s' = M·ω − ½ a M_i²."""
+    body = cb.SCENES["rigid_body"]
+    _, x = in_mp(body, random_state(body, 8))
+    a = mp50.mpf(H)
+    out = rotation(x, axis, a, mp50)
+    omega = [x.M[axis] * (i == axis) for i in range(3)]
+    for mine, truth in zip([*out.M, *out.R], turned_about(x, omega, a, mp50), strict=True):
         assert abs(mine - truth) < DIGITS
-    assert abs(out.s - x.s - h * x.M[axis] * rate / 2) < DIGITS
+    assert abs(out.s - x.s - a * x.M[axis] ** 2 / 2) < DIGITS
+
+
+def test_spin_is_the_flow_of_the_square_of_the_momentum(mp50):
+    """½ a ‖M‖²: ω = a M is constant since M × M = 0; it commutes with every rotation."""
+    body = cb.SCENES["rigid_body"]
+    exact, x = in_mp(body, random_state(body, 8))
+    a = mp50.mpf(H)
+    out = spin(x, a, mp50)
+    for mine, truth in zip([*out.M, *out.R], turned_about(x, x.M, a, mp50), strict=True):
+        assert abs(mine - truth) < DIGITS
+    assert abs(out.s - x.s - a * sum(m * m for m in x.M) / 2) < DIGITS
+    for axis in range(3):
+        there, back = rotation(out, axis, a, mp50), spin(rotation(x, axis, a, mp50), a, mp50)
+        for one, other in zip(exact.pack(there), exact.pack(back), strict=True):
+            assert abs(one - other) < DIGITS
+
+
+def test_spin_of_a_body_at_rest_is_nothing_and_has_a_derivative():
+    """d(½ a M)/dM in the quaternion, by AD at the point where the axis is undefined."""
+    body = cb.SCENES["rigid_body"].with_(M=(0.0, 0.0, 0.0))
+    x = body.initial(body.carry())
+    assert body.pack(spin(x, 0.3, math)) == body.pack(x)
+    slope = jax.jacfwd(lambda M: jnp.stack(spin(x._replace(M=tuple(M)), 0.3, jnp).R))(jnp.zeros(3))
+    np.testing.assert_allclose(slope, 0.15 * np.eye(4)[:, 1:], atol=1e-15)
 
 
 @pytest.mark.parametrize("body", [cb.SCENES["rigid_body_anisotropic"], TILTED], ids=["diagonal", "tilted"])

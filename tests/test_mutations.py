@@ -28,7 +28,8 @@ from properties import BODY, CENTRAL, PARTICLE
 
 STRUCTURED = [cb.METHODS[name] for name in ("contact-abc", "contact-strang", "herglotz1", "herglotz2")]
 MUTATED = [
-    (flows, ("kick", "drift", "damp", "drift_damp", "rotation", "body_damp", "damped_time", "damping")),
+    (flows, ("kick", "drift", "damp", "drift_damp", "body_damp", "damped_time", "damping")),
+    (flows, ("rotation", "spin", "turn_rate", "top_rate", "turn", "top")),
     (flows, ("_damp_constants", "_drift_damp_constants", "_body_damp_constants")),
     (herglotz, ("explicit_kick", "implicit_kick")),
 ]

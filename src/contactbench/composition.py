@@ -4,7 +4,7 @@ A composition is the list of its stages, in the order in which they act, with ex
 Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is
 also a composition of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with
 b1 = α1, a1 = α1 + α2, b2 = α2 + α3, … (McLachlan 1995, doi:10.1137/0916010), which is how it is read
-where a scene comes in more than two parts: the three rotations of a body, damping without a merged
+where a scene comes in more than two parts: a body with anisotropic damping, damping without a merged
 flow.  Neighbouring stages of one flow are merged, within a step and from one step to the next (first
 same as last), so that for example Strang costs one gradient per step.
 
@@ -18,10 +18,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import accumulate
 from typing import Any
 
-from contactbench.flows import Flow, damped_time, flows_of
+from contactbench.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
 from contactbench.scene import BodyState, Mechanical, RigidBody, Scene
 
 Stage = tuple[str, Fraction]
@@ -220,9 +219,6 @@ def number(coefficient: Fraction, xp: Any) -> Any:
 
 
 # -- a composition on a scene ----------------------------------------------------------------------
-ROTATIONS = ("rotate1", "rotate2", "rotate3")
-
-
 def refusal(composition: Composition, scene: Scene) -> str | None:
     """Why the composition does not have its order on this scene, or None."""
     if composition.nystrom and "drift_damp" not in flows_of(scene):
@@ -233,7 +229,7 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
 def parts(scene: Scene) -> tuple[str, ...]:
     """The flows χ is made of, in their order."""
     if isinstance(scene, RigidBody):
-        return ROTATIONS if scene.isotropic else (*ROTATIONS, "damp")
+        return ("turn", "top") if scene.isotropic else ("turn", "damp", "top")
     return ("kick", "drift_damp") if "drift_damp" in flows_of(scene) else ("kick", "drift", "damp")
 
 
@@ -250,8 +246,7 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
     stages = []
     for name, coefficient in composition.stages:  # a body has no kick; its drift is a palindrome
         if name == "drift":
-            sweep = [(part, coefficient / 2) for part in ROTATIONS]
-            stages += [*sweep, *reversed(sweep)]
+            stages += [("turn", coefficient / 2), ("top", coefficient), ("turn", coefficient / 2)]
         elif name == "damp":
             stages.append((name, coefficient))
     return merged(stages)
@@ -279,6 +274,8 @@ def plan(composition: Composition, scene: Scene) -> Plan:
     """The composition on a scene, with the merged joint where first and last flow are the same."""
     stages = stages_on(composition, scene)
     first, last = stages[0], stages[-1]
+    if by_the_clock(composition, scene):
+        return Plan((first,), (*stages[1:-1], (first[0], first[1] + last[1])), ((first[0], -first[1]),), ())
     if len(stages) > 1 and first[0] == last[0]:
         return Plan((first,), stages[1:-1], (last,), ((first[0], first[1] + last[1]),))
     return Plan((), stages, (), ())
@@ -304,7 +301,7 @@ def advance(
 
     Merging at the joints leaves the map unchanged up to round-off.
     """
-    if composition.two_part and isinstance(scene, RigidBody) and scene.isotropic:
+    if by_the_clock(composition, scene):
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     flows = flows_of(scene)
     steps = plan(composition, scene)
@@ -348,61 +345,62 @@ def entry(constants: Any, i: int) -> Any:
     return None if constants is None else constants[i]
 
 
+def by_the_clock(composition: Composition, scene: Scene) -> bool:
+    """Whether `advance_by_the_clock` is the way."""
+    return composition.two_part and isinstance(scene, RigidBody) and scene.isotropic
+
+
 def advance_by_the_clock(
     composition: Composition, scene: RigidBody, x: BodyState, h: Any, n: Any, xp: Any, repeat: Repeat
 ) -> BodyState:
-    """Rotations and isotropic damping together, for a body.
+    """The free body and isotropic damping together, without splitting the two.
 
-    Damping only rescales the free body's clock: with m = e^{γt} M and dτ = e^{−γt} dt the rotations
-    act on (m, R) as if undamped, for times φ(αh) e^{−γt}, and the sweeps merge like undamped ones.
-    What is left of damping is one factor on M and s at the end.
+    Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ,
+    dτ = e^{−γt} dt, of which a step from t takes e^{−γt} φ(h).  What is left of damping is one factor on M
+    and s at the end; and the spin commutes with all else, so that one for all steps does.  The last step
+    is like the others, joined to the opening of a next one, which is then taken back: what a compiled
+    program has beside its loops costs it more than a rotation.
     """
-    flows, gamma, decay = flows_of(scene), scene.gamma, xp.exp(-scene.gamma * h)
-    taus, rounds = clock_times(composition.alphas(), gamma, h, xp), len(composition.alphas()) // 2
+    stages, gamma, decay = stages_on(composition, scene), scene.gamma, xp.exp(-scene.gamma * h)
+    tau = damped_time(gamma, h, xp)
+    smallest, middle, largest = scene.by_inertia
+    first, *turns = (c for name, c in stages if name == "turn")
+    opening = tau * turn_rate(scene) * number(first, xp)
+    turned = scaled(turns, tau * turn_rate(scene), xp)
+    topped = scaled((c for name, c in stages if name == "top"), tau * top_rate(scene), xp)
+    rounds = len(turns)
 
-    def turn(x: BodyState, axes: Sequence[int], times: Any, clock: Any) -> BodyState:
-        for axis, tau in zip(axes, times, strict=True):
-            x = flows[ROTATIONS[axis]].apply(scene, x, clock * tau, xp)
-        return x
+    def both(x: BodyState, about_largest: Any, about_smallest: Any) -> BodyState:
+        return rotation(rotation(x, largest, about_largest, xp), smallest, about_smallest, xp)
 
-    def round_of(k: Any, x: BodyState, clock: Any) -> BodyState:
-        """Rotations 2 3 2 1 of round k: the end of a forward sweep, a backward one, the next beginning."""
-        forward, backward, following = taus[2 * k], taus[2 * k + 1], taus[2 * k + 2]
-        return turn(x, (1, 2, 1, 0), (forward, forward + backward, backward, backward + following), clock)
-
-    def first_rounds(x: BodyState, clock: Any, count: int) -> BodyState:
-        """Rounds 0 … count − 1 of a step: written out, or a loop where short code matters more."""
+    def first_rounds(x: BodyState, clock: Any) -> BodyState:
+        """All rounds of a step but its last: written out, or a loop where short code matters more."""
         if not getattr(repeat, "roll", False):
-            for k in range(count):
-                x = round_of(k, x, clock)
+            for k in range(rounds - 1):
+                x = both(x, clock * topped[k], clock * turned[k])
             return x
-        return repeat(
-            count, lambda carried: (round_of(carried[1], carried[0], clock), carried[1] + 1), (x, 0)
-        )[0]
+
+        def another(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
+            x, k = carried
+            return both(x, clock * topped[k], clock * turned[k]), k + 1
+
+        return repeat(rounds - 1, another, (x, 0))[0]
+
+    joint = turned[-1] + decay * opening  # the next step starts on a slower clock
 
     def step(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
         x, clock = carried
-        return first_rounds(x, clock, rounds), clock * decay
+        return both(first_rounds(x, clock), clock * topped[-1], clock * joint), clock * decay
 
-    one = decay / decay  # one, as a number of the engine's kind
-    x, clock = repeat(n - 1, step, (turn(x, (0,), (taus[0],), one), one))
-    x = first_rounds(x, clock, rounds - 1)
-    forward, backward = taus[2 * rounds - 2], taus[2 * rounds - 1]
-    x = turn(x, (1, 2, 1, 0), (forward, forward + backward, backward, backward), clock)
+    one = xp.exp(0 * h)  # as a number of the engine's kind
+    x, clock = repeat(n, step, (rotation(x, smallest, opening, xp), one))
+    x = rotation(x, smallest, -clock * opening, xp)
+    x = spin(x, damped_time(gamma, h * n, xp) * scene.inverse_inertia[middle], xp)
     total = xp.exp(-gamma * h * n)
     return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)
 
 
-def clock_times(alphas: Sequence[Fraction], gamma: Any, h: Any, xp: Any) -> Any:
-    """e^{−γ u_k} φ(α_k h) for each sweep, u_k the time at which it starts, and for the first sweep of
-    the next step, whose clock is slower by e^{−γh}."""
-    starts = [Fraction(0), *accumulate(alphas)]
-    lengths = [*alphas, alphas[0]]
-
-    def tau(start: Any, length: Any) -> Any:
-        return xp.exp(-gamma * start * h) * damped_time(gamma, length * h, xp)
-
-    columns = ([number(c, xp) for c in column] for column in (starts, lengths))
-    if hasattr(xp, "asarray"):
-        return tau(*map(xp.asarray, columns))
-    return [tau(start, length) for start, length in zip(*columns, strict=True)]
+def scaled(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
+    """The coefficients times a factor: one vector for array namespaces, else a list."""
+    values = [number(c, xp) for c in coefficients]
+    return xp.asarray(values) * factor if hasattr(xp, "asarray") else [c * factor for c in values]

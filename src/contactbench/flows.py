@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State
+from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State, dot, quaternion_product
 
 
 class Flow(NamedTuple):
@@ -125,15 +125,15 @@ MECHANICAL = {
 
 
 # -- rigid body ------------------------------------------------------------------------------------
-def rotation(scene: RigidBody, x: BodyState, axis: int, tau: Any, xp: Any) -> BodyState:
-    """Exact flow of ½ M_i²/I_i: M and R turn about principal axis i by the constant rate M_i/I_i.
+def rotation(x: BodyState, axis: int, a: Any, xp: Any) -> BodyState:
+    """Exact time-1 flow of ½ a M_i²: M and R turn about principal axis i at the constant rate a M_i.
 
     R → R Rot(e_i, θ) and M → Rot(e_i, −θ) M, so J = R M does not change.
     """
     j, k = (axis + 1) % 3, (axis + 2) % 3
     M, R, s = x
-    rate = M[axis] * scene.inverse_inertia[axis]
-    half = tau * rate / 2
+    angle = a * M[axis]
+    half = angle / 2
     cos, sin = xp.cos(half), xp.sin(half)
     cos2, sin2 = 1 - 2 * sin * sin, 2 * sin * cos
     turned = [M[axis]] * 3
@@ -145,14 +145,58 @@ def rotation(scene: RigidBody, x: BodyState, axis: int, tau: Any, xp: Any) -> Bo
         quaternion[1 + j] = cos * v[j] + sin * v[k]
         quaternion[1 + k] = cos * v[k] - sin * v[j]
         R = tuple(quaternion)
-    return settled(BodyState(tuple(turned), R, None if s is None else s + tau * M[axis] * rate / 2), xp)
+    return settled(BodyState(tuple(turned), R, None if s is None else s + angle * M[axis] / 2), xp)
 
 
-def _rotation_flow(axis: int) -> Flow:
-    def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
-        return rotation(scene, x, axis, tau, xp)
+def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
+    """Exact time-1 flow of ½ a ‖M‖²: M stays, R turns about it, R → R exp(a M̂) = exp(a Ĵ) R.
 
-    return Flow(_plain, turn, {"rotation": 1})
+    It commutes with every rotation: ‖M‖² is a Casimir function, and they leave J as it is.
+    """
+    if x.R is None and x.s is None:
+        return x
+    square = dot(x.M, x.M)
+    s = None if x.s is None else x.s + a * square / 2
+    if x.R is None:
+        return BodyState(x.M, None, s)
+    still = square == 0
+    if hasattr(xp, "where"):
+        size = xp.sqrt(xp.where(still, 1.0, square))  # 1: no derivative of √0 is taken
+        scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
+        cos = xp.where(still, 1.0, xp.cos(a * size / 2))
+    else:
+        size = xp.sqrt(square)
+        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
+    R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
+    return settled(BodyState(x.M, R, s), xp)
+
+
+def turn_rate(scene: RigidBody) -> Any:
+    """1/I_min − 1/I_mid, the part of the energy that `turn` is the flow of, as ½ a M_min²."""
+    smallest, middle, _ = scene.by_inertia
+    return scene.inverse_inertia[smallest] - scene.inverse_inertia[middle]
+
+
+def top_rate(scene: RigidBody) -> Any:
+    """1/I_max − 1/I_mid, by which the symmetric top of `top` differs from a sphere."""
+    _, middle, largest = scene.by_inertia
+    return scene.inverse_inertia[largest] - scene.inverse_inertia[middle]
+
+
+def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
+    """Flow of ½ (1/I_min − 1/I_mid) M_min²: what an asymmetric body is more than a symmetric top.
+
+    Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994), doi:10.1086/116931; Fassò,
+    J. Comput. Phys. 189, 527 (2003), doi:10.1016/S0021-9991(03)00235-9.  Both rates are differences to the
+    intermediate moment, as small as they can be, and with them the error.
+    """
+    return rotation(x, scene.by_inertia[0], tau * turn_rate(scene), xp)
+
+
+def top(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
+    """Flow of the symmetric top with moments I_mid, I_mid, I_max: a rotation and a `spin`."""
+    x = rotation(x, scene.by_inertia[2], tau * top_rate(scene), xp)
+    return spin(x, tau * scene.inverse_inertia[scene.by_inertia[1]], xp)
 
 
 def _body_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
@@ -172,7 +216,8 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
 
 
 BODY = {
-    **{f"rotate{axis + 1}": _rotation_flow(axis) for axis in range(3)},
+    "turn": Flow(_plain, turn, {"rotation": 1}),
+    "top": Flow(_plain, top, {"rotation": 1}),
     "damp": Flow(_body_damp_constants, body_damp, {}),
 }
 

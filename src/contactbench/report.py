@@ -500,8 +500,8 @@ Solvers that call back into Python, and our methods in plain Python:
 
 ## Who is most accurate per evaluation
 
-Right-hand sides or equivalents, whatever the engine (a Taylor order counts as one; three rotations of the
-body count as one):
+Right-hand sides or equivalents, whatever the engine (a Taylor order counts as one; two rotations of the
+body, which together apply its whole vector field, count as one):
 
 {winners(work, "rhs_equivalents", count, ANY)}
 

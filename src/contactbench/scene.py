@@ -444,6 +444,8 @@ class RigidBody(Scene):
     axes: Any = field(init=False, repr=False, default=None)
     #: kept so that no division is left in the right-hand side
     inverse_inertia: Vector = field(init=False, repr=False, default=())
+    #: the axes of the smallest, intermediate and largest moment (decided by the original moments)
+    by_inertia: tuple[int, ...] = field(init=False, repr=False, default=())
 
     initial_fields: ClassVar[tuple[str, ...]] = ("M", "R", "s")
 
@@ -453,6 +455,7 @@ class RigidBody(Scene):
         if min(self.inertia) <= 0:
             raise BadInput(f"inertia = {self.inertia!r}: all three moments must be > 0")
         fix(self, "inverse_inertia", tuple(1 / i for i in self.inertia))
+        fix(self, "by_inertia", tuple(sorted(range(3), key=lambda i: self.inertia[i])))
         fix(self, "M", vector("M", self.M, 3))
         fix(self, "R", quaternion_of(self.R))
         fix(self, "s", finite("s", self.s))
@@ -514,7 +517,7 @@ class RigidBody(Scene):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        return (RigidBody, self.isotropic, self.isotropic or self.axes is None)
+        return (RigidBody, self.isotropic, self.isotropic or self.axes is None, self.by_inertia)
 
     # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:

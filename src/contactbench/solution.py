@@ -30,7 +30,7 @@ class Counts(NamedTuple):
     """What a run cost: accepted steps, evaluations of `kind`, Jacobians, rejected steps.
 
     kind is "gradient" (∇V), "rhs" (the whole right-hand side), "taylor" (orders of Taylor
-    coefficients; each costs about one rhs) or "rotation" (a third of an rhs; see
+    coefficients; each costs about one rhs) or "rotation" (half an rhs; see
     `rhs_equivalents`).  A count is None where the solver does not say; `Prepared.count` may
     find it out.
     """
@@ -45,12 +45,12 @@ class Counts(NamedTuple):
     def rhs_equivalents(self) -> float | None:
         """Evaluations on the scale of one right-hand side.
 
-        A gradient counts as one (it is nearly all of a mechanical right-hand side); three rotations
+        A gradient counts as one (it is nearly all of a mechanical right-hand side); two rotations
         of the rigid body, which together apply its whole vector field once, count as one.
         """
         if self.evaluations is None:
             return None
-        return self.evaluations / 3 if self.kind == "rotation" else float(self.evaluations)
+        return self.evaluations / 2 if self.kind == "rotation" else float(self.evaluations)
 
 
 @dataclass

@@ -45,7 +45,7 @@ _COUNTS = {
     "steps": "accepted steps",
     "evaluations": "evaluations of evaluation_kind in one run",
     "evaluation_kind": "gradient, rhs, taylor (orders of Taylor coefficients) or rotation",
-    "rhs_equivalents": "evaluations on the scale of one right-hand side (three rotations count as one)",
+    "rhs_equivalents": "evaluations on the scale of one right-hand side (two rotations count as one)",
     "jacobians": "Jacobian evaluations",
 }
 
