@@ -5,7 +5,6 @@ Used by the tests, and by the mutation check, which counts how many planted erro
 
 from __future__ import annotations
 
-from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -88,8 +87,8 @@ def mechanical_flows_solve_their_equations() -> bool:
 
 
 def body_flows_solve_their_equations() -> bool:
-    """The two parts of the free body, which add up to its energy, and the damping; in every order of axes."""
-    for inertia in permutations((0.8, 1.3, 2.1)):
+    """The two parts of the free body, which add up to its energy, and the damping; about each axis."""
+    for inertia in ((0.8, 1.3, 2.1), (2.1, 0.8, 1.3), (1.3, 2.1, 0.8)):
         exact, x = in_mp(BODY.with_(inertia=inertia), random_state(BODY, 32))
         moments = list(map(mp.mpf, map(repr, inertia)))
         smallest, middle = (moments.index(i) for i in sorted(moments)[:2])

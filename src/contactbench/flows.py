@@ -186,9 +186,9 @@ def top_rate(scene: RigidBody) -> Any:
 def turn(scene: RigidBody, x: BodyState, tau: Any, xp: Any) -> BodyState:
     """Flow of ½ (1/I_min − 1/I_mid) M_min²: what an asymmetric body is more than a symmetric top.
 
-    Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994), doi:10.1086/116931; Fassò,
-    J. Comput. Phys. 189, 527 (2003), doi:10.1016/S0021-9991(03)00235-9.  Both rates are differences to the
-    intermediate moment, as small as they can be, and with them the error.
+    Free body = `turn` + `top`: Touma, Wisdom, Astron. J. 107, 1189 (1994); for what the choice of axes does
+    to the error, Fassò, J. Comput. Phys. 189, 527 (2003).  Differences to the intermediate moment are the
+    smallest rates that two rotations can have.
     """
     return rotation(x, scene.by_inertia[0], tau * turn_rate(scene), xp)
 

@@ -1,0 +1,78 @@
+"""The rigid body's two parts on hard data: what they solve exactly, and what they keep whatever the data."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+
+BODY = cb.SCENES["rigid_body"]
+TUMBLING = BODY.with_(name="tumbling", M=(1e-8, 1.0, 1e-8), gamma=1e-3, t_end=200.0)
+NEEDLE = BODY.with_(name="needle", inertia=(1e-3, 1.0, 1.001))
+UNDAMPED = BODY.with_(name="undamped", gamma=0.0)
+UNDERFLOW = BODY.with_(name="underflow", gamma=50.0, t_end=100.0)
+SPLIT = [m for m in cb.METHODS.values() if getattr(m, "composition", None) and m.composition.two_part]
+SPLIT = [m for m in SPLIT if m.refuses(BODY) is None]
+
+each = pytest.mark.parametrize("method", SPLIT, ids=lambda m: m.name)
+
+
+@each
+@pytest.mark.parametrize("inertia", [(2, 2, 2), (1, 2, 2), (2, 1, 1), (2, 3, 2)], ids=str)
+def test_a_symmetric_body_is_solved_exactly_at_any_step(method, inertia):
+    """One of the two parts is then nothing."""
+    scene = BODY.with_(inertia=inertia)
+    solution = cb.solve(scene, method.name, step=5.0, save_at=[10.0, 20.0], engine="python")
+    assert cb.LAWS["solution_error"](solution) < 1e-13
+
+
+@each
+@pytest.mark.parametrize("scene", [TUMBLING, NEEDLE, UNDAMPED, UNDERFLOW], ids=lambda s: s.name)
+def test_momentum_attitude_and_contact_form_are_kept_on_hard_data(method, scene):
+    """s carried; a hundred steps.  Round-off of the contact form grows with the derivative of the map,
+    10⁶ for the unstable axis and 10³ for the needle."""
+    solution = cb.solve(scene, method.name, step=scene.t_end / 100, save_at=[scene.t_end / 2, scene.t_end])
+    assert solution.ok
+    assert cb.LAWS["momentum_law"](solution) < 1e-13
+    assert cb.LAWS["attitude_drift"](solution) < 1e-13
+    _, derivative = solution.linearised
+    growth = np.linalg.norm(derivative, axis=(1, 2)).max()
+    assert cb.LAWS["contact_drift"](solution) < 1e-13 * max(growth, 1)
+
+
+@pytest.mark.parametrize("inertia", list(permutations((1.0, 2.0, 3.0))), ids=str)
+def test_the_axes_may_come_in_any_order(inertia):
+    """Renaming the axes of body and data renames the solution, with the sign of an odd permutation."""
+    order = [(1.0, 2.0, 3.0).index(i) for i in inertia]
+    sign = round(np.linalg.det(np.eye(3)[order]))
+    M = np.array(BODY.M)
+    plain = cb.solve(BODY, "contact-bm6", step=0.5, save_at=[20.0], engine="python")
+    renamed = cb.solve(
+        BODY.with_(inertia=inertia, M=sign * M[order]),
+        "contact-bm6",
+        step=0.5,
+        save_at=[20.0],
+        engine="python",
+    )
+    np.testing.assert_allclose(renamed.M, sign * plain.M[:, order], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(renamed.R, plain.R[:, order][:, :, order], rtol=0, atol=1e-13)
+
+
+@each
+def test_a_body_at_rest_stays_and_has_a_derivative(method):
+    scene = BODY.with_(M=(0.0, 0.0, 0.0))
+    solution = cb.solve(scene, method.name, step=0.5, save_at=[1.0, 2.0])
+    np.testing.assert_array_equal(solution.M, 0)
+    np.testing.assert_allclose(solution.R, [np.eye(3)] * 2, rtol=0, atol=1e-15)
+    assert np.isfinite(solution.sensitivity).all()
+
+
+def test_a_step_as_long_as_the_decay_is_no_trouble():
+    """e^{−γh} underflows within one step; negative substeps would grow by e^{+γ|a|h} if they met damping."""
+    scene = UNDERFLOW.with_(M=(0.1, 0.2, 0.3))
+    for engine in ("jax", "python"):
+        solution = cb.solve(scene, "contact-o8", step=50.0, save_at=[50.0, 100.0], engine=engine)
+        assert cb.LAWS["solution_error"](solution) < 1e-12
