@@ -4,28 +4,41 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from contactbench.errors import BadInput
 
 
-def listing(_: argparse.Namespace) -> int:
-    """Print scenes, methods and laws."""
+def listing(arguments: argparse.Namespace) -> int:
+    """Print scenes, methods, laws and claims, or one kind without heading and indentation."""
     import contactbench as cb
 
-    print("scenes")
-    for scene in cb.SCENES.values():
-        print(f"  {scene.name:24} {scene.about}")
-    print("methods")
-    for method in cb.METHODS.values():
-        kind = "adaptive" if method.adaptive else "fixed step"
-        order = f"order {method.order}" if method.order else "variable order"
-        print(f"  {method.name:24} {order}, {kind}, {'/'.join(method.engines)}: {method.about}")
-    print("laws")
-    for law in cb.LAWS.values():
-        print(f"  {law.name:24} {law.definition}")
+    def method(item: Any) -> str:
+        kind = "adaptive" if item.adaptive else "fixed step"
+        order = f"order {item.order}" if item.order else "variable order"
+        return f"{order}, {kind}, {'/'.join(item.engines)}: {item.about}"
+
+    def claims() -> dict[str, str]:
+        from contactbench.claims import CLAIMS
+
+        return {name: f"{item.where}: {item.says}" for name, item in CLAIMS.items()}
+
+    kinds: dict[str, Callable[[], dict[str, str]]] = {
+        "scenes": lambda: {name: scene.about for name, scene in cb.SCENES.items()},
+        "methods": lambda: {name: method(item) for name, item in cb.METHODS.items()},
+        "laws": lambda: {name: law.definition for name, law in cb.LAWS.items()},
+        "claims": claims,
+    }
+    for kind in [arguments.kind] if arguments.kind else kinds:
+        if not arguments.kind:
+            print(kind)
+        indent = "" if arguments.kind else "  "
+        for name, about in kinds[kind]().items():
+            print(f"{indent}{name:24} {about}")
     return 0
 
 
@@ -144,49 +157,131 @@ def references(_: argparse.Namespace) -> int:
     return 0
 
 
-def parser() -> argparse.ArgumentParser:
-    top = argparse.ArgumentParser(prog="contactbench", description=__doc__.split("\n")[0])
-    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    commands.add_parser("list", help="scenes, methods, laws").set_defaults(run=listing)
+class Parser(argparse.ArgumentParser):
+    """Keeps the layout of its examples; bad usage is one line and exit status 2."""
 
-    one = commands.add_parser(
-        "solve", help="solve one scene with one method",
-        epilog="example: contactbench solve particle contact-strang --step 0.01 --set gamma=0.3 --json",
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)\n")
+
+
+#: taken from anywhere on the line and loaded first, so that every command knows what it brings
+PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)
+PLUGIN.add_argument(
+    "--plugin", action="append", default=[], metavar="FILE", type=Path,
+    help="Python file that registers methods or scenes of your own; may be repeated",
+)  # fmt: skip
+
+
+def parser() -> argparse.ArgumentParser:
+    top = Parser(
+        prog="contactbench",
+        description="Contact splitting integrators beside the established ODE solvers, measured.",
+        parents=[PLUGIN],
+        epilog="""examples:
+  contactbench list methods
+  contactbench solve particle contact-strang --step 0.01
+  contactbench solve particle my-method --step 0.01 --plugin my.py
+  contactbench claim C25
+  contactbench report --results results
+
+The tables come from the benchmark, `tox -e bench`.
+Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input.""",
+    )
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+
+    def command(name: str, run: Callable[[argparse.Namespace], int], about: str, examples: str = "") -> Any:
+        made = commands.add_parser(
+            name,
+            help=about,
+            description=about[0].upper() + about[1:] + ".",
+            parents=[PLUGIN],
+            epilog=examples,
+        )
+        made.set_defaults(run=run)
+        return made
+
+    show = command(
+        "list", listing, "scenes, methods, laws and claims",
+        """examples:
+  contactbench list
+  contactbench list methods | grep adaptive
+  contactbench list scenes --plugin my.py""",
     )  # fmt: skip
-    one.add_argument("scene")
-    one.add_argument("method")
-    one.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="change a parameter")
+    show.add_argument("kind", nargs="?", choices=["scenes", "methods", "laws", "claims"], help="only these")
+
+    one = command(
+        "solve", solve, "solve one scene with one method and print where it ended",
+        """examples:
+  contactbench solve particle contact-strang --step 0.01
+  contactbench solve particle contact-rkn6 --rtol 1e-8           the step chosen from pilots
+  contactbench solve particle cvode-bdf --rtol 1e-8 --t-end 100
+  contactbench solve particle rk4 --step 0.01 --set gamma=0.3 --set q=[1,0.5] --json | jq .H0
+
+Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input.""",
+    )  # fmt: skip
+    one.add_argument("scene", help="its name (contactbench list scenes)")
+    one.add_argument("method", help="its name (contactbench list methods)")
+    one.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="change a parameter: a number or a list [1,2]; may be repeated",
+    )  # fmt: skip
     one.add_argument("--step", type=float, help="step size (fixed-step methods)")
-    one.add_argument("--rtol", type=float, help="tolerance (adaptive methods)")
+    one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
     one.add_argument("--t-end", type=float, help="end time")
     one.add_argument("--engine", help="jax or python, where a method has both")
     one.add_argument("--max-steps", type=int, help="step budget")
     one.add_argument("--json", action="store_true", help="print one JSON object")
-    one.set_defaults(run=solve)
 
-    ledger = commands.add_parser(
-        "claim", help="measure one claim of the paper", epilog="example: contactbench claim C25"
-    )
-    ledger.add_argument("id", help="C01 to C36")
+    ledger = command(
+        "claim", claim, "measure one claim of the paper",
+        "examples:\n  contactbench claim C25\n  contactbench claim C07 --json | jq -r .verdict",
+    )  # fmt: skip
+    ledger.add_argument("id", help="C01 to C36 (contactbench list claims)")
     ledger.add_argument("--json", action="store_true", help="print one JSON object")
-    ledger.set_defaults(run=claim)
 
-    write = commands.add_parser("report", help="markdown and figures from the CSV tables")
+    write = command(
+        "report", report, "markdown, figures and report.html from the CSV tables alone",
+        """examples:
+  contactbench report
+  contactbench report --results /tmp/mine
+
+Nothing is solved: every number is read from the tables.  report.html is one page that needs no network.""",
+    )  # fmt: skip
     write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
-    write.set_defaults(run=report)
 
-    commands.add_parser("references", help="the stored references").set_defaults(run=references)
+    command("references", references, "the stored references, their digits and digests")
     return top
 
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point; bad input is one line on stderr and exit status 2."""
-    arguments = parser().parse_args(argv)
     try:
-        return arguments.run(arguments)
+        plugins, _ = PLUGIN.parse_known_args(argv)
+        arguments = parser().parse_args(argv)
+        if plugins.plugin:
+            from contactbench.plugins import load_file
+
+            for path in plugins.plugin:
+                load_file(path)
+        arguments.plugin = plugins.plugin  # a subcommand's parser sees only what follows its name
+        status = arguments.run(arguments)
+        sys.stdout.flush()
     except BadInput as error:
         print(f"contactbench: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # the reader has left, as in `contactbench list | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        print(f"contactbench: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("contactbench: interrupted", file=sys.stderr)
+        return 130
+    return status
 
 
 if __name__ == "__main__":

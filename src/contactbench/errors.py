@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -26,18 +27,33 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName
     return UnknownName(f"unknown {kind} {name!r}: {hint}choose from {', '.join(names)}")
 
 
-class Registry(dict):
-    """A dict in table order whose missing keys raise `UnknownName` with a suggestion."""
+#: a name is also a key in tables, a part of file names and a word on the command line
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 
-    def __init__(self, kind: str) -> None:
+
+class Registry(dict):
+    """A dict in table order whose missing keys raise `UnknownName` with a suggestion.
+
+    kind : what its items are called in messages; of : the class or protocol they follow.
+    """
+
+    def __init__(self, kind: str, of: type = object) -> None:
         super().__init__()
-        self.kind = kind
+        self.kind, self.of = kind, of
 
     def __missing__(self, name: object) -> Any:
         raise unknown_name(self.kind, name, self)
 
     def add(self, item: Any) -> Any:
-        """Register `item` under ``item.name``; a second item of that name is refused."""
+        """Register `item` under ``item.name`` and return it.
+
+        Raises `BadInput` for a name that is taken or not a word, and for what is no such item.
+        """
+        name = getattr(item, "name", None)
+        if not isinstance(item, self.of) or name is None:
+            raise BadInput(f"{item!r} cannot be registered: it is no {self.kind}")
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            raise BadInput(f"{self.kind} name {name!r}: must be letters, digits, '_', '.', '+', '-'")
         if item.name in self:
             raise BadInput(f"{self.kind} {item.name!r} is already registered")
         self[item.name] = item

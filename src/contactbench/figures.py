@@ -40,7 +40,9 @@ STYLES = {
     "diffrax-kvaerno5": ("#999933", "h"),
     "heyoka-taylor": ("#EE3377", "*"),
 }
-SPARE = ["#332288", "#888888", "#44AA99"]
+# for methods that are not ours to know: a plug-in's, in the order they are met
+SPARE = [("#332288", "p"), ("#888888", "8"), ("#44AA99", "p"), ("#A6761D", "8"), ("#D95F82", "p")]
+_met: dict[str, tuple[str, str]] = {}
 TRACKS = {
     "compiled (jax, llvm)": ("jax", "llvm"),
     "Python callbacks (python, c+python)": ("python", "c+python"),
@@ -64,8 +66,10 @@ plt.rcParams.update(
 
 
 def style(method: str) -> dict[str, Any]:
-    """Colour and marker of a method; a method unknown here gets a spare colour by its name."""
-    color, marker = STYLES.get(method, (SPARE[sum(method.encode()) % len(SPARE)], "p"))
+    """Colour and marker of a method; a method unknown here gets the next spare ones."""
+    if method not in STYLES:
+        _met.setdefault(method, SPARE[len(_met) % len(SPARE)])
+    color, marker = STYLES.get(method) or _met[method]
     face = color if method.startswith("contact-") or method not in STYLES else "white"
     return {"color": color, "marker": marker, "markerfacecolor": face, "markersize": 5.5, "linewidth": 1.3}
 

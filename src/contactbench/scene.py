@@ -44,6 +44,17 @@ class BodyState(NamedTuple):
     s: Any = None
 
 
+def shifted(x: Any, h: Any, slope: Any) -> Any:
+    """x + h·slope, component by component, fields that are not carried left alone."""
+    parts: list[Any] = []
+    for part, rate in zip(x, slope, strict=True):
+        if isinstance(part, tuple):
+            parts.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))
+        else:
+            parts.append(None if part is None else part + h * rate)
+    return type(x)(*parts)
+
+
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
     """a·b, summed left to right."""
     total = a[0] * b[0]

@@ -25,6 +25,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
+from contactbench.plugins import LOADED
 
 SCHEMA_VERSION = 1
 KEY = ("scene", "method", "engine", "setting")
@@ -248,9 +249,9 @@ def _sorted(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     ranks = {"scene": list(SCENES), "method": list(METHODS)}
 
     def rank(column: pd.Series) -> pd.Series:
-        if column.name in ranks:
-            known = {name: i for i, name in enumerate(ranks[str(column.name)])}
-            return column.map(lambda name: known.get(name, len(known)))
+        if column.name in ranks:  # names of no registry, a plug-in's, after the others
+            names = dict.fromkeys([*ranks[str(column.name)], *column])
+            return column.map({name: i for i, name in enumerate(names)})
         if column.name == "setting":
             return column.map(lambda setting: -float(str(setting).rpartition("=")[2]))
         return column
@@ -320,6 +321,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "threads": {name: os.environ.get(name, "") for name in THREADS},
         "commit": _git(root, "rev-parse", "HEAD"),
         "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no", "--", ".", ":!results")),
+        "plugins": dict(LOADED),
         "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
     }
 

@@ -17,15 +17,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from contactbench.errors import BadInput, Registry, positive
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status, divergence_bound, first_divergence
-
-METHODS = Registry("method")
 
 #: saved times when the caller names none: every k-th step with at most this many for fixed steps,
 #: this many equal intervals for adaptive methods
@@ -35,6 +33,7 @@ DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
 
 
+@runtime_checkable
 class Method(Protocol):
     """What `METHODS` holds; see the module's docstring."""
 
@@ -46,6 +45,9 @@ class Method(Protocol):
 
     def refuses(self, scene: Scene) -> str | None: ...
     def prepare(self, request: Request) -> Prepared: ...
+
+
+METHODS = Registry("method", Method)
 
 
 @dataclass(frozen=True)

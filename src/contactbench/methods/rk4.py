@@ -5,18 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from contactbench.methods.fixed_step import fixed_step
-from contactbench.scene import Scene
-
-
-def shifted(x: Any, h: Any, slope: Any) -> Any:
-    """x + h·slope, component by component, fields that are not carried left alone."""
-    parts: list[Any] = []
-    for part, rate in zip(x, slope, strict=True):
-        if isinstance(part, tuple):
-            parts.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))
-        else:
-            parts.append(None if part is None else part + h * rate)
-    return type(x)(*parts)
+from contactbench.scene import Scene, shifted
 
 
 @fixed_step(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contactbench.errors import Registry
+from contactbench.scene import Scene
 from contactbench.scenes.standard import STANDARD
 
-SCENES = Registry("scene")
+SCENES = Registry("scene", Scene)
 for _scene in STANDARD:
     SCENES.add(_scene)

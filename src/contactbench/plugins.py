@@ -1,0 +1,109 @@
+"""A user's own methods and scenes: from a file (``--plugin my.py``) or from an installed package.
+
+A file registers what it brings: `fixed_step`, ``METHODS.add``, ``SCENES.add``.  A package names it by entry
+points of the groups ``contactbench.methods`` and ``contactbench.scenes``, loaded when contactbench is
+imported: a method or a scene, a list of them, a function without arguments that returns either, or
+anything whose module registers by itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+import traceback
+import warnings
+from importlib.machinery import SourceFileLoader
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from contactbench.errors import BadInput, Registry
+from contactbench.methods import METHODS
+from contactbench.scenes import SCENES
+
+GROUPS: dict[str, Registry] = {"contactbench.methods": METHODS, "contactbench.scenes": SCENES}
+
+#: what was loaded, and its SHA-256 or version: provenance of the rows it gives
+LOADED: dict[str, str] = {}
+_files: set[Path] = set()
+
+
+def load_file(path: Path | str) -> None:
+    """Run a Python file that registers methods and scenes; a file given twice is run once.
+
+    Raises `BadInput`, with the file's own line, when it cannot be read, fails or registers nothing.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"plug-in {path}: no such file")
+    if path.resolve() in _files:
+        return
+    before = set(METHODS) | set(SCENES)
+    try:
+        _run(path.resolve())
+    except Exception as error:
+        raise BadInput(
+            f"plug-in {path}{_line(error, path)}: {type(error).__name__}: {_brief(error)}"
+        ) from error
+    if set(METHODS) | set(SCENES) == before:
+        raise BadInput(f"plug-in {path}: registers no method and no scene (cb.fixed_step, cb.SCENES.add)")
+    _files.add(path.resolve())
+    LOADED[path.name] = f"sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def _run(path: Path) -> None:
+    """The file as a module of its own name, its neighbours importable as from a script."""
+    name = f"contactbench_plugin_{path.stem}"
+    loader = SourceFileLoader(name, str(path))
+    spec = importlib.util.spec_from_loader(name, loader)
+    assert spec is not None
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    loader.exec_module(sys.modules[name])
+
+
+def _line(error: Exception, path: Path) -> str:
+    """`` line 7``: the last line of the file on the way to its error."""
+    if isinstance(error, SyntaxError):
+        return f" line {error.lineno}"
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path.resolve())]
+    return f" line {frames[-1].lineno}" if frames else ""
+
+
+def _brief(error: Exception) -> str:
+    message = error.msg if isinstance(error, SyntaxError) else str(error)
+    return " ".join(message.split())
+
+
+def load_entry_points() -> None:
+    """Register what installed packages bring; a broken entry point is a warning that names it."""
+    for group, registry in GROUPS.items():
+        for point in entry_points(group=group):
+            try:
+                _register(registry, point.load())
+            except Exception as error:
+                warnings.warn(
+                    f"entry point {point.name!r} of group {group!r} ({point.value}) is left out: "
+                    f"{type(error).__name__}: {_brief(error)}",
+                    RuntimeWarning,
+                    stacklevel=2,
+                )
+            else:
+                LOADED[f"{group}: {point.name}"] = _version(point)
+
+
+def _version(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+
+
+def _register(registry: Registry, item: Any) -> None:
+    """Add what an entry point names, unless importing its module has done so."""
+    if any(item is known or item is getattr(known, "step", None) for known in registry.values()):
+        return
+    if callable(item) and not hasattr(item, "name"):
+        item = item()
+    for each in item if isinstance(item, list | tuple) else [item]:
+        if each is not None and not any(each is known for known in registry.values()):
+            registry.add(each)
