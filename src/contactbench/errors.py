@@ -39,7 +39,8 @@ class Registry(dict):
 
     def __init__(self, kind: str, of: type = object) -> None:
         super().__init__()
-        self.kind, self.of = kind, of
+        self.kind = kind
+        self.of: Any = of
 
     def __missing__(self, name: object) -> Any:
         raise unknown_name(self.kind, name, self)

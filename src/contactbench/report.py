@@ -93,22 +93,27 @@ def equal_error_table(frame: pd.DataFrame, show: Callable[[float], str]) -> str:
     return markdown(["method (engine)", *(f"error {target:.0e}" for target in TARGETS)], rows)
 
 
+def ranked(work: pd.DataFrame, scene: str, cost: str, engines: tuple[str, ...]) -> dict[float, pd.Series]:
+    """Per target error the cost of every method that reaches it, cheapest first, on its best engine."""
+    frame = equal_error(work[work["engine"].isin(engines)], scene, cost)
+    if not len(frame):
+        return {target: pd.Series(dtype=float) for target in TARGETS}
+    by_method = frame.groupby("method", sort=False)
+    return {target: by_method[target].min().dropna().sort_values(kind="stable") for target in TARGETS}
+
+
 def winners(work: pd.DataFrame, cost: str, show: Callable[[float], str], engines: tuple[str, ...]) -> str:
     """Who is cheapest at each target error, per scene, and how far ahead of the next method."""
     rows = []
     for scene in dict.fromkeys(work["scene"]):
-        frame = equal_error(work[work["engine"].isin(engines)], scene, cost)
         cells = []
-        for target in TARGETS:
-            ranked = frame[["method", target]].dropna().sort_values(target) if len(frame) else frame
-            ranked = ranked.drop_duplicates("method") if len(ranked) else ranked
-            if not len(ranked):
+        for costs in ranked(work, scene, cost, engines).values():
+            if not len(costs):
                 cells.append(DASH)
                 continue
-            text = f"**{ranked['method'].iloc[0]}** {show(ranked[target].iloc[0])}"
-            if len(ranked) > 1:
-                ratio = ranked[target].iloc[1] / ranked[target].iloc[0]
-                text += f"; {ranked['method'].iloc[1]} ×{ratio:.2g}"
+            text = f"**{costs.index[0]}** {show(costs.iloc[0])}"
+            if len(costs) > 1:
+                text += f"; {costs.index[1]} ×{costs.iloc[1] / costs.iloc[0]:.2g}"
             cells.append(text)
         rows.append([scene, *cells])
     return markdown(["scene", *(f"error {target:.0e}" for target in TARGETS)], rows)
@@ -423,39 +428,48 @@ def anchor(row: pd.Series) -> str:
     return "".join(c for c in heading if c.isalnum() or c in " -").replace(" ", "-")
 
 
+#: what the headline shows of structure: scene and law
+STRUCTURE = {
+    "J law, central": ("central", "momentum_law"),
+    "J law, body": ("rigid_body", "momentum_law"),
+    "contact drift, central": ("central", "contact_drift"),
+    "attitude drift, body": ("rigid_body", "attitude_drift"),
+}
+
+
+def structure_ranges(laws: pd.DataFrame) -> dict[str, dict[str, tuple[float, float]]]:
+    """Per method and entry of `STRUCTURE`: smallest and largest value over its settings, or nan."""
+    ok = laws[laws["status"] == "ok"]
+    return {
+        method: {
+            label: (values.min(), values.max())
+            for label, (scene, law) in STRUCTURE.items()
+            for values in [ok[(ok["method"] == method) & (ok["scene"] == scene)][law]]
+        }
+        for method in dict.fromkeys(laws["method"])
+    }
+
+
+def headline_order(convergence: pd.DataFrame, method: str) -> float | None:
+    """The fitted order of a method on the headline scene, None for an adaptive one."""
+    fitted = convergence[(convergence["method"] == method) & (convergence["scene"] == HEADLINE)]
+    return float(fitted["order"].iloc[0]) if len(fitted) else None
+
+
 def structure_table(laws: pd.DataFrame, convergence: pd.DataFrame) -> str:
     """Per method: measured order on the headline scene, and the worst drift over all settings."""
+
+    def cell(low: float, high: float) -> str:
+        if pd.isna(high):
+            return DASH
+        return f"**{scientific(high)}**" if high <= ROUND_OFF else f"{scientific(low)} … {scientific(high)}"
+
     rows = []
-    ok = laws[laws["status"] == "ok"]
-    for method in dict.fromkeys(laws["method"]):
-        mine = ok[ok["method"] == method]
-        fitted = convergence[(convergence["method"] == method) & (convergence["scene"] == HEADLINE)]
-        order = f"{fitted['order'].iloc[0]:.2f}" if len(fitted) else "adaptive"
-        body, central = mine[mine["scene"] == "rigid_body"], mine[mine["scene"] == "central"]
-        verdict = {}
-        for name, part in (
-            ("J law, central", central["momentum_law"]),
-            ("J law, body", body["momentum_law"]),
-            ("contact drift, central", central["contact_drift"]),
-            ("|R| drift, body", body["attitude_drift"]),
-        ):
-            high, low = part.max(), part.min()
-            if pd.isna(high):
-                verdict[name] = DASH
-            elif high <= ROUND_OFF:
-                verdict[name] = f"**{scientific(high)}**"
-            else:
-                verdict[name] = f"{scientific(low)} … {scientific(high)}"
-        rows.append([method, order, *verdict.values()])
-    head = [
-        "method",
-        f"order on {HEADLINE}",
-        "J law, central",
-        "J law, body",
-        "contact drift, central",
-        "attitude drift, body",
-    ]
-    return markdown(head, rows)
+    for method, ranges in structure_ranges(laws).items():
+        order = headline_order(convergence, method)
+        shown = "adaptive" if order is None else f"{order:.2f}"
+        rows.append([method, shown, *(cell(*both) for both in ranges.values())])
+    return markdown(["method", f"order on {HEADLINE}", *STRUCTURE], rows)
 
 
 def claims_line(frame: pd.DataFrame) -> str:
