@@ -131,14 +131,15 @@ def readable(row: dict[str, Any]) -> str:
 
 
 def report(arguments: argparse.Namespace) -> int:
-    """Write markdown and figures from the CSV tables."""
+    """Write markdown, figures and the page from the CSV tables."""
+    from contactbench import page
     from contactbench.report import report as write
 
     if not list(arguments.results.glob("*.csv")):
         raise BadInput(
             f"--results {arguments.results}: no tables there; run the benchmark first (tox -e bench)"
         )
-    for path in write(arguments.results):
+    for path in [*write(arguments.results), page.write(arguments.results)]:
         print(path)
     return 0
 
