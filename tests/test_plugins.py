@@ -1,0 +1,223 @@
+"""A user's own methods and scenes: the README's example as it stands, files that fail, entry points."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import contactbench as cb
+from contactbench import figures, page, plugins
+from contactbench.report import report
+from contactbench.table import WORK_PRECISION, merge, read
+
+REPOSITORY = Path(__file__).parents[1]
+MINE = ("my-method", "my-scene")
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The file the README tells to write."""
+    blocks = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)
+    (text,) = (block for block in blocks if "SCENES.add" in block)
+    assert len(text.splitlines()) <= 25
+    path = tmp_path_factory.mktemp("plugin") / "my.py"
+    path.write_text(text)
+    return path
+
+
+def run(*command, **variables):
+    """A command of its own, no worker of the tests."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    return subprocess.run(
+        [sys.executable, "-m", *map(str, command)], cwd=REPOSITORY, capture_output=True, text=True, timeout=240,
+        env={**own, "JAX_PLATFORMS": "cpu", **variables},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results(example, tmp_path_factory):
+    """The benchmark with the plug-in, for real, on a small part."""
+    folder = tmp_path_factory.mktemp("results")
+    done = run(
+        "pytest", "bench", "--plugin", example, "--profile", "smoke", "--results", folder, "-q",
+        "--benchmark-quiet", "-p", "no:cacheprovider", "-k",
+        "my-method and (my-scene or particle and not long) or my-scene and cvode-bdf",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def test_the_readmes_example_has_its_rows_in_the_tables(results):
+    work = read(WORK_PRECISION, results).set_index(["scene", "method", "engine"])
+    assert (work["status"] == "ok").all()
+    for engine in ("jax", "python"):
+        assert work.loc[("particle", "my-method", engine), "time_median_s"] > 0
+        assert work.loc[("my-scene", "my-method", engine), "solution_error"] < 0.1
+    # the truth of the user's scene was computed live: a tolerance is met against it
+    assert work.loc[("my-scene", "cvode-bdf", "c+python"), "solution_error"] < 1e-3
+    assert list(dict.fromkeys(work.index.get_level_values("scene"))) == ["particle", "my-scene"]
+    environment = json.loads((results / "environment.json").read_text())
+    assert [list(entry["plugins"]) for entry in environment.values()] == [["my.py"]]
+
+
+def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
+    assert not set(MINE) & {*cb.METHODS, *cb.SCENES}
+    written = {path.name for path in [*report(results), page.write(results)]}
+    assert "work_precision_my-scene.svg" in written
+    for name in ("README.md", "work_precision.md", "convergence.md", "report.html"):
+        assert "my-method" in (results / name).read_text()
+    assert "## my-scene" in (results / "work_precision.md").read_text()
+    assert "my-method" in (results / "figures" / "work_precision_particle.svg").read_text()
+    assert 'title="error 1e-03"' in (results / "report.html").read_text()
+
+
+def test_the_tests_take_it_in(example):
+    done = run(
+        "pytest", "tests/test_methods.py", "--plugin", example, "-q", "-p", "no:cacheprovider",
+        "-k", "my-method and (order_on or symmetric)",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "6 passed" in done.stdout
+
+
+def test_the_command_line_takes_it_anywhere_on_the_line(example):
+    solve = ["solve", "my-scene", "my-method", "--step", "0.01", "--json"]
+    for command in (["--plugin", example, *solve], [*solve, "--plugin", example]):
+        done = run("contactbench.cli", *command)
+        assert done.returncode == 0, done.stderr
+        out = json.loads(done.stdout)
+        assert (out["scene"], out["method"], out["counts"]["evaluations"]) == ("my-scene", "my-method", 4000)
+
+
+# -- files that fail -------------------------------------------------------------------------------
+@pytest.fixture
+def registries():
+    """What a test registers is forgotten again."""
+    kept = [(registry, dict(registry)) for registry in plugins.GROUPS.values()]
+    yield
+    for registry, items in kept:
+        registry.clear()
+        registry.update(items)
+
+
+FAILURES = {
+    "syntax": ("x = (", "line 1: SyntaxError"),
+    "exception": ("import contactbench as cb\n\ncb.SCENES['partcle']", "line 3: UnknownName: unknown scene"),
+    "nothing": ("x = 1", "registers no method and no scene"),
+    "no scene": ("import contactbench as cb\ncb.SCENES.add(3)", "line 2: BadInput: 3 cannot be registered"),
+    "no method": ("import contactbench as cb\ncb.METHODS.add(cb.SCENES['central'])", "it is no method"),
+    "taken": ("import contactbench as cb\ncb.SCENES.add(cb.SCENES['central'])", "'central' is already registered"),
+    "name": (
+        "import contactbench as cb\ncb.SCENES.add(cb.SCENES['central'].with_(name='a/b'))",
+        "scene name 'a/b': must be letters",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "says"), FAILURES.values(), ids=FAILURES)
+def test_a_file_that_fails_is_one_line_that_names_it(text, says, tmp_path, registries, capsys):
+    from contactbench.cli import main
+
+    path = tmp_path / "bad.py"
+    path.write_text(text)
+    assert main(["list", "--plugin", str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith(f"contactbench: plug-in {path}")
+    assert says in err
+
+
+def test_a_missing_file_is_one_line_for_the_benchmark_too(tmp_path):
+    done = run("pytest", "bench", "--plugin", tmp_path / "none.py", "--collect-only", "-q")
+    assert done.returncode == 4
+    assert (done.stdout + done.stderr).strip() == f"ERROR: plug-in {tmp_path / 'none.py'}: no such file"
+
+
+def test_a_file_given_twice_is_loaded_once(tmp_path, registries):
+    (tmp_path / "neighbour.py").write_text("GAMMA = 0.125\n")
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import contactbench as cb\nfrom neighbour import GAMMA\n"
+        "cb.SCENES.add(cb.SCENES['central'].with_(name='twice', gamma=GAMMA))\n"
+    )
+    plugins.load_file(path)
+    plugins.load_file(str(path))
+    assert cb.SCENES["twice"].gamma == 0.125
+    assert plugins.LOADED.pop("mine.py").startswith("sha256 ")
+
+
+# -- entry points ----------------------------------------------------------------------------------
+PACKAGE = """
+import contactbench as cb
+from contactbench.methods.fixed_step import FixedStep
+
+@cb.fixed_step("decorated", order=1)
+def euler(scene, x, h, xp):
+    return cb.shifted(x, h, scene.rhs(x))
+
+made = FixedStep("made", 1, euler)
+
+def several():
+    return [cb.SCENES["central"].with_(name=name) for name in ("first", "second")]
+
+scene = cb.SCENES["oscillator"].with_(name="object")
+"""
+POINTS = """
+[contactbench.methods]
+a = my_package:euler
+b = my_package:made
+c = my_package:absent
+[contactbench.scenes]
+d = my_package:several
+e = my_package:scene
+f = no_such_package:scene
+"""
+
+
+def test_entry_points_are_loaded_and_a_broken_one_is_a_warning(tmp_path):
+    (tmp_path / "my_package.py").write_text(PACKAGE)
+    info = tmp_path / "my_package-1.5.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.5\n")
+    (info / "entry_points.txt").write_text(POINTS)
+    search = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    done = run("contactbench.cli", "list", PYTHONPATH=search)
+    assert done.returncode == 0, done.stderr
+    listed = {line.split()[0] for line in done.stdout.splitlines()}
+    assert {"decorated", "made", "first", "second", "object"} <= listed
+    warned = [line for line in done.stderr.splitlines() if "entry point" in line]
+    assert len(warned) == 2
+    assert "entry point 'c' of group 'contactbench.methods' (my_package:absent) is left out" in warned[0]
+    assert "entry point 'f' of group 'contactbench.scenes' (no_such_package:scene)" in warned[1]
+
+
+# -- tables and figures know nobody by name --------------------------------------------------------
+def test_methods_of_no_registry_look_different_and_keep_their_look():
+    names = [f"unheard-of-{i}" for i in range(5)]
+    looks = [(figures.style(name)["color"], figures.style(name)["marker"]) for name in names]
+    assert len(set(looks)) == len(looks)
+    assert not set(looks) & set(figures.STYLES.values())
+    assert [(figures.style(n)["color"], figures.style(n)["marker"]) for n in names] == looks
+
+
+def test_rows_of_unknown_names_come_last_and_stay_together(tmp_path):
+    def row(scene, method, step):
+        return {"scene": scene, "method": method, "engine": "jax", "setting": f"step={step}", "status": "ok"}
+
+    merge(
+        WORK_PRECISION, [row("theirs", "b", 0.1), row("theirs", "a", 0.2), row("theirs", "b", 0.4)], tmp_path
+    )
+    frame = merge(
+        WORK_PRECISION, [row("theirs", "a", 0.1), row("particle", "a", 1), row("theirs", "rk4", 1)], tmp_path
+    )
+    assert list(zip(frame["scene"], frame["method"], frame["setting"], strict=True)) == [
+        ("particle", "a", "step=1"), ("theirs", "rk4", "step=1"), ("theirs", "b", "step=0.4"),
+        ("theirs", "b", "step=0.1"), ("theirs", "a", "step=0.2"), ("theirs", "a", "step=0.1"),
+    ]  # fmt: skip
