@@ -169,8 +169,10 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         return
     config.journal.close()
     if config.getoption("--report"):
+        from contactbench import page
         from contactbench.report import report
 
         report(config.journal.results)
+        page.write(config.journal.results)
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
         session.exitstatus = pytest.ExitCode.OK

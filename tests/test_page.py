@@ -6,15 +6,15 @@ import json
 import re
 import shutil
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pandas as pd
 import pytest
 
+from cases import REPOSITORY
 from contactbench import figures, page
 from contactbench.table import CLAIMS_TABLE, CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, Table, read
 
-RESULTS = Path(__file__).parents[1] / "results"
+RESULTS = REPOSITORY / "results"
 VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path", "use"}
 
 

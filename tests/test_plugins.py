@@ -7,16 +7,15 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 import contactbench as cb
+from cases import REPOSITORY, bench, finished
 from contactbench import figures, page, plugins
 from contactbench.report import report
 from contactbench.table import WORK_PRECISION, merge, read
 
-REPOSITORY = Path(__file__).parents[1]
 MINE = ("my-method", "my-scene")
 
 
@@ -44,12 +43,8 @@ def run(*command, **variables):
 def results(example, tmp_path_factory):
     """The benchmark with the plug-in, for real, on a small part."""
     folder = tmp_path_factory.mktemp("results")
-    done = run(
-        "pytest", "bench", "--plugin", example, "--profile", "smoke", "--results", folder, "-q",
-        "--benchmark-quiet", "-p", "no:cacheprovider", "-k",
-        "my-method and (my-scene or particle and not long) or my-scene and cvode-bdf",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    keyword = "my-method and (my-scene or particle and not long) or my-scene and cvode-bdf"
+    finished(bench(folder, keyword, "--plugin", str(example)))
     return folder
 
 

@@ -124,7 +124,7 @@ def look(method: str) -> dict[str, Any]:
         "dark": lightened(style["color"]),
         "marker": outline(style["marker"]),
         "hollow": style["markerfacecolor"] == "white",
-        "own": method.startswith("contact-"),
+        "own": report.is_ours(method),
     }
 
 
