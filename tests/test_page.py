@@ -161,6 +161,9 @@ def test_the_stability_map_tells_every_ending_apart():
     ]  # fmt: skip
     assert cell["marks"][0]["says"] == "rk4 on stiff, step=0.8: diverged (left the scene)"
     assert cell["best"] == "0e+00"
+    truly = pd.Series(rows[0] | {"blow_up_time": 1.25})
+    assert page.mark(truly)["look"] == "right"
+    assert page.mark(truly)["says"].endswith("so does the true motion, at t = 1.25")
     assert len(set(page.LETTERS.values())) == len(page.LETTERS)
 
 
@@ -169,6 +172,7 @@ def test_a_table_unknown_to_the_page_is_shown_with_its_meanings(monkeypatch):
     monkeypatch.setitem(TABLES, "limits", Table("limits", "where it breaks", columns, key=("method",)))
     frame = pd.DataFrame({"method": ["rk4", "new"], "largest": [2.7853, 1.5e-7], "run_id": "r", "schema": 1})
     text = page.page(tables(limits=frame), {})
+    assert page.whole_sheet("limits", pd.concat([frame] * 6000)) is None  # left to its CSV
     section = text[text.index('<section id="limits">') :].partition("</section>")[0]
     assert "Where it breaks." in section
     assert 'title="largest stable step"' in section

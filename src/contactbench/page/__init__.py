@@ -18,14 +18,19 @@ from matplotlib.path import Path as Outline
 
 from contactbench import figures, report
 from contactbench.report import ANY, CALLBACKS, COMPILED, DASH, STRUCTURE, TARGETS, duration, scientific
-from contactbench.table import PROVENANCE, SEPARATOR, TABLES, read, replacing
+from contactbench.table import SEPARATOR, TABLES, read, replacing
 
 #: tables with a section of their own; the others are shown as they are
 SECTIONS = ("work_precision", "laws", "convergence", "claims")
 #: data of figures, not for reading
 CURVES = ("laws_time", "paper_figures")
-#: a table with more rows is left to its CSV
-MOST_ROWS = 1500
+#: a table with more cells is left to its CSV
+MOST_CELLS = 15_000
+#: of the stability table, what is shown beside its map
+STABILITY = (
+    "scene", "method", "engine", "setting", "status", "message", "solution_error", "end_error", "hamiltonian_law",
+    "momentum_law", "contact_drift", "evaluations", "time_s",
+)  # fmt: skip
 #: contrast a line must have on the dark page (WCAG 2.2, 1.4.3; graphical objects need 3)
 CONTRAST = 4.5
 DARK_PAPER = "#101418"
@@ -313,10 +318,13 @@ def claims_sheet(frame: pd.DataFrame) -> Sheet:
     return sheet("Claims", head, rows, (0, 1, 2, 5))
 
 
-def whole_sheet(name: str, frame: pd.DataFrame) -> Sheet:
-    """A table as it is: every column that says anything, with its meaning."""
+def whole_sheet(name: str, frame: pd.DataFrame) -> Sheet | None:
+    """A table as it is: every column that says anything, with its meaning; None if it is too large."""
     meaning = TABLES[name].columns
-    shown = [c for c in frame if c not in PROVENANCE and frame[c].notna().any()]
+    wanted = STABILITY if name == "stability" else tuple(meaning)
+    shown = [c for c in frame if c in wanted and frame[c].notna().any()]
+    if len(shown) * len(frame) > MOST_CELLS:
+        return None
     numeric = [pd.api.types.is_numeric_dtype(frame[c]) and frame[c].dtype != bool for c in shown]
     rows = [
         [readable_number(v) if n else word(v) for v, n in zip(row, numeric, strict=True)]
@@ -352,13 +360,15 @@ def stability_map(frame: pd.DataFrame) -> dict[str, Any]:
 
 
 def mark(row: pd.Series) -> dict[str, str]:
-    """One run in the map."""
+    """One run in the map; where the true motion reaches infinity, to say so is right."""
     error, status = row["solution_error"], str(row["status"])
     says = f"{row['method']} on {row['scene']}, {row['setting']}: "
     if status != "ok":
         why = "" if pd.isna(row["message"]) else f" ({row['message']})"
-        return {"look": "bad" if status != "unsupported" else "none", "text": LETTERS.get(status, "?"),
-                "says": f"{says}{status}{why}"}  # fmt: skip
+        right = status == "diverged" and not pd.isna(row.get("blow_up_time"))
+        look = "right" if right else "none" if status == "unsupported" else "bad"
+        truth = f"; so does the true motion, at t = {row['blow_up_time']:.6g}" if right else ""
+        return {"look": look, "text": LETTERS.get(status, "?"), "says": f"{says}{status}{why}{truth}"}
     if pd.isna(error):
         return {"look": "unknown", "text": "?", "says": f"{says}ok, error not known"}
     decade = 0 if error >= 1 else min(12, math.floor(-math.log10(max(error, 1e-300))))
@@ -416,7 +426,7 @@ def page(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
         verdicts=verdicts,
         verdict_meaning=report.MEANINGS,
         stability=stability_map(stability) if len(stability) else None,
-        rest={name: whole_sheet(name, f) if len(f) <= MOST_ROWS else None for name, f in rest.items()},
+        rest={name: whole_sheet(name, frame) for name, frame in rest.items()},
         titles={name: name.replace("_", " ") for name in rest},
         sizes={name: len(f) for name, f in rest.items()},
         runs=runs,

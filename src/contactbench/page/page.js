@@ -126,19 +126,19 @@
     const pad = Math.max(0.15, 0.04 * (high - low));
     return [low - pad, high + pad];
   };
-  /** Powers of ten, not more than there is room for; 1, 2 and 5 of each where only few fit the range. */
+  /** Powers of ten, not more than there is room for; steps between them where only few fit the range. */
   function ticks([low, high], room) {
     const step = Math.max(1, Math.ceil((high - low) / room));
     const inside = [];
     for (let k = Math.floor(low); k <= high; k++) {
-      const parts = high - low < 1.5 ? [1, 2, 5] : k % step ? [] : [1];
+      const parts = high - low < 0.7 ? [1, 1.5, 2, 3, 5, 7] : high - low < 1.5 ? [1, 2, 5] : k % step ? [] : [1];
       inside.push(...parts.map((part) => part * 10 ** k));
     }
     return inside.filter((v) => Math.log10(v) >= low && Math.log10(v) <= high);
   }
   function powers(v) {
     const k = Math.floor(Math.log10(v) + 1e-9);
-    const part = Math.round(v / 10 ** k);
+    const part = Number((v / 10 ** k).toPrecision(2));
     return part === 1 ? power(k) : `${part}·${power(k)}`;
   }
 
