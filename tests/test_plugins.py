@@ -92,9 +92,10 @@ def test_the_command_line_takes_it_anywhere_on_the_line(example):
 
 # -- files that fail -------------------------------------------------------------------------------
 @pytest.fixture
-def registries():
+def registries(monkeypatch):
     """What a test registers is forgotten again."""
-    kept = [(registry, dict(registry)) for registry in plugins.GROUPS.values()]
+    monkeypatch.setenv(plugins.VARIABLE, "")
+    kept = [(each, dict(each)) for each in (*plugins.GROUPS.values(), plugins.LOADED)]
     yield
     for registry, items in kept:
         registry.clear()
@@ -145,7 +146,30 @@ def test_a_file_given_twice_is_loaded_once(tmp_path, registries):
     plugins.load_file(path)
     plugins.load_file(str(path))
     assert cb.SCENES["twice"].gamma == 0.125
-    assert plugins.LOADED.pop("mine.py").startswith("sha256 ")
+    assert plugins.LOADED["mine.py"].startswith("sha256 ")
+    assert os.environ[plugins.VARIABLE] == str(path)
+
+
+SPAWNED = """
+import multiprocessing, sys
+import contactbench as cb
+from contactbench.plugins import load_file
+
+def known():
+    return [name for name in ("my-method", "my-scene") if name in cb.METHODS or name in cb.SCENES]
+
+if __name__ == "__main__":
+    load_file(sys.argv[1])
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        print(*pool.apply(known))
+"""
+
+
+def test_worker_processes_have_it_too(example, tmp_path):
+    (tmp_path / "spawned.py").write_text(SPAWNED)
+    search = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    done = run("spawned", example, PYTHONPATH=search)
+    assert done.stdout.split() == list(MINE), done.stderr
 
 
 # -- entry points ----------------------------------------------------------------------------------
@@ -183,14 +207,16 @@ def test_entry_points_are_loaded_and_a_broken_one_is_a_warning(tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.5\n")
     (info / "entry_points.txt").write_text(POINTS)
     search = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
-    done = run("contactbench.cli", "list", PYTHONPATH=search)
+    gone = tmp_path / "gone.py"
+    done = run("contactbench.cli", "list", PYTHONPATH=search, **{plugins.VARIABLE: str(gone)})
     assert done.returncode == 0, done.stderr
     listed = {line.split()[0] for line in done.stdout.splitlines()}
     assert {"decorated", "made", "first", "second", "object"} <= listed
-    warned = [line for line in done.stderr.splitlines() if "entry point" in line]
-    assert len(warned) == 2
+    warned = [line for line in done.stderr.splitlines() if "is left out" in line]
+    assert len(warned) == 3
     assert "entry point 'c' of group 'contactbench.methods' (my_package:absent) is left out" in warned[0]
     assert "entry point 'f' of group 'contactbench.scenes' (no_such_package:scene)" in warned[1]
+    assert f"{plugins.VARIABLE}={gone} is left out: BadInput: plug-in {gone}: no such file" in warned[2]
 
 
 # -- tables and figures know nobody by name --------------------------------------------------------

@@ -14,7 +14,7 @@ jax.config.update("jax_cpu_enable_async_dispatch", False)
 from contactbench.errors import BadInput, UnknownName  # noqa: E402
 from contactbench.laws import LAWS  # noqa: E402
 from contactbench.methods import METHODS, fixed_step, prepare, solve  # noqa: E402
-from contactbench.plugins import load_entry_points  # noqa: E402
+from contactbench.plugins import load_installed  # noqa: E402
 from contactbench.references import reference  # noqa: E402
 from contactbench.scene import Mechanical, RigidBody, shifted  # noqa: E402
 from contactbench.scenes import SCENES  # noqa: E402
@@ -39,4 +39,4 @@ __all__ = [
 ]
 __version__ = "0.1.0"
 
-load_entry_points()
+load_installed()

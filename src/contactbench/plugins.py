@@ -1,6 +1,7 @@
 """A user's own methods and scenes: from a file (``--plugin my.py``) or from an installed package.
 
-A file registers what it brings: `fixed_step`, ``METHODS.add``, ``SCENES.add``.  A package names it by entry
+A file registers what it brings: `fixed_step`, ``METHODS.add``, ``SCENES.add``.  Once loaded it is named in the
+environment (`VARIABLE`), so that worker processes have it too.  A package names what it brings by entry
 points of the groups ``contactbench.methods`` and ``contactbench.scenes``, loaded when contactbench is
 imported: a method or a scene, a list of them, a function without arguments that returns either, or
 anything whose module registers by itself.
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import sys
 import traceback
 import warnings
@@ -23,6 +25,9 @@ from contactbench.methods import METHODS
 from contactbench.scenes import SCENES
 
 GROUPS: dict[str, Registry] = {"contactbench.methods": METHODS, "contactbench.scenes": SCENES}
+
+#: files to load when contactbench is imported, separated as in PATH
+VARIABLE = "CONTACTBENCH_PLUGINS"
 
 #: what was loaded, and its SHA-256 or version: provenance of the rows it gives
 LOADED: dict[str, str] = {}
@@ -49,6 +54,8 @@ def load_file(path: Path | str) -> None:
     if set(METHODS) | set(SCENES) == before:
         raise BadInput(f"plug-in {path}: registers no method and no scene (cb.fixed_step, cb.SCENES.add)")
     _files.add(path.resolve())
+    named = list(filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
+    os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*named, str(path.resolve())]))
     LOADED[path.name] = f"sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}"
 
 
@@ -77,21 +84,29 @@ def _brief(error: Exception) -> str:
     return " ".join(message.split())
 
 
-def load_entry_points() -> None:
-    """Register what installed packages bring; a broken entry point is a warning that names it."""
+def load_installed() -> None:
+    """Load the entry points of installed packages and the files named in the environment.
+
+    Nobody asked for them just now, so a broken one is a warning that names it.
+    """
     for group, registry in GROUPS.items():
         for point in entry_points(group=group):
             try:
                 _register(registry, point.load())
             except Exception as error:
-                warnings.warn(
-                    f"entry point {point.name!r} of group {group!r} ({point.value}) is left out: "
-                    f"{type(error).__name__}: {_brief(error)}",
-                    RuntimeWarning,
-                    stacklevel=2,
-                )
+                _warn(f"entry point {point.name!r} of group {group!r} ({point.value})", error)
             else:
                 LOADED[f"{group}: {point.name}"] = _version(point)
+    for path in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        try:
+            load_file(path)
+        except BadInput as error:
+            _warn(f"{VARIABLE}={path}", error)
+
+
+def _warn(what: str, error: Exception) -> None:
+    message = f"{what} is left out: {type(error).__name__}: {_brief(error)}"
+    warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 
 def _version(point: EntryPoint) -> str:
