@@ -1,4 +1,4 @@
-"""The command line: ``contactbench list | solve | claim | report | references``."""
+"""The command line: ``contactbench list | solve | claim | report | gate | references``."""
 
 from __future__ import annotations
 
@@ -130,6 +130,17 @@ def report(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def gate(arguments: argparse.Namespace) -> int:
+    """Compare with the committed tables and time against another revision; 1 if something regressed."""
+    from contactbench.gate import PARTS
+    from contactbench.gate import gate as judge
+
+    parts = (arguments.only,) if arguments.only else PARTS
+    verdict = judge(Path.cwd(), arguments.baseline, arguments.fresh, arguments.base, parts)
+    print(verdict.as_json() if arguments.json else verdict.as_markdown())
+    return 1 if verdict.red else 0
+
+
 def references(_: argparse.Namespace) -> int:
     """Print the stored references, their digits and their digests."""
     from contactbench.references import frozen_folder, manifest
@@ -174,6 +185,27 @@ def parser() -> argparse.ArgumentParser:
     write = commands.add_parser("report", help="markdown and figures from the CSV tables")
     write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
     write.set_defaults(run=report)
+
+    check = commands.add_parser(
+        "gate", help="has anything become less accurate, more costly or slower?",
+        description="Accuracy: a fresh smoke run of the benchmark (about three minutes) against the committed "
+        "tables. Speed: the working tree against another revision, in turns on one core (about a minute). "
+        "Prints one table of what moved. Exit status 0: green, 1: red, 2: could not run.",
+        epilog="example: contactbench gate --only speed --base origin/main",
+    )  # fmt: skip
+    check.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")
+    check.add_argument(
+        "--baseline", type=Path, default=Path("results"), metavar="DIR", help="committed tables"
+    )
+    check.add_argument(
+        "--fresh", type=Path, metavar="DIR", help="tables of a run just made (default: make them now)"
+    )
+    check.add_argument(
+        "--base", metavar="REV",
+        help="revision to be no slower than (default: HEAD if sources have local changes, else its parent)",
+    )  # fmt: skip
+    check.add_argument("--json", action="store_true", help="print one JSON object")
+    check.set_defaults(run=gate)
 
     commands.add_parser("references", help="the stored references").set_defaults(run=references)
     return top
