@@ -173,7 +173,7 @@ def shown(value: Any) -> str:
 
 
 # -- accuracy --------------------------------------------------------------------------------------
-def subject(table: Table, row: pd.Series) -> dict[str, str]:
+def subject(table: Table, row: pd.Series) -> dict[str, Any]:
     """Which row a line speaks of."""
     own = {name: str(row[name]) if name in table.columns else "" for name in ("scene", "method", "engine")}
     rest = [shown(row[name]) for name in table.key if name not in own]
