@@ -86,7 +86,8 @@ class Verdict:
         unlisted = max(0, len(listed) - max(red, LISTED))
         rows = [
             [
-                line.scene or DASH, line.method or DASH, line.measure, line.engine or DASH, line.setting,
+                line.scene or DASH, line.method or DASH, line.measure, line.engine or DASH,
+                line.setting + (f" (worst of {line.rows})" if line.rows > 1 else ""),
                 line.before, line.after, line.change, f"**{line.verdict}**" if line.red else line.verdict,
             ]
             for line in listed[: max(red, LISTED)]
@@ -194,7 +195,9 @@ def gathered(lines: Iterable[tuple[float, Line]]) -> list[Line]:
 
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> list[Line]:
     """What is missing from `after` or moved; `before` has only rows that are expected."""
-    key = list(table.key)
+    if before.empty:
+        return []
+    key, after = list(table.key), after if len(after) else before.iloc[:0]
     both = before.merge(after, how="left", on=key, suffixes=("", " after"), indicator=True)
     found: list[tuple[float, Line]] = []
     for _, row in both[both["_merge"] == "left_only"].iterrows():
@@ -216,16 +219,17 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> list[Lin
 
 
 def runs(results: Path) -> dict[str, Any]:
-    """The runs behind the tables of a folder.  Raises `BadInput` where there are none."""
+    """The benchmark runs behind the tables of a folder.  Raises `BadInput` where there are none."""
     path = results / "environment.json"
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        assert found
-        assert all(run["profile"] in PROFILES for run in found.values())
+        found = {name: run for name, run in found.items() if run["profile"] in PROFILES}
     except FileNotFoundError:
         raise BadInput(f"{path}: missing; the folder holds no finished benchmark run") from None
-    except (OSError, ValueError, AssertionError, TypeError, AttributeError, KeyError):
-        raise BadInput(f"{path}: not the record of a benchmark run; restore it") from None
+    except (OSError, ValueError, TypeError, AttributeError, KeyError):
+        found = {}
+    if not found:
+        raise BadInput(f"{path}: not the record of a benchmark run; restore it")
     return found
 
 
@@ -259,12 +263,12 @@ def surroundings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
         return ", ".join(sorted({of(run) for run in runs.values()}))
 
     def packages(run: Any) -> str:
-        return " ".join(f"{k} {v}" for k, v in sorted(run["packages"].items()) if k != "contactbench")
+        return " ".join(f"{k} {v}" for k, v in sorted(run.get("packages", {}).items()) if k != "contactbench")
 
     asked: dict[str, Callable[[Any], str]] = {
-        "processor": lambda run: run["cpu"],
-        "Python": lambda run: run["python"],
-        "references": lambda run: run["references"][:12],
+        "processor": lambda run: run.get("cpu", ""),
+        "Python": lambda run: run.get("python", ""),
+        "references": lambda run: run.get("references", "")[:12],
         "packages": packages,
     }
     pairs = [(name, said(before, of), said(now, of)) for name, of in asked.items()]

@@ -34,7 +34,7 @@ ROUNDS = 15
 #: one of each kind: their kernels have no code in common
 SCENES = ("particle", "rigid_body")
 #: of a method's settings the finest that takes at most so long: its loop counts, not its call
-LONGEST = 2e-3
+LONGEST = 1e-3
 
 
 @dataclass(frozen=True)

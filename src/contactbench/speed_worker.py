@@ -17,7 +17,7 @@ from typing import Any
 
 #: calls are repeated to fill this, so that the clock's resolution plays no part
 FILL = 1e-3
-REPEATS = 5
+REPEATS = 3
 
 
 def pin(core: int | None) -> None:
