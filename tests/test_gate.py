@@ -7,6 +7,8 @@ import math
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -250,6 +252,43 @@ def test_without_benchmark_git_or_revision_it_could_not_run(baseline, tmp_path, 
     assert "git: not installed" in text
 
 
+# -- runs --------------------------------------------------------------------------------------
+def pytest_run(tree, *arguments):
+    """The benchmark in a tree, with the tree's own sources."""
+    command = [sys.executable, "-m", "pytest", "bench", "-q", "-p", "no:cacheprovider", *arguments]
+    done = subprocess.run(command, cwd=tree, env=speed.environment(tree), capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_every_cell_of_a_profile_is_one_of_the_next():
+    """What `profile` in a row promises: a larger run has the rows of a smaller one."""
+    cells = [
+        {
+            line
+            for line in pytest_run(REPOSITORY, "--collect-only", "--profile", name).splitlines()
+            if "::" in line
+        }
+        for name in table.PROFILES
+    ]
+    for smaller, larger in pairwise(cells):
+        assert smaller
+        assert smaller < larger
+
+
+def test_a_wrong_coefficient_is_found_in_real_runs(copy, tmp_path):
+    few = ("--profile", "smoke", "-k", "convergence and particle and not long and contact-strang")
+    pytest_run(copy, "--results", tmp_path / "before", *few)
+    with patched(copy / "src" / "contactbench" / "composition.py", '("drift_damp", ONE), ("kick", HALF)),',
+                 '("drift_damp", ONE * Fraction(1001, 1000)), ("kick", HALF)),'):  # fmt: skip
+        pytest_run(copy, "--results", tmp_path / "after", *few)
+    verdict = accuracy(tmp_path / "before", tmp_path / "after")
+    assert {(line.scene, line.method, line.measure) for line in verdict.lines if line.red} == {
+        ("particle", "contact-strang", "solution_error"),
+        ("particle", "contact-strang", "pairwise_order"),
+    }
+
+
 # -- speed -----------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("first", "again", "expected"),
@@ -289,12 +328,25 @@ def test_the_workload_is_the_finest_setting_that_is_short(baseline):
 CELLS = [speed.Cell("particle", "contact-strang", "python", "step=0.1", ())]
 
 
+@contextmanager
+def patched(file, old, new):
+    """A source file with one passage replaced, for as long as the block lasts."""
+    original = file.read_text()
+    assert original.count(old) == 1
+    file.write_text(original.replace(old, new))
+    try:
+        yield
+    finally:
+        file.write_text(original)
+
+
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
     """A clone of the project with its sources as they are now, committed."""
     path = tmp_path_factory.mktemp("copy").resolve()
     shutil.copytree(REPOSITORY / "src", path / "src", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(REPOSITORY / "references", path / "references")
+    for name in ("bench", "references"):
+        shutil.copytree(REPOSITORY / name, path / name)
     for name in ("pyproject.toml", "constraints.txt"):
         shutil.copy(REPOSITORY / name, path)
     for arguments in (
@@ -309,15 +361,11 @@ def test_the_same_code_is_not_slower_and_twice_the_work_is(copy):
     same = speed.compare_revisions(copy, "HEAD", CELLS)
     assert [verdict for *_, verdict in same.judged] in (["pass"], ["inconclusive"])
     assert same.refused == ()
-    source = copy / "src" / "contactbench" / "methods" / "fixed_step.py"
-    original = source.read_text()
     once = "        x = method.advance(scene, x, h, n, xp)\n"
-    assert original.count(once) == 1
-    source.write_text(original.replace(once, "        method.advance(scene, x, h, n, xp)\n" + once))
-    try:
+    with patched(
+        copy / "src" / "contactbench" / "methods" / "fixed_step.py", once, once.replace("x =", "_ =") + once
+    ):
         slower = speed.compare_revisions(copy, None, CELLS)  # local changes: compared with HEAD
-    finally:
-        source.write_text(original)
     assert slower.head.endswith("with local changes")
     ((_, ratio, verdict),) = slower.judged
     assert verdict == "slower"

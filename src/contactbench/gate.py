@@ -276,7 +276,7 @@ def surroundings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
 
 
 def fresh_run(root: Path, results: Path) -> list[Line]:
-    """Run the smoke profile of the benchmark in `root` into a folder; a line if a cell failed.
+    """Run the smoke profile of the benchmark in `root`, untimed and on all cores; a line if a cell failed.
 
     Raises `BadInput` when the benchmark cannot run at all.
     """
@@ -284,7 +284,7 @@ def fresh_run(root: Path, results: Path) -> list[Line]:
         raise BadInput(f"{root}: no benchmark there; run the gate where bench/ is, or give --fresh DIR")
     command = [
         sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results),
-        "-q", "--benchmark-quiet", "--benchmark-disable-gc", "-p", "no:cacheprovider",
+        "-q", "-n", "auto", "--dist", "loadgroup", "--benchmark-disable", "-p", "no:cacheprovider",
     ]  # fmt: skip
     done = subprocess.run(command, cwd=root, env=speed.environment(root), capture_output=True, text=True)
     last = (done.stdout.strip() or done.stderr.strip() or "no output").splitlines()[-1]

@@ -222,13 +222,49 @@ PAPER_FIGURES = Table(
     whole=("figure",),
 )
 
+GATE_SELFCHECK = Table(
+    "gate_selfcheck",
+    "false alarms of the regression gate on identical code, and planted faults it finds",
+    {
+        "part": "accuracy or speed",
+        "planted": "what was changed in the code the gate judges",
+        "condition": "what else the machine did: idle, or a busy loop on all cores but one",
+        "wanted": "how many of the runs should be red",
+        "runs": "runs of the gate (faults, where each is judged once)",
+        "red": "how many were red, by a line that names the method and measure of what was planted",
+        "seconds": "median over the runs",
+        "example": "what the first red one said",
+    },
+    {},
+    key=("part", "planted", "condition"),
+)
+
 TABLES = {
     table.name: table
-    for table in (CONVERGENCE, LAWS_TABLE, LAWS_TIME, WORK_PRECISION, CLAIMS_TABLE, PAPER_FIGURES)
+    for table in (
+        CONVERGENCE,
+        LAWS_TABLE,
+        LAWS_TIME,
+        WORK_PRECISION,
+        CLAIMS_TABLE,
+        PAPER_FIGURES,
+        GATE_SELFCHECK,
+    )
 }
 
 _TEXT = ("setting", "message", "run_id", "profile")
-_WHOLE = ("steps", "evaluations", "jacobians", "rounds", "iterations", "saved_times", "schema", "point")
+_WHOLE = (
+    "steps",
+    "evaluations",
+    "jacobians",
+    "rounds",
+    "iterations",
+    "saved_times",
+    "schema",
+    "point",
+    "runs",
+    "red",
+)
 
 
 # -- reading and writing ---------------------------------------------------------------------------

@@ -1,0 +1,348 @@
+"""How far can the regression gate be trusted?  False alarms on identical code, and planted faults found.
+
+    python bench/gate_selfcheck.py [--runs 20] [--results results] [--only accuracy|speed]
+
+A fault is planted as a patch of the sources in a git worktree of HEAD; the gate then compares that
+worktree with HEAD as it is, in the way it compares a pull request with its base.  Alternate runs of
+identical code have a busy loop beside them, as many as there are cores but one.  Accuracy is judged on a
+part of the smoke profile (`IDENTICAL`, `KINETIC`): a fault that shows there shows in all of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from contactbench import gate, speed
+from contactbench.composition import COMPOSITIONS
+from contactbench.table import GATE_SELFCHECK, TABLES, environment, merge, new_run_id, read, save_environment
+
+ROOT = Path(__file__).resolve().parents[1]
+#: of every kind of method and engine one or two, with all their tables
+IDENTICAL = "particle and not long and (strang or rkn6 or rk4 or scipy or cvode or diffrax-dopri8 or heyoka)"
+#: the contact methods, where a wrong coefficient shows: in errors, slopes and counts
+KINETIC = "particle and not long and not limit and contact and (convergence or (work_precision and python))"
+#: two methods with rows in all tables, for what is planted in one of them
+ONE = "particle and not long and not limit and (strang or bm4)"
+#: kernels that are slowed: compiled and plain Python loops
+SLOWED = ("contact-strang", "contact-rkn6", "rk4")
+SLOWDOWNS = (1.3, 1.5, 2.0)
+
+PACKAGE = Path("src/contactbench")
+COMPOSITION, FIXED_STEP = PACKAGE / "composition.py", PACKAGE / "methods" / "fixed_step.py"
+
+
+# -- patches ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Patch:
+    """A change of one source file; `old` must stand in it exactly once."""
+
+    file: Path
+    old: str
+    new: str
+
+    def apply(self, tree: Path) -> None:
+        text = (tree / self.file).read_text(encoding="utf-8")
+        assert text.count(self.old) == 1, f"{self.file} has {self.old!r} {text.count(self.old)} times"
+        (tree / self.file).write_text(text.replace(self.old, self.new), encoding="utf-8")
+
+
+def coefficients() -> dict[str, list[Patch]]:
+    """Per contact method a patch for each of its printed coefficients: one part in a thousand more."""
+    text = (ROOT / COMPOSITION).read_text(encoding="utf-8")
+    patches = {}
+    for composition in COMPOSITIONS:
+        (block,) = re.findall(rf'^\w+ = Composition\(\n    "{composition.name}",.*?^\)', text, re.M | re.S)
+        named = re.search(r"\*(_[A-Z_]+)", block)
+        if named:  # the table stands beside the composition, under a name of its own
+            (block,) = re.findall(rf"^{named[1]} = \(.*?^\)", text, re.M | re.S)
+        spots = list(re.finditer(r'"-?0\.\d{30,}"', block)) or list(re.finditer(r"\b(HALF|ONE)\b", block))
+        patches[composition.name] = [
+            Patch(COMPOSITION, block, block[: spot.start()] + larger(spot[0]) + block[spot.end() :])
+            for spot in spots
+        ]
+    return patches
+
+
+def larger(coefficient: str) -> str:
+    """Source of a coefficient that is one part in a thousand larger."""
+    if coefficient.startswith('"'):
+        return f'"{Decimal(coefficient.strip(chr(34))) * Decimal("1.001")}"'
+    return f"{coefficient} * Fraction(1001, 1000)"
+
+
+STRANG_STAGES = '(("kick", HALF), ("drift_damp", ONE), ("kick", HALF)),'
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something planted in one place, and the method and measures that must give it away."""
+
+    what: str
+    patch: Patch
+    method: str
+    measures: frozenset[str]
+
+
+FAULTS = tuple(
+    Fault(what, Patch(*patch), method, frozenset(measures.split()))
+    for what, patch, method, measures in (
+        (
+            "order 2 replaced by order 1",
+            (COMPOSITION, STRANG_STAGES, '(("kick", ONE), ("drift_damp", ONE)),'),
+            "contact-strang", "solution_error pairwise_order",
+        ),
+        (
+            "an extra gradient evaluation per step",
+            (COMPOSITION, "if len(stages) > 1 and first[0] == last[0]:", "if False:"),
+            "contact-strang", "evaluations",
+        ),
+        (
+            "a status change: a scene refused",
+            (
+                COMPOSITION, "    if composition.nystrom and ",
+                "    if composition is STRANG:\n        return 'planted'\n    if composition.nystrom and ",
+            ),
+            "contact-strang", "status",
+        ),
+        (
+            "dropped rows: a method is gone",
+            (COMPOSITION, "COMPOSITIONS = (PRINTED, ABC, STRANG, BM4, ", "COMPOSITIONS = (PRINTED, ABC, STRANG, "),
+            "contact-bm4", "row",
+        ),
+        (
+            "a dropped row: a setting is gone",
+            (Path("bench/bench_convergence.py"), "POINTS = 9", "POINTS = 8"),
+            "contact-strang", "row",
+        ),
+        (
+            "a drift that is no longer round-off: damping stronger by 1e-9",
+            (PACKAGE / "flows.py", "(-gamma * h), -xp.expm1(", "(-gamma * h), -(1 + 1e-9) * xp.expm1("),
+            "contact-strang", "contact_drift",
+        ),
+    )
+)  # fmt: skip
+
+
+def slowdown(factor: float) -> list[Patch]:
+    """The loops of both engines, run once more over a part of their steps."""
+    share = factor - 1
+    compiled = "        return np.asarray(self.program(y0, *fixed))\n"
+    again = f"        np.asarray(self.program(y0, fixed[0], h, (n * {share}).astype(n.dtype)))\n"
+    plain = "        rows = []\n        try:\n"
+    spans = f"zip(h.tolist(), (n * {share}).astype(n.dtype).tolist(), strict=True)"
+    more = f"        for _ in trajectory(self.method_, r.scene, x, {spans}, math):\n            pass\n"
+    return [Patch(FIXED_STEP, compiled, again + compiled), Patch(FIXED_STEP, plain, more + plain)]
+
+
+@contextmanager
+def planted(*patches: Patch) -> Iterator[Path]:
+    """A worktree of HEAD with patches."""
+    with speed.checkout(ROOT, speed.resolved(ROOT, "HEAD")) as tree:
+        for patch in patches:
+            patch.apply(tree)
+        yield tree
+
+
+# -- runs ------------------------------------------------------------------------------------------
+@contextmanager
+def load() -> Iterator[None]:
+    """Busy loops on all cores but one."""
+    busy = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        for _ in range(max(1, (os.cpu_count() or 2) - 1))
+    ]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def benchmark(tree: Path, results: Path, keyword: str) -> Path:
+    """A part of the smoke profile, run with the sources of a tree."""
+    command = [
+        sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
+        "--benchmark-disable", "-p", "no:cacheprovider", "-k", keyword,
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=tree, env=speed.environment(tree), capture_output=True, text=True)
+    assert done.returncode in (0, 1), done.stdout + done.stderr
+    return results
+
+
+def speed_gate(tree: Path, baseline: Path, programs: Path) -> dict[str, Any]:
+    """``contactbench gate --only speed`` of a tree against HEAD; compiled programs are kept in a folder."""
+    kept = {
+        "JAX_COMPILATION_CACHE_DIR": str(programs),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
+    command = [
+        sys.executable, "-m", "contactbench.cli", "gate", "--only", "speed", "--base", "HEAD", "--json",
+        "--baseline", str(baseline),
+    ]  # fmt: skip
+    done = subprocess.run(
+        command, cwd=tree, env={**speed.environment(ROOT), **kept}, capture_output=True, text=True
+    )
+    assert done.returncode in (0, 1), done.stderr
+    return json.loads(done.stdout)
+
+
+Row = dict[str, Any]
+CONDITIONS = ("idle", "loaded")
+
+
+def outcome(
+    part: str, planted: str, condition: str, wanted: str, judged: list[tuple[bool, float]], said: str
+) -> Row:
+    """A row: how many of the runs were red, and what the first red one said."""
+    seconds = sorted(taken for _, taken in judged)
+    return {
+        "part": part, "planted": planted, "condition": condition, "wanted": wanted, "runs": len(judged),
+        "red": sum(red for red, _ in judged), "seconds": seconds[len(seconds) // 2], "example": said,
+    }  # fmt: skip
+
+
+def said(line: Any) -> str:
+    """A line of the gate in words."""
+    line = line if isinstance(line, dict) else line.__dict__
+    return " ".join(
+        line[name] for name in ("scene", "method", "measure", "before", "after", "change")
+    ).strip()
+
+
+def timed(judge: Callable[[], tuple[bool, str]]) -> tuple[bool, float, str]:
+    start = perf_counter()
+    red, words = judge()
+    return red, perf_counter() - start, words
+
+
+def repeated(
+    part: str, what: str, condition: str, wanted: str, judge: Callable[[], tuple[bool, str]], runs: int
+) -> Row:
+    """So many runs of a check under a condition."""
+    found = []
+    for k in range(runs):
+        with load() if condition == "loaded" else nullcontext():
+            found.append(timed(judge))
+        print(
+            f"{part}: {what}, {condition}, run {k + 1}: {'red ' if found[-1][0] else 'green '}{found[-1][2]}",
+            flush=True,
+        )
+    example = next((words for red, _, words in found if red), "")
+    return outcome(part, what, condition, wanted, [(red, taken) for red, taken, _ in found], example)
+
+
+def accuracy_rows(runs: int, scratch: Path) -> Iterator[Row]:
+    """Identical code, every coefficient, and what else can go wrong with numbers."""
+    truths = {
+        keyword: benchmark(ROOT, scratch / f"truth-{k}", keyword)
+        for k, keyword in enumerate((IDENTICAL, KINETIC, ONE))
+    }
+    folders = (scratch / f"fresh-{k}" for k in range(10**6))
+
+    def lines(tree: Path, keyword: str) -> list[gate.Line]:
+        fresh = benchmark(tree, next(folders), keyword)
+        return [line for line in gate.accuracy(truths[keyword], fresh).lines if line.red]
+
+    def identical() -> tuple[bool, str]:
+        red = lines(ROOT, IDENTICAL)
+        return bool(red), said(red[0]) if red else ""
+
+    for condition, share in zip(CONDITIONS, (runs - runs // 2, runs // 2), strict=True):
+        yield repeated("accuracy", "nothing", condition, "none", identical, share)
+
+    patches = coefficients()
+    found: dict[str, list[tuple[bool, float, str]]] = {method: [] for method in patches}
+    for k in range(
+        max(map(len, patches.values()))
+    ):  # the k-th of every method at once: methods are independent
+        together = {method: mine[k] for method, mine in patches.items() if k < len(mine)}
+        start = perf_counter()
+        with planted(*together.values()) as tree:
+            red = lines(tree, KINETIC)
+        for method in together:
+            mine = [said(line) for line in red if line.method == method]
+            found[method].append(
+                (bool(mine), (perf_counter() - start) / len(together), mine[0] if mine else "")
+            )
+        print(
+            f"accuracy: coefficient {k + 1} of each: {[(m, v[-1][0]) for m, v in found.items()]}", flush=True
+        )
+    for method, judged in found.items():
+        what = f"a coefficient of {method} × 1.001, each in turn"
+        example = next((words for hit, _, words in judged if hit), "")
+        yield outcome(
+            "accuracy", what, CONDITIONS[0], "all", [(hit, taken) for hit, taken, _ in judged], example
+        )
+
+    for fault in FAULTS:
+
+        def given_away(fault: Fault = fault) -> tuple[bool, str]:
+            with planted(fault.patch) as tree:
+                red = [line for line in lines(tree, ONE) if line.measure.split()[0] in fault.measures]
+            named = [line for line in red if (line.scene, line.method) == ("particle", fault.method)]
+            return bool(named), said(named[0]) if named else ""
+
+        yield repeated("accuracy", fault.what, CONDITIONS[0], "all", given_away, 1)
+
+
+def speed_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
+    """Identical code on the whole workload; slowed kernels on a part of it."""
+    work = read(TABLES["work_precision"], results)
+    part = work[work["method"].isin(SLOWED) & (work["scene"] == "particle")]
+    merge(TABLES["work_precision"], part.to_dict("records"), scratch / "part")
+
+    def judge(tree: Path, baseline: Path) -> tuple[bool, str]:
+        found = speed_gate(tree, baseline, scratch / "programs")
+        return found["red"], "; ".join(said(line) for line in found["lines"][:2])
+
+    with planted() as tree:
+        judge(tree, results)  # compiles everything once
+        for condition in CONDITIONS:
+            yield repeated("speed", "nothing", condition, "none", lambda: judge(tree, results), runs)
+    for factor in SLOWDOWNS:
+        with planted(*slowdown(factor)) as tree:
+            what = f"kernels slowed by {factor}×"
+            wanted = "19 in 20" if factor >= 1.5 else "as many as can be"
+            for condition, share in zip(CONDITIONS, (runs - runs // 2, runs // 2), strict=True):
+                yield repeated("speed", what, condition, wanted, lambda: judge(tree, scratch / "part"), share)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--runs", type=int, default=20, help="runs of identical code and of each slowdown")
+    parser.add_argument("--results", type=Path, default=ROOT / "results", help="where the tables are and go")
+    parser.add_argument("--only", choices=gate.PARTS, help="one part of the gate; both by default")
+    arguments = parser.parse_args()
+    if speed.dirty(ROOT):
+        sys.exit(
+            "gate_selfcheck: the sources have local changes; faults are planted in HEAD, so commit first"
+        )
+    run_id = new_run_id()
+    save_environment(run_id, environment("gate_selfcheck", 0), arguments.results)
+    with tempfile.TemporaryDirectory(prefix="contactbench-selfcheck-") as folder:
+        scratch, rows = Path(folder), []
+        if arguments.only != "speed":
+            rows.append(accuracy_rows(arguments.runs, scratch))
+        if arguments.only != "accuracy":
+            rows.append(speed_rows(arguments.runs, arguments.results, scratch))
+        for row in (row for part in rows for row in part):
+            merge(GATE_SELFCHECK, [{**row, "run_id": run_id}], arguments.results)
+
+
+if __name__ == "__main__":
+    main()
