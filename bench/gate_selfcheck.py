@@ -14,14 +14,17 @@ import argparse
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
+from statistics import median
 from time import perf_counter
 from typing import Any
 
@@ -202,48 +205,51 @@ def speed_gate(tree: Path, baseline: Path, programs: Path) -> dict[str, Any]:
 
 
 Row = dict[str, Any]
+#: one judgement: whether it was red, and in what words
+Judgement = tuple[bool, str]
 CONDITIONS = ("idle", "loaded")
 
 
 def outcome(
-    part: str, planted: str, condition: str, wanted: str, judged: list[tuple[bool, float]], said: str
+    part: str, planted: str, condition: str, wanted: str, judged: list[Judgement], seconds: float
 ) -> Row:
-    """A row: how many of the runs were red, and what the first red one said."""
-    seconds = sorted(taken for _, taken in judged)
+    """A row: how many of the judgements were red, and what the first of these said."""
     return {
         "part": part, "planted": planted, "condition": condition, "wanted": wanted, "runs": len(judged),
-        "red": sum(red for red, _ in judged), "seconds": seconds[len(seconds) // 2], "example": said,
+        "red": sum(red for red, _ in judged), "seconds": seconds,
+        "example": next((words for red, words in judged if red), ""),
     }  # fmt: skip
 
 
 def said(line: Any) -> str:
     """A line of the gate in words."""
-    line = line if isinstance(line, dict) else line.__dict__
+    line = line if isinstance(line, dict) else asdict(line)
     return " ".join(
         line[name] for name in ("scene", "method", "measure", "before", "after", "change")
     ).strip()
 
 
-def timed(judge: Callable[[], tuple[bool, str]]) -> tuple[bool, float, str]:
-    start = perf_counter()
-    red, words = judge()
-    return red, perf_counter() - start, words
-
-
 def repeated(
-    part: str, what: str, condition: str, wanted: str, judge: Callable[[], tuple[bool, str]], runs: int
+    part: str, what: str, condition: str, wanted: str, judge: Callable[[], list[Judgement]], runs: int
 ) -> Row:
-    """So many runs of a check under a condition."""
-    found = []
+    """So many runs of a check under a condition; each may be several judgements."""
+    judged: list[Judgement] = []
+    taken = []
     for k in range(runs):
         with load() if condition == "loaded" else nullcontext():
-            found.append(timed(judge))
+            start = perf_counter()
+            judged += judge()
+            taken.append(perf_counter() - start)
         print(
-            f"{part}: {what}, {condition}, run {k + 1}: {'red ' if found[-1][0] else 'green '}{found[-1][2]}",
+            f"{part}, {what}, {condition}, run {k + 1}: {sum(r for r, _ in judged)} red of {len(judged)}",
             flush=True,
         )
-    example = next((words for red, _, words in found if red), "")
-    return outcome(part, what, condition, wanted, [(red, taken) for red, taken, _ in found], example)
+    return outcome(part, what, condition, wanted, judged, median(taken))
+
+
+def halves(runs: int) -> tuple[tuple[str, int], ...]:
+    """Runs shared between the conditions."""
+    return tuple(zip(CONDITIONS, (runs - runs // 2, runs // 2), strict=True))
 
 
 def accuracy_rows(runs: int, scratch: Path) -> Iterator[Row]:
@@ -258,15 +264,16 @@ def accuracy_rows(runs: int, scratch: Path) -> Iterator[Row]:
         fresh = benchmark(tree, next(folders), keyword)
         return [line for line in gate.accuracy(truths[keyword], fresh).lines if line.red]
 
-    def identical() -> tuple[bool, str]:
+    def identical() -> list[Judgement]:
         red = lines(ROOT, IDENTICAL)
-        return bool(red), said(red[0]) if red else ""
+        return [(bool(red), said(red[0]) if red else "")]
 
-    for condition, share in zip(CONDITIONS, (runs - runs // 2, runs // 2), strict=True):
+    for condition, share in halves(runs):
         yield repeated("accuracy", "nothing", condition, "none", identical, share)
 
     patches = coefficients()
-    found: dict[str, list[tuple[bool, float, str]]] = {method: [] for method in patches}
+    found: dict[str, list[Judgement]] = {method: [] for method in patches}
+    taken = []
     for k in range(
         max(map(len, patches.values()))
     ):  # the k-th of every method at once: methods are independent
@@ -274,52 +281,56 @@ def accuracy_rows(runs: int, scratch: Path) -> Iterator[Row]:
         start = perf_counter()
         with planted(*together.values()) as tree:
             red = lines(tree, KINETIC)
+        taken.append(perf_counter() - start)
         for method in together:
             mine = [said(line) for line in red if line.method == method]
-            found[method].append(
-                (bool(mine), (perf_counter() - start) / len(together), mine[0] if mine else "")
-            )
-        print(
-            f"accuracy: coefficient {k + 1} of each: {[(m, v[-1][0]) for m, v in found.items()]}", flush=True
-        )
+            found[method].append((bool(mine), mine[0] if mine else ""))
+        print(f"accuracy, coefficient {k + 1}: {[(m, found[m][-1][0]) for m in together]}", flush=True)
     for method, judged in found.items():
-        what = f"a coefficient of {method} × 1.001, each in turn"
-        example = next((words for hit, _, words in judged if hit), "")
-        yield outcome(
-            "accuracy", what, CONDITIONS[0], "all", [(hit, taken) for hit, taken, _ in judged], example
-        )
+        what = f"each coefficient of {method} in turn, × 1.001"
+        yield outcome("accuracy", what, CONDITIONS[0], "all", judged, median(taken))
 
     for fault in FAULTS:
 
-        def given_away(fault: Fault = fault) -> tuple[bool, str]:
+        def given_away(fault: Fault = fault) -> list[Judgement]:
             with planted(fault.patch) as tree:
                 red = [line for line in lines(tree, ONE) if line.measure.split()[0] in fault.measures]
             named = [line for line in red if (line.scene, line.method) == ("particle", fault.method)]
-            return bool(named), said(named[0]) if named else ""
+            return [(bool(named), said(named[0]) if named else "")]
 
         yield repeated("accuracy", fault.what, CONDITIONS[0], "all", given_away, 1)
 
 
 def speed_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
-    """Identical code on the whole workload; slowed kernels on a part of it."""
+    """Identical code on the whole workload; slowed loops judged cell by cell."""
     work = read(TABLES["work_precision"], results)
-    part = work[work["method"].isin(SLOWED) & (work["scene"] == "particle")]
-    merge(TABLES["work_precision"], part.to_dict("records"), scratch / "part")
+    loops = work["method"].isin(SLOWED) & (
+        ((work["scene"] == "particle_long") & (work["engine"] == "jax"))
+        | ((work["scene"] == "particle") & (work["engine"] == "python"))
+    )
+    merge(TABLES["work_precision"], work[loops].to_dict("records"), scratch / "loops")
+    cells = speed.workload(read(TABLES["work_precision"], scratch / "loops"))
 
-    def judge(tree: Path, baseline: Path) -> tuple[bool, str]:
-        found = speed_gate(tree, baseline, scratch / "programs")
-        return found["red"], "; ".join(said(line) for line in found["lines"][:2])
+    def identical(tree: Path) -> list[Judgement]:
+        found = speed_gate(tree, results, scratch / "programs")
+        return [(found["red"], "; ".join(said(line) for line in found["lines"] if line["red"]))]
+
+    def slowed(tree: Path) -> list[Judgement]:
+        found = speed_gate(tree, scratch / "loops", scratch / "programs")
+        red = {(x["scene"], x["method"], x["engine"]): said(x) for x in found["lines"] if x["red"]}
+        names = [(cell.scene, cell.method, cell.engine) for cell in cells]
+        return [(name in red, red.get(name, "")) for name in names]
 
     with planted() as tree:
-        judge(tree, results)  # compiles everything once
+        identical(tree)  # compiles everything once
         for condition in CONDITIONS:
-            yield repeated("speed", "nothing", condition, "none", lambda: judge(tree, results), runs)
+            yield repeated("speed", "nothing", condition, "none", partial(identical, tree), runs)
     for factor in SLOWDOWNS:
+        wanted = "19 in 20" if factor >= 1.5 else "the more the better"
         with planted(*slowdown(factor)) as tree:
-            what = f"kernels slowed by {factor}×"
-            wanted = "19 in 20" if factor >= 1.5 else "as many as can be"
-            for condition, share in zip(CONDITIONS, (runs - runs // 2, runs // 2), strict=True):
-                yield repeated("speed", what, condition, wanted, lambda: judge(tree, scratch / "part"), share)
+            for condition, share in halves(runs):
+                what = f"loops {factor} times as slow, {len(cells)} judged in each run"
+                yield repeated("speed", what, condition, wanted, partial(slowed, tree), share)
 
 
 def main() -> None:
@@ -332,6 +343,7 @@ def main() -> None:
         sys.exit(
             "gate_selfcheck: the sources have local changes; faults are planted in HEAD, so commit first"
         )
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))  # worktrees are removed on the way out
     run_id = new_run_id()
     save_environment(run_id, environment("gate_selfcheck", 0), arguments.results)
     with tempfile.TemporaryDirectory(prefix="contactbench-selfcheck-") as folder:

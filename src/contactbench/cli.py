@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -135,6 +136,9 @@ def gate(arguments: argparse.Namespace) -> int:
     from contactbench.gate import PARTS
     from contactbench.gate import gate as judge
 
+    signal.signal(
+        signal.SIGTERM, lambda *_: sys.exit(143)
+    )  # a cancelled job removes its worktree on the way out
     parts = (arguments.only,) if arguments.only else PARTS
     verdict = judge(Path.cwd(), arguments.baseline, arguments.fresh, arguments.base, parts)
     print(verdict.as_json() if arguments.json else verdict.as_markdown())

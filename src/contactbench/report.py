@@ -445,7 +445,9 @@ def gate_document(frame: pd.DataFrame) -> str:
             for _, r in mine.iterrows()
         ]  # fmt: skip
         parts.append(
-            markdown(["planted", "condition", "wanted red", "runs", "red", "each took", "for example"], rows)
+            markdown(
+                ["planted", "condition", "wanted red", "judged", "red", "a run took", "for example"], rows
+            )
         )
     return "\n\n".join(parts) + "\n"
 
