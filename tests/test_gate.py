@@ -13,13 +13,17 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import gate_selfcheck
 from contactbench import speed, table
 from contactbench.analysis import PairedRatio
 from contactbench.cli import main
+from contactbench.composition import COMPOSITIONS
 from contactbench.errors import BadInput
 from contactbench.gate import DECADES, accuracy
+from contactbench.report import gate_document
 from contactbench.table import CLAIMS_TABLE, CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, Rule, merge
 
 REPOSITORY = Path(__file__).parents[1]
@@ -421,3 +425,29 @@ def test_turns_are_shuffled_and_paired(monkeypatch, tmp_path):
     first = [asked[i][0] for i in range(0, len(asked), 2)]
     assert 20 < first.count("base") < 40  # of 60 pairs either goes first
     assert [cell for _, cell in asked[:8:2]] != [cell for _, cell in asked[8:16:2]]
+
+
+# -- the self-check --------------------------------------------------------------------------------
+def test_what_the_self_check_plants_is_still_there_to_be_changed():
+    patches = gate_selfcheck.coefficients()
+    assert set(patches) == {composition.name for composition in COMPOSITIONS}
+    assert all(len(mine) >= 3 for mine in patches.values())
+    planted = [patch for mine in patches.values() for patch in mine]
+    planted += [fault.patch for fault in gate_selfcheck.FAULTS]
+    planted += [patch for factor in gate_selfcheck.SLOWDOWNS for patch in gate_selfcheck.slowdown(factor)]
+    for patch in planted:
+        assert (REPOSITORY / patch.file).read_text().count(patch.old) == 1, patch
+        assert patch.new != patch.old
+
+
+def test_its_document_counts_alarms_and_faults():
+    rows = [
+        gate_selfcheck.outcome(
+            "accuracy", "nothing", "idle", "none", [(False, ""), (True, "cried wolf")], 1.0
+        ),
+        gate_selfcheck.outcome("accuracy", "a fault", "idle", "all", [(True, "a|b"), (True, "c")], 2.0),
+    ]
+    text = gate_document(pd.DataFrame(rows))
+    assert "1 false alarms in 2 runs; 2 of 2 planted faults found" in text
+    assert "cried wolf" in text
+    assert "a\\|b" in text
