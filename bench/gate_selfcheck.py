@@ -30,7 +30,16 @@ from typing import Any
 
 from contactbench import gate, speed
 from contactbench.composition import COMPOSITIONS
-from contactbench.table import GATE_SELFCHECK, TABLES, environment, merge, new_run_id, read, save_environment
+from contactbench.table import (
+    GATE_SELFCHECK,
+    TABLES,
+    Rule,
+    environment,
+    merge,
+    new_run_id,
+    read,
+    save_environment,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 #: of every kind of method and engine one or two, with all their tables
@@ -252,8 +261,25 @@ def halves(runs: int) -> tuple[tuple[str, int], ...]:
     return tuple(zip(CONDITIONS, (runs - runs // 2, runs // 2), strict=True))
 
 
-def accuracy_rows(runs: int, scratch: Path) -> Iterator[Row]:
+def other_rounding(results: Path) -> Row:
+    """The two engines of a method: the same map with other rounding errors, as on another processor."""
+    work = read(TABLES["work_precision"], results)
+    work = work[(work["track"] == "fixed") & (work["status"] == "ok")]
+    compiled, plain = (work[work["engine"] == engine] for engine in ("jax", "python"))
+    pairs = compiled.merge(plain, on=["scene", "method", "setting"], suffixes=("", " after"))
+    start = perf_counter()
+    distance = gate.moved(Rule.error, pairs["solution_error"], pairs["solution_error after"], pairs)
+    judged = [
+        (bool(d > 1), f"{p.scene} {p.method} {p.setting}")
+        for d, p in zip(distance, pairs.itertuples(), strict=True)
+    ]
+    what = "nothing but rounding: jax against python, row by row"
+    return outcome("accuracy", what, CONDITIONS[0], "none", judged, perf_counter() - start)
+
+
+def accuracy_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
     """Identical code, every coefficient, and what else can go wrong with numbers."""
+    yield other_rounding(results)
     truths = {
         keyword: benchmark(ROOT, scratch / f"truth-{k}", keyword)
         for k, keyword in enumerate((IDENTICAL, KINETIC, ONE))
@@ -349,7 +375,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="contactbench-selfcheck-") as folder:
         scratch, rows = Path(folder), []
         if arguments.only != "speed":
-            rows.append(accuracy_rows(arguments.runs, scratch))
+            rows.append(accuracy_rows(arguments.runs, arguments.results, scratch))
         if arguments.only != "accuracy":
             rows.append(speed_rows(arguments.runs, arguments.results, scratch))
         for row in (row for part in rows for row in part):

@@ -448,6 +448,6 @@ def test_its_document_counts_alarms_and_faults():
         gate_selfcheck.outcome("accuracy", "a fault", "idle", "all", [(True, "a|b"), (True, "c")], 2.0),
     ]
     text = gate_document(pd.DataFrame(rows))
-    assert "1 false alarms in 2 runs; 2 of 2 planted faults found" in text
+    assert "1 false alarms in 2 judgements; 2 of 2 planted faults found" in text
     assert "cried wolf" in text
     assert "a\\|b" in text

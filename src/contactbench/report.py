@@ -434,9 +434,10 @@ def gate_document(frame: pd.DataFrame) -> str:
     ]
     for part in dict.fromkeys(frame["part"]):
         mine = frame[frame["part"] == part]
-        alarms, faults = mine[mine["planted"] == "nothing"], mine[mine["planted"] != "nothing"]
+        same = mine["wanted"] == "none"
+        alarms, faults = mine[same], mine[~same]
         parts.append(
-            f"## {part.capitalize()}\n\n**{alarms['red'].sum()} false alarms in {alarms['runs'].sum()} runs; "
+            f"## {part.capitalize()}\n\n**{alarms['red'].sum()} false alarms in {alarms['runs'].sum()} judgements; "
             f"{faults['red'].sum()} of {faults['runs'].sum()} planted faults found.**"
         )
         rows = [
@@ -501,7 +502,7 @@ def gate_line(frame: pd.DataFrame) -> str:
     """The gate's own check in the list of tables."""
     if not len(frame):
         return ""
-    alarms = frame[frame["planted"] == "nothing"]
+    alarms = frame[frame["planted"] == "nothing"]  # whole runs of the gate
     summary = f"{alarms['red'].sum()} false alarms in {alarms['runs'].sum()} runs of identical code"
     return f"- [gate_selfcheck.md](gate_selfcheck.md): the regression gate, checked: {summary} (`gate_selfcheck.csv`)\n"
 
