@@ -24,7 +24,16 @@ from contactbench.composition import COMPOSITIONS
 from contactbench.errors import BadInput
 from contactbench.gate import DECADES, accuracy
 from contactbench.report import gate_document
-from contactbench.table import CLAIMS_TABLE, CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, Rule, merge
+from contactbench.table import (
+    CLAIMS_TABLE,
+    CONVERGENCE,
+    GATE_SELFCHECK,
+    LAWS_TABLE,
+    TABLES,
+    WORK_PRECISION,
+    Rule,
+    merge,
+)
 
 REPOSITORY = Path(__file__).parents[1]
 RUN = {"profile": "smoke", "cpu": "a", "python": "3.13", "packages": {"jax": "1"}, "references": "r"}
@@ -194,6 +203,7 @@ def test_new_rows_and_other_machines_are_noted_not_judged(baseline, tmp_path):
 
 def test_every_table_says_what_is_compared():
     for item in TABLES.values():
+        assert item.rules or item is GATE_SELFCHECK, item.name
         assert set(item.rules) <= set(item.columns), item.name
         assert not set(item.rules) & set(item.key), item.name
     for name in (column for item in TABLES.values() for column in item.columns if column.endswith("_s")):

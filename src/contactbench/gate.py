@@ -82,7 +82,7 @@ class Verdict:
         """The verdict, one table of what moved and by how much, and the notes."""
         red = sum(line.red for line in self.lines)
         title = f"# Regression gate: {f'red, {red} found' if red else 'green'}"
-        listed = sorted(self.lines, key=lambda line: not line.red)
+        listed = sorted(self.lines, key=lambda line: (not line.red, line.verdict != "inconclusive"))
         unlisted = max(0, len(listed) - max(red, LISTED))
         rows = [
             [

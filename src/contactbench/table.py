@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum
 from importlib import metadata
@@ -81,7 +81,7 @@ class Table:
     name: str
     about: str
     columns: Mapping[str, str]
-    rules: Mapping[str, Rule]
+    rules: Mapping[str, Rule] = field(default_factory=dict)
     key: tuple[str, ...] = KEY
     #: leading key columns of what is always made as a whole: a new run replaces all its rows
     whole: tuple[str, ...] = ()
@@ -235,7 +235,6 @@ GATE_SELFCHECK = Table(
         "seconds": "one run of the gate, median",
         "example": "what the first red one said",
     },
-    {},
     key=("part", "planted", "condition"),
 )
 
