@@ -433,7 +433,7 @@ def gate_document(frame: pd.DataFrame) -> str:
         "but one. A fault counts as found when a red line names the method and the measure.",
     ]
     for part in dict.fromkeys(frame["part"]):
-        mine = frame[frame["part"] == part]
+        mine = frame[frame["part"] == part].sort_values("wanted", key=lambda w: w != "none", kind="stable")
         same = mine["wanted"] == "none"
         alarms, faults = mine[same], mine[~same]
         parts.append(
