@@ -44,8 +44,10 @@ from contactbench.table import (
 ROOT = Path(__file__).resolve().parents[1]
 #: of every kind of method and engine one or two, with all their tables
 IDENTICAL = "particle and not long and (strang or rkn6 or rk4 or scipy or cvode or diffrax-dopri8 or heyoka)"
-#: the contact methods, where a wrong coefficient shows: in errors, slopes and counts
-KINETIC = "particle and not long and not limit and contact and (convergence or (work_precision and python))"
+#: the contact methods, where a wrong coefficient shows: in errors, slopes, and laws
+KINETIC = (
+    "particle and not long and not limit and contact and (convergence or laws or (work_precision and python))"
+)
 #: two methods with rows in all tables, for what is planted in one of them
 ONE = "particle and not long and not limit and (strang or bm4)"
 #: kernels that are slowed: compiled and plain Python loops
@@ -72,7 +74,10 @@ class Patch:
 
 
 def coefficients() -> dict[str, list[Patch]]:
-    """Per contact method a patch for each of its printed coefficients: one part in a thousand more."""
+    """Per contact method a patch for each of its printed coefficients: one part in a thousand more.
+
+    Not for the last one of a two-part composition written out in full: the others imply it.
+    """
     text = (ROOT / COMPOSITION).read_text(encoding="utf-8")
     patches = {}
     for composition in COMPOSITIONS:
@@ -80,7 +85,9 @@ def coefficients() -> dict[str, list[Patch]]:
         named = re.search(r"\*(_[A-Z_]+)", block)
         if named:  # the table stands beside the composition, under a name of its own
             (block,) = re.findall(rf"^{named[1]} = \(.*?^\)", text, re.M | re.S)
-        spots = list(re.finditer(r'"-?0\.\d{30,}"', block)) or list(re.finditer(r"\b(HALF|ONE)\b", block))
+        spots = list(re.finditer(r'"-?0\.\d{30,}"', block))
+        if not spots:
+            spots = list(re.finditer(r"\b(HALF|ONE)\b", block))[: -1 if composition.two_part else None]
         patches[composition.name] = [
             Patch(COMPOSITION, block, block[: spot.start()] + larger(spot[0]) + block[spot.end() :])
             for spot in spots

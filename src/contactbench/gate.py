@@ -28,8 +28,8 @@ from contactbench.table import PROFILES, TABLES, Rule, Table, read
 
 #: how far an error may move, in decades: a factor of two
 DECADES = 0.3
-#: how far a slope may move in the asymptotic range
-SLOPE = 0.1
+#: how far a slope may move in the asymptotic range; other rounding moves it by 0.001
+SLOPE = 0.05
 #: how far a count may move where a solver chooses its steps, as a share, and at least by one
 SHARE = 0.1
 #: values that move by less than this part of what is allowed are not listed
