@@ -25,9 +25,9 @@ def ladder(profile):
     return [(scene, name) for scene in scenes(profile) for name in fixed]
 
 
-def in_double_precision(scene, method, points):
+def in_double_precision(scene, method):
     """(row, step, error) for each step size."""
-    for h in steps(scene, points):
+    for h in steps(scene, POINTS):
         solution = cb.solve(scene, method.name, save_at=save_times(scene), carry=(), **setting(method, h))
         yield outcome(solution), h, cb.LAWS["solution_error"](solution)
 
@@ -46,13 +46,10 @@ def at_fifty_digits(scene, method):
 
 
 @cells(ladder)
-def test_convergence(cell, profile, record):
+def test_convergence(cell, record):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     extended = method.order > 4 and method.refuses(scene) is None
-    if extended:
-        measured = list(at_fifty_digits(scene, method))
-    else:
-        measured = list(in_double_precision(scene, method, POINTS if profile.points > 1 else 4))
+    measured = at_fifty_digits(scene, method) if extended else in_double_precision(scene, method)
     rows, hs, errors = zip(*measured, strict=True)
     fit = fit_order(hs, errors, EXTENDED_FLOOR if extended else FLOOR)
     for i, row in enumerate(rows):

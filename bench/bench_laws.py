@@ -30,7 +30,7 @@ def test_laws(cell, profile, record):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     values = RTOLS if method.adaptive else steps(scene, 6)[::2]
     shown = values[1]
-    for value in [shown] if profile.points == 1 else values:
+    for value in values:
         budget = step_budget(profile, scene, method, method.engines[0])
         solution = cb.solve(
             scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)

@@ -132,7 +132,12 @@ def exact_step(ladder, printed):
 
 
 def timed(run, profile, benchmark, group):
-    """The time columns: rounds of about a millisecond, as many as the profile fills, after a warm-up."""
+    """The time columns: rounds of about a millisecond, as many as the profile fills, after a warm-up.
+
+    None with --benchmark-disable: a run for accuracy alone, on all cores, has no times.
+    """
+    if benchmark.disabled:
+        return {}
     start = perf_counter()
     run()
     once = perf_counter() - start

@@ -36,17 +36,18 @@ class Profile:
     callback_evaluations: int
 
     def choose(self, ladder: list[Any]) -> list[Any]:
-        """`points` of a ladder, spread over it."""
+        """`points` of a ladder, spread over it; a single one is among those of the standard profile."""
         if self.points >= len(ladder):
             return ladder
         if self.points == 1:
-            return [ladder[len(ladder) // 3]]
+            spread = PROFILES["standard"].choose(ladder)
+            return [spread[len(spread) // 3]]
         last = len(ladder) - 1
         return [ladder[round(i * last / (self.points - 1))] for i in range(self.points)]
 
 
 PROFILES = {
-    "smoke": Profile("smoke", 1, 5, 0.0, 20_000),
+    "smoke": Profile("smoke", 1, 5, 0.0, 40_000),  # the budget of standard: the same rows, the same ends
     "standard": Profile("standard", 6, 5, 0.02, 40_000),
     "full": Profile("full", 99, 15, 0.3, 1_000_000),
 }
@@ -146,16 +147,23 @@ def pytest_runtest_call(item: pytest.Item) -> Any:
         item.config.journal.append(item.rows, _identity(item) if finished else None)
 
 
-@pytest.fixture
-def record(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """``record(table, **row)`` adds a row to a result table."""
-    return lambda which, **row: request.node.rows.append((which, row))
+def smallest_profile(request: pytest.FixtureRequest) -> str:
+    """The smallest profile that has the cell of a test; the rows of a cell are the same in all."""
+    cell, cells = request.node.callspec.params["cell"], request.function.cells
+    return next(name for name in table.PROFILES if cell in cells(PROFILES[name]))
 
 
 @pytest.fixture
 def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
     """``record_all(table, rows)`` adds many rows at once."""
-    return lambda which, rows: request.node.rows.extend((which, row) for row in rows)
+    profile = smallest_profile(request)
+    return lambda which, rows: request.node.rows.extend((which, {**row, "profile": profile}) for row in rows)
+
+
+@pytest.fixture
+def record(record_all: Callable[..., None]) -> Callable[..., None]:
+    """``record(table, **row)`` adds a row to a result table."""
+    return lambda which, **row: record_all(which, [row])
 
 
 @pytest.fixture

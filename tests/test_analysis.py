@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.analysis import cost_at_error, fit_order, timing
+from contactbench.analysis import cost_at_error, fit_order, paired_ratio, timing
 
 H = [0.8 / 2**k for k in range(9)]
 
@@ -61,3 +61,26 @@ def test_a_setting_that_costs_more_for_less_does_not_count():
 def test_timing_statistics():
     stats = timing([1.0, 2.0, 3.0, 4.0, 100.0])
     assert (stats.minimum, stats.median, stats.iqr, stats.rounds) == (1.0, 3.0, 2.0, 5)
+
+
+@pytest.mark.parametrize("true", [0.5, 1.0, 1.3, 2.0])
+def test_a_ratio_is_found_in_noise_and_drift(true):
+    """Pairs that share a drift and have heavy-tailed noise of their own."""
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(200):
+        drift = np.exp(np.cumsum(rng.normal(0, 0.3, 15)))
+        base, head = (drift * factor * np.exp(0.03 * rng.standard_t(3, 15)) for factor in (1.0, true))
+        found = paired_ratio(base, head)
+        assert found.low <= found.ratio <= found.high
+        assert found.ratio == pytest.approx(true, rel=0.15)
+        inside += found.low <= true <= found.high
+    assert inside >= 0.9 * 200  # a percentile interval of a median of 15 covers about 95 %
+
+
+def test_a_ratio_does_not_mind_single_interruptions_and_is_exact_without_noise():
+    base, head = np.full(15, 1e-3), np.full(15, 1.5e-3)
+    assert paired_ratio(base, head).ratio == pytest.approx(1.5, rel=1e-12)
+    head[[2, 7, 11]] *= 100
+    found = paired_ratio(base, head)
+    assert found.ratio == found.low == pytest.approx(1.5, rel=1e-12)

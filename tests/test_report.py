@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pandas as pd
 import pytest
 
 from cases import bench, finished
 from contactbench import figures
+from contactbench.gate import accuracy
 from contactbench.report import decades, duration, equal_error, losses, report, winners
 from contactbench.table import CONVERGENCE, WORK_PRECISION, read
 
@@ -36,14 +39,18 @@ def test_a_partial_run_fills_its_part_of_every_table(results):
     assert (results / "environment.json").exists()
 
 
-def test_a_second_partial_run_leaves_the_other_rows(results):
+def test_a_second_partial_run_leaves_the_other_rows_and_the_gate_sees_no_difference(results, tmp_path):
     before = read(WORK_PRECISION, results)
+    shutil.copytree(results, tmp_path / "before")
     finished(bench(results, "work_precision and particle and rk4 and not long"))
     after = read(WORK_PRECISION, results)
     assert len(after) == len(before)
     same = after["method"] != "rk4"
     pd.testing.assert_frame_equal(after[same], before[same])
     assert set(after[~same]["run_id"]).isdisjoint(set(before[~same]["run_id"]))
+    verdict = accuracy(tmp_path / "before", results)
+    assert not verdict.red, verdict.as_markdown()
+    assert verdict.lines == ()
 
 
 def test_report_writes_documents_and_figures_from_the_tables(results):

@@ -108,3 +108,29 @@ def timing(samples: Sequence[float]) -> Timing:
     """Statistics of per-call times."""
     lower, middle, upper = np.percentile(samples, [25, 50, 75])
     return Timing(float(min(samples)), float(middle), float(upper - lower), len(samples))
+
+
+#: resampled medians behind a bootstrap interval
+RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class PairedRatio:
+    """How many times slower one of two is: median over rounds and its 95 % bootstrap interval."""
+
+    ratio: float
+    low: float
+    high: float
+    rounds: int
+
+
+def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
+    """Ratio head/base of times taken in pairs, the two of a pair next to each other in time.
+
+    A drift of the machine slower than a pair cancels in each log-ratio; their median is resampled
+    (Efron, Ann. Stat. 7, 1 (1979), doi:10.1214/aos/1176344552, percentile interval, fixed seed).
+    """
+    logs = np.log(np.asarray(head, dtype=float)) - np.log(np.asarray(base, dtype=float))
+    resampled = np.random.default_rng(0).choice(logs, (RESAMPLES, len(logs)))
+    low, high = np.percentile(np.median(resampled, axis=1), [2.5, 97.5])
+    return PairedRatio(math.exp(np.median(logs)), math.exp(low), math.exp(high), len(logs))

@@ -456,6 +456,36 @@ def headline_order(convergence: pd.DataFrame, method: str) -> float | None:
     return float(fitted["order"].iloc[0]) if len(fitted) else None
 
 
+def gate_document(frame: pd.DataFrame) -> str:
+    """How far the regression gate can be trusted."""
+    parts = [
+        "# The regression gate, checked",
+        "The gate compares a version of the code with the one before: its errors, counts and structure with the "
+        "committed tables, its speed with the older revision, in turns. Here it judged identical code, which should "
+        "never be red, and code with faults planted in it, which always should. Loaded: with a busy loop on all cores "
+        "but one. A fault counts as found when a red line names the method and the measure.",
+    ]
+    for part in dict.fromkeys(frame["part"]):
+        mine = frame[frame["part"] == part].sort_values("wanted", key=lambda w: w != "none", kind="stable")
+        same = mine["wanted"] == "none"
+        alarms, faults = mine[same], mine[~same]
+        parts.append(
+            f"## {part.capitalize()}\n\n**{alarms['red'].sum()} false alarms in {alarms['runs'].sum()} judgements; "
+            f"{faults['red'].sum()} of {faults['runs'].sum()} planted faults found.**"
+        )
+        rows = [
+            [r["planted"], r["condition"], r["wanted"], r["runs"], r["red"], duration(r["seconds"]),
+             DASH if pd.isna(r["example"]) else str(r["example"]).replace("|", "\\|")]
+            for _, r in mine.iterrows()
+        ]  # fmt: skip
+        parts.append(
+            markdown(
+                ["planted", "condition", "wanted red", "judged", "red", "a run took", "for example"], rows
+            )
+        )
+    return "\n\n".join(parts) + "\n"
+
+
 def structure_table(laws: pd.DataFrame, convergence: pd.DataFrame) -> str:
     """Per method: measured order on the headline scene, and the worst drift over all settings."""
 
@@ -480,6 +510,15 @@ def claims_line(frame: pd.DataFrame) -> str:
     summary = ", ".join(f"{count.get(name, 0)} {name}" for name in VERDICTS)
     files = "`claims.csv`, figures `paper_figures.csv`"
     return f"- [claims.md](claims.md): the paper's {len(frame)} claims: {summary} ({files})\n"
+
+
+def gate_line(frame: pd.DataFrame) -> str:
+    """The gate's own check in the list of tables."""
+    if not len(frame):
+        return ""
+    alarms = frame[frame["planted"] == "nothing"]  # whole runs of the gate
+    summary = f"{alarms['red'].sum()} false alarms in {alarms['runs'].sum()} runs of identical code"
+    return f"- [gate_selfcheck.md](gate_selfcheck.md): the regression gate, checked: {summary} (`gate_selfcheck.csv`)\n"
 
 
 def headline_document(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
@@ -532,7 +571,7 @@ body, which together apply its whole vector field, count as one):
 - [work_precision.md](work_precision.md): cost at equal error, scene by scene (`work_precision.csv`)
 - [convergence.md](convergence.md): measured orders (`convergence.csv`)
 - [laws.md](laws.md): decay laws and drifts (`laws.csv`, along time `laws_time.csv`)
-{claims_line(tables["claims"])}
+{claims_line(tables["claims"])}{gate_line(tables["gate_selfcheck"])}
 ## Where this was measured
 
 {chr(10).join(machines)}
@@ -553,6 +592,8 @@ def report(results: Path) -> list[Path]:
         documents["work_precision.md"] = work_precision_document(tables["work_precision"])
     if len(tables["claims"]):
         documents["claims.md"] = claims_document(tables["claims"], set(tables["paper_figures"]["figure"]))
+    if len(tables["gate_selfcheck"]):
+        documents["gate_selfcheck.md"] = gate_document(tables["gate_selfcheck"])
     if all(len(tables[name]) for name in ("work_precision", "laws", "convergence")):
         documents["README.md"] = headline_document(tables, runs)
     written = []

@@ -15,8 +15,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from enum import Enum
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -27,12 +28,26 @@ import pandas as pd
 from contactbench.errors import BadInput
 from contactbench.plugins import LOADED
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 KEY = ("scene", "method", "engine", "setting")
+#: how much is run, from little to much; each makes the rows of those before it, and more
+PROFILES = ("smoke", "standard", "full")
 PROVENANCE = {
     "schema": "version of this table's columns",
     "run_id": "run that made the row (environment.json)",
+    "profile": "smallest profile that makes the row: a run of it, or of a larger one, must have it",
 }
+
+
+class Rule(Enum):
+    """How a column may differ between two runs; the regression gate (gate.py) has the numbers."""
+
+    same = "must not change"
+    count = "exact for fixed steps, within a tenth where a solver chooses them"
+    error = "may move by a factor of two above round-off"
+    structure = "an error; if it is round-off it must stay round-off"
+    slope = "the slope of an error, compared in its asymptotic range (column in_fit)"
+
 
 _COMMON = {
     "scene": "name of the scene",
@@ -49,15 +64,25 @@ _COUNTS = {
     "rhs_equivalents": "evaluations on the scale of one right-hand side (two rotations count as one)",
     "jacobians": "Jacobian evaluations",
 }
+_RULES = {
+    "status": Rule.same,
+    "evaluation_kind": Rule.same,
+    **dict.fromkeys(("steps", "evaluations", "rhs_equivalents", "jacobians"), Rule.count),
+}
 
 
 @dataclass(frozen=True)
 class Table:
-    """A CSV table: `columns` maps each column, in order, to its meaning."""
+    """A CSV table: `columns` maps each column, in order, to its meaning.
+
+    rules : how a column may differ between two runs of the same settings; those without a rule
+    (times, messages) are not compared.
+    """
 
     name: str
     about: str
     columns: Mapping[str, str]
+    rules: Mapping[str, Rule] = field(default_factory=dict)
     key: tuple[str, ...] = KEY
     #: leading key columns of what is always made as a whole: a new run replaces all its rows
     whole: tuple[str, ...] = ()
@@ -70,6 +95,13 @@ def _law_columns() -> dict[str, str]:
     from contactbench.laws import LAWS
 
     return {name: item.definition for name, item in LAWS.items()}
+
+
+def _law_rules() -> dict[str, Rule]:
+    from contactbench.laws import LAWS
+
+    rules = {name: Rule.structure if item.structural else Rule.error for name, item in LAWS.items()}
+    return rules | {"energy_increases": Rule.count}
 
 
 CONVERGENCE = Table(
@@ -87,6 +119,7 @@ CONVERGENCE = Table(
         "order_nominal": "order the method claims",
         **_COUNTS,
     },
+    {**_RULES, "solution_error": Rule.error, "pairwise_order": Rule.slope, "order_nominal": Rule.same},
 )
 
 LAWS_TABLE = Table(
@@ -94,6 +127,7 @@ LAWS_TABLE = Table(
     "decay laws and drifts over the whole run, maxima over the saved times",
     {**_COMMON, "saved_times": "number of saved times", **_law_columns(),
      "derivative": "how DΦ for the contact drift was obtained", **_COUNTS},
+    {**_RULES, "saved_times": Rule.same, "derivative": Rule.same, **_law_rules()},
 )  # fmt: skip
 
 LAWS_TIME = Table(
@@ -107,6 +141,11 @@ LAWS_TIME = Table(
         "hamiltonian_deviation": "|H e^{∫Γ'} − H(y₀)| / |H(y₀)|",
         "momentum_deviation": "‖J e^{∫Γ'} − J(y₀)‖ / ‖J(y₀)‖",
         "contact_deviation": "‖Φ*η − e^{−∫Γ'} η‖ / ‖e^{−∫Γ'} η‖",
+    },
+    {
+        "status": Rule.same,
+        **dict.fromkeys(("energy_deviation", "hamiltonian_deviation"), Rule.error),
+        **dict.fromkeys(("momentum_deviation", "contact_deviation"), Rule.structure),
     },
     key=(*KEY, "t"),
 )
@@ -128,6 +167,7 @@ WORK_PRECISION = Table(
         "rounds": "timed rounds",
         "iterations": "calls per round",
     },
+    {**_RULES, "track": Rule.same, "carried": Rule.same, "solution_error": Rule.error},
 )
 
 SEPARATOR = " // "  #: between the measurements listed in one cell
@@ -161,6 +201,7 @@ CLAIMS_TABLE = Table(
         "status": "ok, or failed: not measured, no verdict",
         "message": "why, when the status is not ok",
     },
+    {"status": Rule.same, "verdict": Rule.same},
     key=("id",),
 )
 
@@ -177,16 +218,53 @@ PAPER_FIGURES = Table(
         "y": "ordinate",
         "z": "third coordinate, fitted order or growth rate where the figure has one",
     },
+    {"kind": Rule.same},
     key=("figure", "panel", "curve", "point"),
     whole=("figure",),
 )
 
+GATE_SELFCHECK = Table(
+    "gate_selfcheck",
+    "false alarms of the regression gate on identical code, and planted faults it finds",
+    {
+        "part": "accuracy or speed",
+        "planted": "what was changed in the code the gate judges",
+        "condition": "what else the machine did: idle, or a busy loop on all cores but one",
+        "wanted": "how many of the runs should be red",
+        "runs": "judgements: runs of the gate, or faults or loops, each judged once",
+        "red": "how many were red, by a line that names the method and measure of what was planted",
+        "seconds": "one run of the gate, median",
+        "example": "what the first red one said",
+    },
+    key=("part", "planted", "condition"),
+)
+
 TABLES = {
     table.name: table
-    for table in (CONVERGENCE, LAWS_TABLE, LAWS_TIME, WORK_PRECISION, CLAIMS_TABLE, PAPER_FIGURES)
+    for table in (
+        CONVERGENCE,
+        LAWS_TABLE,
+        LAWS_TIME,
+        WORK_PRECISION,
+        CLAIMS_TABLE,
+        PAPER_FIGURES,
+        GATE_SELFCHECK,
+    )
 }
 
-_WHOLE = ("steps", "evaluations", "jacobians", "rounds", "iterations", "saved_times", "schema", "point")
+_TEXT = ("setting", "message", "run_id", "profile")
+_WHOLE = (
+    "steps",
+    "evaluations",
+    "jacobians",
+    "rounds",
+    "iterations",
+    "saved_times",
+    "schema",
+    "point",
+    "runs",
+    "red",
+)
 
 
 # -- reading and writing ---------------------------------------------------------------------------
@@ -200,7 +278,7 @@ def read(table: Table, results: Path) -> pd.DataFrame:
     if not path.exists():
         return pd.DataFrame(columns=columns)
     try:
-        frame = pd.read_csv(path, dtype={"setting": str, "message": str, "run_id": str}, keep_default_na=True)
+        frame = pd.read_csv(path, dtype=dict.fromkeys(_TEXT, str), keep_default_na=True)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise BadInput(f"{path}: not a readable CSV ({error}); move it away or restore it") from None
     if list(frame.columns) != columns:

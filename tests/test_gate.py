@@ -1,0 +1,463 @@
+"""The regression gate on tables made up for it: what turns it red, what does not, and what it says."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import gate_selfcheck
+from contactbench import speed, table
+from contactbench.analysis import PairedRatio
+from contactbench.cli import main
+from contactbench.composition import COMPOSITIONS
+from contactbench.errors import BadInput
+from contactbench.gate import DECADES, accuracy
+from contactbench.report import gate_document
+from contactbench.table import (
+    CLAIMS_TABLE,
+    CONVERGENCE,
+    GATE_SELFCHECK,
+    LAWS_TABLE,
+    TABLES,
+    WORK_PRECISION,
+    Rule,
+    merge,
+)
+
+REPOSITORY = Path(__file__).parents[1]
+RUN = {"profile": "smoke", "cpu": "a", "python": "3.13", "packages": {"jax": "1"}, "references": "r"}
+
+
+def row(method="rk4", setting="step=0.1", profile="smoke", **more):
+    return {
+        "scene": "particle", "method": method, "engine": "jax", "setting": setting, "status": "ok",
+        "message": "", "run_id": "one", "profile": profile, "steps": 200, "evaluations": 800,
+        "evaluation_kind": "rhs", "rhs_equivalents": 800.0, "jacobians": 0, **more,
+    }  # fmt: skip
+
+
+#: what the folder of a run holds: two methods on one scene, and a row of a larger profile
+ROWS = (
+    (LAWS_TABLE, [
+        row(solution_error=1e-5, energy_law=3e-6, momentum_law=2e-15, energy_increases=0.0, saved_times=25),
+        row("cvode-adams", "rtol=1e-06", solution_error=1e-4, momentum_law=1e-7, saved_times=25),
+    ]),
+    (CONVERGENCE, [
+        row(step=0.1, solution_error=1e-5, pairwise_order=4.01, in_fit=True, order_nominal=4),
+        row(setting="step=0.8", step=0.8, solution_error=0.2, pairwise_order=2.0, in_fit=False, order_nominal=4),
+        row(
+            "contact-o8", "step=0.03125", engine="mpmath", step=0.03125, solution_error=1e-20,
+            pairwise_order=8.0, in_fit=True, order_nominal=8,
+        ),
+    ]),
+    (WORK_PRECISION, [
+        row(track="fixed", carried="q p", solution_error=1e-6, time_median_s=1e-4),
+        row("cvode-adams", "rtol=1e-06", track="adaptive", carried="q p", solution_error=2e-5, time_median_s=1e-3),
+        row(setting="step=0.01", profile="standard", track="fixed", carried="q p", solution_error=1e-10),
+        row("cvode-bdf", "rtol=1e-12", track="adaptive", status="budget", message="too many"),
+    ]),
+    (CLAIMS_TABLE, [{"id": "C01", "scene": "particle", "method": "any", "verdict": "holds", "status": "ok",
+                    "measured": 1e-16, "run_id": "one", "profile": "smoke"}]),
+)  # fmt: skip
+
+
+def folder(path, change=lambda which, row: row, run=RUN, keep=lambda row: True):
+    """A folder of tables, each row changed (None: left out)."""
+    for which, rows in ROWS:
+        changed = [change(which, dict(row)) for row in rows]
+        merge(which, [row for row in changed if row is not None and keep(row)], path)
+    path.mkdir(exist_ok=True)
+    (path / "environment.json").write_text(json.dumps({"one": run}))
+    return path
+
+
+@pytest.fixture
+def baseline(tmp_path):
+    return folder(tmp_path / "baseline")
+
+
+def judged(baseline, change, tmp_path, **more):
+    return accuracy(baseline, folder(tmp_path / "fresh", change, **more))
+
+
+def setting(which, method, **values):
+    """A change of one method's rows in one table."""
+    return lambda t, row: {**row, **values} if t is which and row["method"] == method else row
+
+
+def test_identical_tables_are_green(baseline, tmp_path):
+    verdict = judged(baseline, lambda which, row: row, tmp_path)
+    assert not verdict.red
+    assert verdict.lines == ()
+    assert "Nothing moved" in verdict.as_markdown()
+    assert "10 rows of a smoke run" not in verdict.as_markdown()  # the standard row was not asked for
+    assert "9 rows of a smoke run" in verdict.as_markdown()
+
+
+FAULTS = {
+    "error": (setting(LAWS_TABLE, "rk4", solution_error=2.2e-5), "rk4", "solution_error"),
+    "error gone down": (setting(LAWS_TABLE, "rk4", solution_error=4e-6), "rk4", "solution_error"),
+    "error of an adaptive solver": (
+        setting(WORK_PRECISION, "cvode-adams", solution_error=5e-5), "cvode-adams", "solution_error",
+    ),
+    "error at fifty digits": (setting(CONVERGENCE, "contact-o8", solution_error=1e-19), "contact-o8", "solution_error"),
+    "error not a number": (setting(LAWS_TABLE, "rk4", solution_error=math.nan), "rk4", "solution_error"),
+    "error infinite": (setting(LAWS_TABLE, "rk4", solution_error=math.inf), "rk4", "solution_error"),
+    "round-off lost": (setting(LAWS_TABLE, "rk4", momentum_law=3e-12), "rk4", "momentum_law"),
+    "slope": (
+        lambda t, r: {**r, "pairwise_order": 3.8} if t is CONVERGENCE and r["in_fit"] and r["method"] == "rk4" else r,
+        "rk4", "pairwise_order",
+    ),
+    "one gradient more": (setting(WORK_PRECISION, "rk4", evaluations=801), "rk4", "evaluations"),
+    "a fifth more steps": (setting(WORK_PRECISION, "cvode-adams", steps=241), "cvode-adams", "steps"),
+    "status": (setting(WORK_PRECISION, "rk4", status="diverged", solution_error=math.nan), "rk4", "status"),
+    "a refusal that ends well": (setting(WORK_PRECISION, "cvode-bdf", status="ok"), "cvode-bdf", "status"),
+    "order claimed": (setting(CONVERGENCE, "contact-o8", order_nominal=6), "contact-o8", "order_nominal"),
+    "verdict of a claim": (setting(CLAIMS_TABLE, "any", verdict="refuted"), "any", "verdict"),
+    "dropped method": (
+        lambda t, r: None if r["method"] == "contact-o8" else r, "contact-o8", "row of convergence",
+    ),
+    "dropped setting": (
+        lambda t, r: None if t is CONVERGENCE and r["setting"] == "step=0.8" else r, "rk4", "row of convergence",
+    ),
+    "dropped table": (lambda t, r: None if t is LAWS_TABLE else r, "rk4", "row of laws"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_kind_of_regression_is_red_and_named(fault, baseline, tmp_path):
+    change, method, measure = FAULTS[fault]
+    verdict = judged(baseline, change, tmp_path)
+    assert verdict.red
+    red = [line for line in verdict.lines if line.red]
+    assert (method, measure) in {(line.method, line.measure) for line in red}
+    assert {line.scene for line in red} == {"particle"}
+    text = next(line for line in verdict.as_markdown().splitlines() if measure in line and method in line)
+    assert "particle" in text
+    assert json.loads(verdict.as_json())["red"]
+
+
+ALLOWED = {
+    "error within a factor of two": setting(LAWS_TABLE, "rk4", solution_error=1.9e-5),
+    "round-off that stays so": setting(LAWS_TABLE, "rk4", momentum_law=9e-13),
+    "a tenth more steps": setting(WORK_PRECISION, "cvode-adams", steps=219),
+    "slope outside the asymptotic range": lambda t, r: (
+        {**r, "pairwise_order": 0.5} if t is CONVERGENCE and not r["in_fit"] else r
+    ),
+    "time": setting(WORK_PRECISION, "rk4", time_median_s=1.0),
+    "message": setting(WORK_PRECISION, "cvode-bdf", message="other words"),
+    "measured value of a claim": setting(CLAIMS_TABLE, "any", measured=3e-16),
+}
+
+
+@pytest.mark.parametrize("change", ALLOWED.values(), ids=ALLOWED)
+def test_what_may_move_is_green(change, baseline, tmp_path):
+    assert not judged(baseline, change, tmp_path).red
+
+
+def test_errors_at_round_off_may_move(tmp_path):
+    before = folder(tmp_path / "b", setting(LAWS_TABLE, "rk4", solution_error=2e-16))
+    assert not judged(before, setting(LAWS_TABLE, "rk4", solution_error=2e-14), tmp_path).red
+    assert judged(before, setting(LAWS_TABLE, "rk4", solution_error=1e-13), tmp_path / "again").red
+
+
+def test_of_a_larger_run_the_larger_profiles_rows_are_expected(baseline, tmp_path):
+    small = judged(baseline, lambda t, r: r, tmp_path, keep=lambda row: row["profile"] == "smoke")
+    assert not small.red
+    standard = {**RUN, "profile": "standard"}
+    large = judged(
+        baseline, lambda t, r: r, tmp_path / "again", keep=lambda row: row["profile"] == "smoke", run=standard
+    )
+    assert [(line.measure, line.setting) for line in large.lines] == [("row of work_precision", "step=0.01")]
+
+
+def test_the_worst_row_stands_for_a_measure(baseline, tmp_path):
+    verdict = judged(
+        baseline,
+        lambda t, r: {**r, "solution_error": r["solution_error"] * (30 if r["in_fit"] else 3)}
+        if t is CONVERGENCE and r["method"] == "rk4" else r,
+        tmp_path,
+    )  # fmt: skip
+    (line,) = (line for line in verdict.lines if line.measure == "solution_error")
+    assert (line.setting, line.change, line.rows) == ("step=0.1", "×30", 2)
+
+
+def test_new_rows_and_other_machines_are_noted_not_judged(baseline, tmp_path):
+    fresh = folder(tmp_path / "fresh", run={**RUN, "cpu": "b"})
+    merge(LAWS_TABLE, [row("mine", solution_error=1.0)], fresh)
+    verdict = accuracy(baseline, fresh)
+    assert not verdict.red
+    assert set(verdict.notes) == {"1 rows have no baseline yet", "processor: baseline a, fresh b"}
+
+
+def test_every_table_says_what_is_compared():
+    for item in TABLES.values():
+        assert item.rules or item is GATE_SELFCHECK, item.name
+        assert set(item.rules) <= set(item.columns), item.name
+        assert not set(item.rules) & set(item.key), item.name
+    for name in (column for item in TABLES.values() for column in item.columns if column.endswith("_s")):
+        assert not any(name in item.rules for item in TABLES.values())  # no absolute time is ever judged
+    assert LAWS_TABLE.rules["momentum_law"] is Rule.structure
+    assert LAWS_TABLE.rules["solution_error"] is Rule.error
+    assert pytest.approx(2, abs=0.01) == 10**DECADES
+
+
+# -- bad input -------------------------------------------------------------------------------------
+def outcome(capsys, *arguments):
+    status = main(["gate", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return status, captured.out + captured.err
+
+
+def test_exit_status_and_json(baseline, tmp_path, capsys):
+    good, bad = folder(tmp_path / "good"), folder(tmp_path / "bad", FAULTS["error"][0])
+    assert outcome(capsys, "--only", "accuracy", "--baseline", baseline, "--fresh", good)[0] == 0
+    status, text = outcome(capsys, "--only", "accuracy", "--baseline", baseline, "--fresh", bad, "--json")
+    assert status == 1
+    (line,) = json.loads(text)["lines"]
+    assert (line["scene"], line["method"], line["measure"]) == ("particle", "rk4", "solution_error")
+    assert line["change"] == "×2.2"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda b: (b / "environment.json").unlink(), "no finished benchmark run"),
+        (lambda b: (b / "environment.json").write_text("[1]"), "not the record of a benchmark run"),
+        (lambda b: LAWS_TABLE.path(b).write_text("a,b\n1,2\n"), "columns are not those of table 'laws'"),
+        (lambda b: [path.unlink() for path in b.glob("*.csv")], "no row that a run of profile 'smoke' makes"),
+    ],
+    ids=["no environment", "odd environment", "foreign table", "no tables"],
+)
+def test_a_bad_baseline_is_one_line_and_exit_two(spoil, message, baseline, tmp_path, capsys):
+    fresh = folder(tmp_path / "fresh")
+    spoil(baseline)
+    status, text = outcome(capsys, "--only", "accuracy", "--baseline", baseline, "--fresh", fresh)
+    assert status == 2
+    assert message in text
+    assert text.count("\n") == 1
+
+
+def test_without_benchmark_git_or_revision_it_could_not_run(baseline, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, text = outcome(capsys, "--only", "accuracy", "--baseline", baseline)
+    assert (status, text.count("\n")) == (2, 1)
+    assert "no benchmark there" in text
+    status, text = outcome(capsys, "--only", "speed", "--baseline", baseline)
+    assert (status, text.count("\n")) == (2, 1)
+    assert "not a git repository" in text
+    monkeypatch.chdir(REPOSITORY)
+    status, text = outcome(capsys, "--only", "speed", "--baseline", baseline, "--base", "no-such")
+    assert (status, text.count("\n")) == (2, 1)
+    assert "--base no-such: no such revision" in text
+    monkeypatch.setenv("PATH", str(tmp_path))
+    status, text = outcome(capsys, "--only", "speed", "--baseline", baseline)
+    assert (status, text.count("\n")) == (2, 1)
+    assert "git: not installed" in text
+
+
+# -- runs --------------------------------------------------------------------------------------
+def pytest_run(tree, *arguments):
+    """The benchmark in a tree, with the tree's own sources."""
+    command = [sys.executable, "-m", "pytest", "bench", "-q", "-p", "no:cacheprovider", *arguments]
+    done = subprocess.run(command, cwd=tree, env=speed.environment(tree), capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    "experiment", sorted(path.stem for path in (REPOSITORY / "bench").glob("bench_*.py"))
+)
+def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
+    """What `profile` in a row promises: a larger run has the rows of a smaller one."""
+    spec = spec_from_file_location("bench_conftest", REPOSITORY / "bench" / "conftest.py")
+    conftest = module_from_spec(spec)
+    sys.modules[spec.name] = conftest
+    spec.loader.exec_module(conftest)
+    assert tuple(conftest.PROFILES) == table.PROFILES
+    tests = [f for f in vars(import_module(experiment)).values() if hasattr(f, "cells")]
+    assert tests
+    for test in tests:
+        cells = [set(test.cells(profile)) for profile in conftest.PROFILES.values()]
+        assert cells[0]
+        assert cells[0] <= cells[1] <= cells[2]
+
+
+def test_a_wrong_coefficient_is_found_in_real_runs(copy, tmp_path):
+    few = ("--profile", "smoke", "-k", "convergence and particle and not long and contact-strang")
+    pytest_run(copy, "--results", tmp_path / "before", *few)
+    with patched(copy / "src" / "contactbench" / "composition.py", '("drift_damp", ONE), ("kick", HALF)),',
+                 '("drift_damp", ONE * Fraction(1001, 1000)), ("kick", HALF)),'):  # fmt: skip
+        pytest_run(copy, "--results", tmp_path / "after", *few)
+    verdict = accuracy(tmp_path / "before", tmp_path / "after")
+    assert {(line.scene, line.method, line.measure) for line in verdict.lines if line.red} == {
+        ("particle", "contact-strang", "solution_error"),
+        ("particle", "contact-strang", "pairwise_order"),
+    }
+
+
+# -- speed -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("first", "again", "expected"),
+    [
+        ((1.0, 0.9, 1.2), None, "pass"),
+        ((1.3, 1.2, 1.4), None, "inconclusive"),
+        ((1.5, 1.4, 1.6), (1.5, 1.3, 1.7), "slower"),
+        ((1.5, 1.4, 1.6), (1.2, 1.1, 1.3), "inconclusive"),
+        ((1.5, 1.4, 1.6), None, "inconclusive"),
+        ((0.5, 0.4, 0.6), None, "pass"),
+    ],
+)
+def test_slower_takes_two_intervals_above_the_limit(first, again, expected):
+    def ratio(values):
+        return None if values is None else PairedRatio(*values, 15)
+
+    assert speed.verdict(ratio(first), ratio(again)) == expected
+
+
+def test_the_workload_is_the_finest_setting_that_is_short(baseline):
+    merge(
+        WORK_PRECISION,
+        [
+            row(setting=f"step={h}", track="fixed", carried="M R", time_median_s=time, scene="rigid_body")
+            for h, time in ((0.2, 1e-5), (0.1, 2e-3), (0.05, 5e-3))
+        ]
+        + [row("scipy-radau", "rtol=0.001", track="adaptive", carried="q p", time_median_s=5e-3)],
+        baseline,
+    )
+    cells = speed.workload(table.read(WORK_PRECISION, baseline))
+    assert [(c.scene, c.method, c.setting, c.carry) for c in cells] == [
+        ("particle", "rk4", "step=0.1", ()),
+        ("particle", "cvode-adams", "rtol=1e-06", ()),
+        ("rigid_body", "rk4", "step=0.1", ("R",)),
+    ]  # neither the run out of budget nor the long one
+
+
+CELLS = [speed.Cell("particle", "contact-strang", "python", "step=0.1", ())]
+
+
+@contextmanager
+def patched(file, old, new):
+    """A source file with one passage replaced, for as long as the block lasts."""
+    original = file.read_text()
+    assert original.count(old) == 1
+    file.write_text(original.replace(old, new))
+    try:
+        yield
+    finally:
+        file.write_text(original)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """A clone of the project with its sources as they are now, committed."""
+    path = tmp_path_factory.mktemp("copy").resolve()
+    shutil.copytree(REPOSITORY / "src", path / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("bench", "references"):
+        shutil.copytree(REPOSITORY / name, path / name)
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(REPOSITORY / name, path)
+    for arguments in (
+        ["init", "-q"], ["add", "."],
+        ["-c", "user.name=t", "-c", "user.email=t@example.org", "commit", "-q", "-m", "all"],
+    ):  # fmt: skip
+        subprocess.run(["git", "-C", str(path), *arguments], check=True)
+    return path
+
+
+def test_the_same_code_is_not_slower_and_twice_the_work_is(copy):
+    same = speed.compare_revisions(copy, "HEAD", CELLS)
+    assert [verdict for *_, verdict in same.judged] in (["pass"], ["inconclusive"])
+    assert same.refused == ()
+    once = "        x = method.advance(scene, x, h, n, xp)\n"
+    with patched(
+        copy / "src" / "contactbench" / "methods" / "fixed_step.py", once, once.replace("x =", "_ =") + once
+    ):
+        slower = speed.compare_revisions(copy, None, CELLS)  # local changes: compared with HEAD
+    assert slower.head.endswith("with local changes")
+    ((_, ratio, verdict),) = slower.judged
+    assert verdict == "slower"
+    assert ratio.ratio == pytest.approx(2, rel=0.15)
+    assert not subprocess.run(
+        ["git", "-C", str(copy), "worktree", "list", "--porcelain"], capture_output=True, text=True
+    ).stdout.count("contactbench-base")  # nothing is left behind
+
+
+def test_a_cell_one_side_cannot_run_is_reported_and_a_broken_tree_is_not_compared(copy, tmp_path):
+    cells = [*CELLS, speed.Cell("particle", "no-such-method", "jax", "step=0.1", ())]
+    ratios, refused = speed.paired_times([sys.executable] * 2, [copy] * 2, cells, rounds=2, seed=0)
+    assert set(ratios) == {0}
+    assert "base: UnknownName" in refused[1]
+    (tmp_path / "src" / "contactbench").mkdir(parents=True)
+    (tmp_path / "src" / "contactbench" / "__init__.py").write_text("raise RuntimeError('broken')")
+    with pytest.raises(BadInput, match="timing process ended: RuntimeError: broken"):
+        speed.paired_times([sys.executable] * 2, [copy, tmp_path], CELLS, rounds=2, seed=0)
+
+
+def test_turns_are_shuffled_and_paired(monkeypatch, tmp_path):
+    """Timed in turns by a clock that drifts: the ratio does not see the drift."""
+    asked = []
+
+    class Drifting:
+        def __init__(self, _python, tree, _cells, _core, _later):
+            self.factor = 1.5 if tree.name == "head" else 1.0
+            self.name = tree.name
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def refused(self):
+            return {}
+
+        def time(self, cell):
+            asked.append((self.name, cell))
+            return self.factor * 1e-3 * (1 + cell) * np.exp(len(asked) / 50)
+
+    monkeypatch.setattr(speed, "Side", Drifting)
+    ratios, _ = speed.paired_times(["p", "p"], [tmp_path / "base", tmp_path / "head"], CELLS * 4, 15, seed=0)
+    for ratio in ratios.values():
+        assert ratio.ratio == pytest.approx(1.5, rel=0.03)
+        assert ratio.low < 1.5 < ratio.high or ratio.ratio == pytest.approx(1.5, rel=0.03)
+    first = [asked[i][0] for i in range(0, len(asked), 2)]
+    assert 20 < first.count("base") < 40  # of 60 pairs either goes first
+    assert [cell for _, cell in asked[:8:2]] != [cell for _, cell in asked[8:16:2]]
+
+
+# -- the self-check --------------------------------------------------------------------------------
+def test_what_the_self_check_plants_is_still_there_to_be_changed():
+    patches = gate_selfcheck.coefficients()
+    assert set(patches) == {composition.name for composition in COMPOSITIONS}
+    assert all(len(mine) >= 2 for mine in patches.values())
+    planted = [patch for mine in patches.values() for patch in mine]
+    planted += [fault.patch for fault in gate_selfcheck.FAULTS]
+    planted += [patch for factor in gate_selfcheck.SLOWDOWNS for patch in gate_selfcheck.slowdown(factor)]
+    for patch in planted:
+        assert (REPOSITORY / patch.file).read_text().count(patch.old) == 1, patch
+        assert patch.new != patch.old
+
+
+def test_its_document_counts_alarms_and_faults():
+    rows = [
+        gate_selfcheck.outcome(
+            "accuracy", "nothing", "idle", "none", [(False, ""), (True, "cried wolf")], 1.0
+        ),
+        gate_selfcheck.outcome("accuracy", "a fault", "idle", "all", [(True, "a|b"), (True, "c")], 2.0),
+    ]
+    text = gate_document(pd.DataFrame(rows))
+    assert "1 false alarms in 2 judgements; 2 of 2 planted faults found" in text
+    assert "cried wolf" in text
+    assert "a\\|b" in text
