@@ -38,11 +38,8 @@ def library() -> ctypes.CDLL | str:
     )
 
 
-def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
-    """A function that runs the scene (the particle) and returns the final (q, p), and its evaluations."""
-    loops = library()
-    if isinstance(loops, str):
-        return loops
+def constants(method: str, scene, step: float) -> tuple[str, int, list[np.ndarray]]:
+    """The loop's name, the steps to the end of the scene, and kicks, φ/m, keep and lose of every stage."""
     name, composition = KERNELS[method]
     n = round(scene.t_end / step)
     h = scene.t_end / n
@@ -53,14 +50,53 @@ def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], i
         if f == "drift_damp"
     ]
     phi, _, keep, lose = (np.array(column) for column in zip(*drifts, strict=True))
+    return name, n, [kicks, phi, keep, lose]
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
+    """A function that runs the scene (the particle) and returns the final (q, p), and its evaluations."""
+    loops = library()
+    if isinstance(loops, str):
+        return loops
+    name, n, numbers = constants(method, scene, step)
     start = np.array([*scene.q, *scene.p])
-    pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (kicks, phi, keep, lose)]
     loop, coupling = getattr(loops, name), ctypes.c_double(scene.parameters["coupling"])
 
     def run() -> np.ndarray:
         y = start.copy()
-        loop(ctypes.c_int64(n), coupling, *pointers, y.ctypes.data_as(ctypes.c_void_p))
+        loop(ctypes.c_int64(n), coupling, *map(pointer, numbers), pointer(y))
         return y
 
-    run.keeps_alive = (kicks, phi, keep, lose)
-    return run, n * len(drifts) + 1
+    return run, n * len(numbers[1]) + 1
+
+
+#: shapes of the ensemble loops, see limit.c
+SHAPES = ("passes", "plain", "tiled")
+
+
+def ensemble_kernel(
+    method: str, shape: str, scene, step: float, start: np.ndarray
+) -> tuple[Callable[[], np.ndarray], int, int] | str:
+    """As `kernel`, from start (4, m), one array per component; and the steps."""
+    loops = library()
+    if isinstance(loops, str):
+        return loops
+    name, n, numbers = constants(method, scene, step)
+    loop, coupling = getattr(loops, f"{name}_{shape}"), ctypes.c_double(scene.parameters["coupling"])
+
+    def run() -> np.ndarray:
+        y = [column.copy() for column in start]
+        loop(
+            ctypes.c_int64(start.shape[1]),
+            ctypes.c_int64(n),
+            coupling,
+            *map(pointer, numbers),
+            *map(pointer, y),
+        )
+        return np.array(y)
+
+    return run, n * len(numbers[1]) + 1, n

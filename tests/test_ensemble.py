@@ -83,7 +83,9 @@ def test_the_laws_a_scene_has_are_measured_and_no_others():
     assert measured(CENTRAL) == {"energy_change", "hamiltonian_law", "momentum_law"}
     assert measured(PARTICLE) == {"energy_change", "hamiltonian_law"}
     assert measured(PARTICLE, carry=()) == {"energy_change"}
-    assert measured(cb.SCENES["quadratic_damping"]) == {"energy_change"}  # its rate is known to the truth alone
+    assert measured(cb.SCENES["quadratic_damping"]) == {
+        "energy_change"
+    }  # its rate is known to the truth alone
 
 
 @pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
@@ -105,7 +107,13 @@ def test_rolling_the_stages_changes_nothing(composition, scene, mp50):
 
 
 def test_the_period_of_a_list_is_the_shortest_that_repeats():
-    assert [shortest_period(list(names)) for names in ("a", "aaa", "abab", "aba", "abaaba")] == [1, 1, 2, 3, 3]
+    assert [shortest_period(list(names)) for names in ("a", "aaa", "abab", "aba", "abaaba")] == [
+        1,
+        1,
+        2,
+        3,
+        3,
+    ]
 
 
 # -- chunks, tiles, devices, parameters ------------------------------------------------------------
@@ -183,7 +191,9 @@ def test_a_diverged_member_is_counted_and_leaves_the_others_alone():
     assert out.ok.tolist() == [True, False, True]
     assert np.isnan(packed(out)[:, 1]).all()
     assert all(np.isnan(values[1]) for values in out.measures.values())
-    alone = cb.solve(scene.with_(q=(8.0, -8.0), p=(6.0, -6.0)), "contact-strang", step=0.01, save_at=[0.5, 2.0, 4.0])
+    alone = cb.solve(
+        scene.with_(q=(8.0, -8.0), p=(6.0, -6.0)), "contact-strang", step=0.01, save_at=[0.5, 2.0, 4.0]
+    )
     assert alone.status is Status.diverged
     assert out.end_time.tolist() == [4.0, 2.0, 4.0]
     assert 2.0 <= alone.end_time < 4.0  # a single solution locates it to the step
@@ -198,7 +208,10 @@ def test_a_diverged_member_is_counted_and_leaves_the_others_alone():
 
 def test_where_all_diverge_there_are_no_statistics():
     out = cb.ensemble(
-        PARTICLE.with_(t_end=4.0), "contact-strang", {"q": (np.full(2, 8.0), -8.0), "p": (6.0, -6.0)}, step=0.01
+        PARTICLE.with_(t_end=4.0),
+        "contact-strang",
+        {"q": (np.full(2, 8.0), -8.0), "p": (6.0, -6.0)},
+        step=0.01,
     )
     assert out.endings == {Status.ok: 0, Status.diverged: 2}
     assert np.isnan([*out.statistics.values()]).all()
@@ -207,7 +220,10 @@ def test_where_all_diverge_there_are_no_statistics():
 NAN, TWO, THREE = np.array([0.1, np.nan]), np.zeros(2), np.zeros(3)
 BAD = [
     ({"method": "scipy-dop853"}, "an ensemble takes a fixed-step method: contact-printed, "),
-    ({"method": "contact-rkn6", "scene": BODY, "given": {"M": (TWO, 0.1, 0.1)}}, "needs kicks and a merged drift"),
+    (
+        {"method": "contact-rkn6", "scene": BODY, "given": {"M": (TWO, 0.1, 0.1)}},
+        "needs kicks and a merged drift",
+    ),
     ({"method": "rk5"}, "did you mean 'rk4'?"),
     ({"step": 0}, "step = 0: must be > 0"),
     ({"step": 1e-9}, "of which 100000000 are allowed"),

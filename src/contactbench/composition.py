@@ -332,7 +332,7 @@ def advance(
     return run((*inner, *closing), x)
 
 
-def shortest_period(names: Sequence[str]) -> int:
+def shortest_period(names: list[str]) -> int:
     """The length of the shortest list whose repetition is `names`."""
     size = len(names)
     return next(p for p in range(1, size + 1) if size % p == 0 and names == names[:p] * (size // p))

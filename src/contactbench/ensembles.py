@@ -220,7 +220,9 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
     """The decay laws that are defined on a scene and read only what is carried."""
     if scene.conformal_rate is None:  # the rate follows s: what is true is not known
         return []
-    return [name for name in DECAYING if LAWS[name].applies(scene) and {*LAWS[name].needs_on(scene)} <= {*carry}]
+    return [
+        name for name in DECAYING if LAWS[name].applies(scene) and {*LAWS[name].needs_on(scene)} <= {*carry}
+    ]
 
 
 _programs: dict[Any, Callable[..., Any]] = {}
@@ -255,12 +257,19 @@ def integrated(
     individual = np.array([*own.values()]).reshape(len(own), n)
     numbers = np.array(r.scene.numbers())
     ends = r.save_at[1:] if run.saves_start else r.save_at
-    for first in range(0, n, count):
-        part = slice(first, min(first + count, n))
-        filled = ((0, 0), (0, size - (part.stop - first)))  # the last trajectory again and again
+
+    def begun(part: slice) -> Any:
+        filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
         arrays = (np.pad(a[:, part], filled, mode="edge") for a in (y0, individual))
-        out = _programs[key](*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, ends))
-        yield tuple(np.asarray(a)[..., : part.stop - first] for a in out)  # type: ignore[misc]
+        return _programs[key](*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, ends))
+
+    parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
+    ahead = begun(parts[0])
+    for part, following in zip(parts, [*parts[1:], None], strict=True):
+        out = ahead
+        if following is not None:  # begun before this one is waited for: no device idles at its end
+            ahead = begun(following)
+        yield tuple(np.asarray(a)[..., : part.stop - part.start] for a in out)  # type: ignore[misc]
 
 
 def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile: int) -> Callable[..., Any]:
@@ -303,7 +312,7 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
 
     def share(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, own)]
-        y, measures, end = lax.map(lambda part: one_tile(*part, numbers, spans), tiles)
+        y, measures, end = lax.map(lambda part: one_tile(part[0], part[1], numbers, spans), tiles)
         return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)
 
     def scale(motion: Any) -> Any:
@@ -335,6 +344,7 @@ def overall(names: list[str], rows: list[np.ndarray]) -> tuple[dict[str, Statist
     ok, diverged, rest = int(row[0]), int(row[1]), row[2:].reshape(2, len(names))
     total, largest = rest if ok else np.full_like(rest, np.nan)
     statistics = {
-        name: Statistic(float(s) / max(ok, 1), float(m)) for name, s, m in zip(names, total, largest, strict=True)
+        name: Statistic(float(s) / max(ok, 1), float(m))
+        for name, s, m in zip(names, total, largest, strict=True)
     }
     return statistics, {Status.ok: ok, Status.diverged: diverged}

@@ -129,6 +129,28 @@ WORK_PRECISION = Table(
     },
 )
 
+ENSEMBLE_TABLE = Table(
+    "ensemble",
+    "throughput of ensembles: against C loops, at equal error, with their number and with the cores",
+    {
+        **_COMMON,
+        "track": "what the row is for: arithmetic (same steps as C loops), error, size or cores",
+        "trajectories": "number of trajectories",
+        "cores": "cores used",
+        "solution_error": "max ‖y(T) − y*(T)‖ / max ‖y*(T)‖ over the first four trajectories",
+        "steps": "accepted steps of one trajectory, the most taken by any where they differ",
+        "evaluations": "evaluations of evaluation_kind for one trajectory, where the solver says",
+        "evaluation_kind": "gradient, rhs or taylor",
+        "first_call_s": "first call, compilation included",
+        "time_min_s": "fastest round, seconds for all trajectories, final states on the host",
+        "time_median_s": "median over rounds",
+        "time_iqr_s": "interquartile range over rounds",
+        "rounds": "timed rounds",
+        "iterations": "calls per round",
+    },
+    key=(*KEY, "track", "trajectories", "cores"),
+)
+
 SEPARATOR = " // "  #: between the measurements listed in one cell
 
 CLAIMS_TABLE = Table(
@@ -182,10 +204,29 @@ PAPER_FIGURES = Table(
 
 TABLES = {
     table.name: table
-    for table in (CONVERGENCE, LAWS_TABLE, LAWS_TIME, WORK_PRECISION, CLAIMS_TABLE, PAPER_FIGURES)
+    for table in (
+        CONVERGENCE,
+        LAWS_TABLE,
+        LAWS_TIME,
+        WORK_PRECISION,
+        ENSEMBLE_TABLE,
+        CLAIMS_TABLE,
+        PAPER_FIGURES,
+    )
 }
 
-_WHOLE = ("steps", "evaluations", "jacobians", "rounds", "iterations", "saved_times", "schema", "point")
+_WHOLE = (
+    "steps",
+    "evaluations",
+    "jacobians",
+    "rounds",
+    "iterations",
+    "saved_times",
+    "schema",
+    "point",
+    "trajectories",
+    "cores",
+)
 
 
 # -- reading and writing ---------------------------------------------------------------------------
