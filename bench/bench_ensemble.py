@@ -58,8 +58,7 @@ def core_counts():
 
 def ladder(profile):
     """(track, scene, method, engine, setting, trajectories, cores)."""
-    smoke, full = profile.points == 1, profile.name == "full"
-    rows = []
+    smoke, rows = profile.points == 1, []
     for method in KERNELS:
         rows.append(("arithmetic", "particle_long", method, "jax", "step=0.1", 1024, 1))
         rows += [
@@ -70,14 +69,14 @@ def ladder(profile):
         rows += [("error", "particle", method, "jax", f"step={h:g}", 4096, 1) for h in steps]
     for method, engine, shape in PEERS:
         rows += [("error", "particle", method, engine, f"{shape} rtol={rtol:g}", 4096, 1) for rtol in RTOLS]
-    if smoke:  # one kernel, one setting, one shape
-        wanted = ("step=0.4", "shared rtol=1e-06", "batch rtol=1e-06", f"{OURS} plain step=0.1")
-        rows = [row for row in rows if row[4] in wanted or row[:3] == ("arithmetic", "particle_long", OURS)]
-    sizes = [10**k for k in range(3, 4 if smoke else 8 if full else 7)]
+    if smoke:  # one kernel, one setting of three methods, all cores
+        wanted = (OURS, "limit-c", "diffrax-dopri8", "heyoka-taylor")
+        settings = ("step=0.1", f"{OURS} plain step=0.1", "step=0.4", "shared rtol=1e-06", "batch rtol=1e-06")
+        rows = [row for row in rows if row[2] in wanted and row[4] in settings]
+        return [*rows, ("cores", "particle", OURS, "jax", "step=0.1", 20_000, core_counts()[-1])]
+    sizes = [10**k for k in range(3, 8 if profile.name == "full" else 7)]
     rows += [("size", "particle", OURS, "jax", "step=0.4", n, 1) for n in sizes]
-    rows += [
-        ("cores", "particle", OURS, "jax", "step=0.1", 20_000 if smoke else 200_000, k) for k in core_counts()
-    ]
+    rows += [("cores", "particle", OURS, "jax", "step=0.1", 200_000, k) for k in core_counts()]
     return rows
 
 

@@ -337,7 +337,7 @@ def work_precision_document(frame: pd.DataFrame) -> str:
 
 # -- ensembles -------------------------------------------------------------------------------------
 def ensemble_document(frame: pd.DataFrame) -> str:
-    frame = frame[frame["status"] == "ok"]
+    frame = frame[frame["status"] == "ok"].astype({"trajectories": float, "evaluations": float})
     frame = frame.assign(each=frame["time_median_s"] / frame["trajectories"])
     frame = frame.assign(stage=frame["each"] / frame["evaluations"], a_second=1 / frame["each"])
     return f"""# Ensembles
@@ -347,9 +347,9 @@ host, by the side of each other in one run.
 
 ## The same arithmetic as C loops
 
-One core, 1024 trajectories, 20 000 steps; fastest round, per gradient and trajectory. `passes`: every flow a loop over all
-trajectories; `plain`: drift and kick in one loop; `tiled`: all steps of some trajectories before the next. A ratio
-below one: ours is faster than the loop.
+One core, 1024 trajectories, 20 000 steps; fastest round, per gradient and trajectory. `passes`: every flow a loop
+over all trajectories; `plain`: drift and kick in one loop; `tiled`: all steps of some trajectories before the next.
+A ratio below one: ours is faster than the loop.
 
 {arithmetic_table(frame[frame["track"] == "arithmetic"])}
 
