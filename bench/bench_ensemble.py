@@ -25,6 +25,8 @@ from contactbench.table import ENSEMBLE_TABLE
 from limit import KERNELS, SHAPES
 from peers import prepared
 
+pytestmark = pytest.mark.timed
+
 SAMPLE = 4
 STEPS = {
     "contact-strang": (0.1, 0.02, 0.004, 0.001),
@@ -119,7 +121,6 @@ def row_of(cell, timing):
     return row | dict(zip(("steps", "evaluations", "evaluation_kind"), costs(), strict=True))
 
 
-@pytest.mark.timed
 @cells(ladder)
 def test_ensemble(cell, profile, record, benchmark):
     if cell[-1] == 1:
