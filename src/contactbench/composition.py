@@ -434,4 +434,8 @@ def advance_by_the_clock(
 def scaled(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
     """The coefficients times a factor: one vector for array namespaces, else a list."""
     values = [number(c, xp) for c in coefficients]
-    return xp.multiply.outer(xp.asarray(values), factor) if hasattr(xp, "asarray") else [c * factor for c in values]
+    return (
+        xp.multiply.outer(xp.asarray(values), factor)
+        if hasattr(xp, "asarray")
+        else [c * factor for c in values]
+    )
