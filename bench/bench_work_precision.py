@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import RTOLS, cells, engines, outcome, step_budget, work_ladder
+from cells import RTOLS, cells, engines, outcome, step_budget, timed, work_ladder
 from contactbench.laws import absolute_error
 from contactbench.table import WORK_PRECISION
 from limit import KERNELS, kernel
@@ -25,8 +25,6 @@ pytestmark = pytest.mark.timed
 ENDS = 5
 #: a fixed-step method that is also run to tolerances, its pilots counted and timed
 CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"), [1e-4, 1e-6, 1e-8, 1e-10]
-ROUND_SECONDS = 1e-3
-MOST_ROUNDS = 40
 
 
 def ladder(profile):
@@ -129,24 +127,3 @@ def test_limit(cell, profile, record, benchmark):
 def exact_step(ladder, printed):
     """The step of the ladder that was printed with six digits."""
     return min(ladder, key=lambda h: abs(h - printed))
-
-
-def timed(run, profile, benchmark, group):
-    """The time columns: rounds of about a millisecond, as many as the profile fills, after a warm-up.
-
-    None with --benchmark-disable: a run for accuracy alone, on all cores, has no times.
-    """
-    if benchmark.disabled:
-        return {}
-    start = perf_counter()
-    run()
-    once = perf_counter() - start
-    iterations = max(1, round(ROUND_SECONDS / once))
-    rounds = min(MOST_ROUNDS, max(profile.rounds, round(profile.seconds / (iterations * once))))
-    benchmark.group = group
-    benchmark.pedantic(run, rounds=rounds, iterations=iterations)
-    stats = benchmark.stats.stats
-    return {
-        "time_min_s": stats.min, "time_median_s": stats.median, "time_iqr_s": stats.iqr,
-        "rounds": stats.rounds, "iterations": iterations,
-    }  # fmt: skip

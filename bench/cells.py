@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ COARSEST = 0.8
 #: scenes of the experiments other than work–precision in the smoke profile
 SMOKE = ("particle",)
 RTOLS = [10.0**-k for k in range(3, 14)]
+ROUND_SECONDS = 1e-3
+MOST_ROUNDS = 40
 
 
 def cells(*ladders: Any) -> Callable[..., Any]:
@@ -107,3 +110,24 @@ def outcome(solution: Solution, counts: Counts | None = None) -> dict[str, Any]:
         "rhs_equivalents": counts.rhs_equivalents,
         "jacobians": counts.jacobians,
     }
+
+
+def timed(run, profile, benchmark, group):
+    """The time columns: rounds of about a millisecond, as many as the profile fills, after a warm-up.
+
+    None with --benchmark-disable: a run for accuracy alone, on all cores, has no times.
+    """
+    if benchmark.disabled:
+        return {}
+    start = perf_counter()
+    run()
+    once = perf_counter() - start
+    iterations = max(1, round(ROUND_SECONDS / once))
+    rounds = min(MOST_ROUNDS, max(profile.rounds, round(profile.seconds / (iterations * once))))
+    benchmark.group = group
+    benchmark.pedantic(run, rounds=rounds, iterations=iterations)
+    stats = benchmark.stats.stats
+    return {
+        "time_min_s": stats.min, "time_median_s": stats.median, "time_iqr_s": stats.iqr,
+        "rounds": stats.rounds, "iterations": iterations,
+    }  # fmt: skip

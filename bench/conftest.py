@@ -12,6 +12,7 @@ from typing import Any
 # One thread for every engine; read when the libraries are first imported.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+import jax
 import pytest
 
 from contactbench import journal, table
@@ -82,6 +83,7 @@ def pin_to_one_core(which: int) -> None:
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[which % len(cores)]})
+        jax.config.update("jax_num_cpu_devices", 1)  # contactbench, imported before, took one for every core
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

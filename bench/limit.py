@@ -38,11 +38,8 @@ def library() -> ctypes.CDLL | str:
     )
 
 
-def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
-    """A function that runs the scene (the particle) and returns the final (q, p), and its evaluations."""
-    loops = library()
-    if isinstance(loops, str):
-        return loops
+def constants(method: str, scene, step: float) -> tuple[str, int, list[np.ndarray]]:
+    """The loop's name, the steps to the end of the scene, and kicks, φ/m, keep and lose of every stage."""
     name, composition = KERNELS[method]
     n = round(scene.t_end / step)
     h = scene.t_end / n
@@ -53,14 +50,70 @@ def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], i
         if f == "drift_damp"
     ]
     phi, _, keep, lose = (np.array(column) for column in zip(*drifts, strict=True))
+    return name, n, [kicks, phi, keep, lose]
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
+    """A function that runs the scene (the particle) and returns the final (q, p), and its evaluations."""
+    loops = library()
+    if isinstance(loops, str):
+        return loops
+    name, n, numbers = constants(method, scene, step)
     start = np.array([*scene.q, *scene.p])
-    pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (kicks, phi, keep, lose)]
     loop, coupling = getattr(loops, name), ctypes.c_double(scene.parameters["coupling"])
 
     def run() -> np.ndarray:
         y = start.copy()
-        loop(ctypes.c_int64(n), coupling, *pointers, y.ctypes.data_as(ctypes.c_void_p))
+        loop(ctypes.c_int64(n), coupling, *map(pointer, numbers), pointer(y))
         return y
 
-    run.keeps_alive = (kicks, phi, keep, lose)
-    return run, n * len(drifts) + 1
+    return run, n * len(numbers[1]) + 1
+
+
+LINE = 64 // 8  # doubles in a cache line
+
+
+def staggered(rows: int, m: int) -> np.ndarray:
+    """An uninitialised (rows, m), each row on a cache line of its own offset within a page.
+
+    Rows a multiple of 4096 bytes apart would have every load wait for a store to another row: 8 times slower.
+    """
+    buffer = np.empty((rows + 1) * (m + 2 * LINE))
+    first = -buffer.ctypes.data // 8 % LINE
+    stride = -(-m // LINE) * LINE + LINE
+    return np.lib.stride_tricks.as_strided(buffer[first:], (rows, m), (8 * stride, 8))
+
+
+#: shapes of the ensemble loops, see limit.c
+SHAPES = ("passes", "plain", "tiled")
+
+
+def ensemble_kernel(
+    method: str, shape: str, scene, step: float, start: np.ndarray
+) -> tuple[Callable[[], np.ndarray], int, int] | str:
+    """As `kernel`, from start (4, m), one array per component; and the steps."""
+    loops = library()
+    if isinstance(loops, str):
+        return loops
+    name, n, numbers = constants(method, scene, step)
+    loop, coupling = getattr(loops, f"{name}_{shape}"), ctypes.c_double(scene.parameters["coupling"])
+
+    trajectories = start.shape[1]
+    columns = staggered(len(start), trajectories)
+
+    def run() -> np.ndarray:
+        columns[:] = start
+        loop(
+            ctypes.c_int64(trajectories),
+            ctypes.c_int64(n),
+            coupling,
+            *map(pointer, numbers),
+            *map(pointer, columns),
+        )
+        return columns.copy()
+
+    return run, n * len(numbers[1]) + 1, n

@@ -1,5 +1,6 @@
 """contactbench: contact splitting integrators against the established ones, measured."""
 
+import contextlib
 import os
 
 # Single trajectories are timed on one thread; XLA reads its flags when JAX is first imported.
@@ -10,7 +11,13 @@ import jax
 jax.config.update("jax_enable_x64", True)
 # Results are waited for at once: a hand-over to a worker thread would only add its wake-up, 50 µs a call.
 jax.config.update("jax_cpu_enable_async_dispatch", False)
+# A device per core this process may use, for ensembles to be sharded over; a choice already made stands.
+if jax.config.jax_num_cpu_devices < 0 and "device_count" not in os.environ["XLA_FLAGS"]:
+    with contextlib.suppress(RuntimeError):  # jax is running already, with the devices it has
+        affinity = getattr(os, "sched_getaffinity", None)
+        jax.config.update("jax_num_cpu_devices", len(affinity(0)) if affinity else os.cpu_count() or 1)
 
+from contactbench.ensembles import Ensemble, ensemble  # noqa: E402
 from contactbench.errors import BadInput, UnknownName  # noqa: E402
 from contactbench.laws import LAWS  # noqa: E402
 from contactbench.methods import METHODS, fixed_step, prepare, solve  # noqa: E402
@@ -26,11 +33,13 @@ __all__ = [
     "SCENES",
     "BadInput",
     "Counts",
+    "Ensemble",
     "Mechanical",
     "RigidBody",
     "Solution",
     "Status",
     "UnknownName",
+    "ensemble",
     "fixed_step",
     "prepare",
     "reference",

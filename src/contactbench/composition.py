@@ -305,41 +305,72 @@ def advance(
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
     flows = flows_of(scene)
     steps = plan(composition, scene)
-    constants = stage_constants((*steps.opening, *steps.inner, *steps.closing, *steps.joint), scene, h, xp)
-
-    def run(stages: Iterable[Stage], x: Any) -> Any:
-        for name, coefficient in stages:
-            x = flows[name].apply(scene, x, constants(name, coefficient), xp)
-        return x
-
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
-    x = run(opening, x)
-    if joint:
-        x = repeat(n - 1, lambda x: run(joint, run(inner, x)), x)
-        return run(closing, run(inner, x))
-    return repeat(n, lambda x: run(inner, x), x)
+    constants = stage_constants((*opening, *inner, *closing, *joint), scene, h, xp)
+    rolled = getattr(repeat, "roll", False)
+
+    def run(stages: Sequence[Stage], x: Any) -> Any:
+        """The stages one after another: written out, or a loop over the period of their flows."""
+        flows_in_turn = [name for name, _ in stages]
+        period = shortest_period(flows_in_turn) if rolled else len(stages)
+        columns = [constants(stages[i::period]) for i in range(period)]
+
+        def round_of(k: Any, x: Any) -> Any:
+            for name, column in zip(flows_in_turn, columns, strict=False):
+                x = flows[name].apply(scene, x, column(k), xp)
+            return x
+
+        if period == len(stages):
+            return round_of(0, x)
+        return repeat(
+            len(stages) // period, lambda carried: (round_of(carried[1], carried[0]), carried[1] + 1), (x, 0)
+        )[0]
+
+    if not joint:
+        return repeat(n, lambda x: run(inner, x), x)
+    x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
+    return run((*inner, *closing), x)
 
 
-def stage_constants(stages: Iterable[Stage], scene: Any, h: Any, xp: Any) -> Callable[[str, Fraction], Any]:
-    """The constants of every stage, computed once and looked up by flow and coefficient.
+def shortest_period(names: list[str]) -> int:
+    """The length of the shortest list whose repetition is `names`."""
+    size = len(names)
+    return next(p for p in range(1, size + 1) if size % p == 0 and names == names[:p] * (size // p))
+
+
+def stage_constants(
+    stages: Iterable[Stage], scene: Any, h: Any, xp: Any
+) -> Callable[[Sequence[Stage]], Callable[[Any], Any]]:
+    """The constants of every stage, computed once: ``constants(some)(k)`` are those of the k-th of some
+    stages of one flow.
 
     For array namespaces all stages of a flow are one vector: an exponential for all of them costs what
-    one costs, and compiled code reads its scalars where it needs them.
+    one costs, and compiled code reads its scalars where it needs them.  h may itself be an array, one
+    entry for each member of an ensemble.
     """
     flows, distinct = flows_of(scene), list(dict.fromkeys(stages))
     if not hasattr(xp, "asarray"):
         scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}
-        return lambda name, coefficient: scalars[name, coefficient]
+        return lambda some: [scalars[stage] for stage in some].__getitem__
     coefficients = {name: [c for f, c in distinct if f == name] for name, _ in distinct}
     vectors = {
-        name: flows[name].constants(scene, xp.asarray([number(c, xp) for c in cs]) * h, xp)
+        name: flows[name].constants(scene, xp.multiply.outer(xp.asarray([number(c, xp) for c in cs]), h), xp)
         for name, cs in coefficients.items()
     }
-    return lambda name, coefficient: entry(vectors[name], coefficients[name].index(coefficient))
+
+    def constants(some: Sequence[Stage]) -> Callable[[Any], Any]:
+        name = some[0][0]
+        rows = [coefficients[name].index(c) for _, c in some]
+        if len(rows) == 1:
+            return lambda k: entry(vectors[name], rows[0])
+        column = entry(vectors[name], xp.asarray(rows))
+        return lambda k: entry(column, k)
+
+    return constants
 
 
-def entry(constants: Any, i: int) -> Any:
-    """Entry i of constants that are a vector, None, or a tuple of such."""
+def entry(constants: Any, i: Any) -> Any:
+    """Entry i of constants that are a vector, None, or a tuple of such; several for an array i."""
     if isinstance(constants, tuple):
         return tuple(entry(c, i) for c in constants)
     return None if constants is None else constants[i]
@@ -403,4 +434,8 @@ def advance_by_the_clock(
 def scaled(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
     """The coefficients times a factor: one vector for array namespaces, else a list."""
     values = [number(c, xp) for c in coefficients]
-    return xp.asarray(values) * factor if hasattr(xp, "asarray") else [c * factor for c in values]
+    return (
+        xp.multiply.outer(xp.asarray(values), factor)
+        if hasattr(xp, "asarray")
+        else [c * factor for c in values]
+    )

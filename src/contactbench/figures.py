@@ -190,6 +190,41 @@ def structure(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
     return figure
 
 
+def ensemble(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
+    """Time per trajectory against error; throughput against trajectories and against cores."""
+    figure, axes = plt.subplots(1, 3, figsize=(13.5, 4.4), layout="constrained")
+    rows = frame[frame["status"] == "ok"]
+    rows = rows.assign(each=rows["time_median_s"] / rows["trajectories"])
+    rows = rows.assign(shape=rows["setting"].str.rpartition(" ")[0])
+    part = rows[rows["track"] == "error"]
+    for (method, shape), line in part.groupby(["method", "shape"], sort=False):
+        dashes = "--" if shape == "vmap" else "-"
+        axes[0].plot(line["solution_error"], line["each"] * 1e6, **style(method), linestyle=dashes)
+    axes[0].set(
+        title="one core (dashed: every trajectory its own steps)", ylabel="time per trajectory, µs",
+        xlabel=labels["solution_error"].partition(" over ")[0], xscale="log", yscale="log",
+    )  # fmt: skip
+    axes[0].invert_xaxis()
+    for panel, track in zip(axes[1:], ("size", "cores"), strict=True):
+        column = "trajectories" if track == "size" else "cores"
+        part = rows[rows["track"] == track].sort_values(column)
+        for method in ordered(part):
+            line = part[part["method"] == method]
+            throughput = (line["evaluations"] / line["each"]).astype(float)
+            panel.plot(line[column].astype(float), throughput, **style(method))
+            if track == "cores":
+                ideal = line["cores"].astype(float) * throughput.iloc[0] / line["cores"].iloc[0]
+                panel.plot(line["cores"].astype(float), ideal, color="#999999", linestyle=":", zorder=0)
+        panel.set(xscale="log", xlabel=column, ylabel="gradients × trajectories per second")
+        panel.set_ylim(bottom=0)
+    axes[1].set(title="number of trajectories")
+    axes[2].set(title="cores (dotted: proportional)", xscale="linear")
+    axes[2].xaxis.get_major_locator().set_params(integer=True)
+    figure.suptitle("ensembles of the particle")
+    shared_legend(figure, [method for method in ordered(rows) if method != "limit-c"], 6)
+    return figure
+
+
 def figures(
     tables: dict[str, pd.DataFrame], labels: Callable[[str], dict[str, str]]
 ) -> Iterator[tuple[str, Figure]]:
@@ -200,6 +235,8 @@ def figures(
             yield f"work_precision_{scene}", work_precision(work, scene, labels("work_precision"))
     if len(tables["convergence"]):
         yield "convergence", convergence(tables["convergence"], labels("convergence"))
+    if (tables["ensemble"]["status"] == "ok").any():
+        yield "ensemble", ensemble(tables["ensemble"], labels("ensemble"))
     if len(laws):
         yield "structure", structure(laws, labels("laws"))
     for scene in dict.fromkeys(time[time["status"] == "ok"]["scene"]):

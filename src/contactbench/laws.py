@@ -199,28 +199,29 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     return np.divide(-np.log(ratio), solution.t, out=np.zeros(len(ratio)), where=solution.t > 0)
 
 
-def scaled(values: np.ndarray, t: np.ndarray, gamma: float | np.ndarray) -> np.ndarray:
+def scaled(values: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
     """values · e^{γt}, in two halves so that neither factor overflows before the product would."""
     with np.errstate(over="ignore", invalid="ignore"):
-        half = np.exp(np.minimum(gamma * t / 2, 700.0)).reshape(-1, *[1] * (values.ndim - 1))
+        half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
+        half = half[..., None] if values.ndim > half.ndim else half
         return values * half * half
 
 
-def conformal_deviation(
-    values: np.ndarray, start: np.ndarray, t: np.ndarray, gamma: float | np.ndarray
-) -> np.ndarray:
+def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
     """‖values e^{γt} − start‖ / ‖start‖ at each time, for values of shape (k, m), start (m,).
 
     Where the true size e^{−γt}‖start‖ is below the meaningful range, the deviation is how far the
-    value exceeds that range (0 when it has underflowed as it should).
+    value exceeds that range (0 when it has underflowed as it should).  For an ensemble k counts its
+    members, and t, γ and start may differ from one to the next.
     """
-    size = float(np.linalg.norm(start)) or 1.0
-    true_log = math.log(size) - gamma * t
+    size = xp.linalg.norm(start, axis=-1)
+    size = xp.where(size > 0, size, 1.0)
+    true_log = xp.log(size) - gamma * t
     meaningful = true_log > math.log(MEANINGFUL)
     with np.errstate(over="ignore", invalid="ignore"):  # where it is not meaningful, just below
-        deviation = np.linalg.norm(scaled(values, t, gamma) - start, axis=1) / size
-    excess = np.maximum(np.abs(values).max(axis=1) / MEANINGFUL - 1, 0.0)
-    return np.where(meaningful, deviation, excess)
+        deviation = xp.linalg.norm(scaled(values, t, gamma, xp) - start, axis=-1) / size
+    excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
+    return xp.where(meaningful, deviation, excess)
 
 
 def hamiltonian_deviation(solution: Solution) -> np.ndarray:

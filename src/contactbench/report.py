@@ -340,6 +340,91 @@ def work_precision_document(frame: pd.DataFrame) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+# -- ensembles -------------------------------------------------------------------------------------
+def ensemble_document(frame: pd.DataFrame) -> str:
+    frame = frame[frame["status"] == "ok"].astype({"trajectories": float, "evaluations": float})
+    frame = frame.assign(each=frame["time_median_s"] / frame["trajectories"])
+    frame = frame.assign(stage=frame["each"] / frame["evaluations"], a_second=1 / frame["each"])
+    return f"""# Ensembles
+
+Many trajectories of a scene at once. Times are medians of the whole call, from initial to final states on the
+host, by the side of each other in one run.
+
+## The same arithmetic as C loops
+
+One core, 1024 trajectories, 20 000 steps; fastest round, per gradient and trajectory. `passes`: every flow a loop
+over all trajectories; `plain`: drift and kick in one loop; `tiled`: all steps of some trajectories before the next.
+A ratio below one: ours is faster than the loop.
+
+{arithmetic_table(frame[frame["track"] == "arithmetic"])}
+
+## A trajectory at equal error
+
+One core; with at most this error: log–log interpolation between a method's own settings, or else the cheapest of
+them that is as accurate; a dash where none is. `vmap`: every trajectory has its own steps; `shared`: those of a
+tile share theirs; `batch`: a vector register of trajectories.
+
+{trajectory_table(frame[frame["track"] == "error"])}
+
+## With the number of trajectories
+
+{growth_table(frame[frame["track"] == "size"], "trajectories")}
+
+## With the number of cores
+
+{growth_table(frame[frame["track"] == "cores"], "cores")}
+
+![time per trajectory against error, throughput against trajectories and cores](figures/ensemble.svg)
+"""
+
+
+def variant(row: pd.Series) -> str:
+    """The method, and the shape of its run where its setting begins with one."""
+    return f"{row['method']} {row['setting'].rpartition(' ')[0]}".strip()
+
+
+def arithmetic_table(frame: pd.DataFrame) -> str:
+    """Ours beside each shape of the C loop of the same method."""
+    frame = frame.assign(stage=frame["time_min_s"] / frame["trajectories"] / frame["evaluations"])
+    loops = frame[frame["method"] == "limit-c"].set_index("setting")["stage"]
+    shapes = list(dict.fromkeys(setting.split()[1] for setting in loops.index))
+    rows = []
+    for _, ours in frame[frame["method"] != "limit-c"].iterrows():
+        c = [loops.get(f"{ours['method']} {shape} {ours['setting']}", math.nan) for shape in shapes]
+        ratios = (DASH if math.isnan(t) else f"{duration(t)} ({ours['stage'] / t:.2f})" for t in c)
+        rows.append([ours["method"], ours["setting"], duration(ours["stage"]), *ratios])
+    return markdown(["method", "setting", "ours", *(f"C {shape} (ratio)" for shape in shapes)], rows)
+
+
+def trajectory_table(frame: pd.DataFrame) -> str:
+    """Time per trajectory with at most each target error, the best in bold."""
+
+    def cost(line: pd.DataFrame, target: float) -> float:
+        between = cost_at_error(line["solution_error"], line["each"], target)
+        return line[line["solution_error"] <= target]["each"].min() if math.isnan(between) else between
+
+    rows: list[dict[Any, Any]] = []
+    variants = [variant(row) for _, row in frame.iterrows()]
+    for name, line in frame.groupby(variants, sort=False):
+        costs = {target: cost(line, target) for target in TARGETS}
+        rows.append({"method": name, "engine": line["engine"].iloc[0], **costs})
+    return equal_error_table(pd.DataFrame(rows), duration) if rows else DASH
+
+
+def growth_table(frame: pd.DataFrame, by: str) -> str:
+    """Throughput against the number of something, and relative to the smallest number."""
+    frame = frame.sort_values(by)
+    rows = []
+    for method, line in frame.groupby("method", sort=False):
+        for _, row in line.iterrows():
+            gain = row["a_second"] / line["a_second"].iloc[0]
+            stages = f"{1 / row['stage']:.3g}"
+            rows.append(
+                [f"{method} ({row['setting']})", row[by], f"{row['a_second']:.3g}", stages, f"{gain:.2f}"]
+            )
+    return markdown(["method", by, "trajectories/s", "gradients/s", "relative"], rows)
+
+
 # -- claims ----------------------------------------------------------------------------------------
 VERDICTS = ("holds", "holds, corrected", "refuted")
 MEANINGS = {
@@ -521,6 +606,11 @@ def gate_line(frame: pd.DataFrame) -> str:
     return f"- [gate_selfcheck.md](gate_selfcheck.md): the regression gate, checked: {summary} (`gate_selfcheck.csv`)\n"
 
 
+def ensemble_line(frame: pd.DataFrame) -> str:
+    """The ensembles in the list of tables."""
+    return "- [ensemble.md](ensemble.md): throughput of ensembles (`ensemble.csv`)\n" if len(frame) else ""
+
+
 def headline_document(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
     work = tables["work_precision"]
     machines = []
@@ -571,7 +661,7 @@ body, which together apply its whole vector field, count as one):
 - [work_precision.md](work_precision.md): cost at equal error, scene by scene (`work_precision.csv`)
 - [convergence.md](convergence.md): measured orders (`convergence.csv`)
 - [laws.md](laws.md): decay laws and drifts (`laws.csv`, along time `laws_time.csv`)
-{claims_line(tables["claims"])}{gate_line(tables["gate_selfcheck"])}
+{ensemble_line(tables["ensemble"])}{claims_line(tables["claims"])}{gate_line(tables["gate_selfcheck"])}
 ## Where this was measured
 
 {chr(10).join(machines)}
@@ -590,6 +680,8 @@ def report(results: Path) -> list[Path]:
         documents["laws.md"] = laws_document(tables["laws"])
     if len(tables["work_precision"]):
         documents["work_precision.md"] = work_precision_document(tables["work_precision"])
+    if (tables["ensemble"]["status"] == "ok").any():
+        documents["ensemble.md"] = ensemble_document(tables["ensemble"])
     if len(tables["claims"]):
         documents["claims.md"] = claims_document(tables["claims"], set(tables["paper_figures"]["figure"]))
     if len(tables["gate_selfcheck"]):

@@ -203,6 +203,10 @@ class Scene:
         """The scene's parameters as a flat list (initial data and end time are not among them)."""
         raise NotImplementedError
 
+    def number_names(self) -> list[str]:
+        """What `with_` calls each of `numbers`; empty where it is part of a larger parameter."""
+        raise NotImplementedError
+
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
         """The same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
         raise NotImplementedError
@@ -324,6 +328,9 @@ class Mechanical(Scene):
 
     def numbers(self) -> list[float]:
         return [self.gamma, self.kappa, self.mass, *self.parameters.values()]
+
+    def number_names(self) -> list[str]:
+        return ["gamma", "kappa", "mass", *self.parameters]
 
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
         gamma, kappa, mass, *rest = numbers
@@ -517,6 +524,9 @@ class RigidBody(Scene):
             return [*self.inertia, self.gamma]
         axes = [] if self.axes is None else [v for row in self.axes for v in row]
         return [*self.inertia, *self.rates, *axes]
+
+    def number_names(self) -> list[str]:
+        return ["", "", "", "gamma"] if self.isotropic else [""] * len(self.numbers())
 
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
         inertia, rest = tuple(numbers[:3]), tuple(numbers[3:])

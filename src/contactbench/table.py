@@ -170,6 +170,29 @@ WORK_PRECISION = Table(
     {**_RULES, "track": Rule.same, "carried": Rule.same, "solution_error": Rule.error},
 )
 
+ENSEMBLE_TABLE = Table(
+    "ensemble",
+    "throughput of ensembles: against C loops, at equal error, with their number and with the cores",
+    {
+        **_COMMON,
+        "track": "what the row is for: arithmetic (same steps as C loops), error, size or cores",
+        "trajectories": "number of trajectories",
+        "cores": "cores used",
+        "solution_error": "max ‖y(T) − y*(T)‖ / max ‖y*(T)‖ over the first four trajectories",
+        "steps": "accepted steps of one trajectory, the most taken by any where they differ",
+        "evaluations": "evaluations of evaluation_kind for one trajectory, where the solver says",
+        "evaluation_kind": "gradient, rhs or taylor",
+        "first_call_s": "first call, compilation included",
+        "time_min_s": "fastest round, seconds for all trajectories, final states on the host",
+        "time_median_s": "median over rounds",
+        "time_iqr_s": "interquartile range over rounds",
+        "rounds": "timed rounds",
+        "iterations": "calls per round",
+    },
+    {"status": Rule.same, "steps": Rule.count, "evaluations": Rule.count, "solution_error": Rule.error},
+    key=(*KEY, "track", "trajectories", "cores"),
+)
+
 SEPARATOR = " // "  #: between the measurements listed in one cell
 
 CLAIMS_TABLE = Table(
@@ -246,6 +269,7 @@ TABLES = {
         LAWS_TABLE,
         LAWS_TIME,
         WORK_PRECISION,
+        ENSEMBLE_TABLE,
         CLAIMS_TABLE,
         PAPER_FIGURES,
         GATE_SELFCHECK,
@@ -264,6 +288,8 @@ _WHOLE = (
     "point",
     "runs",
     "red",
+    "trajectories",
+    "cores",
 )
 
 

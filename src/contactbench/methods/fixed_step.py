@@ -196,6 +196,26 @@ def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> It
         yield x
 
 
+def rolled(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+    """`repeat` as a compiled loop that asks for loops over stages too: the shortest code."""
+    from jax import lax
+
+    return lax.fori_loop(0, n, lambda _, x: body(x), x)
+
+
+rolled.roll = True  # type: ignore[attr-defined]
+
+
+def unrolled(together: int) -> Repeat:
+    """`repeat` as a compiled loop with several steps, stages written out, in a turn."""
+
+    def loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+        x = rolled(n // together, lambda x: repeat(together, body, x), x)
+        return x if together == 1 else rolled(n % together, body, x)
+
+    return loop
+
+
 class JaxLoop(FixedStepRun, CompiledRun):
     """The steps as one compiled loop inside a scan over the saved times."""
 
@@ -233,17 +253,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
         r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))
-
-        together = 1 if short else self.unrolled()
-
-        def loop(n: Any, body: Any, x: Any) -> Any:
-            def several(_: Any, x: Any) -> Any:
-                return repeat(together, body, x)
-
-            x = lax.fori_loop(0, n // together, several, x)
-            return x if together == 1 else lax.fori_loop(0, n % together, lambda _, x: body(x), x)
-
-        loop.roll = short  # type: ignore[attr-defined]
+        loop = rolled if short else unrolled(self.steps_a_turn())
 
         def interval(x: Any, span: Any) -> Any:
             h, n = span
@@ -252,7 +262,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
         return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n))[1]
 
-    def unrolled(self) -> int:
+    def steps_a_turn(self) -> int:
         """Steps written out per turn of the loop: a turn costs XLA some 4 ns whatever it does."""
         r = self.request
         per_step = self.method_.counts(r.scene, 2) - self.method_.counts(r.scene, 1)

@@ -1,0 +1,134 @@
+"""How many trajectories a second?  One cell: a method at one setting, on a number of trajectories and cores.
+
+Four questions: the same arithmetic as C loops (1024 trajectories over 20 000 steps, so that the call does
+not count); the cost of a trajectory at equal error; how throughput depends on the number of trajectories;
+and on the number of cores.  What is timed is the whole call, from initial to final states on the host.
+More than one core takes a process of its own, because this one is bound to one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cells import cells, timed
+from contactbench.table import ENSEMBLE_TABLE
+from limit import KERNELS, SHAPES
+from peers import prepared
+
+pytestmark = pytest.mark.timed
+
+SAMPLE = 4
+STEPS = {
+    "contact-strang": (0.1, 0.02, 0.004, 0.001),
+    "contact-bm4": (0.8, 0.4, 0.16, 0.05),
+    "contact-rkn6": (1.25, 0.8, 0.4, 0.16),
+    "rk4": (0.2, 0.08, 0.04, 0.01),
+}
+PEERS = [
+    ("diffrax-tsit5", "jax", "vmap"), ("diffrax-tsit5", "jax", "shared"),
+    ("diffrax-dopri8", "jax", "vmap"), ("diffrax-dopri8", "jax", "shared"),
+    ("heyoka-taylor", "llvm", "batch"),
+]  # fmt: skip
+RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
+OURS = "contact-rkn6"
+
+
+def usable_cores():
+    """The cores the machine lets us use; this process is bound to one of them."""
+    bound = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    try:
+        return sorted(os.sched_getaffinity(0))
+    finally:
+        os.sched_setaffinity(0, bound)
+
+
+def core_counts():
+    total = len(usable_cores())
+    return [*(2**k for k in range(total.bit_length()) if 2**k < total), total]
+
+
+def ladder(profile):
+    """(track, scene, method, engine, setting, trajectories, cores)."""
+    smoke, rows = profile.points == 1, []
+    for method in KERNELS:
+        rows.append(("arithmetic", "particle_long", method, "jax", "step=0.1", 1024, 1))
+        rows += [
+            ("arithmetic", "particle_long", "limit-c", "c", f"{method} {shape} step=0.1", 1024, 1)
+            for shape in SHAPES
+        ]
+    for method, steps in STEPS.items():
+        rows += [("error", "particle", method, "jax", f"step={h:g}", 4096, 1) for h in steps]
+    for method, engine, shape in PEERS:
+        rows += [("error", "particle", method, engine, f"{shape} rtol={rtol:g}", 4096, 1) for rtol in RTOLS]
+    if smoke:  # one kernel, one setting of three methods; how many cores there are is the machine's affair
+        wanted = (OURS, "limit-c", "diffrax-dopri8", "heyoka-taylor")
+        settings = ("step=0.1", f"{OURS} plain step=0.1", "step=0.4", "shared rtol=1e-06", "batch rtol=1e-06")
+        return [row for row in rows if row[2] in wanted and row[4] in settings]
+    sizes = [10**k for k in range(3, 8 if profile.name == "full" else 7)]
+    rows += [("size", "particle", OURS, "jax", "step=0.4", n, 1) for n in sizes]
+    rows += [("cores", "particle", OURS, "jax", "step=0.1", 200_000, k) for k in core_counts()]
+    return rows
+
+
+def initial(scene, n):
+    """States spread by 5 % about the scene's own, (d, n); the first few do not depend on n."""
+    own = np.array(scene.pack(scene.initial(())))
+    return own[:, None] + 0.05 * np.random.default_rng(7).normal(size=(n, len(own))).T
+
+
+@cache
+def truth(scene_name):
+    scene = cb.SCENES[scene_name]
+    starts = (scene.unpack(tuple(y), ())._asdict() for y in initial(scene, SAMPLE).T.tolist())
+    return np.array([cb.reference(scene.with_(q=x["q"], p=x["p"]), [scene.t_end], ()).y[0] for x in starts]).T
+
+
+def error(scene, y):
+    exact = truth(scene.name)
+    return np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / np.linalg.norm(exact, axis=0).max()
+
+
+def row_of(cell, timing):
+    """The row of a cell; `timing` turns a run into the time columns."""
+    track, name, method, engine, setting, n, cores = cell
+    scene, (shape, _, value) = cb.SCENES[name], setting.rpartition(" ")
+    row = {
+        "track": track, "scene": name, "method": method, "engine": engine, "setting": setting,
+        "trajectories": n, "cores": cores,
+    }  # fmt: skip
+    made = prepared(scene, method, engine, shape, float(value.partition("=")[2]), initial(scene, n))
+    if isinstance(made, str):
+        return row | {"status": "unsupported", "message": made}
+    run, costs = made
+    start = perf_counter()
+    y = run()
+    row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
+    if track != "arithmetic":
+        row["solution_error"] = error(scene, y)
+    row |= timing(run)
+    return row | dict(zip(("steps", "evaluations", "evaluation_kind"), costs(), strict=True))
+
+
+@cells(ladder)
+def test_ensemble(cell, profile, record, benchmark):
+    if cell[-1] == 1:
+        record(ENSEMBLE_TABLE, **row_of(cell, lambda run: timed(run, profile, benchmark, cell[0])))
+        return
+    cores = usable_cores()[-cell[-1] :]
+    done = subprocess.run(
+        [sys.executable, Path(__file__).with_name("on_cores.py"), json.dumps([cores, cell])],
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    record(ENSEMBLE_TABLE, **json.loads(done.stdout.splitlines()[-1]))

@@ -1,0 +1,116 @@
+"""Ensembles by each engine: functions of a scene, a setting and initial states (d, n) that return a run.
+
+A run takes nothing and returns the final states (d, n) on the host.  Each peer is in its best shape of
+those tried: diffrax in tiles of trajectories that fit the first cache, both with steps of their own (vmap)
+and with steps they share (one system per tile, about twice as fast, its error control over the tile);
+heyoka in batches of the machine's vector width.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+import contactbench as cb
+from limit import ensemble_kernel
+
+#: trajectories integrated together: the fastest of 64, 256 and all, for vmap and for shared steps
+TILE = 64
+SOLVERS = {"diffrax-tsit5": ("Tsit5", 6), "diffrax-dopri8": ("Dopri8", 13)}
+
+
+def contact(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
+    start = scene.unpack(tuple(y0), ())
+
+    def run() -> np.ndarray:
+        return np.array(
+            scene.pack(cb.ensemble(scene, method, start, step=value, carry=(), progress=False).final)
+        )
+
+    counts = cb.ensemble(
+        scene, method, scene.unpack(tuple(y0[:, :1]), ()), step=value, carry=(), progress=False
+    ).counts
+    return run, lambda: (counts.steps, counts.evaluations, counts.kind)
+
+
+@cache
+def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+
+    scene = cb.SCENES[scene_name]
+    solver = getattr(diffrax, SOLVERS[name][0])()
+
+    def solve(y: Any, tolerance: Any, end: Any) -> Any:
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda t, x, args: scene.rhs(x)), solver, 0.0, end, None,
+            scene.unpack(list(y), ()), saveat=diffrax.SaveAt(t1=True),
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+            max_steps=10**6, adjoint=diffrax.ForwardMode(), throw=False,
+        )  # fmt: skip
+        return jnp.stack([c[0] for c in scene.pack(solution.ys)]), solution.stats["num_steps"]
+
+    if shape == "vmap":
+        solve = jax.vmap(solve, in_axes=(1, None, None), out_axes=(1, 0))
+
+    def tiled(y0: Any, tolerance: Any, end: Any) -> Any:
+        tiles = y0.reshape(len(y0), -1, TILE).swapaxes(0, 1)
+        y, steps = jax.lax.map(lambda y: solve(y, tolerance, end), tiles)
+        return y.swapaxes(0, 1).reshape(y0.shape), steps.max()
+
+    return jax.jit(tiled)
+
+
+def diffrax(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
+    """The number of trajectories must be a multiple of the tile."""
+    program, steps = diffrax_program(method, shape, scene.name), [0]
+
+    def run() -> np.ndarray:
+        y, steps[0] = program(y0, value, scene.t_end)
+        return np.asarray(y)
+
+    return run, lambda: (int(steps[0]), int(steps[0]) * SOLVERS[method][1] + 1, "rhs")
+
+
+def heyoka(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
+    import heyoka
+
+    from contactbench.methods.heyoka import taylor_system
+
+    width = heyoka.recommended_simd_size()
+    numbers = np.repeat(np.array(scene.numbers())[:, None], width, axis=1)
+    system = taylor_system(scene, (), heyoka)
+    ta = heyoka.taylor_adaptive_batch(system, np.zeros((len(y0), width)), pars=numbers, tol=value)
+    filled = np.pad(y0, ((0, 0), (0, -y0.shape[1] % width)), mode="edge")
+    most = [0]
+
+    def run() -> np.ndarray:
+        y = np.empty_like(filled)
+        most[0] = 0
+        for k in range(0, y.shape[1], width):
+            ta.set_time(0.0)
+            ta.state[:] = filled[:, k : k + width]
+            ta.propagate_until(scene.t_end)
+            most[0] = max(most[0], *(steps for *_, steps in ta.propagate_res))
+            y[:, k : k + width] = ta.state
+        return y[:, : y0.shape[1]]
+
+    return run, lambda: (most[0], most[0] * (ta.order + 1), "taylor")
+
+
+def limit_c(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
+    kernel, _, shape = shape.partition(" ")
+    made = ensemble_kernel(kernel, shape, scene, value, y0)
+    if isinstance(made, str):
+        return made
+    run, evaluations, steps = made
+    return run, lambda: (steps, evaluations, "gradient")
+
+
+def prepared(scene: Any, method: str, engine: str, shape: str, value: float, y0: np.ndarray) -> Any:
+    """(run, costs) of a cell, or why it cannot be run."""
+    make = {"c": limit_c, "llvm": heyoka}.get(engine, diffrax if method in SOLVERS else contact)
+    return make(scene, method, shape, value, y0)

@@ -1,0 +1,307 @@
+"""Ensembles: the single solutions, all of them, whatever the chunks, tiles, devices and processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import TILTED, USER, by_name, in_mp, random_state
+from contactbench.composition import COMPOSITIONS, advance, refusal, repeat, shortest_period
+from contactbench.ensembles import TILE
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.solution import Status
+
+FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
+PARTICLE = cb.SCENES["particle"].with_(t_end=1.0, gamma=0.35)
+CENTRAL = cb.SCENES["central"].with_(t_end=1.0, gamma=0.35, s=0.2)
+BODY = cb.SCENES["rigid_body"].with_(t_end=1.0, gamma=0.25)
+#: sums and products of another order, over some hundred stages
+ROUND_OFF = 1e-13
+
+
+def spread(scene, n, seed=3):
+    """n initial states near the scene's own, each component an array (n,)."""
+    rng = np.random.default_rng(seed)
+    own = scene.initial(scene.carry())
+
+    def near(value, size=0.1):
+        return value + size * rng.normal(size=n)
+
+    data = {name: tuple(near(v) for v in getattr(own, name)) for name in scene.initial_fields[:2]}
+    if "R" in data:
+        length = np.sqrt(sum(c * c for c in data["R"]))
+        data["R"] = tuple(c / length for c in data["R"])
+    return data if own.s is None else data | {"s": near(own.s)}
+
+
+def member(data, i):
+    return {k: tuple(c[i] for c in v) if isinstance(v, tuple) else v[i] for k, v in data.items()}
+
+
+def packed(out):
+    return np.array(out.scene.pack(out.final))
+
+
+# -- the single solutions --------------------------------------------------------------------------
+#: every method on a mechanical scene and on a body; the shapes of compositions on every kind of scene
+CASES = [(scene, m) for scene in (CENTRAL, BODY) for m in FIXED if m.refuses(scene) is None]
+CASES += [
+    (scene.with_(t_end=1.0), cb.METHODS[name])
+    for scene in (cb.SCENES["quadratic_damping"], TILTED, USER)
+    for name in ("contact-abc", "contact-bm4", "rk4")
+]
+
+
+@pytest.mark.parametrize(("scene", "method"), CASES, ids=[f"{s.name}-{m.name}" for s, m in CASES])
+def test_an_ensemble_is_its_single_solutions(scene, method):
+    data, times = spread(scene, 3), [0.4, 1.0]
+    out = cb.ensemble(scene, method.name, data, step=0.1, measure_at=times)
+    run = cb.prepare(scene, method.name, step=0.1, save_at=times, engine="python")
+    for i in range(3):
+        alone = run(**member(data, i))
+        np.testing.assert_allclose(packed(out)[:, i], alone.y[-1], rtol=0, atol=ROUND_OFF)
+        for name in set(out.measures) & set(cb.LAWS):
+            assert abs(out.measures[name][i] - cb.LAWS[name](alone)) < 10 * ROUND_OFF
+        energy = scene.energy(alone.states())[-1] / scene.energy(alone.start()) - 1
+        assert out.measures["energy_change"][i] == pytest.approx(energy, abs=10 * ROUND_OFF)
+    assert out.counts == alone.counts
+    assert out.endings == {Status.ok: 3, Status.diverged: 0}
+
+
+def test_the_laws_a_scene_has_are_measured_and_no_others():
+    def measured(scene, **options):
+        return set(cb.ensemble(scene, "contact-strang", spread(scene, 2), step=0.5, **options).measures)
+
+    assert measured(CENTRAL) == {"energy_change", "hamiltonian_law", "momentum_law"}
+    assert measured(PARTICLE) == {"energy_change", "hamiltonian_law"}
+    assert measured(PARTICLE, carry=()) == {"energy_change"}
+    assert measured(cb.SCENES["quadratic_damping"]) == {
+        "energy_change"
+    }  # its rate is known to the truth alone
+
+
+@pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
+@by_name([PARTICLE, cb.SCENES["quadratic_damping"], BODY, cb.SCENES["rigid_body_anisotropic"]])
+def test_rolling_the_stages_changes_nothing(composition, scene, mp50):
+    """The loop over the period of a step's flows against the step written out, to 45 digits."""
+    if refusal(composition, scene):
+        return
+
+    def rolled(n, body, x):
+        return repeat(n, body, x)
+
+    rolled.roll = True
+    exact, x = in_mp(scene, random_state(scene, 1))
+    h = mp50.mpf("0.2")
+    ends = [advance(composition, exact, x, h, 3, mp50, loop) for loop in (repeat, rolled)]
+    gaps = [abs(a - b) for a, b in zip(*map(scene.pack, ends), strict=True)]
+    assert max(gaps) < mp50.mpf(10) ** -45
+
+
+def test_the_period_of_a_list_is_the_shortest_that_repeats():
+    assert [shortest_period(list(names)) for names in ("a", "aaa", "abab", "aba", "abaaba")] == [
+        1,
+        1,
+        2,
+        3,
+        3,
+    ]
+
+
+# -- chunks, tiles, devices, parameters ------------------------------------------------------------
+MANY = 2 * TILE + 7
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """An ensemble of a number no tile divides, in one chunk."""
+    return cb.ensemble(CENTRAL, "contact-rkn6", spread(CENTRAL, MANY), step=0.25)
+
+
+def assert_same(one, other):
+    np.testing.assert_allclose(packed(one), packed(other), rtol=0, atol=ROUND_OFF)
+    assert one.endings == other.endings
+    for name, values in other.statistics.items():
+        assert one.statistics[name] == pytest.approx(values, rel=1e-9, abs=ROUND_OFF)
+
+
+@pytest.mark.parametrize("chunk", [20, TILE + 1, 10 * MANY])
+def test_chunks_that_do_not_divide_the_number_change_nothing(whole, chunk):
+    assert packed(whole).shape == (5, MANY)
+    out = cb.ensemble(CENTRAL, "contact-rkn6", spread(CENTRAL, MANY), step=0.25, chunk=chunk)
+    assert_same(out, whole)
+
+
+def test_one_device_does_what_all_do(whole, monkeypatch):
+    import jax
+
+    first = jax.local_devices()[:1]
+    monkeypatch.setattr(jax, "local_devices", lambda: first)
+    assert_same(cb.ensemble(CENTRAL, "contact-rkn6", spread(CENTRAL, MANY), step=0.25), whole)
+
+
+def test_there_is_a_device_for_every_core_this_process_may_use():
+    import jax
+
+    cores = os.sched_getaffinity(0)
+    assert len(jax.local_devices()) == len(cores)
+    one = f"import os; os.sched_setaffinity(0, {{{min(cores)}}}); import contactbench, jax; print(jax.device_count())"
+    done = subprocess.run([sys.executable, "-c", one], capture_output=True, text=True, check=True, timeout=60)
+    assert int(done.stdout) == 1
+
+
+def test_statistics_are_those_of_the_members_and_need_not_keep_them(whole):
+    for name, values in whole.measures.items():
+        assert whole.statistics[name].mean == pytest.approx(values.mean(), rel=1e-12)
+        assert whole.statistics[name].max == values.max()
+    lean = cb.ensemble(CENTRAL, "contact-rkn6", spread(CENTRAL, MANY), step=0.25, keep=False)
+    assert lean.statistics == whole.statistics
+    assert (lean.final, lean.measures, lean.end_time, lean.ok) == (None, None, None, None)
+
+
+@pytest.mark.parametrize("name", ["contact-rkn6", "contact-abc", "rk4", "herglotz2", "contact-bm4"])
+def test_parameters_of_its_own_for_every_trajectory(name):
+    scene = BODY if name == "contact-bm4" else PARTICLE
+    values = {"gamma": np.array([0.0, 0.3, 40.0])} | ({} if scene is BODY else {"coupling": [0.2, 0.0, 0.1]})
+    out = cb.ensemble(scene, name, {}, step=0.05, parameters=values)
+    for i in range(3):
+        alone = scene.with_(**{k: v[i] for k, v in values.items()})
+        solution = cb.solve(alone, name, step=0.05, save_at=[1.0], engine="python")
+        np.testing.assert_allclose(packed(out)[:, i], solution.y[-1], rtol=0, atol=ROUND_OFF)
+        law = cb.LAWS["hamiltonian_law"](solution)
+        assert out.measures["hamiltonian_law"][i] == pytest.approx(law, rel=1e-6, abs=ROUND_OFF)
+
+
+# -- ways to end -----------------------------------------------------------------------------------
+def test_a_diverged_member_is_counted_and_leaves_the_others_alone():
+    """Beyond the saddle of the particle and heading out: to infinity in finite time."""
+    scene = PARTICLE.with_(gamma=0.001, t_end=4.0)
+    data = {"q": (np.array([1.0, 8.0, 0.3]), np.array([0.5, -8.0, 0.1])),
+            "p": (np.array([0.0, 6.0, 0.2]), np.array([0.3, -6.0, 0.0]))}  # fmt: skip
+    out = cb.ensemble(scene, "contact-strang", data, step=0.01, measure_at=[0.5, 2.0, 4.0])
+    assert out.endings == {Status.ok: 2, Status.diverged: 1}
+    assert out.ok.tolist() == [True, False, True]
+    assert np.isnan(packed(out)[:, 1]).all()
+    assert all(np.isnan(values[1]) for values in out.measures.values())
+    alone = cb.solve(
+        scene.with_(q=(8.0, -8.0), p=(6.0, -6.0)), "contact-strang", step=0.01, save_at=[0.5, 2.0, 4.0]
+    )
+    assert alone.status is Status.diverged
+    assert out.end_time.tolist() == [4.0, 2.0, 4.0]
+    assert 2.0 <= alone.end_time < 4.0  # a single solution locates it to the step
+    calm = cb.ensemble(
+        scene, "contact-strang", {k: tuple(c[[0, 2]] for c in v) for k, v in data.items()}, step=0.01,
+        measure_at=[0.5, 2.0, 4.0],
+    )  # fmt: skip
+    np.testing.assert_allclose(packed(out)[:, [0, 2]], packed(calm), rtol=0, atol=ROUND_OFF)
+    for name, values in calm.statistics.items():
+        assert out.statistics[name] == pytest.approx(values, rel=1e-9, abs=ROUND_OFF)
+
+
+def test_where_all_diverge_there_are_no_statistics():
+    out = cb.ensemble(
+        PARTICLE.with_(t_end=4.0),
+        "contact-strang",
+        {"q": (np.full(2, 8.0), -8.0), "p": (6.0, -6.0)},
+        step=0.01,
+    )
+    assert out.endings == {Status.ok: 0, Status.diverged: 2}
+    assert np.isnan([*out.statistics.values()]).all()
+
+
+NAN, TWO, THREE = np.array([0.1, np.nan]), np.zeros(2), np.zeros(3)
+BAD = [
+    ({"method": "scipy-dop853"}, "an ensemble takes a fixed-step method: contact-printed, "),
+    (
+        {"method": "contact-rkn6", "scene": BODY, "given": {"M": (TWO, 0.1, 0.1)}},
+        "needs kicks and a merged drift",
+    ),
+    ({"method": "rk5"}, "did you mean 'rk4'?"),
+    ({"step": 0}, "step = 0: must be > 0"),
+    ({"step": 1e-9}, "of which 100000000 are allowed"),
+    ({"given": 3}, "initial_conditions = int: must be a State"),
+    ({"given": {"M": TWO}}, "unknown initial value of scene 'particle' 'M'"),
+    ({"given": {"q": (TWO, THREE)}}, "arrays of one length, one entry per trajectory; got q[0] 2, q[1] 3"),
+    ({"given": {"q": TWO[:1]}}, "q: must be 2 components, each a number or an array; got 1"),
+    ({"given": {"q": 1.0}}, "q: must be 2 components"),
+    ({"given": {"q": (1.0, 0.5)}}, "none is an array"),
+    ({"given": {"q": (np.zeros((2, 2)), 0.0)}}, "q[0]: must be a number or an array (n,), got shape (2, 2)"),
+    ({"given": {"q": (NAN, 0.0)}}, "q[0]: must be finite numbers, entry 1 is nan"),
+    ({"given": {"s": "high"}}, "s = 'high': must be a number or an array of numbers"),
+    ({"given": {"s": np.zeros(0)}}, "no trajectories"),
+    ({"scene": BODY, "given": {"R": (TWO, 0.0, 0.0, 0.0)}}, "R: must be unit quaternions"),
+    ({"parameters": {"gama": TWO}}, "did you mean 'gamma'?"),
+    ({"parameters": {"mass": TWO}}, "mass = 0.0: must be > 0"),
+    ({"parameters": {"kappa": THREE + 1}, "given": {}}, "kappa: 1.0 makes scene 'particle' another problem"),
+    ({"carry": ("R",)}, "can carry s"),
+    ({"measure_at": [1.0, 0.5]}, "strictly increasing"),
+    ({"chunk": 0}, "chunk = 0: must be a whole number ≥ 1"),
+]
+
+
+@pytest.mark.parametrize(("call", "says"), BAD, ids=[says for _, says in BAD])
+def test_bad_input_is_one_line_that_names_the_value(call, says):
+    options = {"scene": PARTICLE, "method": "contact-strang", "given": {"q": (TWO, 0.5)}, "step": 0.1} | call
+    with pytest.raises(cb.BadInput) as caught:
+        cb.ensemble(options.pop("scene"), options.pop("method"), options.pop("given"), **options)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_progress_bar_is_shown_when_asked_for(capsys):
+    for shown in (None, True):
+        cb.ensemble(PARTICLE, "contact-strang", {"q": (TWO, 0.5)}, step=0.1, progress=shown)
+        assert ("trajectory" in capsys.readouterr().err) == (shown is True)  # by default on a terminal only
+
+
+# -- many hosts ------------------------------------------------------------------------------------
+HOST = """
+import json, pathlib, sys
+import jax
+rank, port, answer = int(sys.argv[1]), sys.argv[2], pathlib.Path(sys.argv[4])
+jax.distributed.initialize(f"127.0.0.1:{port}", 2, rank)
+import contactbench as cb
+sys.path.insert(0, sys.argv[3])
+from test_ensemble import CENTRAL, MANY, spread, packed
+mine = slice(0, 50) if rank == 0 else slice(50, MANY)
+data = {k: tuple(c[mine] for c in v) if isinstance(v, tuple) else v[mine] for k, v in spread(CENTRAL, MANY).items()}
+out = cb.ensemble(CENTRAL, "contact-rkn6", data, step=0.25)
+answer.write_text(json.dumps([jax.process_count(), out.statistics, out.endings, packed(out).tolist()]))
+"""
+
+
+def test_two_processes_give_what_one_gives(whole, tmp_path):
+    """On loopback, with shares of different size; the statistics are over both in both."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    hosts = [
+        subprocess.Popen(
+            [sys.executable, "-c", HOST, str(rank), str(port), str(Path(__file__).parent), str(tmp_path / str(rank))],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env=os.environ | {"JAX_CPU_COLLECTIVES_IMPLEMENTATION": "gloo", "JAX_PLATFORMS": "cpu"},
+        )
+        for rank in range(2)
+    ]  # fmt: skip
+    try:
+        said = [host.communicate(timeout=150)[1][-2000:] for host in hosts]
+    finally:
+        for host in hosts:
+            host.kill()
+    assert [host.returncode for host in hosts] == [0, 0], said
+    told = [json.loads((tmp_path / str(rank)).read_text()) for rank in range(2)]
+    for processes, statistics, endings, _ in told:
+        assert processes == 2
+        assert endings == {"ok": MANY, "diverged": 0}
+        for name, (mean, largest) in statistics.items():
+            assert (mean, largest) == pytest.approx(whole.statistics[name], rel=1e-9, abs=ROUND_OFF)
+    gathered = np.concatenate([y for *_, y in told], axis=1)
+    np.testing.assert_allclose(gathered, packed(whole), rtol=0, atol=ROUND_OFF)
