@@ -9,7 +9,7 @@ import numpy as np
 
 from contactbench.methods import METHODS
 from contactbench.scene import Scene
-from contactbench.scenes import SCENES
+from contactbench.scenes import standard_scenes
 from contactbench.solution import Counts, Solution
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
@@ -32,8 +32,8 @@ def cells(*ladders: Any) -> Callable[..., Any]:
 
 
 def scenes(profile: Any) -> list[str]:
-    """The scenes of an experiment: all, or one in the smoke profile."""
-    return list(SMOKE) if profile.points == 1 else list(SCENES)
+    """The scenes of an experiment: all standard ones, or one in the smoke profile."""
+    return list(SMOKE) if profile.points == 1 else [scene.name for scene in standard_scenes()]
 
 
 def steps(scene: Scene, count: int) -> list[float]:

@@ -124,6 +124,8 @@ class Scene:
     #: closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None
     exact: Callable[[Any, Any, Any], Any] | None = None
     about: str = ""
+    #: only the stability experiment runs it
+    hard: bool = False
 
     #: optional state fields, in packing order
     optional: ClassVar[tuple[str, ...]] = ("s",)
