@@ -28,6 +28,7 @@ STYLES = {
     "contact-rkn4": ("#228833", "D"),
     "contact-rkn6": ("#4477AA", "*"),
     "contact-o8": ("#AA3377", "P"),
+    "contact-adaptive": ("#BB5566", "8"),
     "rk4": ("#000000", "x"),
     "herglotz1": ("#661100", "d"),
     "herglotz2": ("#6699CC", "H"),

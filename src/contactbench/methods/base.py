@@ -125,21 +125,34 @@ class Prepared:
         return first_divergence(y, self._motion, divergence_bound(y0[: self._motion]))
 
     def finished(
-        self, y0: np.ndarray, y: np.ndarray, counts: Counts, status: Status = Status.ok, message: str = ""
+        self,
+        y0: np.ndarray,
+        y: np.ndarray,
+        counts: Counts,
+        status: Status = Status.ok,
+        message: str = "",
+        stopped: tuple[float, np.ndarray] | None = None,
     ) -> Outcome:
-        """An outcome from the saved states reached so far: checked for divergence, padded with NaN."""
+        """An outcome from the saved states reached so far: checked for divergence, padded with NaN.
+
+        stopped : time and state at which a solver gave up.  Where that state is out of scale the solver
+        was right to, and the run has diverged by then: steps shrink without end before a singularity.
+        """
         times = self.request.save_at
         reached = len(y)
         bad = self.first_divergence(y0, y)
         if bad is not None:
-            at = float(times[bad])
             y, reached = y[:bad], bad
-            status, message = Status.diverged, f"left the scene's scale by a factor 1e6 before t = {at:.6g}"
+            status, message = Status.diverged, f"left the scene's scale by a factor 1e6 before t = {times[bad]:.6g}"
         if reached < len(times):
             if status is Status.ok:
                 status, message = Status.failed, f"stopped before t = {times[reached]:.6g}"
             y = np.concatenate([y, np.full((len(times) - reached, len(y0)), math.nan)])
         end = float(times[reached - 1]) if reached else 0.0
+        if status is not Status.ok and stopped is not None:
+            end = max(end, min(stopped[0], float(times[-1])))
+            if self.first_divergence(y0, stopped[1][None]) is not None:
+                status, message = Status.diverged, f"left the scene's scale by a factor 1e6 by t = {end:.10g}"
         return Outcome(y, counts, status, message, end)
 
 
