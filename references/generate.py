@@ -72,7 +72,7 @@ def closed_form_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> d
 
 
 def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dict[str, int]:
-    """Digits to which a body keeps |R| = 1 and, if damped isotropically, J e^{γt}."""
+    """Digits to which a body keeps |R| = 1 and, if damped isotropically, J e^{γt} while J is above 10⁻²⁰."""
     if not isinstance(scene, RigidBody):
         return {}
     context = truth.decimal_context(70)
@@ -84,6 +84,7 @@ def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dic
         grown = [
             [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum(x)]
             for t, x in zip(times, states, strict=True)
+            if twin.gamma * context.mpf(t) < 46
         ]
         start = twin.momentum(twin.initial(twin.carry()))
         # one scale for the three components of J: some of them start at nearly nothing
@@ -103,7 +104,10 @@ def condition(scene: Scene, times: list[str], rows: truth.Rows) -> float:
         moved = [context.nstr(x + step * (i == j), 60) for j, x in enumerate(start)]
         other = truth.taylor(scene, times, scene.carry(), BITS[1], start=moved)
         columns.append(
-            [[float((a - b) / step) for a, b in zip(p, q, strict=True)] for p, q in zip(other, rows, strict=True)]
+            [
+                [float((a - b) / step) for a, b in zip(p, q, strict=True)]
+                for p, q in zip(other, rows, strict=True)
+            ]
         )
     return float(np.linalg.norm(np.array(columns).transpose(1, 2, 0), ord=2, axis=(1, 2)).max())
 

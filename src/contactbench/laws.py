@@ -286,7 +286,8 @@ def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
     weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
     exact, numerical = (
-        np.array(scene.momentum(states))[0] * weight for states in (truth(solution).states(), solution.states())
+        np.array(scene.momentum(states))[0] * weight
+        for states in (truth(solution).states(), solution.states())
     )
     return float(np.abs(numerical - exact).max() / np.abs(exact).max())
 

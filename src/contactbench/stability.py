@@ -125,12 +125,16 @@ def merged_limit(gamma: float, omega: float) -> float:
     """B½ AC B½: an eigenvalue −1 where ω²h tanh(γh/2) = 2γ; 2/ω as γ → 0, 2γ/ω² as γ → ∞."""
     if gamma == 0:
         return 2 / omega
-    return root(lambda h: omega**2 * h * math.tanh(gamma * h / 2) - 2 * gamma, 2 / omega + 2 * gamma / omega**2)
+    return root(
+        lambda h: omega**2 * h * math.tanh(gamma * h / 2) - 2 * gamma, 2 / omega + 2 * gamma / omega**2
+    )
 
 
 def printed_limit(gamma: float, omega: float) -> float:
     """B½ C A B½ in the printed order: (ωh)² = 2 (1 + e^{γh})."""
-    return root(lambda h: (omega * h) ** 2 * math.exp(-gamma * h) - 2 * (1 + math.exp(-gamma * h)), 10 / omega)
+    return root(
+        lambda h: (omega * h) ** 2 * math.exp(-gamma * h) - 2 * (1 + math.exp(-gamma * h)), 10 / omega
+    )
 
 
 def herglotz1_limit(gamma: float, omega: float) -> float:

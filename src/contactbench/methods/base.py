@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, Protocol, runtime_checkable
 
@@ -103,7 +103,7 @@ class Prepared:
             y0 = np.array(r.scene.pack(r.scene.initial(r.carry, **r.scene.checked(data))), dtype=float)
         else:
             y0 = self._own_start
-        out = self.integrate(y0)
+        out = audited(self.integrate(y0), float(r.save_at[-1]))
         solution = Solution(
             r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
             out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
@@ -143,7 +143,10 @@ class Prepared:
         bad = self.first_divergence(y0, y)
         if bad is not None:
             y, reached = y[:bad], bad
-            status, message = Status.diverged, f"left the scene's scale by a factor 1e6 before t = {times[bad]:.6g}"
+            status, message = (
+                Status.diverged,
+                f"left the scene's scale by a factor 1e6 before t = {times[bad]:.6g}",
+            )
         if reached < len(times):
             if status is Status.ok:
                 status, message = Status.failed, f"stopped before t = {times[reached]:.6g}"
@@ -165,6 +168,18 @@ class Outcome:
     status: Status
     message: str
     end_time: float
+
+
+def audited(out: Outcome, end: float) -> Outcome:
+    """The outcome, an `ok` taken back from a run that ended elsewhere or without a number."""
+    if out.status is not Status.ok:
+        return out
+    if out.end_time != end:
+        message = f"ended at t = {out.end_time:.6g}, not at t = {end:.6g}"
+        return replace(out, y=np.full_like(out.y, math.nan), status=Status.failed, message=message)
+    if not np.isfinite(out.y[-1]).all():
+        return replace(out, status=Status.diverged, message="not finite at the end")
+    return out
 
 
 class Refused(Prepared):

@@ -29,7 +29,7 @@ from contactbench.flows import flows_of
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.scene import Mechanical, Scene, Vector
-from contactbench.solution import Counts, Status, divergence_bound
+from contactbench.solution import DIVERGENCE, Counts, Status, divergence_bound
 
 #: ωh of one step at rtol = 1
 AIM = 4.0
@@ -124,7 +124,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, epsilon, span = self.request, self.epsilon, self.span
         scene: Any = r.scene
-        bound = divergence_bound(y0[: self._motion]) ** 2
+        bound = self._motion * divergence_bound(y0[: self._motion]) ** 2  # beyond it one component is out
         x, time, steps = scene.unpack(y0.tolist(), r.carry), 0.0, 0
         y = np.full((len(r.save_at), len(y0)), math.nan)
         density = math.nan
@@ -180,19 +180,18 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         scene: Any = r.scene.with_numbers(list(numbers))
         epsilon, span, budget = options
         start = scene.unpack(list(y0), r.carry)
-        motion = y0[: self._motion]
-        bound = (1e6 * jnp.where(jnp.any(motion != 0), 1.0, 0.0)) ** 2 * (motion @ motion)
-        bound = jnp.where(bound > 0, bound, 1e12)
+        square = y0[: self._motion] @ y0[: self._motion]
+        bound = self._motion * DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
 
         def pace(x: Any) -> Any:
             return lax.stop_gradient(x)  # the sequence of steps is what it is: see `sensitivity_source`
 
         def due(carried: Any, until: Any) -> Any:
-            x, time, density, steps = carried
+            _x, time, density, _steps = carried
             return time + epsilon / density <= until
 
         def healthy(carried: Any) -> Any:
-            x, time, density, steps = carried
+            x, _time, density, steps = carried
             square = sum(c * c for part in x[:2] for c in part)
             return (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
 

@@ -102,7 +102,10 @@ class DiffraxRun(CompiledRun):
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
         y, info, last = self.program(y0, *self.arguments())
-        y, (accepted, rejected, successful, exhausted, collapsed, time) = np.asarray(y), np.asarray(info).tolist()
+        y, (accepted, rejected, successful, exhausted, collapsed, time) = (
+            np.asarray(y),
+            np.asarray(info).tolist(),
+        )
         accepted, rejected = int(accepted), int(rejected)
         counts = Counts(accepted, self.method_.evaluations(accepted, rejected), 0, rejected)
         if successful:
