@@ -171,6 +171,11 @@ class Scene:
         """Component names of the packed state, in order."""
         raise NotImplementedError
 
+    @property
+    def motion(self) -> int:
+        """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
+        return len(self.labels(()))
+
     def initial(self, carry: Sequence[str], **data: Any) -> Any:
         """The initial state; `data` overrides the scene's own initial values."""
         raise NotImplementedError

@@ -118,7 +118,7 @@ class Prepared:
     def __post_init__(self) -> None:
         r = self.request
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
-        self._motion = len(r.scene.labels(()))  # leading components that are (q, p) or M
+        self._motion = r.scene.motion
 
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
         """Index of the first saved state in y that is not finite or out of scale, or None."""

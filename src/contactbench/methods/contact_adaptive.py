@@ -32,7 +32,7 @@ from contactbench.scene import Mechanical, Scene, Vector
 from contactbench.solution import DIVERGENCE, Counts, Status, divergence_bound
 
 #: ωh of one step at rtol = 1
-AIM = 4.0
+AIM = 3.0
 #: a step this small against the span hardly moves the clock: a singularity is ahead
 SHORTEST = 1e-15
 #: the density may fall by this factor in one step, at most: with a tolerance so loose that it would
