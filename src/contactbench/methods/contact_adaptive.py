@@ -40,6 +40,15 @@ SHORTEST = 1e-15
 SLOWEST = 0.25
 
 
+class ScalarNumbers(XlaNumbers):
+    """Without arrays: constants that change at every step are cheaper one by one, in the loop's own kernel."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "asarray":
+            raise AttributeError(name)
+        return super().__getattr__(name)
+
+
 def composition_on(scene: Scene) -> Composition:
     """Nyström coefficients where kicks and a merged drift and damping are all there is."""
     return RKN6 if "drift_damp" in flows_of(scene) else BM6
@@ -90,6 +99,7 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         assert r.rtol is not None
         self.composition = composition_on(r.scene)
+        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
         self.epsilon, self.span = AIM * r.rtol ** (1 / self.composition.order), float(r.save_at[-1])
 
     def ended(
@@ -99,8 +109,7 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
         taken = steps + reached  # every saved time costs a step of its own
-        per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
-        evaluations, curvatures = taken * per_step, steps + 1
+        evaluations, curvatures = taken * self.per_step, steps + 1
         if r.scene.hessian is None:  # type: ignore[attr-defined]  # curvature by derivatives of ∇V
             evaluations, curvatures = evaluations + curvatures * len(r.scene.q), 0  # type: ignore[attr-defined]
         counts = Counts(taken, evaluations, curvatures, 0, "gradient")
@@ -176,7 +185,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         import jax.numpy as jnp
         from jax import lax
 
-        r, xp = self.request, XlaNumbers()
+        r, xp = self.request, ScalarNumbers()
         scene: Any = r.scene.with_numbers(list(numbers))
         epsilon, span, budget = options
         start = scene.unpack(list(y0), r.carry)
