@@ -29,7 +29,7 @@ from contactbench.table import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIM
 from hard_cells import overdamped_row, stability_row, weak_row
 
 #: seconds per call, compilation included
-LIMIT = 40.0
+LIMIT = 60.0
 #: time per evaluation at the coarsest setting; the ladder divides it by four, twice.  A step is as many
 #: times longer as it has evaluations, so that one rung costs every fixed-step method the same.
 COARSEST = {

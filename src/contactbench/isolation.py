@@ -105,7 +105,9 @@ class Workers:
 
     def submit_group(self, calls: Iterable[tuple[Any, ...]]) -> list[Future[Any]]:
         """Calls (limit, function, *arguments) for one worker, which may keep what they share warm."""
-        jobs: list[Any] = [(Future(), limit, function, tuple(arguments)) for limit, function, *arguments in calls]
+        jobs: list[Any] = [
+            (Future(), limit, function, tuple(arguments)) for limit, function, *arguments in calls
+        ]
         self.groups.put(jobs)
         return [job[0] for job in jobs]
 

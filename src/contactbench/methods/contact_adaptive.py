@@ -7,8 +7,8 @@ chosen here is how long they are: h = ε/ρ with a step density ρ that is integ
     ρ_{n+1/2} = ρ_{n−1/2} + ε G(x_n),   G = d ln ω/dt,   ρ_{1/2} = ω(q_0) + ½ ε G(x_0),
 
 which keeps ρ near the local frequency ω and the method time-symmetric (Hairer, Söderlind, SIAM J. Sci.
-Comput. 26, 1838 (2005), doi:10.1137/040606995).  ω⁴ = ‖∇²V‖²_F/m² + γ⁴ + T⁻⁴: the curvature of the
-potential, the damping, and the whole span where there is neither.  For −1/‖q‖ it gives h ∝ ‖q‖^{3/2}.
+Comput. 26, 1838 (2005), doi:10.1137/040606995).  ω⁴ = ‖∇²V‖²_F/m² + (γ/8)⁴ + T⁻⁴: the curvature of the
+potential; the damping, which is solved exactly but for what its negative substeps do; the whole span.  For −1/‖q‖ it gives h ∝ ‖q‖^{3/2}.
 G comes from ∇²V by dual numbers, or from ∇V alone where a scene has no Hessian.
 
 A saved time is reached by one shortened step off the sequence, which goes on as if nothing had been
@@ -74,7 +74,7 @@ def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
     """ω, and d ln ω/dt along the motion."""
     square = scene.inverse_mass * scene.inverse_mass
     curvature = squared_curvature(scene, x.q, tuple(p * scene.inverse_mass for p in x.p))
-    damping = scene.gamma * scene.gamma
+    damping = scene.gamma * scene.gamma / 64
     fourth = curvature.a * square + damping * damping + 1 / (span * span * span * span)
     return fourth**0.25, curvature.b * square / (4 * fourth)
 
