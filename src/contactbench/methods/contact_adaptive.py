@@ -8,7 +8,8 @@ chosen here is how long they are: h = ε/ρ with a step density ρ that is integ
 
 which keeps ρ near the local frequency ω and the method time-symmetric (Hairer, Söderlind, SIAM J. Sci.
 Comput. 26, 1838 (2005), doi:10.1137/040606995).  ω⁴ = ‖∇²V‖²_F/m² + (γ/8)⁴ + T⁻⁴: the curvature of the
-potential; the damping, which is solved exactly but for what its negative substeps do; the whole span.  For −1/‖q‖ it gives h ∝ ‖q‖^{3/2}.
+potential; the damping, which is solved exactly but for what its negative substeps do; the whole span.
+For −1/‖q‖ it gives h ∝ ‖q‖^{3/2}.
 G comes from ∇²V by dual numbers, or from ∇V alone where a scene has no Hessian.
 
 A saved time is reached by one shortened step off the sequence, which goes on as if nothing had been
