@@ -113,11 +113,9 @@ def condition(scene: Scene, times: list[str], rows: truth.Rows) -> float:
 
 
 def before_blow_up(scene: Scene) -> tuple[list[str], dict[str, Any]]:
-    """The grid as far as the trajectory is finite, and what is known of its time of blow-up."""
+    """The grid as far as the trajectory is finite, and its time of blow-up, which both engines confirm."""
     times = grid(scene)
     low, high = (truth.taylor_blow_up(scene, bits) for bits in BITS)
-    if low is None or high is None:
-        return times, {}
     try:
         truth.extrapolation(scene, times[-1:], scene.carry(), EXTRAPOLATION_DIGITS, truth.BLOW_UP_COLLAPSE)
     except truth.BlowUp as found:
@@ -157,9 +155,12 @@ def compute(scene: Scene) -> tuple[str, dict[str, Any]]:
 
     Raises `RuntimeError` when fewer than 30 digits are confirmed.
     """
-    carry = scene.carry()
-    times, blow_up = before_blow_up(scene) if scene.hard else (grid(scene), {})
-    low, high = (truth.taylor(scene, times, carry, bits) for bits in BITS)
+    carry, times, blow_up = scene.carry(), grid(scene), {}
+    try:
+        low, high = (truth.taylor(scene, times, carry, bits) for bits in BITS)
+    except truth.BlowUp:
+        times, blow_up = before_blow_up(scene)
+        low, high = (truth.taylor(scene, times, carry, bits) for bits in BITS)
     second = truth.extrapolation(scene, times, carry, EXTRAPOLATION_DIGITS)
     agreeing = truth.agreeing_digits(low, high, BITS[0] * 3 // 10)
     confirmed = truth.agreeing_digits(second, high, EXTRAPOLATION_DIGITS)
