@@ -6,9 +6,6 @@ a hang or a result that is no number is a row and stops nothing.
 
 from __future__ import annotations
 
-import os
-from collections import defaultdict
-
 import numpy as np
 import pytest
 
@@ -128,29 +125,10 @@ def budget_of(profile, scene, method):
 
 # -- workers ---------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
-def pool(request):
-    """Futures of all selected cells, computed ahead by workers; one group per program to compile."""
-    profile = request.config.profile
-    planned = defaultdict(list)
-    for item in request.session.items:
-        if item.path == request.path and "pool" in item.fixturenames:
-            cell = item.callspec.params["cell"]
-            if not isinstance(cell, tuple):  # an empty list of cells
-                continue
-            source = calls if item.originalname == "test_stability" else rate_calls
-            for call in source(cell, profile):
-                scene = cb.SCENES[call[0]["scene"]]
-                planned[scene.structure, source.__name__, cell[1]].append(((source.__name__, *cell), call))
-    cores = range(int(os.environ.get("CONTACTBENCH_WORKERS", min(2, os.cpu_count() or 1))))
-    futures = defaultdict(list)
-    with Workers(cores) as workers:
-        for group in planned.values():
-            made = workers.submit_group(
-                [(LIMIT, function, *arguments) for _, (_, function, arguments) in group]
-            )
-            for (cell, (row, _, _)), future in zip(group, made, strict=True):
-                futures[cell].append((row, future))
-        yield futures
+def worker():
+    """A process beside this one, on the same core, that keeps what it has compiled."""
+    with Workers([None]) as workers:
+        yield workers
 
 
 def answers(promised):
@@ -164,18 +142,30 @@ def answers(promised):
             yield row | {"message": " ".join(str(error).split())[:200]}
 
 
-@cells(ladder)
-def test_stability(cell, pool, record):
-    rows = list(answers(pool["calls", *cell]))
+def rows_of(calls, worker):
+    made = [(row, worker.submit(LIMIT, function, *arguments)) for row, function, arguments in calls]
+    return list(answers(made))
+
+
+def family(cell):
+    """Scenes whose compiled programs are the same, and the method: cells for one process."""
+    scene = cb.SCENES[cell[0].partition(" ")[0]]
+    kind = getattr(scene, "potential", type(scene)).__name__ + str(getattr(scene, "isotropic", ""))
+    return f"{kind}-{cell[1]}"
+
+
+@cells(ladder, group=family)
+def test_stability(cell, profile, worker, record):
+    rows = rows_of(calls(cell, profile), worker)
     for row in rows:
         record(STABILITY, **row)
     assert rows
     assert all(row["status"] == "ok" or row["message"] for row in rows)
 
 
-@cells(questions)
-def test_rates(cell, pool, record):
-    rows = list(answers(pool["rate_calls", *cell]))
+@cells(questions, group=family)
+def test_rates(cell, profile, worker, record):
+    rows = rows_of(rate_calls(cell, profile), worker)
     for row in rows:
         record(DAMPING_RATES, **row)
     assert all(row["status"] == "ok" or row["message"] for row in rows)

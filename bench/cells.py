@@ -21,11 +21,14 @@ SMOKE = ("particle",)
 RTOLS = [10.0**-k for k in range(3, 14)]
 
 
-def cells(*ladders: Any) -> Callable[..., Any]:
-    """Attach to a test the function that lists its cells for a profile."""
+def cells(ladder: Any, group: Callable[[tuple], str] | None = None) -> Callable[..., Any]:
+    """Attach to a test the function that lists its cells for a profile.
+
+    group : names the cells that one process should run; by default those of one scene and method.
+    """
 
     def attach(test: Any) -> Any:
-        test.cells = ladders[0]
+        test.cells, test.group = ladder, group or (lambda cell: "-".join(cell[:2]))
         return test
 
     return attach
