@@ -227,7 +227,7 @@ def test_escape_to_infinity_ends_as_diverged_with_the_time(method):
         assert solution.status is Status.diverged, solution.message
         assert solution.end_time == pytest.approx(true, rel=0.01)
         assert np.isnan(solution.y[-1]).all()
-        assert f"{solution.end_time:.4g}" in solution.message
+        assert "at t = 3.3" in solution.message or "by t = 3.3" in solution.message
 
 
 @fixed
