@@ -17,6 +17,7 @@ import pytest
 import contactbench as cb
 from cells import RTOLS, cells, engines, outcome, step_budget, timed, work_ladder
 from contactbench.laws import absolute_error
+from contactbench.scenes import standard_scenes
 from contactbench.table import WORK_PRECISION
 from limit import KERNELS, kernel
 
@@ -29,7 +30,7 @@ CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"),
 
 def ladder(profile):
     rows = []
-    for scene in cb.SCENES.values():
+    for scene in standard_scenes():
         for name, engine in engines():
             adaptive = cb.METHODS[name].adaptive
             method = cb.METHODS[name]

@@ -10,7 +10,7 @@ import numpy as np
 
 from contactbench.methods import METHODS
 from contactbench.scene import Scene
-from contactbench.scenes import SCENES
+from contactbench.scenes import standard_scenes
 from contactbench.solution import Counts, Solution
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
@@ -24,19 +24,22 @@ ROUND_SECONDS = 1e-3
 MOST_ROUNDS = 40
 
 
-def cells(*ladders: Any) -> Callable[..., Any]:
-    """Attach to a test the function that lists its cells for a profile."""
+def cells(ladder: Any, group: Callable[[tuple], str] | None = None) -> Callable[..., Any]:
+    """Attach to a test the function that lists its cells for a profile.
+
+    group : names the cells that one process should run; by default those of one scene and method.
+    """
 
     def attach(test: Any) -> Any:
-        test.cells = ladders[0]
+        test.cells, test.group = ladder, group or (lambda cell: "-".join(cell[:2]))
         return test
 
     return attach
 
 
 def scenes(profile: Any) -> list[str]:
-    """The scenes of an experiment: all, or one in the smoke profile."""
-    return list(SMOKE) if profile.points == 1 else list(SCENES)
+    """The scenes of an experiment: all standard ones, or one in the smoke profile."""
+    return list(SMOKE) if profile.points == 1 else [scene.name for scene in standard_scenes()]
 
 
 def steps(scene: Scene, count: int) -> list[float]:

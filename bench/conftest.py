@@ -102,7 +102,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     random.Random(SHUFFLE_SEED).shuffle(items)
     items.sort(key=lambda item: item.path.name)
     for item in items:
-        item.add_marker(pytest.mark.xdist_group("-".join(item.callspec.params["cell"][:2])))
+        cell = item.callspec.params["cell"]
+        if isinstance(cell, tuple):  # not so where a profile has no cells for a test
+            item.add_marker(pytest.mark.xdist_group(item.function.group(cell)))
 
 
 @pytest.hookimpl(trylast=True)

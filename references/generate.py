@@ -2,10 +2,12 @@
 
     python references/generate.py [--check] [SCENE ...]
 
-Every standard scene on t_k = t_end·k/200 with all its optional fields, in four steps:
+Every standard scene, and every hard one that has no closed form, on t_k = t_end·k/200 with all its
+optional fields, in four steps:
 heyoka's Taylor series at two precisions; the digits that agree; Gragg–Bulirsch–Stoer extrapolation
 in mpmath, which shares nothing with heyoka but the scene; closed forms and invariants where there
 are any.  A digit is stored only if all of them confirm it.  No method under test takes part.
+A hard scene also gets its condition number, and its time of blow-up if it has one.
 
 --check computes everything afresh, compares it with the stored digits, prints one line per scene
 and exits 1 on any difference.
@@ -28,10 +30,13 @@ from typing import Any
 
 import heyoka
 import mpmath
+import numpy as np
 
 from contactbench import references as truth
 from contactbench.scene import RigidBody, Scene, dot
 from contactbench.scenes import SCENES
+from contactbench.scenes.closed_form import damped_oscillator
+from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 
 FOLDER = Path(__file__).resolve().parent
@@ -40,6 +45,9 @@ INTERVALS = 200
 EXTRAPOLATION_DIGITS = 45
 STORED = 40  #: at most; fewer if fewer agree
 NEEDED = 30
+#: how far initial values are moved for the condition number
+NUDGE = "1e-25"
+FROZEN = (*STANDARD, *(scene for scene in HARD if scene.exact is not damped_oscillator))
 
 
 def grid(scene: Scene) -> list[str]:
@@ -64,7 +72,7 @@ def closed_form_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> d
 
 
 def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dict[str, int]:
-    """Digits to which a body keeps |R| = 1 and, if damped isotropically, J e^{γt}."""
+    """Digits to which a body keeps |R| = 1 and, if damped isotropically, J e^{γt} while J is above 10⁻²⁰."""
     if not isinstance(scene, RigidBody):
         return {}
     context = truth.decimal_context(70)
@@ -76,6 +84,7 @@ def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dic
         grown = [
             [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum(x)]
             for t, x in zip(times, states, strict=True)
+            if twin.gamma * context.mpf(t) < 46
         ]
         start = twin.momentum(twin.initial(twin.carry()))
         # one scale for the three components of J: some of them start at nearly nothing
@@ -83,6 +92,53 @@ def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dic
         worst = max(truth.distance(row, start) for row in grown) / size
         agreement["J e^{γt} = J(0)"] = truth.agreeing_digits([[1 + worst]], [[context.mpf(1)]], 65)
     return agreement
+
+
+def condition(scene: Scene, times: list[str], rows: truth.Rows) -> float:
+    """max_t ‖∂x(t)/∂x(0)‖₂ by differences of step 10⁻²⁵ in 60 digits."""
+    context = truth.decimal_context(70)
+    start = [context.mpf(repr(x)) for x in scene.pack(scene.initial(scene.carry()))]
+    step = context.mpf(NUDGE)
+    columns = []
+    for i in range(len(start)):
+        moved = [context.nstr(x + step * (i == j), 60) for j, x in enumerate(start)]
+        other = truth.taylor(scene, times, scene.carry(), BITS[1], start=moved)
+        columns.append(
+            [
+                [float((a - b) / step) for a, b in zip(p, q, strict=True)]
+                for p, q in zip(other, rows, strict=True)
+            ]
+        )
+    return float(np.linalg.norm(np.array(columns).transpose(1, 2, 0), ord=2, axis=(1, 2)).max())
+
+
+def before_blow_up(scene: Scene) -> tuple[list[str], dict[str, Any]]:
+    """The grid as far as the trajectory is finite, and its time of blow-up, which both engines confirm."""
+    times = grid(scene)
+    low, high = (truth.taylor_blow_up(scene, bits) for bits in BITS)
+    try:
+        truth.extrapolation(scene, times[-1:], scene.carry(), EXTRAPOLATION_DIGITS, truth.BLOW_UP_COLLAPSE)
+    except truth.BlowUp as found:
+        second = found.time
+    digits = min(truth.agreeing_digits([[x]], [[high]], STORED) for x in (low, second))
+    if digits < NEEDED:
+        raise RuntimeError(f"{scene.name}: only {digits} digits of the time of blow-up confirmed")
+    known = {"time": truth.rounded(high, truth.place(high, digits)), "digits": digits}
+    return [t for t in times if float(t) < float(high)], {"blow_up": known}
+
+
+def printed(scene: Scene, times: list[str], rows: truth.Rows, digits: int) -> list[list[str]]:
+    """The decimals to store: `digits` of the largest entry of every column.
+
+    Where entries fade below that, columns known in closed form keep the digits of every entry.
+    """
+    columns = list(zip(*truth.print_columns(rows, digits), strict=True))
+    size = max(abs(x) for row in rows for x in row)
+    if any(0 < abs(x) < size * mpmath.mpf(10) ** -20 for row in rows for x in row):
+        exact = truth.closed_form_columns(scene, np.array([float(t) for t in times]), scene.carry())
+        for i, known in enumerate(exact or ()):
+            columns[i] = columns[i] if known is None else tuple(known[0])
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def parameters(scene: Scene) -> dict[str, Any]:
@@ -99,8 +155,12 @@ def compute(scene: Scene) -> tuple[str, dict[str, Any]]:
 
     Raises `RuntimeError` when fewer than 30 digits are confirmed.
     """
-    carry, times = scene.carry(), grid(scene)
-    low, high = (truth.taylor(scene, times, carry, bits) for bits in BITS)
+    carry, times, blow_up = scene.carry(), grid(scene), {}
+    try:
+        low, high = (truth.taylor(scene, times, carry, bits) for bits in BITS)
+    except truth.BlowUp:
+        times, blow_up = before_blow_up(scene)
+        low, high = (truth.taylor(scene, times, carry, bits) for bits in BITS)
     second = truth.extrapolation(scene, times, carry, EXTRAPOLATION_DIGITS)
     agreeing = truth.agreeing_digits(low, high, BITS[0] * 3 // 10)
     confirmed = truth.agreeing_digits(second, high, EXTRAPOLATION_DIGITS)
@@ -114,7 +174,7 @@ def compute(scene: Scene) -> tuple[str, dict[str, Any]]:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["t", *scene.labels(carry)])
-    writer.writerows([t, *row] for t, row in zip(times, truth.print_columns(high, digits), strict=True))
+    writer.writerows([t, *row] for t, row in zip(times, printed(scene, times, high, digits), strict=True))
     versions = {"heyoka": heyoka.__version__, "mpmath": mpmath.__version__}
     entry = {
         "file": f"{scene.name}.csv",
@@ -138,7 +198,10 @@ def compute(scene: Scene) -> tuple[str, dict[str, Any]]:
         "closed_form_agreeing_digits": closed,
         "invariants_agreeing_digits": invariants,
         "versions": versions | {"python": platform.python_version()},
+        **blow_up,
     }
+    if scene.hard:
+        entry["condition_number"] = condition(scene, times, high)
     return text.getvalue(), json.loads(json.dumps(entry))
 
 
@@ -160,7 +223,7 @@ def generate(scene: Scene, folder: Path = FOLDER) -> str:
     write(folder / entry["file"], text)
     document = stored_manifest(folder)
     entries = document["scenes"] | {scene.name: entry}
-    document["scenes"] = {s.name: entries[s.name] for s in STANDARD if s.name in entries}
+    document["scenes"] = {s.name: entries[s.name] for s in FROZEN if s.name in entries}
     write(folder / "MANIFEST.json", json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     return f"{entry['digits']} digits stored"
 
@@ -198,13 +261,13 @@ def check(scene: Scene, folder: Path = FOLDER) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    names = [scene.name for scene in STANDARD]
+    names = [scene.name for scene in FROZEN]
     parser = argparse.ArgumentParser(description="Compute the frozen references, or check them.")
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(names)}; default all")
     parser.add_argument("--check", action="store_true", help="recompute and compare, write nothing")
     options = parser.parse_args(arguments)
     if unknown := [name for name in options.scenes if name not in names]:
-        parser.error(f"no standard scene {unknown[0]!r}: choose from {', '.join(names)}")
+        parser.error(f"no frozen scene {unknown[0]!r}: choose from {', '.join(names)}")
     wrong = 0
     for name in options.scenes or names:
         print(f"{name} …", end=" ", file=sys.stderr, flush=True)

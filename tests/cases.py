@@ -12,6 +12,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
+from contactbench.scenes import standard_scenes
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -38,8 +39,9 @@ USER = user_scene()
 TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
     name="tilted", damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))
 )
-#: every registered scene, and the shapes the registry does not have
-ALL_SCENES = [*cb.SCENES.values(), USER, TILTED]
+#: every standard scene, the potentials only hard ones have, and the shapes the registry does not have
+TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
+ALL_SCENES = [*standard_scenes(), TWO_SCALES, cb.SCENES["kepler_drag"], USER, TILTED]
 CONTACT_SCENES = [scene for scene in ALL_SCENES if scene.conformal_rate is not None]
 
 

@@ -84,7 +84,7 @@ def test_contact_methods_are_contact_maps_whose_factor_has_the_order_of_the_meth
 def test_the_factor_of_a_contact_method_is_the_ratio_by_which_its_momentum_decays():
     """Φ*η = (J(Φ)/J) η exactly: damping multiplies p, hence J and η, and nothing else touches either."""
     solution = solve("contact-abc", step=0.2)
-    pulled, form = pullbacks(solution)
+    pulled, form, _ = pullbacks(solution)
     ratio = SCENE.momentum(solution.states())[0] / SCENE.momentum(solution.start())[0]
     np.testing.assert_allclose(
         pulled / ratio[:, None], np.tile(form, (25, 1)), rtol=0, atol=1e-12

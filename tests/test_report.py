@@ -11,7 +11,8 @@ from cases import bench, finished
 from contactbench import figures
 from contactbench.gate import accuracy
 from contactbench.report import decades, duration, equal_error, losses, report, winners
-from contactbench.table import CONVERGENCE, WORK_PRECISION, read
+from contactbench.stability_report import advice, stability_document, usable
+from contactbench.table import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
 
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
 
@@ -96,6 +97,50 @@ def test_losses_name_the_peer_that_wins_and_by_how_much():
     assert "**316 µs (×0.1)**" in decades(work, "s", "time_median_s", duration)
     ahead = work.assign(method=work["method"].map({"contact-strang": "rk4", "rk4": "contact-strang"}))
     assert "rk4" not in losses(ahead)
+
+
+def hard_rows(method, errors, times, **more):
+    return pd.DataFrame({
+        "scene": "kepler_drag", "method": method, "engine": "jax", "setting": "x", "status": "ok", "message": "",
+        "solution_error": errors, "time_s": times, "rhs_equivalents": times, "end_error": errors,
+        "condition_number": float("nan"), "momentum_law": more.get("law", 1e-3),
+        "contact_drift": more.get("law", 1e-3),
+    }).reindex(columns=list(STABILITY.columns))  # fmt: skip
+
+
+def test_the_advice_names_peers_that_win_and_who_keeps_the_laws():
+    hard = pd.concat([
+        hard_rows("contact-adaptive", [1e-4, 1e-8], [3e-4, 9e-4], law=1e-15),
+        hard_rows("heyoka-taylor", [1e-4, 1e-8], [1e-4, 3e-4]),
+    ])  # fmt: skip
+    empty = {name: pd.DataFrame(columns=list(t.columns)) for name, t in TABLES.items()}
+    text = advice(empty | {"stability": hard})
+    (kepler,) = (line for line in text.splitlines() if "kepler_drag" in line)
+    assert "**heyoka-taylor**" in kepler  # a peer that wins is named, ours beside it
+    assert "contact-adaptive" in kepler
+    (laws,) = (line for line in text.splitlines() if "J and η" in line)
+    assert "**contact-adaptive**" in laws
+    assert "heyoka-taylor 1.0e-03" in laws
+    assert advice(empty) == ""
+
+
+def test_stability_document_is_written_from_its_tables_alone():
+    """Each section from a few rows; a method that diverged, one that is unsupported."""
+    empty = {name: pd.DataFrame(columns=list(t.columns)) for name, t in TABLES.items()}
+    hard = pd.concat([
+        hard_rows("contact-rkn6", [1e-4, 1e-8], [1.0, 2.0]), hard_rows("rk4", [1e-2, float("nan")], [1.0, 2.0]),
+    ])  # fmt: skip
+    hard.loc[hard["solution_error"].isna(), ["status", "message"]] = ["diverged", "left"]
+    grid = [1e-3, 1e-2, 1e-1, 1.0]
+    strong = pd.DataFrame({
+        "method": ["contact-strang"] * 4 + ["contact-rkn6"] * 4, "gamma": 1.0, "damping_per_evaluation": grid * 2,
+        "step": 1.0, "error": [1e-6, 1e-4, 1e-2, 1e-1, 1e-9, 1e-7, 1.0, float("inf")], "radius": 1.0,
+    })  # fmt: skip
+    text = stability_document(empty | {"stability": hard, "strong_damping": strong})
+    assert "1e-02 / diverged" in text
+    assert any(line.startswith("| contact-rkn6 ") and "0.01" in line for line in text.splitlines())
+    assert usable(strong, "contact-rkn6", 1.0) == 1e-2
+    assert "nan" not in text
 
 
 def test_every_method_has_its_own_look():

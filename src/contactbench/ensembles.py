@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.errors import BadInput, finite, positive, unknown_name
-from contactbench.laws import LAWS, conformal_deviation
+from contactbench.laws import LAWS, conformal_deviation, hamiltonian_terms, momentum_terms
 from contactbench.methods.base import METHODS, Refused, lookup, prepare
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step import FixedStep, FixedStepRun, rolled
@@ -28,10 +28,11 @@ TILE = 64
 CHUNK = {"cpu": 2**14, "gpu": 2**20}
 AXIS = "trajectories"
 
-#: laws of the numerical solution alone, with the quantity that must decay as e^{−γt}
-DECAYING: dict[str, Callable[[Scene, Any], Any]] = {
-    "hamiltonian_law": lambda scene, x: (scene.hamiltonian(x),),
-    "momentum_law": lambda scene, x: scene.momentum(x),
+Measured = Callable[[Scene, Any], Any]
+#: laws of the numerical solution alone, with the quantity that must decay as e^{−γt} and the size of its terms
+DECAYING: dict[str, tuple[Measured, Measured]] = {
+    "hamiltonian_law": (lambda scene, x: (scene.hamiltonian(x),), hamiltonian_terms),
+    "momentum_law": (lambda scene, x: scene.momentum(x), momentum_terms),
 }
 #: H0(y(T))/H0(y₀) − 1: no law, but how much of the energy is gone
 ENERGY = "energy_change"
@@ -284,9 +285,13 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
         for place, value in zip(places, own, strict=True):
             values[place] = value
         scene = base.with_numbers(values)
+
+        def quantity(name: str, x: Any) -> Any:
+            return jnp.stack(DECAYING[name][0](scene, x), axis=-1)
+
         start = scene.unpack(tuple(y0), carry)
         bound = DIVERGENCE * scale(y0[:motion])
-        origin = {name: jnp.stack(DECAYING[name](scene, start), axis=-1) for name in names[1:]}
+        origin = {name: quantity(name, start) for name in names[1:]}
 
         def span(carried: Any, interval: Any) -> Any:
             (x, worst, alive, end), (h, n, t) = carried, interval
@@ -295,12 +300,10 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
             x = run.method_.advance(scene, x, h, n, xp, rolled)
             y = jnp.stack(scene.pack(x))
             alive = alive & jnp.isfinite(y).all(axis=0) & (jnp.abs(y[:motion]).max(axis=0) <= bound)
-            here = {name: jnp.stack(DECAYING[name](scene, x), axis=-1) for name in origin}
-            law = {
-                name: conformal_deviation(here[name], origin[name], t, scene.conformal_rate, jnp)
-                for name in origin
-            }
-            worst = {name: jnp.maximum(worst[name], law[name]) for name in origin}
+            for name in origin:
+                terms, rate = DECAYING[name][1](scene, x), scene.conformal_rate
+                law = conformal_deviation(quantity(name, x), origin[name], t, rate, terms, jnp)
+                worst = {**worst, name: jnp.maximum(worst[name], law)}
             return (x, worst, alive, jnp.where(alive, t, end)), None
 
         nothing = jnp.zeros(tile)

@@ -28,6 +28,7 @@ STYLES = {
     "contact-rkn4": ("#228833", "D"),
     "contact-rkn6": ("#4477AA", "*"),
     "contact-o8": ("#AA3377", "P"),
+    "contact-adaptive": ("#BB5566", "8"),
     "rk4": ("#000000", "x"),
     "herglotz1": ("#661100", "d"),
     "herglotz2": ("#6699CC", "H"),
@@ -225,6 +226,101 @@ def ensemble(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
     return figure
 
 
+def panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels in rows of `columns`, and its panels."""
+    rows = -(-count // columns)
+    shape = (columns * size[0], rows * size[1])
+    figure, grid = plt.subplots(rows, columns, figsize=shape, layout="constrained", squeeze=False)
+    for spare in grid.flat[count:]:
+        spare.set_axis_off()
+    return figure, list(grid.flat[:count])
+
+
+def hard_scenes(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
+    """Error against evaluations on every hard scene that has runs which ended well."""
+    rows = frame[frame["status"] == "ok"]
+    scenes = list(dict.fromkeys(rows["scene"]))
+    figure, grid = panels(len(scenes), 4, (4.0, 3.4))
+    for panel, scene in zip(grid, scenes, strict=True):
+        part = rows[rows["scene"] == scene]
+        for method in ordered(part):
+            line = part[part["method"] == method].sort_values("rhs_equivalents")
+            panel.plot(line["rhs_equivalents"], line["solution_error"].clip(1e-16, 1e6), **style(method))
+        panel.set(xscale="log", yscale="log", title=scene, xlabel="evaluations", ylabel="solution error")
+    figure.suptitle(f"hard scenes: {labels['solution_error']} against evaluations, runs that ended ok")
+    shared_legend(figure, ordered(rows), 6)
+    return figure
+
+
+def stability_map(frame: pd.DataFrame) -> Figure:
+    """Largest bounded step over damping, measured and by theory, and per evaluation."""
+    figure, axes = plt.subplots(1, 2, figsize=(12.5, 5.0), layout="constrained")
+    rows = frame[frame["gamma"] > 0].assign(
+        ratio=lambda f: f["gamma"] / f["omega"], scaled=lambda f: f["limit"] * f["omega"],
+        predicted=lambda f: f["theory"] * f["omega"], each=lambda f: f["per_evaluation"] * f["omega"],
+    )  # fmt: skip
+    for method in ordered(rows):
+        line = rows[rows["method"] == method].sort_values("ratio").drop_duplicates("ratio")
+        look = style(method)
+        axes[0].plot(line["ratio"], line["scaled"], **look)
+        axes[0].plot(line["ratio"], line["predicted"], "--", color="#444444", linewidth=0.9)
+        axes[1].plot(line["ratio"], line["each"], **look)
+    axes[0].plot([], [], "--", color="#444444", linewidth=0.9, label="theory")
+    axes[0].legend(loc="lower left")
+    for panel, ylabel in zip(axes, ("ω × largest step", "ω × largest step per evaluation"), strict=True):
+        panel.set(xscale="log", yscale="log", xlabel="γ/ω", ylabel=ylabel)
+    figure.suptitle(
+        "largest step with a bounded orbit of q'' + γq' + ω²q = 0 (curves that end: no limit found)"
+    )
+    shared_legend(figure, ordered(rows), 6)
+    return figure
+
+
+def one_step(frame: pd.DataFrame) -> Figure:
+    """Spectral radius of the one-step map over the true one: below 1 damping, above 1 antidamping."""
+    gammas = [gamma for gamma in (0.0, 0.1, 1.0, 10.0, 50.0) if gamma in set(frame["gamma"])]
+    figure, grid = panels(len(gammas), 3, (4.6, 3.8))
+    for panel, gamma in zip(grid, gammas, strict=True):
+        part = frame[frame["gamma"] == gamma]
+        for method in ordered(part):
+            line = part[part["method"] == method].sort_values("step")
+            panel.plot(line["step"], (line["radius"]).clip(1e-3, 5), **style(method), markevery=8)
+        truth = part.drop_duplicates("step").sort_values("step")
+        panel.plot(truth["step"], truth["true_radius"], "--", color="#444444", linewidth=1.6)
+        panel.axhline(1.0, color="#bbbbbb", linewidth=0.8)
+        panel.set(
+            xscale="log",
+            title=f"γ = {gamma:g}",
+            xlabel="step size h",
+            ylabel="largest |eigenvalue|",
+            ylim=(0, 2),
+        )
+    figure.suptitle(
+        "one-step map of the oscillator; dashed: the exact flow (below: numerical damping, above: antidamping)"
+    )
+    shared_legend(figure, ordered(frame), 6)
+    return figure
+
+
+def strong_damping(frame: pd.DataFrame, labels: dict[str, str]) -> Figure:
+    """Error against the damping between two evaluations."""
+    gammas = sorted(frame["gamma"].unique())
+    figure, grid = panels(len(gammas), 2, (6.2, 4.0))
+    for panel, gamma in zip(grid, gammas, strict=True):
+        part = frame[frame["gamma"] == gamma]
+        for method in ordered(part):
+            line = part[part["method"] == method].sort_values("damping_per_evaluation")
+            error = line["error"].where(np.isfinite(line["error"]))
+            panel.plot(line["damping_per_evaluation"], error.where(error < 1e4), **style(method), markevery=4)
+        panel.set(
+            xscale="log", yscale="log", title=f"γ = {gamma:g}", xlabel="γh per evaluation", ylim=(1e-16, 1e2)
+        )
+        panel.set_ylabel("relative error")
+    figure.suptitle(f"equal cost under strong damping: {labels['error']}")
+    shared_legend(figure, ordered(frame), 6)
+    return figure
+
+
 def figures(
     tables: dict[str, pd.DataFrame], labels: Callable[[str], dict[str, str]]
 ) -> Iterator[tuple[str, Figure]]:
@@ -239,6 +335,14 @@ def figures(
         yield "ensemble", ensemble(tables["ensemble"], labels("ensemble"))
     if len(laws):
         yield "structure", structure(laws, labels("laws"))
+    if (tables["stability"]["status"] == "ok").any():
+        yield "hard_scenes", hard_scenes(tables["stability"], labels("stability"))
+    if len(tables["stability_limits"]):
+        yield "stability_map", stability_map(tables["stability_limits"])
+    if len(tables["one_step"]):
+        yield "one_step", one_step(tables["one_step"])
+    if len(tables["strong_damping"]):
+        yield "strong_damping", strong_damping(tables["strong_damping"], labels("strong_damping"))
     for scene in dict.fromkeys(time[time["status"] == "ok"]["scene"]):
         yield f"laws_{scene}", laws_along_time(time, scene, labels("laws_time"))
 

@@ -6,6 +6,11 @@ says otherwise, and nan where the run did not end `ok`.  To add one, decorate a 
 Quantities that decay are compared on the scale of their decay, and in a form that stays finite when
 e^{−γt} underflows: a saved value whose true size is below the smallest normal number divided by the
 machine precision carries no relative information and must merely be as small.
+
+H, J and Φ*η are differences of larger terms: T, V and Γ; the products of q and p; ∂s and p·∂q.  Strong
+damping makes the terms cancel to e^{−γt} of their size, below any round-off, and an unstable motion makes
+the derivatives grow.  A deviation is therefore measured against the true size of the quantity, but not
+against less than `ATTAINABLE` of the terms it is the difference of: round-off of the terms stays round-off.
 """
 
 from __future__ import annotations
@@ -26,6 +31,8 @@ LAWS = Registry("law")
 
 #: below this a float64 has lost relative precision to gradual underflow
 MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
+#: part of the cancelling terms below which a quantity is not resolved: round-off of a few ε stays below 10⁻¹²
+ATTAINABLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -179,7 +186,10 @@ def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 
 #: what ∫Γ' means in the definitions of the laws
-RATE = "∫Γ' = γt, where Γ' changes that of the truth: e^{−∫Γ'} = H*(t)/H(y₀)"
+RATE = (
+    "∫Γ' = γt, where Γ' changes that of the truth: e^{−∫Γ'} = H*(t)/H(y₀); relative to no less than a "
+    "thousandth of the terms that cancel"
+)
 
 
 # -- conformal laws --------------------------------------------------------------------------------
@@ -207,28 +217,51 @@ def scaled(values: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
         return values * half * half
 
 
-def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
-    """‖values e^{γt} − start‖ / ‖start‖ at each time, for values of shape (k, m), start (m,).
+def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any = 0.0, xp: Any = np) -> Any:
+    """‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time.
 
-    Where the true size e^{−γt}‖start‖ is below the meaningful range, the deviation is how far the
-    value exceeds that range (0 when it has underflowed as it should).  For an ensemble k counts its
-    members, and t, γ and start may differ from one to the next.
+    values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are.
+    Where the denominator is below the meaningful range, the deviation is how far the value exceeds that
+    range (0 when it has underflowed as it should).  For an ensemble k counts its members, and t, γ and
+    start may differ from one to the next.
     """
-    size = xp.linalg.norm(start, axis=-1)
-    size = xp.where(size > 0, size, 1.0)
-    true_log = xp.log(size) - gamma * t
-    meaningful = true_log > math.log(MEANINGFUL)
-    with np.errstate(over="ignore", invalid="ignore"):  # where it is not meaningful, just below
-        deviation = xp.linalg.norm(scaled(values, t, gamma, xp) - start, axis=-1) / size
+    norm = xp.linalg.norm(start, axis=-1)
+    norm = xp.where(norm > 0, norm, 1.0)
+    true_log = xp.log(norm) - gamma * t
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        # where the true size rules, values are scaled up rather than the start down: it may underflow
+        deviation = xp.linalg.norm(scaled(values, t, gamma, xp) - start, axis=-1) / norm
+        attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
+        resolved = xp.log(attainable) <= true_log
+        true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
+        unresolved = xp.linalg.norm(values - true, axis=-1) / attainable
     excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
-    return xp.where(meaningful, deviation, excess)
+    meaningful = xp.where(resolved, true_log > math.log(MEANINGFUL), attainable > MEANINGFUL)
+    return xp.where(meaningful, xp.where(resolved, deviation, unresolved), excess)
+
+
+def size(part: Any) -> Any:
+    """‖·‖ of a tuple of components, each a number or an array over time."""
+    return sum(c * c for c in part) ** 0.5
+
+
+def hamiltonian_terms(scene: Scene, states: Any) -> Any:
+    """The size of the terms of H."""
+    kinetic = scene.kinetic(states.p) if isinstance(scene, Mechanical) else scene.energy(states)
+    return abs(kinetic) + abs(scene.hamiltonian(states) - kinetic)
+
+
+def momentum_terms(scene: Scene, states: Any) -> Any:
+    """The size of the terms of J."""
+    return size(states.q) * size(states.p) if isinstance(scene, Mechanical) else size(states.M)
 
 
 def hamiltonian_deviation(solution: Solution) -> np.ndarray:
-    scene = solution.scene
-    value = scene.hamiltonian(solution.states())
+    scene, states = solution.scene, solution.states()
+    value = scene.hamiltonian(states)
     start = np.array([scene.hamiltonian(solution.start())])
-    return conformal_deviation(value[:, None], start, solution.t, decay_rate(solution))
+    terms = hamiltonian_terms(scene, states)
+    return conformal_deviation(value[:, None], start, solution.t, decay_rate(solution), terms)
 
 
 @law(f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", needs=("s",), applies=is_contact, compares_decay=True)
@@ -237,10 +270,11 @@ def hamiltonian_law(solution: Solution) -> float:
 
 
 def momentum_deviation(solution: Solution) -> np.ndarray:
-    scene = solution.scene
-    value = np.array(scene.momentum(solution.states())).T
+    scene, states = solution.scene, solution.states()
+    value = np.array(scene.momentum(states)).T
     start = np.array(scene.momentum(solution.start()))
-    return conformal_deviation(value, start, solution.t, decay_rate(solution))
+    terms = momentum_terms(scene, states)
+    return conformal_deviation(value, start, solution.t, decay_rate(solution), terms)
 
 
 @law(
@@ -257,30 +291,36 @@ def momentum_law(solution: Solution) -> float:
 )
 def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
+    weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
     exact, numerical = (
-        scaled(np.array(scene.momentum(states))[0], t, scene.conformal_rate)
+        np.array(scene.momentum(states))[0] * weight
         for states in (truth(solution).states(), solution.states())
     )
     return float(np.abs(numerical - exact).max() / np.abs(exact).max())
 
 
 # -- contact structure -----------------------------------------------------------------------------
-def pullbacks(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """η(Φ)·DΦ at every saved time, shape (k, m), and η at the start, shape (m,), on the tangents."""
+def pullbacks(solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """η(Φ)·DΦ at every saved time, shape (k, m), and η at the start, shape (m,), on the tangents.
+
+    Also ‖|∂s| + |p·∂q|‖ (with ‖p‖‖∂q‖ for the last) at every time, shape (k,): the terms of η(Φ)·DΦ.
+    """
     scene, carry, start = solution.scene, solution.carry, solution.start()
     form = np.array([float(scene.contact_form(start, v)) for v in scene.tangents(start)])
     y, derivative = solution.linearised  # (k, d), (k, d, m)
     here = scene.unpack(tuple(y.T), carry)
-    rows = [
-        scene.contact_form(here, scene.unpack(tuple(derivative[:, :, j].T), carry))
-        for j in range(derivative.shape[2])
-    ]
-    return np.array(rows).T, form
+    pushed = [scene.unpack(tuple(derivative[:, :, j].T), carry) for j in range(derivative.shape[2])]
+    pulled = np.array([scene.contact_form(here, v) for v in pushed]).T
+    if isinstance(scene, Mechanical):
+        terms = [np.abs(v.s) + size(here.p) * size(v.q) for v in pushed]
+    else:  # ‖ξ‖ = 2‖dR‖
+        terms = [np.abs(v.s) + 2 * size(here.M) * size(v.R) for v in pushed]
+    return pulled, form, size(terms)
 
 
 def contact_deviation(solution: Solution) -> np.ndarray:
-    pulled, form = pullbacks(solution)
-    return conformal_deviation(pulled, form, solution.t, decay_rate(solution))
+    pulled, form, terms = pullbacks(solution)
+    return conformal_deviation(pulled, form, solution.t, decay_rate(solution), terms)
 
 
 @law(
@@ -293,12 +333,12 @@ def contact_drift(solution: Solution) -> float:
 
 @law("sine of the angle between Φ*η and η", needs=("R", "s"), applies=is_contact, structural=True)
 def distribution_drift(solution: Solution) -> float:
-    pulled, form = pullbacks(solution)
+    pulled, form, terms = pullbacks(solution)
     unit = form / np.linalg.norm(form)
-    size = np.linalg.norm(pulled, axis=1)
-    pulled = pulled / np.where(size > 0, size, 1.0)[:, None]
+    length = np.maximum(np.linalg.norm(pulled, axis=1), ATTAINABLE * terms)
+    pulled = pulled / np.where(length > 0, length, 1.0)[:, None]
     across = pulled - (pulled @ unit)[:, None] * unit  # the part of Φ*η that is not along η
-    return float(np.linalg.norm(across, axis=1)[size > MEANINGFUL].max(initial=0.0))
+    return float(np.linalg.norm(across, axis=1)[length > MEANINGFUL].max(initial=0.0))
 
 
 @law("max ‖RᵀR − 1‖_F", needs=("R",), applies=is_body, structural=True)

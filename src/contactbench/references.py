@@ -24,6 +24,18 @@ from contactbench.errors import BadInput
 from contactbench.scene import Scene
 
 Rows = list[list[Any]]  #: one list of components per time
+
+
+class BlowUp(BadInput):
+    """The trajectory reaches infinity at `time`, an mpmath number."""
+
+    def __init__(self, scene: Scene, time: Any) -> None:
+        super().__init__(
+            f"no reference for scene {scene.name!r}: the trajectory blows up at t = {float(time):.6g}"
+        )
+        self.time = time
+
+
 CLOSED_FORM_DIGITS = 50
 #: bits of the lower of two precisions, tried in turn until enough digits agree
 LIVE_BITS = (140, 300, 600)
@@ -294,6 +306,50 @@ def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
     return None
 
 
+def frozen_entry(scene: Scene) -> dict[str, Any] | None:
+    """The manifest's entry of this very scene, whatever its name, or None."""
+    folder, wanted = frozen_folder(), digest(scene)
+    entries = manifest(folder).values() if folder else ()
+    return next((entry for entry in entries if entry["scene_digest"] == wanted), None)
+
+
+def condition_number(scene: Scene) -> float | None:
+    """max_t ‖∂x(t)/∂x(0)‖₂ along the true trajectory: what errors grow to.  None where it is not stored."""
+    entry = frozen_entry(scene)
+    return entry.get("condition_number") if entry else None
+
+
+# -- blow-up ---------------------------------------------------------------------------------------
+#: a step this small against the span tells the time of blow-up to as many digits, less a few
+BLOW_UP_COLLAPSE = 1e-45
+
+
+def blow_up_time(scene: Scene) -> tuple[str, int] | None:
+    """When the trajectory reaches infinity, as a decimal string, and how many digits of it are known.
+
+    Frozen where it is stored, else from heyoka's Taylor series at two precisions: steps shrink in
+    proportion to the time that is left.  None if the trajectory is finite up to the scene's t_end.
+    """
+    entry = frozen_entry(scene)
+    if entry is not None:
+        known = entry.get("blow_up")
+        return (known["time"], known["digits"]) if known else None
+    low, high = (taylor_blow_up(scene, bits) for bits in (200, 260))
+    if low is None or high is None:
+        return None
+    digits = agreeing_digits([[low]], [[high]], 40)
+    return rounded(high, place(high, digits)), digits
+
+
+def taylor_blow_up(scene: Scene, bits: int) -> Any:
+    """The time of blow-up by heyoka at one precision, an mpmath number, or None."""
+    try:
+        taylor(scene, [repr(scene.t_end)], scene.carry(), bits, BLOW_UP_COLLAPSE)
+    except BlowUp as found:
+        return found.time
+    return None
+
+
 # -- live high precision ---------------------------------------------------------------------------
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple:
     """Decimals, digits and source from two precisions, keeping the digits that agree.
@@ -359,31 +415,41 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], bits: int, heyoka: Any) 
     return list(zip(variables, slopes, strict=True)), twin.pack(twin.initial(carry))
 
 
-def taylor(scene: Scene, times: list[str], carry: tuple[str, ...], bits: int) -> Rows:
+def taylor(
+    scene: Scene,
+    times: list[str],
+    carry: tuple[str, ...],
+    bits: int,
+    collapse: float = COLLAPSE,
+    start: list[str] | None = None,
+) -> Rows:
     """States at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
 
+    start : packed initial state as decimal strings, by default the scene's own.  Raises `BlowUp` when
+    a step falls below `collapse` of the span.
     Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
     """
     import heyoka
 
-    system, start = taylor_system(scene, carry, bits, heyoka)
+    system, own = taylor_system(scene, carry, bits, heyoka)
+    origin_state = own if start is None else [heyoka.real(x, bits) for x in start]
     integrator = heyoka.taylor_adaptive(
-        system, np.array(start), fp_type=heyoka.real, prec=bits, compact_mode=True
+        system, np.array(origin_state), fp_type=heyoka.real, prec=bits, compact_mode=True
     )
     origin = [] if float(times[0]) == 0 else ["0.0"]
     grid = np.array([heyoka.real(t, bits) for t in [*origin, *times]])
-    shortest = COLLAPSE * float(times[-1])
+    shortest = collapse * float(times[-1])
 
     def keep_going(integrator: Any) -> bool:
         almost_there = float(times[-1]) - float(integrator.time) <= shortest
         return almost_there or float(integrator.last_h) > shortest
 
+    context = decimal_context(bits * 3 // 10 + 5)
     outcome, *_, states = integrator.propagate_grid(grid, callback=keep_going, max_steps=MAX_STEPS)
     if outcome == heyoka.taylor_outcome.step_limit:
         raise BadInput(f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed")
     if outcome != heyoka.taylor_outcome.time_limit:
-        raise blow_up(scene, float(integrator.time))
-    context = decimal_context(bits * 3 // 10 + 5)
+        raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
 
 
@@ -407,12 +473,12 @@ def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool
     return distance([context.mpf(str(x)) for x in theirs], ours) <= 1e-35 * max(map(abs, [*ours, *state]))
 
 
-def blow_up(scene: Scene, time: float) -> BadInput:
-    return BadInput(f"no reference for scene {scene.name!r}: the trajectory blows up at t = {time:.6g}")
-
-
-def extrapolation(scene: Scene, times: list[str], carry: tuple[str, ...], digits: int) -> Rows:
+def extrapolation(
+    scene: Scene, times: list[str], carry: tuple[str, ...], digits: int, collapse: float = COLLAPSE
+) -> Rows:
     """States at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
+
+    Raises `BlowUp` when a step falls below `collapse` of the span.
 
     Modified midpoint rule with 2, 4, 6, … substeps, extrapolated in h² until two neighbours agree
     to `digits` digits: no Taylor series and no heyoka, only evaluations of ``scene.rhs``.
@@ -427,7 +493,7 @@ def extrapolation(scene: Scene, times: list[str], carry: tuple[str, ...], digits
         return twin.pack(twin.rhs(twin.unpack(y, carry)))
 
     now, y = context.mpf(0), twin.pack(twin.initial(carry))
-    shortest, trial = COLLAPSE * context.mpf(times[-1]), context.mpf(times[-1])
+    shortest, trial = collapse * context.mpf(times[-1]), context.mpf(times[-1])
     rows = []
     for time in map(context.mpf, times):
         while now < time:
@@ -436,7 +502,7 @@ def extrapolation(scene: Scene, times: list[str], carry: tuple[str, ...], digits
             if result is None:
                 trial = step / 2
                 if trial < shortest:
-                    raise blow_up(scene, float(now))
+                    raise BlowUp(scene, now)
                 continue
             now, y = (time if step == time - now else now + step), result
             if column < 0.7 * most:

@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from tabulate import tabulate
 
 from contactbench import figures, paper_figures
 from contactbench.analysis import cost_at_error
+from contactbench.markdown import DASH, count, duration, markdown, scientific
+from contactbench.stability_report import advice, stability_document
 from contactbench.table import SEPARATOR, TABLES, read, replacing
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 DECADES = tuple(10.0**-k for k in range(3, 13))
 #: at or below this a drift counts as round-off
 ROUND_OFF = 1e-12
-DASH = "—"
 HEADLINE = "particle"
 COMPILED, CALLBACKS = ("jax", "llvm"), ("python", "c+python")
 ANY = COMPILED + CALLBACKS
@@ -29,34 +29,6 @@ ANY = COMPILED + CALLBACKS
 def labels(table: str) -> dict[str, str]:
     """Column meanings of a table, for axis labels and headers."""
     return dict(TABLES[table].columns)
-
-
-def scientific(value: float, digits: int = 1) -> str:
-    return DASH if pd.isna(value) else f"{value:.{digits}e}"
-
-
-def duration(seconds: float) -> str:
-    """Seconds as a readable time; a dash for nan."""
-    if math.isnan(seconds):
-        return DASH
-    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-9:.3g} ns"
-
-
-def count(value: float) -> str:
-    """A number of evaluations; a dash for nan."""
-    return DASH if math.isnan(value) else f"{value:.0f}"
-
-
-def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """A GitHub table; the first column left, the others right aligned."""
-    head = list(header)
-    align = ["left", *["right"] * (len(head) - 1)]
-    return tabulate(
-        [list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True
-    )
 
 
 # -- equal error -----------------------------------------------------------------------------------
@@ -611,6 +583,16 @@ def ensemble_line(frame: pd.DataFrame) -> str:
     return "- [ensemble.md](ensemble.md): throughput of ensembles (`ensemble.csv`)\n" if len(frame) else ""
 
 
+def stability_line(frame: pd.DataFrame) -> str:
+    """The stability tables in the list of tables."""
+    if not len(frame):
+        return ""
+    files = (
+        "`stability.csv`, `stability_limits.csv`, `one_step.csv`, `damping_rates.csv`, `strong_damping.csv`"
+    )
+    return f"- [stability.md](stability.md): {frame['scene'].nunique()} hard scenes, stability limits ({files})\n"
+
+
 def headline_document(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
     work = tables["work_precision"]
     machines = []
@@ -649,7 +631,7 @@ body, which together apply its whole vector field, count as one):
 {winners(work, "rhs_equivalents", count, ANY)}
 
 ![cost against error on the {HEADLINE}](figures/work_precision_{HEADLINE}.svg)
-
+{advice(tables)}
 ## Where the contact methods lose
 
 {LOSSES}
@@ -661,7 +643,7 @@ body, which together apply its whole vector field, count as one):
 - [work_precision.md](work_precision.md): cost at equal error, scene by scene (`work_precision.csv`)
 - [convergence.md](convergence.md): measured orders (`convergence.csv`)
 - [laws.md](laws.md): decay laws and drifts (`laws.csv`, along time `laws_time.csv`)
-{ensemble_line(tables["ensemble"])}{claims_line(tables["claims"])}{gate_line(tables["gate_selfcheck"])}
+{stability_line(tables["stability"])}{ensemble_line(tables["ensemble"])}{claims_line(tables["claims"])}{gate_line(tables["gate_selfcheck"])}
 ## Where this was measured
 
 {chr(10).join(machines)}
@@ -682,6 +664,8 @@ def report(results: Path) -> list[Path]:
         documents["work_precision.md"] = work_precision_document(tables["work_precision"])
     if (tables["ensemble"]["status"] == "ok").any():
         documents["ensemble.md"] = ensemble_document(tables["ensemble"])
+    if len(tables["stability"]):
+        documents["stability.md"] = stability_document(tables)
     if len(tables["claims"]):
         documents["claims.md"] = claims_document(tables["claims"], set(tables["paper_figures"]["figure"]))
     if len(tables["gate_selfcheck"]):

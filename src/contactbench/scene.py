@@ -124,6 +124,8 @@ class Scene:
     #: closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None
     exact: Callable[[Any, Any, Any], Any] | None = None
     about: str = ""
+    #: only the stability experiment runs it
+    hard: bool = False
 
     #: optional state fields, in packing order
     optional: ClassVar[tuple[str, ...]] = ("s",)
@@ -168,6 +170,11 @@ class Scene:
     def labels(self, carry: Sequence[str]) -> list[str]:
         """Component names of the packed state, in order."""
         raise NotImplementedError
+
+    @property
+    def motion(self) -> int:
+        """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
+        return len(self.labels(()))
 
     def initial(self, carry: Sequence[str], **data: Any) -> Any:
         """The initial state; `data` overrides the scene's own initial values."""

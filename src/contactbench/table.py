@@ -193,6 +193,80 @@ ENSEMBLE_TABLE = Table(
     key=(*KEY, "track", "trajectories", "cores"),
 )
 
+STABILITY = Table(
+    "stability",
+    "the hard scenes: how every method ends, its errors and laws, at a fixed ladder of costs",
+    {
+        **_COMMON,
+        "end_time": "how far the run got",
+        "blow_up_time": "when the true motion reaches infinity, if it does",
+        "condition_number": "max ‖∂x(t)/∂x(0)‖₂ of the true motion, where stored: what errors grow to",
+        "end_error": "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left then",
+        **_law_columns(),
+        "derivative": "how DΦ for the contact drift was obtained, or why it was not",
+        **_COUNTS,
+        "time_s": "fastest of a few calls, 25 saved times; other work may run beside it",
+    },
+)  # fmt: skip
+
+STABILITY_LIMITS = Table(
+    "stability_limits",
+    "largest step with a bounded orbit of the oscillator q'' + γq' + ω²q = 0, by bisection",
+    {
+        "method": "name of the method",
+        "gamma": "damping γ",
+        "omega": "frequency ω",
+        "limit": "largest step with a bounded orbit: no eigenvalue of the one-step map beyond the unit circle",
+        "theory": "what theory gives, where it does",
+        "per_evaluation": "the limit over the evaluations of a step",
+    },
+    key=("method", "gamma", "omega"),
+)
+
+ONE_STEP = Table(
+    "one_step",
+    "spectral radius of the one-step map of the oscillator, ω = 1, beside that of the exact flow",
+    {
+        "method": "name of the method",
+        "gamma": "damping γ",
+        "step": "step size h",
+        "radius": "largest |eigenvalue| of the one-step map",
+        "true_radius": "of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped",
+    },
+    key=("method", "gamma", "step"),
+)
+
+DAMPING_RATES = Table(
+    "damping_rates",
+    "measured damping rates: the slow rate of the overdamped oscillator, the rate of weak damping",
+    {
+        "experiment": "overdamped or weak",
+        **_COMMON,
+        "t_end": "span of the run",
+        "damping_per_step": "γh, fixed steps",
+        "evaluations": "evaluations in one run",
+        "rate": "measured rate",
+        "true_rate": "the same measured on the truth",
+        "ratio": "measured over true",
+        "rate_error": "|measured/true − 1|",
+    },
+    key=("experiment", "scene", "method", "setting", "t_end"),
+)
+
+STRONG_DAMPING = Table(
+    "strong_damping",
+    "error of fixed-step methods at equal cost as damping gets strong, oscillator, ω = 1",
+    {
+        "method": "name of the method",
+        "gamma": "damping γ",
+        "damping_per_evaluation": "γh over the evaluations of a step: the damping between two evaluations",
+        "step": "step size h",
+        "error": "‖Mⁿ − Φ_T‖₂/‖Φ_T‖₂ over the time T in which the motion falls by e",
+        "radius": "largest |eigenvalue| of the one-step map",
+    },
+    key=("method", "gamma", "damping_per_evaluation"),
+)
+
 SEPARATOR = " // "  #: between the measurements listed in one cell
 
 CLAIMS_TABLE = Table(
@@ -272,6 +346,11 @@ TABLES = {
         ENSEMBLE_TABLE,
         CLAIMS_TABLE,
         PAPER_FIGURES,
+        STABILITY,
+        STABILITY_LIMITS,
+        ONE_STEP,
+        DAMPING_RATES,
+        STRONG_DAMPING,
         GATE_SELFCHECK,
     )
 }

@@ -32,6 +32,7 @@ from contactbench.methods.fixed_step import FixedStep, trajectory
 from contactbench.references import decimal_context, reference, with_decimals
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
+from contactbench.stability import SLACK, spectral_radius
 
 PARTICLE = "particle"
 PRINTED, ABC, STRANG, RK4 = "contact-printed", "contact-abc", "contact-strang", "rk4"
@@ -438,24 +439,16 @@ def verlet_limit() -> Evidence:
     )
 
 
-def spectral_radius(name: str, gamma: float, h: float) -> float:
-    """Largest |eigenvalue| of one step on (q, p) of the oscillator, whose step map is linear."""
-    scene = SCENES["oscillator"].with_(gamma=gamma)
-    unit = ((1.0, 0.0), (0.0, 1.0))
-    columns = [METHODS[name].advance(scene, State((q,), (p,)), h, 1, math) for q, p in unit]
-    matrix = np.array([[*x.q, *x.p] for x in columns]).T
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
+def radius(name: str, gamma: float, h: float) -> float:
+    """Largest |eigenvalue| of one step on the oscillator with ω = 1."""
+    return spectral_radius(METHODS[name], gamma, 1.0, h)
 
 
 def border(name: str, gamma: float) -> float:
     """The smallest ωh > 1 at which an eigenvalue of the step leaves the unit circle."""
     from scipy.optimize import brentq
 
-    return brentq(lambda h: spectral_radius(name, gamma, h) - 1 - SLACK, 1.0, 2.5, xtol=1e-12)
-
-
-#: an eigenvalue this close to the unit circle counts as on it: square root of round-off
-SLACK = 1e-7
+    return brentq(lambda h: radius(name, gamma, h) - 1 - SLACK, 1.0, 2.5, xtol=1e-12)
 
 
 @claim(
@@ -472,9 +465,9 @@ SLACK = 1e-7
 def conditional_stability() -> Evidence:
     gammas = (0.0, 0.1, 1.0)
     why = "bounded orbits need no eigenvalue beyond the unit circle; 10⁻⁷ is the square root of round-off"
-    beyond = max(spectral_radius(name, gamma, 2.5) for name in (PRINTED, ABC) for gamma in gammas)
+    beyond = max(radius(name, gamma, 2.5) for name in (PRINTED, ABC) for gamma in gammas)
     calm = max(
-        spectral_radius(name, gamma, h)
+        radius(name, gamma, h)
         for name in (PRINTED, ABC)
         for gamma in gammas
         for h in np.linspace(0.05, 1.95, 39)

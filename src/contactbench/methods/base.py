@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, Protocol, runtime_checkable
 
@@ -103,7 +103,7 @@ class Prepared:
             y0 = np.array(r.scene.pack(r.scene.initial(r.carry, **r.scene.checked(data))), dtype=float)
         else:
             y0 = self._own_start
-        out = self.integrate(y0)
+        out = audited(self.integrate(y0), float(r.save_at[-1]))
         solution = Solution(
             r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
             out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
@@ -118,28 +118,44 @@ class Prepared:
     def __post_init__(self) -> None:
         r = self.request
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
-        self._motion = len(r.scene.labels(()))  # leading components that are (q, p) or M
+        self._motion = r.scene.motion
 
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
         """Index of the first saved state in y that is not finite or out of scale, or None."""
         return first_divergence(y, self._motion, divergence_bound(y0[: self._motion]))
 
     def finished(
-        self, y0: np.ndarray, y: np.ndarray, counts: Counts, status: Status = Status.ok, message: str = ""
+        self,
+        y0: np.ndarray,
+        y: np.ndarray,
+        counts: Counts,
+        status: Status = Status.ok,
+        message: str = "",
+        stopped: tuple[float, np.ndarray] | None = None,
     ) -> Outcome:
-        """An outcome from the saved states reached so far: checked for divergence, padded with NaN."""
+        """An outcome from the saved states reached so far: checked for divergence, padded with NaN.
+
+        stopped : time and state at which a solver gave up.  Where that state is out of scale the solver
+        was right to, and the run has diverged by then: steps shrink without end before a singularity.
+        """
         times = self.request.save_at
         reached = len(y)
         bad = self.first_divergence(y0, y)
         if bad is not None:
-            at = float(times[bad])
             y, reached = y[:bad], bad
-            status, message = Status.diverged, f"left the scene's scale by a factor 1e6 before t = {at:.6g}"
+            status, message = (
+                Status.diverged,
+                f"left the scene's scale by a factor 1e6 before t = {times[bad]:.6g}",
+            )
         if reached < len(times):
             if status is Status.ok:
                 status, message = Status.failed, f"stopped before t = {times[reached]:.6g}"
             y = np.concatenate([y, np.full((len(times) - reached, len(y0)), math.nan)])
         end = float(times[reached - 1]) if reached else 0.0
+        if status is not Status.ok and stopped is not None:
+            end = max(end, min(stopped[0], float(times[-1])))
+            if self.first_divergence(y0, stopped[1][None]) is not None:
+                status, message = Status.diverged, f"left the scene's scale by a factor 1e6 by t = {end:.10g}"
         return Outcome(y, counts, status, message, end)
 
 
@@ -152,6 +168,18 @@ class Outcome:
     status: Status
     message: str
     end_time: float
+
+
+def audited(out: Outcome, end: float) -> Outcome:
+    """The outcome, an `ok` taken back from a run that ended elsewhere or without a number."""
+    if out.status is not Status.ok:
+        return out
+    if out.end_time != end:
+        message = f"ended at t = {out.end_time:.6g}, not at t = {end:.6g}"
+        return replace(out, y=np.full_like(out.y, math.nan), status=Status.failed, message=message)
+    if not np.isfinite(out.y[-1]).all():
+        return replace(out, status=Status.diverged, message="not finite at the end")
+    return out
 
 
 class Refused(Prepared):

@@ -16,6 +16,9 @@ from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Requ
 from contactbench.methods.compiled import CompiledRun
 from contactbench.solution import Counts, Status
 
+#: a step this small against the span hardly moves the clock: the solver is at a singularity
+SHORTEST = 1e-15
+
 #: right-hand sides evaluated inside counted programs
 _calls = [0]
 
@@ -69,8 +72,12 @@ class DiffraxRun(CompiledRun):
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(field), self.method_.solver(tolerances), 0.0, times[-1], None,
             y0 if as_array else scene.unpack(list(y0), r.carry),
-            saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(ts=times),
-            stepsize_controller=diffrax.PIDController(rtol=tolerances[0], atol=tolerances[1]),
+            saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=[
+                diffrax.SubSaveAt(t1=True), diffrax.SubSaveAt(ts=times),
+            ]),
+            stepsize_controller=diffrax.PIDController(
+                rtol=tolerances[0], atol=tolerances[1], dtmin=SHORTEST * times[-1], force_dtmin=False
+            ),
             max_steps=r.max_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
@@ -80,13 +87,26 @@ class DiffraxRun(CompiledRun):
             stats["num_accepted_steps"], stats["num_rejected_steps"],
             solution.result == diffrax.RESULTS.successful,
             solution.result == diffrax.RESULTS.max_steps_reached,
+            solution.result == diffrax.RESULTS.dt_min_reached,
+            (solution.ts if self.final_only else solution.ts[0])[0],
         ])  # fmt: skip
-        return (solution.ys if as_array else jnp.stack(scene.pack(solution.ys), axis=-1)), info
+
+        def packed(y: Any) -> Any:
+            return y if as_array else jnp.stack(scene.pack(y), axis=-1)
+
+        if self.final_only:
+            end = packed(solution.ys)
+            return end, info, end[0]
+        return packed(solution.ys[1]), info, packed(solution.ys[0])[0]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        y, info = self.program(y0, *self.arguments())
-        y, (accepted, rejected, successful, exhausted) = np.asarray(y), np.asarray(info).tolist()
+        y, info, last = self.program(y0, *self.arguments())
+        y, (accepted, rejected, successful, exhausted, collapsed, time) = (
+            np.asarray(y),
+            np.asarray(info).tolist(),
+        )
+        accepted, rejected = int(accepted), int(rejected)
         counts = Counts(accepted, self.method_.evaluations(accepted, rejected), 0, rejected)
         if successful:
             return self.finished(y0, y, counts)
@@ -94,8 +114,9 @@ class DiffraxRun(CompiledRun):
         # saved before the end (saved times not reached are inf or nan).
         reached = 0 if self.final_only else int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
         status = Status.budget if exhausted else Status.failed
-        message = f"max_steps = {r.max_steps} spent" if exhausted else "diffrax: the nonlinear solve failed"
-        return self.finished(y0, y[:reached], counts, status, message)
+        why = "step below the resolution of time" if collapsed else "the nonlinear solve failed"
+        message = f"max_steps = {r.max_steps} spent" if exhausted else f"diffrax: {why} (t = {time:.6g})"
+        return self.finished(y0, y[:reached], counts, status, message, (time, np.asarray(last)))
 
     def count(self, counts: Counts) -> Counts:
         return counts._replace(evaluations=self.counted_by_callback()) if self.method_.stiff else counts

@@ -81,13 +81,14 @@ class TaylorRun(Prepared):
             outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
             y = y[: len(grid)] if start else y[1:]
         counts = Counts(steps, steps * (ta.order + 1), 0, 0, "taylor")
+        stopped = (float(ta.time), ta.state.copy())
         if outcome == self.outcomes.time_limit:
             return self.finished(y0, y, counts)
         if outcome == self.outcomes.step_limit:
-            return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent")
+            return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
         status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
         message = f"{outcome.name} at t = {ta.time:.6g}"
-        return self.finished(y0, y, counts, status, message)
+        return self.finished(y0, y, counts, status, message, stopped)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return integrated(TaylorRun(self.method, variational_request(self.request, symbolic_derivative)), y0)

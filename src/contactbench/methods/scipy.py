@@ -67,7 +67,8 @@ class ScipyRun(Prepared):
             return self.finished(y0, np.empty((0, len(y0))), Counts(0, calls[0], 0, None), status, message)
         evaluations = calls[0] or solver.nfev
         counts = Counts(steps, evaluations, solver.njev, None)
-        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message)
+        stopped = (float(solver.t), np.array(solver.y))
+        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message, stopped)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return integrated(ScipyRun(self.method, variational(self.request), self.solver, self.stiff), y0)

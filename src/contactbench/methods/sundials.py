@@ -18,6 +18,8 @@ from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
 
 TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
+#: a step this small against the span hardly moves the clock: the solver is at a singularity
+SHORTEST = 1e-15
 
 
 @dataclass
@@ -44,7 +46,11 @@ class CvodeRun(Prepared):
         from sksundae.cvode import CVODE
 
         r = self.request
-        return CVODE(f, method=self.kind, rtol=r.rtol, atol=r.atol, jacfn=self.jac, max_num_steps=r.max_steps)
+        span = float(r.save_at[-1])
+        return CVODE(
+            f, method=self.kind, rtol=r.rtol, atol=r.atol, jacfn=self.jac, max_num_steps=r.max_steps,
+            min_step=SHORTEST * span, max_step=span,
+        )  # fmt: skip
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
@@ -69,7 +75,8 @@ class CvodeRun(Prepared):
             reason = f"max_steps = {r.max_steps} spent" if exhausted else result.message
             message = f"{reason} (t = {float(result.t):.6g})"
         counts = Counts(steps, calls[0] or result.nfev, result.njev, None)
-        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message)
+        stopped = (float(result.t), np.array(result.y))
+        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message, stopped)
 
     def _to_the_end(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
         """Straight to the last time, in CVODE's fastest mode, which does not tell the steps."""

@@ -48,6 +48,10 @@ class Variational(Scene):
         own = self.base.labels(carry)
         return own + [f"d{j + 1} {name}" for j in range(self.count) for name in own]
 
+    @property
+    def motion(self) -> int:
+        return self.base.motion  # tangents may grow as they like
+
     def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
         x = self.base.initial(carry, **data)
         return Bundle(x, tuple(self.base.tangents(x)))

@@ -1,0 +1,224 @@
+"""Where do integrators break, and how?  One cell: a method on a hard scene, or a question of stability.
+
+Solvers run in worker processes, each call with a time limit, and a step and evaluation budget: a crash,
+a hang or a result that is no number is a row and stops nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cells import RTOLS, cells, step_budget
+from contactbench.isolation import Died, TimedOut, Workers
+from contactbench.scenes import hard_scenes
+from contactbench.stability import (
+    THEORY,
+    fixed_step_methods,
+    per_step,
+    propagation_error,
+    spectral_radius,
+    stability_limit,
+    true_radius,
+)
+from contactbench.table import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
+from hard_cells import overdamped_row, stability_row, weak_row
+
+#: seconds per call, compilation included
+LIMIT = 60.0
+#: time per evaluation at the coarsest setting; the ladder divides it by four, twice.  A step is as many
+#: times longer as it has evaluations, so that one rung costs every fixed-step method the same.
+COARSEST = {
+    "overdamped": 0.5, "critical": 0.2, "weak_damping": 0.25, "weak_damping_particle": 0.25,
+    "stiff_spring": 0.0025, "tumbling": 0.25, "needle": 0.0125, "singular_damping_1": 0.2,
+    "singular_damping_2": 0.2, "singular_damping_3": 0.2, "saddle_edge": 0.1, "escape": 0.0004,
+    "kepler_drag": 0.008, "antidamping": 0.2, "underflow": 0.1, "large_step": 2.1,
+}  # fmt: skip
+#: rungs where a factor of four would miss the point: γh = 25, 5, 1; both sides of the stability limit
+RUNGS = {"overdamped": (1.0, 0.2, 0.04), "large_step": (1.0, 0.9, 0.25)}
+TOLERANCES = (1e-4, 1e-7, 1e-10)
+#: this scene and one setting in the smoke profile; nothing ends ok on it, so no derivative is compiled
+SMOKE = "escape"
+CREEP_RTOLS = (1e-3, 1e-6, 1e-9)
+DAMPING_PER_STEP = (1.0, 5.0, 25.0)
+SPANS = (1e4, 1e5)
+
+
+def brief(profile):
+    return profile.points == 1
+
+
+def settings(scene, method, profile):
+    """(kind, value) of each rung of a method's ladder."""
+    if method.adaptive:
+        values = [("rtol", max(rtol, method.rtol_range[0])) for rtol in TOLERANCES]
+    elif method.refuses(scene):
+        values = [("step", COARSEST.get(scene.name, scene.t_end / 100))]
+    else:
+        each = (method.counts(scene, 2) - method.counts(scene, 1)) / (
+            3 if method.kind_on(scene) == "rotation" else 1
+        )
+        coarsest = COARSEST.get(scene.name, scene.t_end / 400)
+        values = [("step", coarsest * part * each) for part in RUNGS.get(scene.name, (1.0, 0.25, 0.0625))]
+    return values[1:2] if brief(profile) and len(values) > 1 else values
+
+
+def ladder(profile):
+    names = [SMOKE] if brief(profile) else [scene.name for scene in hard_scenes()]
+    return [(scene, method) for scene in names for method in cb.METHODS]
+
+
+def questions(profile):
+    """Rates: the overdamped oscillator for every method, weak damping over both spans."""
+    if brief(profile):
+        return []
+    weak = [("weak_damping", span) for span in SPANS] + [("weak_damping_particle", SPANS[0])]
+    return [("overdamped", method) for method in cb.METHODS] + [
+        (f"{scene} {span:.0e}", method) for scene, span in weak for method in cb.METHODS
+    ]
+
+
+def calls(cell, profile):
+    """What a cell runs: (row without its result, function, arguments) for each of its rows."""
+    which, method = cell[0], cb.METHODS[cell[1]]
+    engine = method.engines[0]
+    key = {"method": method.name, "engine": engine, "status": "failed"}
+    scene = cb.SCENES[which]
+    budget = budget_of(profile, scene, method)
+    for kind, value in settings(scene, method, profile):
+        row = key | {"scene": which, "setting": printed(kind, value)}
+        yield row, stability_row, (which, method.name, engine, kind, value, budget)
+
+
+def rate_calls(cell, profile):
+    which, method = cell[0], cb.METHODS[cell[1]]
+    key = {"method": method.name, "engine": method.engines[0], "status": "failed"}
+    if which == "overdamped":
+        scene = cb.SCENES[which]
+        values = [("rtol", r) for r in CREEP_RTOLS] if method.adaptive else [
+            ("step", damping / scene.gamma) for damping in DAMPING_PER_STEP
+        ]  # fmt: skip
+        budget = budget_of(profile, scene, method)
+        for kind, value in values:
+            row = key | {
+                "experiment": "overdamped", "scene": which, "setting": printed(kind, value), "t_end": scene.t_end,
+            }  # fmt: skip
+            yield row, overdamped_row, (method.name, kind, value, budget)
+        return
+    name, _, span = which.partition(" ")
+    row = key | {"experiment": "weak", "scene": name, "setting": "step=nan", "t_end": float(span)}
+    yield row, weak_row, (name, method.name, float(span))
+
+
+def printed(kind, value):
+    return f"step={value:.6g}" if kind == "step" else f"rtol={value:.3g}"
+
+
+def budget_of(profile, scene, method):
+    """Five times the evaluations of a timed run: these are hard."""
+    steps = step_budget(profile, scene, method, method.engines[0])
+    if steps is None:
+        return 1_000_000 if method.adaptive else None
+    return 5 * steps
+
+
+# -- workers ---------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def worker():
+    """A process beside this one, on the same core, that keeps what it has compiled."""
+    with Workers([None]) as workers:
+        yield workers
+
+
+def answers(promised):
+    """The row of each call; how it ended where there is none."""
+    for row, future in promised:
+        try:
+            yield future.result()
+        except TimedOut as error:
+            yield row | {"status": "timeout", "message": str(error)}
+        except (Died, RuntimeError) as error:
+            yield row | {"message": " ".join(str(error).split())[:200]}
+
+
+def rows_of(calls, worker):
+    made = [(row, worker.submit(LIMIT, function, *arguments)) for row, function, arguments in calls]
+    return list(answers(made))
+
+
+def family(cell):
+    """Scenes whose compiled programs are the same, and the method: cells for one process."""
+    scene = cb.SCENES[cell[0].partition(" ")[0]]
+    kind = getattr(scene, "potential", type(scene)).__name__ + str(getattr(scene, "isotropic", ""))
+    return f"{kind}-{cell[1]}"
+
+
+@cells(ladder, group=family)
+def test_stability(cell, profile, worker, record):
+    rows = rows_of(calls(cell, profile), worker)
+    for row in rows:
+        record(STABILITY, **row)
+    assert rows
+    assert all(row["status"] == "ok" or row["message"] for row in rows)
+
+
+@cells(questions, group=family)
+def test_rates(cell, profile, worker, record):
+    rows = rows_of(rate_calls(cell, profile), worker)
+    for row in rows:
+        record(DAMPING_RATES, **row)
+    assert all(row["status"] == "ok" or row["message"] for row in rows)
+
+
+# -- linear stability ------------------------------------------------------------------------------
+GAMMAS, OMEGAS = (0.0, 0.1, 0.3, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0), (0.5, 1.0, 2.0, 10.0)
+STEPS = np.geomspace(0.01, 20.0, 60)
+STRONG = (0.1, 1.0, 10.0, 50.0)
+PER_EVALUATION = np.geomspace(1e-3, 30.0, 40)
+
+
+def linear(profile):
+    names = [method.name for method in fixed_step_methods()]
+    return [(name,) for name in (names[::4] if brief(profile) else names)]
+
+
+@cells(linear)
+def test_linear_stability(cell, profile, record_all):
+    method = cb.METHODS[cell[0]]
+    theory, each = THEORY.get(method.name), per_step(method)
+    limits = []
+    for gamma in GAMMAS[::4] if brief(profile) else GAMMAS:
+        for omega in OMEGAS[1:2] if brief(profile) else OMEGAS:
+            limit = stability_limit(method, gamma, omega)
+            limits.append({
+                "method": method.name, "gamma": gamma, "omega": omega, "limit": limit,
+                "theory": theory(gamma, omega) if theory else np.nan, "per_evaluation": limit / each,
+            })  # fmt: skip
+    record_all(STABILITY_LIMITS, limits)
+    radii = []
+    for gamma in GAMMAS:
+        radius = spectral_radius(method, gamma, 1.0, STEPS)
+        radii += [
+            {
+                "method": method.name,
+                "gamma": gamma,
+                "step": h,
+                "radius": r,
+                "true_radius": true_radius(gamma, 1.0, h),
+            }
+            for h, r in zip(STEPS.tolist(), radius.tolist(), strict=True)
+        ]
+    record_all(ONE_STEP, radii)
+    errors = []
+    for gamma in STRONG:
+        for between in PER_EVALUATION:
+            h = between / gamma * each
+            errors.append({
+                "method": method.name, "gamma": gamma, "damping_per_evaluation": between, "step": h,
+                "error": propagation_error(method, gamma, h), "radius": spectral_radius(method, gamma, 1.0, h),
+            })  # fmt: skip
+    record_all(STRONG_DAMPING, errors)
+
+
+assert min(TOLERANCES) >= min(RTOLS)

@@ -1,0 +1,146 @@
+"""Calls in worker processes, each with a time limit: what hangs or dies costs its own result only.
+
+A worker runs many calls one after another, so that what it has compiled stays warm; it is killed and
+replaced when a call exceeds its time or takes the process down.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from multiprocessing.connection import Connection
+from typing import Any
+
+#: seconds a worker may take to come up and import what it needs
+STARTUP = 120.0
+
+
+class TimedOut(Exception):
+    """The call took longer than its limit and was killed."""
+
+
+class Died(Exception):
+    """The call took its process down."""
+
+
+def serve(pipe: Connection, core: int | None) -> None:
+    """A worker's life: receive a call, send back its result or its exception."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if core is not None and hasattr(os, "sched_setaffinity"):
+        with contextlib.suppress(OSError):  # no such core for this process
+            os.sched_setaffinity(0, {core})
+    pipe.send("ready")
+    while True:
+        try:
+            function, arguments = pipe.recv()
+        except EOFError:
+            return
+        try:
+            answer = (True, function(*arguments))
+        except BaseException as error:
+            answer = (False, RuntimeError(f"{type(error).__name__}: {error}"))
+        pipe.send(answer)
+
+
+class Worker:
+    """One process and the pipe to it."""
+
+    def __init__(self, core: int | None) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, far = context.Pipe()
+        self.process = context.Process(target=serve, args=(far, core), daemon=True)
+        self.process.start()
+        far.close()
+        self.receive(STARTUP)
+
+    def receive(self, limit: float) -> Any:
+        if not self.pipe.poll(limit):
+            raise TimedOut(f"no result after {limit:g} s")
+        return self.pipe.recv()
+
+    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...], limit: float) -> Any:
+        try:
+            self.pipe.send((function, arguments))
+            fine, value = self.receive(limit)
+        except (EOFError, ConnectionError):
+            self.process.join(5)
+            code = self.process.exitcode
+            by = f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
+            raise Died(f"the solver took its process down ({by})") from None
+        if fine:
+            return value
+        raise value
+
+    def stop(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+
+class Workers:
+    """A few worker processes that take calls in order: ``submit(limit, function, *arguments) -> Future``.
+
+    Calls of one `group` go to one worker one after another.  A future raises `TimedOut`, `Died`, or
+    RuntimeError with what the function raised.  function and arguments must be picklable.
+    Close it, or use it as a context manager: no process is left behind.
+    """
+
+    def __init__(self, cores: Iterable[int | None]) -> None:
+        self.groups: queue.SimpleQueue[list[Any] | None] = queue.SimpleQueue()
+        self.closed = False
+        self.threads = [threading.Thread(target=self._run, args=(core,), daemon=True) for core in cores]
+        for thread in self.threads:
+            thread.start()
+
+    def submit(self, limit: float, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """One call, a group of its own."""
+        (future,) = self.submit_group([(limit, function, *arguments)])
+        return future
+
+    def submit_group(self, calls: Iterable[tuple[Any, ...]]) -> list[Future[Any]]:
+        """Calls (limit, function, *arguments) for one worker, which may keep what they share warm."""
+        jobs: list[Any] = [
+            (Future(), limit, function, tuple(arguments)) for limit, function, *arguments in calls
+        ]
+        self.groups.put(jobs)
+        return [job[0] for job in jobs]
+
+    def _run(self, core: int | None) -> None:
+        worker: Worker | None = None
+        while (jobs := self.groups.get()) is not None:
+            for future, limit, function, arguments in jobs:
+                if self.closed or not future.set_running_or_notify_cancel():
+                    future.cancel()
+                    continue
+                try:
+                    worker = worker or Worker(core)
+                    future.set_result(worker.call(function, arguments, limit))
+                except RuntimeError as error:
+                    future.set_exception(error)
+                except BaseException as error:  # the worker is lost, the next call gets a new one
+                    if worker is not None:
+                        worker.stop()
+                    worker = None
+                    future.set_exception(error)
+        if worker is not None:
+            worker.stop()
+
+    def close(self) -> None:
+        """Let running calls end, drop the others, stop the processes."""
+        self.closed = True
+        for _ in self.threads:
+            self.groups.put(None)
+        for thread in self.threads:
+            thread.join()
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()

@@ -1,0 +1,39 @@
+"""How the documents write numbers and tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import pandas as pd
+from tabulate import tabulate
+
+DASH = "—"
+
+
+def scientific(value: float, digits: int = 1) -> str:
+    return DASH if pd.isna(value) else f"{value:.{digits}e}"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a readable time; a dash for nan."""
+    if math.isnan(seconds):
+        return DASH
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"
+
+
+def count(value: float) -> str:
+    """A number of evaluations; a dash for nan."""
+    return DASH if math.isnan(value) else f"{value:.0f}"
+
+
+def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A GitHub table; the first column left, the others right aligned."""
+    head = list(header)
+    align = ["left", *["right"] * (len(head) - 1)]
+    return tabulate(
+        [list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True
+    )

@@ -1,0 +1,251 @@
+"""A contact method whose steps follow the motion: `contact-rkn6` with reversible step density control.
+
+Any sequence of steps of a contact composition is a product of exact contact flows, so that J e^{γt} and
+the conformal factor e^{−γt} of the steps taken are kept to round-off whatever the steps are.  What is
+chosen here is how long they are: h = ε/ρ with a step density ρ that is integrated along,
+
+    ρ_{n+1/2} = ρ_{n−1/2} + ε G(x_n),   G = d ln ω/dt,   ρ_{1/2} = ω(q_0) + ½ ε G(x_0),
+
+which keeps ρ near the local frequency ω and the method time-symmetric (Hairer, Söderlind, SIAM J. Sci.
+Comput. 26, 1838 (2005), doi:10.1137/040606995).  ω⁴ = ‖∇²V‖²_F/m² + (γ/8)⁴ + T⁻⁴: the curvature of the
+potential; the damping, which is solved exactly but for what its negative substeps do; the whole span.
+For −1/‖q‖ it gives h ∝ ‖q‖^{3/2}.
+G comes from ∇²V by dual numbers, or from ∇V alone where a scene has no Hessian.
+
+A saved time is reached by one shortened step off the sequence, which goes on as if nothing had been
+saved.  The tolerance sets ε = AIM · rtol^{1/6}: it is the size of the error, not an estimate of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.composition import BM6, RKN6, Composition, advance, plan
+from contactbench.dual import Dual, slope, value
+from contactbench.flows import flows_of
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.scene import Mechanical, Scene, Vector
+from contactbench.solution import DIVERGENCE, Counts, Status, divergence_bound
+
+#: ωh of one step at rtol = 1
+AIM = 3.0
+#: a step this small against the span hardly moves the clock: a singularity is ahead
+SHORTEST = 1e-15
+#: the density may fall by this factor in one step, at most: with a tolerance so loose that it would
+#: otherwise become negative, symmetry is lost
+SLOWEST = 0.25
+
+
+class ScalarNumbers(XlaNumbers):
+    """Without arrays: constants that change at every step are cheaper one by one, in the loop's own kernel."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "asarray":
+            raise AttributeError(name)
+        return super().__getattr__(name)
+
+
+def composition_on(scene: Scene) -> Composition:
+    """Nyström coefficients where kicks and a merged drift and damping are all there is."""
+    return RKN6 if "drift_damp" in flows_of(scene) else BM6
+
+
+def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
+    """‖∇²V‖²_F at q and its rate of change along v."""
+    if scene.hessian is not None:
+        rows = scene.hessian(tuple(map(Dual, q, v)), **scene.parameters)
+        entries = [entry for row in rows for entry in row]
+    else:
+        moving, entries = tuple(map(Dual, q, v)), []
+        for j in range(len(q)):
+            column = scene.dV(tuple(Dual(x, float(i == j)) for i, x in enumerate(moving)))
+            entries += [slope(entry) for entry in column]
+    total = Dual(0.0, 0.0)
+    for entry in entries:
+        total = total + entry * entry
+    return Dual(value(total), slope(total))
+
+
+def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
+    """ω, and d ln ω/dt along the motion."""
+    square = scene.inverse_mass * scene.inverse_mass
+    curvature = squared_curvature(scene, x.q, tuple(p * scene.inverse_mass for p in x.p))
+    damping = scene.gamma * scene.gamma / 64
+    fourth = curvature.a * square + damping * damping + 1 / (span * span * span * span)
+    return fourth**0.25, curvature.b * square / (4 * fourth)
+
+
+def first_density(scene: Mechanical, x: Any, epsilon: Any, span: Any, largest: Any) -> Any:
+    """ρ of the first step."""
+    omega, growth = frequency(scene, x, span)
+    return largest(omega + epsilon * growth / 2, SLOWEST * omega)
+
+
+def next_density(scene: Mechanical, x: Any, density: Any, epsilon: Any, span: Any, largest: Any) -> Any:
+    """ρ of the step after x."""
+    return largest(density + epsilon * frequency(scene, x, span)[1], SLOWEST * density)
+
+
+@dataclass
+class AdaptiveContactRun(Prepared):
+    """What both engines share: how a run ends, and what it costs."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        assert r.rtol is not None
+        self.composition = composition_on(r.scene)
+        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
+        self.epsilon, self.span = AIM * r.rtol ** (1 / self.composition.order), float(r.save_at[-1])
+
+    def ended(
+        self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: np.ndarray, density: float
+    ) -> Outcome:
+        """The outcome of a run whose sequence of steps ended at (time, last); y : NaN where not reached."""
+        r = self.request
+        reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
+        taken = steps + reached  # every saved time costs a step of its own
+        evaluations, curvatures = taken * self.per_step, steps + 1
+        if r.scene.hessian is None:  # type: ignore[attr-defined]  # curvature by derivatives of ∇V
+            evaluations, curvatures = evaluations + curvatures * len(r.scene.q), 0  # type: ignore[attr-defined]
+        counts = Counts(taken, evaluations, curvatures, 0, "gradient")
+        if reached == len(y):
+            return self.finished(y0, y, counts)
+        status, message = Status.budget, f"max_steps = {r.max_steps} spent (t = {time:.6g})"
+        if steps < r.max_steps:
+            status = Status.failed
+            message = f"step {self.epsilon / density:.3g} below the resolution of time (t = {time:.6g})"
+        return self.finished(y0, y[:reached], counts, status, message, (time, last))
+
+
+class AdaptivePythonLoop(AdaptiveContactRun):
+    """Plain Python floats."""
+
+    sensitivity_source = "forward-mode AD, accepted steps frozen, on jax"
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0)
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, epsilon, span = self.request, self.epsilon, self.span
+        scene: Any = r.scene
+        bound = self._motion * divergence_bound(y0[: self._motion]) ** 2  # beyond it one component is out
+        x, time, steps = scene.unpack(y0.tolist(), r.carry), 0.0, 0
+        y = np.full((len(r.save_at), len(y0)), math.nan)
+        density = math.nan
+        try:
+            density = first_density(scene, x, epsilon, span, max)
+            for k, due in enumerate(r.save_at.tolist()):
+                while time + epsilon / density <= due:
+                    step = epsilon / density
+                    if steps == r.max_steps or not step > SHORTEST * span:
+                        break
+                    if not sum(c * c for part in x[:2] for c in part) <= bound:
+                        break
+                    x = advance(self.composition, scene, x, step, 1, math)
+                    density = next_density(scene, x, density, epsilon, span, max)
+                    time, steps = time + step, steps + 1
+                else:
+                    if steps == r.max_steps:
+                        break
+                    y[k] = scene.pack(advance(self.composition, scene, x, due - time, 1, math))
+                    continue
+                break
+        except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
+            pass
+        return self.ended(y0, y, steps, time, np.array(scene.pack(x), dtype=float), density)
+
+
+class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
+    """A while loop over the steps inside a scan over the saved times."""
+
+    sensitivity_source = "forward-mode AD, accepted steps frozen"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        options = np.array([self.epsilon, self.span, r.max_steps])
+        self.fixed = self.on_device(np.array(r.scene.numbers()), options, r.save_at)
+        self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, *self.fixed)
+
+    def key(self) -> tuple[Any, ...]:
+        return (self.method, len(self.request.save_at))
+
+    def arguments(self) -> tuple[Any, ...]:
+        return self.fixed
+
+    def states(self, y0: Any, *arguments: Any) -> Any:
+        return self._solve(y0, *arguments)[0]
+
+    def _solve(self, y0: Any, numbers: Any, options: Any, times: Any) -> Any:
+        import jax.numpy as jnp
+        from jax import lax
+
+        r, xp = self.request, ScalarNumbers()
+        scene: Any = r.scene.with_numbers(list(numbers))
+        epsilon, span, budget = options
+        start = scene.unpack(list(y0), r.carry)
+        square = y0[: self._motion] @ y0[: self._motion]
+        bound = self._motion * DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
+
+        def pace(x: Any) -> Any:
+            return lax.stop_gradient(x)  # the sequence of steps is what it is: see `sensitivity_source`
+
+        def due(carried: Any, until: Any) -> Any:
+            _x, time, density, _steps = carried
+            return time + epsilon / density <= until
+
+        def healthy(carried: Any) -> Any:
+            x, _time, density, steps = carried
+            square = sum(c * c for part in x[:2] for c in part)
+            return (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
+
+        def step(carried: Any) -> Any:
+            x, time, density, steps = carried
+            h = epsilon / density
+            x = advance(self.composition, scene, x, h, 1, xp)
+            density = next_density(scene, pace(x), density, epsilon, span, jnp.maximum)
+            return x, time + h, density, steps + 1
+
+        def interval(carried: Any, until: Any) -> Any:
+            carried = lax.while_loop(lambda c: due(c, until) & healthy(c), step, carried)
+            x, time, _, _ = carried
+            there = advance(self.composition, scene, x, until - time, 1, xp)
+            complete = healthy(carried) & ~due(carried, until)
+            return carried, jnp.where(complete, jnp.stack(scene.pack(there)), jnp.nan)
+
+        density = first_density(scene, pace(start), epsilon, span, jnp.maximum)
+        (x, time, density, steps), y = lax.scan(interval, (start, 0.0 * span, density, 0.0 * span), times)
+        return y, jnp.stack([time, density, steps]), jnp.stack(scene.pack(x))
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        y, info, last = self.program(y0, *self.fixed)
+        time, density, steps = np.asarray(info).tolist()
+        return self.ended(y0, np.asarray(y), int(steps), time, np.asarray(last), density)
+
+
+@dataclass(frozen=True)
+class AdaptiveContactMethod(Adaptive):
+    name: str = "contact-adaptive"
+    order: int | None = 6
+    about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
+    engines: tuple[str, ...] = ("jax", "python")
+    stiff: bool = False
+    rtol_range: tuple[float, float] = (1e-13, 1e-1)
+
+    def refuses(self, scene: Scene) -> str | None:
+        if not isinstance(scene, Mechanical):
+            return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
+        return None
+
+    def prepare(self, request: Request) -> Prepared:
+        loop = {"jax": AdaptiveJaxLoop, "python": AdaptivePythonLoop}[request.engine]
+        return loop(self.name, request)
+
+
+METHODS.add(AdaptiveContactMethod())

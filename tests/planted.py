@@ -1,0 +1,55 @@
+"""Solvers that misbehave, for the stability experiment to survive."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import numpy as np
+
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared
+from contactbench.solution import Counts, Status
+
+
+class Misbehaving(Prepared):
+    def integrate(self, y0):
+        times, name = self.request.save_at, self.method
+        y = np.tile(y0, (len(times), 1))
+        end = float(times[-1])
+        if name == "planted-hang":
+            while True:
+                time.sleep(0.05)
+        if name == "planted-crash":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if name == "planted-raise":
+            raise FloatingPointError("of its own making")
+        if name == "planted-nan":
+            y[-1] = np.nan
+        if name == "planted-early":
+            end /= 2
+        return Outcome(y, Counts(1, 1), Status.ok, "", end)
+
+
+class Planted(Adaptive):
+    order, stiff, rtol_range, engines, about = None, False, (1e-14, 1e-1), ("python",), "planted"
+
+    def __init__(self, name):
+        self.name = name
+
+    def prepare(self, request):
+        return Misbehaving(self.name, request)
+
+
+NAMES = ("planted-hang", "planted-crash", "planted-raise", "planted-nan", "planted-early")
+
+
+def row(method):
+    """A row of the stability table, made where the planted methods are registered."""
+    from hard_cells import stability_row
+
+    for name in NAMES:
+        if name not in METHODS:
+            METHODS.add(Planted(name))
+    rtol, engine = ("rtol", 1e-6), METHODS[method].engines[0]
+    return stability_row("critical", method, engine, *rtol, 10_000)

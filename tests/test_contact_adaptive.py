@@ -1,0 +1,134 @@
+"""Adaptive contact steps: the laws of every step sequence, symmetry, and the derivative behind the density."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import USER, in_mp, random_state
+from contactbench.dual import Dual
+from contactbench.methods.contact_adaptive import composition_on, frequency, next_density, squared_curvature
+from contactbench.scenes import hard_scenes, standard_scenes
+
+NAME = "contact-adaptive"
+KEPLER = cb.SCENES["kepler_drag"]
+MECHANICAL = [
+    s for s in (*standard_scenes(), *hard_scenes(), USER)
+    if isinstance(s, cb.Mechanical) and s.name not in ("escape", "weak_damping", "weak_damping_particle")
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-6, 1e-10])
+def test_momentum_law_is_exact_and_the_error_meets_the_tolerance(rtol):
+    solution = cb.solve(KEPLER, NAME, rtol=rtol, save_at=np.arange(1, 26) * 4.0)
+    assert solution.ok
+    assert solution.end_time == 100.0
+    assert cb.LAWS["momentum_law"](solution) < 1e-12
+    assert cb.LAWS["solution_error"](solution) < 3 * rtol
+
+
+def test_a_fixed_step_of_the_same_cost_is_far_behind():
+    free = cb.prepare(KEPLER, NAME, rtol=1e-6, save_at=[100.0], carry=())
+    solution = free()
+    step = 100.0 * 11 / solution.counts.evaluations
+    fixed = cb.solve(KEPLER, "contact-rkn6", step=step, save_at=[100.0], carry=())
+    assert cb.LAWS["solution_error"](fixed) > 1e3 * cb.LAWS["solution_error"](solution)
+
+
+@pytest.mark.parametrize("scene", MECHANICAL, ids=lambda s: s.name)
+def test_every_mechanical_scene_is_solved_to_its_tolerance(scene):
+    short = scene.with_(t_end=min(scene.t_end, 5.0))
+    solution = cb.solve(short, NAME, rtol=1e-8, save_at=[short.t_end], engine="python")
+    assert solution.ok
+    assert cb.LAWS["solution_error"](solution) < 1e-7
+
+
+@pytest.mark.parametrize("scene", [KEPLER.with_(t_end=10.0), USER], ids=lambda s: s.name)
+def test_engines_agree(scene):
+    runs = [
+        cb.solve(scene, NAME, rtol=1e-5, save_at=[scene.t_end / 3, scene.t_end], engine=e)
+        for e in ("jax", "python")
+    ]
+    np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=1e-11, atol=1e-11)  # round-off, times the condition
+    assert runs[0].counts == runs[1].counts
+
+
+def test_saving_does_not_disturb_the_steps():
+    alone = cb.solve(KEPLER, NAME, rtol=1e-4, save_at=[100.0], engine="python")
+    often = cb.solve(KEPLER, NAME, rtol=1e-4, save_at=np.arange(0, 101) * 1.0, engine="python")
+    np.testing.assert_array_equal(alone.y[-1], often.y[-1])
+    np.testing.assert_array_equal(often.y[0], often.y0)
+
+
+def test_contact_structure_of_the_steps_taken():
+    scene = cb.SCENES["central"]
+    solution = cb.solve(scene, NAME, rtol=1e-3, save_at=[10.0, 20.0])
+    assert cb.LAWS["contact_drift"](solution) < 1e-12
+    assert "frozen" in solution.sensitivity_source
+
+
+def test_a_step_with_its_density_undoes_itself(mp50):
+    """Φ and the density, reversed in time, retrace their way: the whole control is time-symmetric."""
+    scene, x = in_mp(KEPLER, KEPLER.initial(()))
+    method, epsilon, span = composition_on(KEPLER), mp50.mpf("0.3"), mp50.mpf(100)
+    from contactbench.composition import advance
+
+    density = frequency(scene, x, span)[0]
+    start = (x, density)
+    for _ in range(12):
+        x = advance(method, scene, x, epsilon / density, 1, mp50)
+        density = next_density(scene, x, density, epsilon, span, max)
+    for _ in range(12):
+        density = next_density(scene, x, density, -epsilon, span, max)
+        x = advance(method, scene, x, -epsilon / density, 1, mp50)
+    gap = max(abs(a - b) for a, b in zip(scene.pack(x), scene.pack(start[0]), strict=True))
+    assert gap < mp50.mpf(10) ** -40
+    assert abs(density - start[1]) < mp50.mpf(10) ** -40
+
+
+@pytest.mark.parametrize("scene", [KEPLER, cb.SCENES["particle"], cb.SCENES["central"]], ids=lambda s: s.name)
+def test_curvature_with_and_without_a_hessian_and_by_differences(scene):
+    x = random_state(scene, 5, ())
+    with_hessian = squared_curvature(scene, x.q, x.p)
+    without = squared_curvature(scene._replaced(hessian=None), x.q, x.p)
+    assert without.a == pytest.approx(with_hessian.a, rel=1e-12)
+    assert without.b == pytest.approx(with_hessian.b, rel=1e-11)
+    d = 1e-6
+    ahead, behind = (
+        squared_curvature(scene, tuple(q + e * p for q, p in zip(x.q, x.p, strict=True)), x.p).a
+        for e in (d, -d)
+    )
+    assert with_hessian.b == pytest.approx((ahead - behind) / (2 * d), rel=1e-5)
+
+
+def test_dual_numbers_differentiate_arithmetic():
+    x = Dual(0.7, 1.0)
+    found = 3 - (2 * x**3 - x / (1 + x)) / (1 / x) + (-x) * x**-0.5 - 1
+    f = lambda t: 3 - (2 * t**3 - t / (1 + t)) * t - t**0.5 - 1  # noqa: E731
+    assert found.a == pytest.approx(f(0.7), rel=1e-15)
+    assert found.b == pytest.approx((f(0.7 + 1e-6) - f(0.7 - 1e-6)) / 2e-6, rel=1e-8)
+
+
+def test_free_motion_needs_few_steps_and_a_singularity_is_told():
+    free = cb.Mechanical(
+        name="free", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],),
+        gamma=0.0, q=(0.0,), p=(1.0,), t_end=10.0,
+    )  # fmt: skip
+    solution = cb.solve(free, NAME, rtol=1e-10, save_at=[10.0], engine="python")
+    assert solution.y[-1, 0] == pytest.approx(10.0, rel=1e-14)
+    assert solution.counts.steps < 100
+    for engine in ("jax", "python"):
+        fall = KEPLER.with_(q=(1.0, 0.0), p=(0.0, 0.0), t_end=3.0)
+        end = cb.solve(fall, NAME, rtol=1e-6, save_at=[3.0], engine=engine, max_steps=20_000)
+        assert end.status in (cb.Status.failed, cb.Status.diverged, cb.Status.budget)
+        assert np.isnan(end.y).all()
+        assert math.isfinite(end.end_time)
+
+
+def test_a_body_is_refused_with_the_reason():
+    solution = cb.solve("rigid_body", NAME, rtol=1e-4)
+    assert solution.status is cb.Status.unsupported
+    assert "curvature of a potential" in solution.message

@@ -1,0 +1,135 @@
+"""The hard scenes: their truths, what is known about them, and what must not break on them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.laws import laws_of
+from contactbench.references import blow_up_time, condition_number
+from contactbench.scenes import hard_scenes, standard_scenes
+
+HARD = hard_scenes()
+by_scene = pytest.mark.parametrize("scene", HARD, ids=lambda scene: scene.name)
+
+
+def save_times(scene):
+    return scene.t_end * np.arange(1, 26) / 25
+
+
+def test_hard_scenes_are_registered_beside_the_standard_ones():
+    assert {scene.name for scene in HARD}.isdisjoint(scene.name for scene in standard_scenes())
+    assert cb.SCENES["tumbling"].hard
+    assert not cb.SCENES["particle"].hard
+    assert cb.SCENES["tumbling"].with_(gamma=0.1).hard
+
+
+@by_scene
+def test_every_hard_scene_has_a_truth_and_says_why(scene):
+    assert len(scene.about.split()) > 15
+    times = save_times(scene)
+    blow_up = blow_up_time(scene) if scene.name == "escape" else None
+    if blow_up is not None:
+        times = times[times < float(blow_up[0])]
+    truth = cb.reference(scene, times)
+    assert truth.source in ("closed form", "frozen")
+    assert truth.digits >= 30
+
+
+@pytest.mark.parametrize("name", ["kepler_drag", "stiff_spring", "singular_damping_2", "needle"])
+def test_other_parameters_are_solved_live(name):
+    scene = cb.SCENES[name]
+    other = scene.with_(s=0.5) if "s" in scene.optional else scene.with_(damping=(0.4, 0.0, 0.5))
+    assert cb.reference(other, [0.25]).source == "live"
+
+
+# -- what is known about them ----------------------------------------------------------------------
+def test_the_edge_is_at_999_thousandths_of_the_saddle():
+    scene = cb.SCENES["saddle_edge"]
+    saddle = scene.energy(cb.scene.State((math.sqrt(50), -5.0), (0.0, 0.0)))
+    assert saddle == pytest.approx(12.5, rel=1e-14)
+    assert scene.energy(scene.initial(())) / saddle == pytest.approx(0.999, rel=1e-14)
+
+
+def test_the_kepler_orbit_has_eccentricity_nine_tenths():
+    scene = cb.SCENES["kepler_drag"]
+    x = scene.initial(())
+    energy, (momentum,) = scene.energy(x), scene.momentum(x)
+    assert energy == pytest.approx(-0.5, rel=1e-14)
+    assert math.sqrt(1 + 2 * energy * momentum**2) == pytest.approx(0.9, rel=1e-14)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(k):
+    scene = cb.SCENES[f"singular_damping_{k}"]
+    end = cb.reference(scene, [scene.t_end], ()).y[0]
+    slope = np.array(scene.rhs(cb.scene.BodyState(tuple(end))).M)
+    assert np.abs(end).max() > 0.1
+    assert np.abs(slope).max() < 1e-3 * np.abs(end).max()
+    found = cb.solve(scene, "contact-bm4", step=0.05, save_at=[scene.t_end], carry=(), engine="python")
+    np.testing.assert_allclose(found.y[0], end, rtol=0, atol=1e-6)
+
+
+def test_condition_numbers_are_the_growth_of_errors():
+    """Against the derivative along heyoka's own run: an independent engine and derivative."""
+    for name in ("saddle_edge", "tumbling"):
+        scene = cb.SCENES[name]
+        solution = cb.solve(scene, "heyoka-taylor", rtol=1e-14, save_at=save_times(scene))
+        grown = np.linalg.norm(solution.sensitivity, ord=2, axis=(1, 2)).max()
+        stored = condition_number(scene)
+        assert 0.2 * stored < grown < 3 * stored  # other times, and unit tangents instead of coordinates
+    assert condition_number(cb.SCENES["tumbling"]) > 1e7
+    assert condition_number(cb.SCENES["particle"].with_(gamma=0.7)) is None
+
+
+def test_blow_up_time_against_an_integral():
+    """q'' = 3q²/2, q = 1/(t* − t)² · 4: from q(0) = 4, p(0) = 8 the end is at t = 1 exactly."""
+    scene = cb.Mechanical(
+        name="pole", potential=lambda q: -q[0] * q[0] * q[0] / 2, gradient=lambda q: (-3 * q[0] * q[0] / 2,),
+        q=(4.0,), p=(8.0,), t_end=3.0,
+    )  # fmt: skip
+    time, digits = blow_up_time(scene)
+    assert digits >= 30
+    assert float(time) == 1.0
+    assert blow_up_time(cb.SCENES["particle"].with_(gamma=0.3)) is None
+
+
+def test_blow_up_of_escape_is_confirmed_by_another_solver():
+    scene = cb.SCENES["escape"]
+    time, digits = blow_up_time(scene)
+    assert digits >= 30
+    run = cb.solve(scene, "scipy-dop853", rtol=1e-12, save_at=[scene.t_end])
+    assert run.end_time == pytest.approx(float(time), abs=1e-9)
+
+
+# -- laws where numbers run out --------------------------------------------------------------------
+@pytest.mark.parametrize("method", ["contact-abc", "contact-strang", "contact-rkn6", "rk4"])
+def test_contact_drift_of_the_overdamped_oscillator_means_something(method):
+    """e^{−γT} = e^{−5000} of terms of size 10⁻²: round-off is told from a real drift all the same."""
+    solution = cb.solve("overdamped", method, step=0.05, save_at=[50.0, 100.0])
+    assert solution.ok
+    drift = cb.LAWS["contact_drift"](solution)
+    assert drift < 1e-12 if method != "rk4" else 1e-9 < drift < 1e6
+    assert all(math.isfinite(law(solution)) for law in laws_of(solution.scene))
+
+
+def test_momentum_law_where_strong_damping_cancels_it():
+    central = cb.SCENES["central"].with_(gamma=20.0, t_end=40.0)
+    kept = cb.solve(central, "contact-strang", step=0.2, engine="python", save_at=[20.0, 40.0])
+    assert cb.LAWS["momentum_law"](kept) < 1e-12
+    turned = cb.solve(central, "contact-strang", step=0.2, engine="python", save_at=[20.0, 40.0])
+    turned.y[:, 2] += 1e-3 * np.abs(turned.y[:, 0])  # a momentum across the force: real J where there is none
+    assert cb.LAWS["momentum_law"](turned) > 1e-3
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "rk4", "scipy-dop853", "heyoka-taylor"])
+def test_laws_of_underflow_are_finite(method):
+    setting = {"rtol": 1e-8} if cb.METHODS[method].adaptive else {"step": 0.05}
+    engine = {"engine": "python"} if method == "rk4" else {}
+    solution = cb.solve("underflow", method, save_at=save_times(cb.SCENES["underflow"]), **setting, **engine)
+    assert solution.ok
+    for law in laws_of(solution.scene):
+        assert math.isfinite(law(solution)), law.name

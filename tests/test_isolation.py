@@ -1,0 +1,59 @@
+"""A solver that hangs, dies or lies costs its own row only."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import pytest
+
+import planted
+from bench_stability import answers
+from contactbench.isolation import Workers
+
+EXPECTED = {
+    "planted-hang": ("timeout", "no result after 2 s"),
+    "planted-crash": ("failed", "signal 9"),
+    "planted-raise": ("failed", "of its own making"),
+    "planted-nan": ("diverged", "not finite"),
+    "planted-early": ("failed", "ended at t = 10, not at t = 20"),
+}
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """All planted solvers between two sound ones, in one worker, one group."""
+    order = ["scipy-dop853", *EXPECTED, "heyoka-taylor"]
+    with Workers([None]) as workers:
+        # a worker that starts anew, as after a crash, imports the package within the limit of its first call
+        limits = [2.0 if name == "planted-hang" else 60.0 for name in order]
+        futures = workers.submit_group(
+            (limit, planted.row, name) for limit, name in zip(limits, order, strict=True)
+        )
+        key = [{"scene": "critical", "method": name, "status": "failed"} for name in order]
+        return {row["method"]: row for row in answers(zip(key, futures, strict=True))}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_a_planted_solver_is_a_row_with_its_status(rows, name):
+    status, message = EXPECTED[name]
+    assert rows[name]["status"] == status
+    assert message in rows[name]["message"]
+    assert "solution_error" not in rows[name]
+
+
+def test_the_sound_solvers_around_them_are_untouched(rows):
+    for name in ("scipy-dop853", "heyoka-taylor"):
+        assert rows[name]["status"] == "ok"
+        assert rows[name]["solution_error"] < 1e-4
+        assert math.isfinite(rows[name]["end_error"])
+
+
+def test_no_process_is_left_and_later_calls_are_cancelled():
+    workers = Workers([None])
+    pids = [workers.submit(60.0, os.getpid) for _ in range(2)]
+    first, second = (future.result() for future in pids)
+    assert first == second != os.getpid()
+    workers.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(first, 0)
