@@ -207,7 +207,8 @@ STABILITY = Table(
         **_COUNTS,
         "time_s": "fastest of a few calls, 25 saved times; other work may run beside it",
     },
-)  # fmt: skip
+    _RULES,
+)
 
 STABILITY_LIMITS = Table(
     "stability_limits",

@@ -141,7 +141,7 @@ UNDERFLOW = RIGID_BODY.with_(
 )  # fmt: skip
 
 LARGE_STEP = OSCILLATOR.with_(
-    name="large_step", hard=True, gamma=1.0, t_end=40.0,
+    name="large_step", hard=True, gamma=1.0, t_end=210.0,
     about="the oscillator at steps around the stability limit, ωh = 2 for a splitting without the merged flow; "
     "the limits themselves are in their own table.",
 )  # fmt: skip
