@@ -398,7 +398,7 @@ def advance(
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
             return run(stages[1:], run(stages[:1], x))
         flows_in_turn = [name for name, _ in stages]
-        period = shortest_period(flows_in_turn) if rolled else len(stages)
+        period = shortest_period(flows_in_turn) if rolled and stages else len(stages)
         columns = [constants(stages[i::period]) for i in range(period)]
 
         def round_of(k: Any, x: Any) -> Any:
