@@ -136,7 +136,7 @@ def flows_agree_on_arrays() -> bool:
 def parts_applied(composition: Any) -> dict[str, Any]:
     """For how many steps each part of the Hamiltonian acts in one step."""
     total: dict[str, Any] = {}
-    for name, coefficient in composition.stages:
+    for name, coefficient in composition.run(1):
         for part in name.split("_"):
             total[part] = total.get(part, 0) + coefficient
     return total

@@ -27,6 +27,7 @@ STYLES = {
     "contact-bm6": ("#004488", "v"),
     "contact-rkn4": ("#228833", "D"),
     "contact-rkn6": ("#4477AA", "*"),
+    "contact-rkn8": ("#CC6677", "p"),
     "contact-o8": ("#AA3377", "P"),
     "contact-adaptive": ("#BB5566", "8"),
     "rk4": ("#000000", "x"),

@@ -77,7 +77,8 @@ class ChosenStep(Prepared):
                     return step, spent
                 rate = math.log2(before / gap) if math.isfinite(before) else 0.0
                 settled = gap < TRUSTED_GAP and rate > order - LEEWAY
-                finest = gap / (2**order - 1)
+                # an order seen to be higher, as the next term of the error makes it, counts in part
+                finest = gap / (2 ** min(max(rate, order), order + LEEWAY) - 1)
                 if settled and finest <= target:
                     return self.between(pilots, finest, target), spent
                 ahead = (target / finest) ** (1 / order)
