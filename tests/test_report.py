@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 
 import pandas as pd
 import pytest
 
-from cases import bench, finished
+import contactbench as cb
+from cases import REPOSITORY, bench, finished
 from contactbench import figures
 from contactbench.gate import accuracy
-from contactbench.report import decades, duration, equal_error, losses, report, winners
+from contactbench.report import (
+    README_PART,
+    decades,
+    duration,
+    equal_error,
+    into_readme,
+    losses,
+    report,
+    winners,
+)
 from contactbench.stability_report import advice, stability_document, usable
 from contactbench.table import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
 
@@ -155,3 +166,25 @@ def test_every_method_has_its_own_look():
 )
 def test_durations_are_readable(seconds, text):
     assert duration(seconds) == text
+
+
+def test_numbers_in_the_readme_are_those_of_the_results(tmp_path):
+    """What `contactbench report --readme README.md` writes is what is there, and no number stands elsewhere."""
+    copy = tmp_path / "README.md"
+    text = (REPOSITORY / "README.md").read_text()
+    copy.write_text(text)
+    into_readme(copy, REPOSITORY / "results")
+    assert copy.read_text() == text
+    begin, end = README_PART
+    prose = text.partition(begin)[0] + text.partition(end)[2]
+    prose = re.sub(r"```.*?```", "", prose, flags=re.S)
+    measured = re.findall(
+        r"\d(?:\.\d+)?e-\d+|\d+(?:\.\d+)? ?[µmn]s\b|×\s?\d+(?:\.\d+)?\b|\d+(?:\.\d+)?×", prose
+    )
+    assert not measured
+
+
+def test_a_readme_without_its_marks_is_refused(tmp_path):
+    (tmp_path / "README.md").write_text("nothing")
+    with pytest.raises(cb.BadInput, match="once each"):
+        into_readme(tmp_path / "README.md", REPOSITORY / "results")

@@ -134,6 +134,7 @@ def readable(row: dict[str, Any]) -> str:
 def report(arguments: argparse.Namespace) -> int:
     """Write markdown, figures and the page from the CSV tables."""
     from contactbench import page
+    from contactbench.report import into_readme
     from contactbench.report import report as write
 
     if not list(arguments.results.glob("*.csv")):
@@ -142,6 +143,9 @@ def report(arguments: argparse.Namespace) -> int:
         )
     for path in [*write(arguments.results), page.write(arguments.results)]:
         print(path)
+    if arguments.readme:
+        into_readme(arguments.readme, arguments.results)
+        print(arguments.readme)
     return 0
 
 
@@ -267,6 +271,7 @@ Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input
 Nothing is solved: every number is read from the tables.  report.html is one page that needs no network.""",
     )  # fmt: skip
     write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
+    write.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
 
     check = command(
         "gate", gate, "has anything become less accurate, more costly or slower?",

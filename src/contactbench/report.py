@@ -13,6 +13,7 @@ import pandas as pd
 
 from contactbench import figures, paper_figures
 from contactbench.analysis import cost_at_error
+from contactbench.errors import BadInput
 from contactbench.markdown import DASH, count, duration, markdown, scientific
 from contactbench.stability_report import advice, stability_document
 from contactbench.table import SEPARATOR, TABLES, read, replacing
@@ -116,12 +117,18 @@ def cheapest(frame: pd.DataFrame, target: float, methods: Iterable[str]) -> tupl
     return best["method"], best[target]
 
 
-def decades(work: pd.DataFrame, scene: str, cost: str, show: Callable[[float], str]) -> str:
-    """The best contact method at every decade of error, and what each group of peers costs in its units."""
-    frame = equal_error(work, scene, cost, DECADES)
+def decades(
+    work: pd.DataFrame,
+    scene: str,
+    cost: str,
+    show: Callable[[float], str],
+    targets: tuple[float, ...] = DECADES,
+) -> str:
+    """The best contact method at each error, and what each group of peers costs in its units."""
+    frame = equal_error(work, scene, cost, targets)
     ours = [name for name in dict.fromkeys(work["method"]) if is_ours(name)]
     rows = []
-    for target in DECADES:
+    for target in targets:
         name, best = cheapest(frame, target, ours)
         ratios = []
         for group in PEERS.values():
@@ -648,6 +655,42 @@ body, which together apply its whole vector field, count as one):
 
 {chr(10).join(machines)}
 """
+
+
+README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
+
+
+def excerpt(tables: dict[str, pd.DataFrame]) -> str:
+    """What the project's README says of the results."""
+    work, long = tables["work_precision"], "particle_long"
+    verdicts = tables["claims"]["verdict"].value_counts()
+    return f"""Who keeps the laws (bold: to round-off, at every step size tried, however inaccurate the solution):
+
+{structure_table(tables["laws"], tables["convergence"])}
+
+Time for `{long}`, three hundred oscillations with little damping, at equal error; in parentheses the peers'
+time in units of the best contact method's, bold where the peer wins:
+
+{decades(work, long, "time_median_s", duration, TARGETS)}
+
+The same on the rigid body, with its attitude:
+
+{decades(work, "rigid_body", "time_median_s", duration, TARGETS)}
+
+Of the paper's {len(tables["claims"])} claims {", ".join(f"{verdicts.get(name, 0)} {name}" for name in VERDICTS)}.
+"""
+
+
+def into_readme(readme: Path, results: Path) -> None:
+    """Write the excerpt between the two marks of a README.  Raises `BadInput` if it has none."""
+    text = readme.read_text(encoding="utf-8")
+    begin, end = README_PART
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
+    tables = {name: read(table, results) for name, table in TABLES.items()}
+    before, after = text.partition(begin)[0], text.partition(end)[2]
+    with replacing(readme) as file:
+        file.write(f"{before}{begin}\n{excerpt(tables)}\n{end}{after}")
 
 
 def report(results: Path) -> list[Path]:
