@@ -74,18 +74,18 @@ def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], i
     return run, n * len(numbers[1]) + 1
 
 
-LINE = 64 // 8  # doubles in a cache line
+LINE, PAGE = 64 // 8, 4096 // 8  #: in doubles
 
 
 def staggered(rows: int, m: int) -> np.ndarray:
-    """An uninitialised (rows, m), each row on a cache line of its own offset within a page.
+    """An uninitialised (rows, m), each row beginning with a cache line, a share of a page after the last.
 
-    Rows a multiple of 4096 bytes apart would have every load wait for a store to another row: 8 times slower.
+    Rows at the same place of a page make every load wait for a store to another row: up to 8 times slower.
     """
-    buffer = np.empty((rows + 1) * (m + 2 * LINE))
+    stride = -(-m // PAGE) * PAGE + PAGE // rows
+    buffer = np.empty(rows * stride + LINE)
     first = -buffer.ctypes.data // 8 % LINE
-    stride = -(-m // LINE) * LINE + LINE
-    return np.lib.stride_tricks.as_strided(buffer[first:], (rows, m), (8 * stride, 8))
+    return buffer[first : first + rows * stride].reshape(rows, stride)[:, :m]
 
 
 #: shapes of the ensemble loops, see limit.c

@@ -399,7 +399,13 @@ def growth_table(frame: pd.DataFrame, by: str) -> str:
             gain = row["a_second"] / line["a_second"].iloc[0]
             stages = f"{1 / row['stage']:.3g}"
             rows.append(
-                [f"{method} ({row['setting']})", row[by], f"{row['a_second']:.3g}", stages, f"{gain:.2f}"]
+                [
+                    f"{method} ({row['setting']})",
+                    f"{row[by]:.0f}",
+                    f"{row['a_second']:.3g}",
+                    stages,
+                    f"{gain:.2f}",
+                ]
             )
     return markdown(["method", by, "trajectories/s", "gradients/s", "relative"], rows)
 
