@@ -107,7 +107,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.xdist_group(item.function.group(cell)))
 
 
-@pytest.hookimpl(trylast=True)
+@pytest.hookimpl(tryfirst=True)  # before a worker of pytest-xdist says what it has collected
 def pytest_collection_finish(session: pytest.Session) -> None:
     """What --resume leaves out; a new run takes its cells off the list of what is done."""
     config, items = session.config, session.items
