@@ -126,7 +126,18 @@ def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
         mine = frame[(frame["method"] == one["method"]) & (frame["setting"] == one["setting"])]
         assert one["run_id"] in set(mine["run_id"])
     assert len(read(WORK_PRECISION, tmp_path)) == 3
-    assert len(read(LAWS_TABLE, tmp_path)) == 2
+    assert set(read(LAWS_TABLE, tmp_path)["method"]) == {"contact-strang", "cvode-adams"}
+
+
+def test_workers_resume_what_is_left(tmp_path):
+    """The same with the cells handed out to worker processes, as in the untimed phase of a run."""
+    workers = ("-m", "not timed", "-n", "2", "--dist", "loadgroup", "-p", "no:benchmark")
+    finished(bench(tmp_path, f"{SMALL} and strang", *workers))
+    assert "1 passed" in finished(bench(tmp_path, SMALL, "--resume", *workers))
+    runs = read(LAWS_TABLE, tmp_path).groupby("method")["run_id"].unique()
+    assert set(runs.index) == {"contact-strang", "cvode-adams"}
+    assert all(len(ids) == 1 for ids in runs)
+    assert runs.iloc[0][0] != runs.iloc[1][0]
 
 
 def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
