@@ -125,7 +125,7 @@ FAULTS = tuple(
         ),
         (
             "an extra gradient evaluation per step",
-            (COMPOSITION, "if len(stages) > 1 and first[0] == last[0]:", "if False:"),
+            (COMPOSITION, "if len(stages) == 1 or first[0] != last[0]:", "if True:"),
             "contact-strang", "evaluations",
         ),
         (

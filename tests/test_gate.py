@@ -29,6 +29,8 @@ from contactbench.table import (
     CONVERGENCE,
     GATE_SELFCHECK,
     LAWS_TABLE,
+    STABILITY,
+    STABILITY_LIMITS,
     TABLES,
     WORK_PRECISION,
     Rule,
@@ -172,6 +174,25 @@ def test_errors_at_round_off_may_move(tmp_path):
     assert judged(before, setting(LAWS_TABLE, "rk4", solution_error=1e-13), tmp_path / "again").red
 
 
+def test_an_ill_conditioned_motion_has_a_higher_floor_and_a_limit_may_move_by_a_hundredth(tmp_path):
+    limit = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "run_id": "one", "profile": "smoke"}
+
+    def made(name, error, largest):
+        path = folder(tmp_path / name)
+        merge(STABILITY, [row(end_error=error, condition_number=1e6)], path)
+        merge(STABILITY_LIMITS, [{**limit, "limit": largest}], path)
+        return path
+
+    before = made("before", 1e-9, 2.0)
+    assert not accuracy(before, made("close", 2e-8, 2.01)).red
+    assert not accuracy(made("never", 1e-9, math.inf), made("still", 1e-9, math.inf)).red
+    lines = accuracy(before, made("far", 1e-7, 2.03)).lines
+    assert {(line.table, line.measure) for line in lines if line.red} == {
+        ("stability", "end_error"),
+        ("stability_limits", "limit"),
+    }
+
+
 def test_of_a_larger_run_the_larger_profiles_rows_are_expected(baseline, tmp_path):
     small = judged(baseline, lambda t, r: r, tmp_path, keep=lambda row: row["profile"] == "smoke")
     assert not small.red
@@ -290,7 +311,7 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
     assert tests
     for test in tests:
         cells = [set(test.cells(profile)) for profile in conftest.PROFILES.values()]
-        assert cells[0]
+        assert cells[1]
         assert cells[0] <= cells[1] <= cells[2]
 
 

@@ -30,6 +30,8 @@ from contactbench.table import PROFILES, TABLES, Rule, Table, read
 DECADES = 0.3
 #: how far a slope may move in the asymptotic range; other rounding moves it by 0.001
 SLOPE = 0.05
+#: how far a quantity that is no error may move, relatively
+VALUE = 0.01
 #: how far a count may move where a solver chooses its steps, as a share, and at least by one
 SHARE = 0.1
 #: values that move by less than this part of what is allowed are not listed
@@ -104,12 +106,16 @@ class Verdict:
 def round_off(rows: pd.DataFrame) -> np.ndarray:
     """Below what an error, relative to the size of its quantity, is round-off.
 
-    100 ε, and √n ε for n evaluations, whose rounding errors walk at random.  The references' 40 digits
-    are beyond that; they are the limit of rows at 50 digits, ten times their uncertainty.
+    100 ε, and √n ε for n evaluations, whose rounding errors walk at random; times the condition number
+    of the motion, where the table has one.  The references' 40 digits are beyond that; they are the
+    limit of rows at 50 digits, ten times their uncertainty.
     """
-    epsilon = np.finfo(float).eps
-    evaluations = pd.to_numeric(rows.get("evaluations", pd.Series(0.0, rows.index)))
-    floor = epsilon * np.maximum(100.0, np.sqrt(evaluations.astype(float).fillna(0.0)))
+
+    def numbers(column: str) -> pd.Series:
+        return pd.to_numeric(rows.get(column, pd.Series(0.0, rows.index))).astype(float).fillna(0.0)
+
+    floor = np.finfo(float).eps * np.maximum(100.0, np.sqrt(numbers("evaluations")))
+    floor *= np.maximum(1.0, numbers("condition_number"))
     return np.where(rows.get("engine", "") == "mpmath", 1e-39, floor)
 
 
@@ -128,6 +134,12 @@ def counts(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndar
         return np.where(before == after, 0.0, np.abs(after - before) / allowed)
 
 
+def values(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Relative change in parts of what is allowed; a limit may be infinite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(before == after, 0.0, np.abs(after / before - 1) / VALUE)
+
+
 def in_range(rows: pd.DataFrame) -> np.ndarray:
     """Rows in the asymptotic range their order was fitted on."""
     return (rows["in_fit"].astype(str) == "True").to_numpy()
@@ -139,6 +151,7 @@ MOVED: dict[Rule, Callable[[np.ndarray, np.ndarray, pd.DataFrame], np.ndarray]] 
         before, after, np.maximum(round_off(rows), ROUND_OFF)
     ),
     Rule.count: counts,
+    Rule.value: lambda before, after, rows: values(before, after),
     Rule.slope: lambda before, after, rows: np.where(in_range(rows), np.abs(after - before) / SLOPE, 0.0),
 }
 

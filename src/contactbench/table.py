@@ -47,6 +47,7 @@ class Rule(Enum):
     error = "may move by a factor of two above round-off"
     structure = "an error; if it is round-off it must stay round-off"
     slope = "the slope of an error, compared in its asymptotic range (column in_fit)"
+    value = "a quantity that is no error: within a hundredth"
 
 
 _COMMON = {
@@ -207,7 +208,7 @@ STABILITY = Table(
         **_COUNTS,
         "time_s": "fastest of a few calls, 25 saved times; other work may run beside it",
     },
-    _RULES,
+    {**_RULES, "end_error": Rule.error, **_law_rules()},
 )
 
 STABILITY_LIMITS = Table(
@@ -221,6 +222,7 @@ STABILITY_LIMITS = Table(
         "theory": "what theory gives, where it does",
         "per_evaluation": "the limit over the evaluations of a step",
     },
+    {"limit": Rule.value},
     key=("method", "gamma", "omega"),
 )
 
@@ -234,6 +236,7 @@ ONE_STEP = Table(
         "radius": "largest |eigenvalue| of the one-step map",
         "true_radius": "of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped",
     },
+    {"radius": Rule.value},
     key=("method", "gamma", "step"),
 )
 
@@ -251,6 +254,7 @@ DAMPING_RATES = Table(
         "ratio": "measured over true",
         "rate_error": "|measured/true − 1|",
     },
+    {"status": Rule.same, "evaluations": Rule.count, "rate_error": Rule.error},
     key=("experiment", "scene", "method", "setting", "t_end"),
 )
 
@@ -265,6 +269,7 @@ STRONG_DAMPING = Table(
         "error": "‖Mⁿ − Φ_T‖₂/‖Φ_T‖₂ over the time T in which the motion falls by e",
         "radius": "largest |eigenvalue| of the one-step map",
     },
+    {"error": Rule.error},
     key=("method", "gamma", "damping_per_evaluation"),
 )
 
