@@ -328,8 +328,11 @@ def blow_up_time(scene: Scene) -> tuple[str, int] | None:
     """When the trajectory reaches infinity, as a decimal string, and how many digits of it are known.
 
     Frozen where it is stored, else from heyoka's Taylor series at two precisions: steps shrink in
-    proportion to the time that is left.  None if the trajectory is finite up to the scene's t_end.
+    proportion to the time that is left.  None if the trajectory is finite up to the scene's t_end, as
+    those known in closed form are.
     """
+    if scene.exact is not None:
+        return None
     entry = frozen_entry(scene)
     if entry is not None:
         known = entry.get("blow_up")
