@@ -83,8 +83,8 @@ PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf":
 IMPLICIT = {"diffrax-kvaerno5": 2}
 
 
-#: the profile's budget is meant for scenes up to this long; longer ones get more in proportion
-LONG = 800.0
+#: the profile's budget is meant for scenes up to this long; longer ones get more, but not without end
+LONG, LONGEST = 800.0, 2000.0
 
 
 def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | None:
@@ -95,7 +95,7 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
         per_step = method.counts(scene, 2) - method.counts(scene, 1)
     else:
         per_step = (PER_STEP | IMPLICIT).get(method.name)
-    evaluations = round(profile.callback_evaluations * max(1.0, scene.t_end / LONG))
+    evaluations = round(profile.callback_evaluations * max(1.0, min(scene.t_end, LONGEST) / LONG))
     return evaluations // per_step if per_step else None
 
 
