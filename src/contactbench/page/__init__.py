@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.resources import files
@@ -72,8 +73,12 @@ def word(text: Any, look: str = "") -> Cell:
 
 
 def number(value: Any, show: Callable[[Any], str] = scientific, look: str = "") -> Cell:
-    """A number as `show` writes it, sorted by itself; missing ones are last."""
-    return Cell(DASH) if pd.isna(value) else Cell(show(value), float(value), look)
+    """A number as `show` writes it, sorted by itself; missing ones are last, infinite ones just before."""
+    if pd.isna(value):
+        return Cell(DASH)
+    if math.isinf(value):
+        return Cell("∞" if value > 0 else "−∞", math.copysign(sys.float_info.max, value), look)
+    return Cell(show(value), float(value), look)
 
 
 def law_cell(value: Any) -> Cell:
@@ -336,8 +341,8 @@ def whole_sheet(name: str, frame: pd.DataFrame) -> Sheet | None:
 
 def readable_number(value: Any) -> Cell:
     """Whole numbers in full, moderate ones with four digits, the others scientifically."""
-    if pd.isna(value):
-        return Cell(DASH)
+    if pd.isna(value) or math.isinf(value):
+        return number(value)
     plain_size = value == 0 or 1e-2 <= abs(value) < 1e4
     return number(value, count if value == round(value) and abs(value) < 1e6 else
                   (lambda v: f"{v:.4g}") if plain_size else scientific)  # fmt: skip
