@@ -683,7 +683,8 @@ The same on the rigid body, with its attitude:
 
 {decades(work, "rigid_body", "time_median_s", duration, TARGETS)}
 
-Of the paper's {len(tables["claims"])} claims {", ".join(f"{verdicts.get(name, 0)} {name}" for name in VERDICTS)}.
+Of the paper's {len(tables["claims"])} claims {verdicts.get(VERDICTS[0], 0)} hold, {verdicts.get(VERDICTS[1], 0)} hold
+once corrected, and {verdicts.get(VERDICTS[2], 0)} are refuted.
 """
 
 
