@@ -167,8 +167,8 @@ def losses(work: pd.DataFrame) -> str:
 
 LOSSES = """What the contact methods cost there in units of the winner; blank where a contact method is cheapest. Why:
 
-- **High accuracy.** heyoka's Taylor method raises its order with the digits asked for, so that from about
-  ten digits on it takes steps several times the period; a splitting of fixed order 6 or 8 cannot follow.
+- **High accuracy.** heyoka's Taylor method raises its order with the digits asked for and keeps its steps
+  long; a composition of fixed order has to shorten them.
 - **Short runs.** A compiled call costs some 25 µs whatever it does, which on runs of a few hundred
   evaluations is most of the time; heyoka's call costs less.
 - **No structure to use.** Damping quadratic in s has no merged flow, so that the Nyström tables do not apply,
