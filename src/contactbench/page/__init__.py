@@ -24,7 +24,7 @@ from contactbench.table import SEPARATOR, TABLES, read, replacing
 #: tables with a section of their own; the others are shown as they are
 SECTIONS = ("work_precision", "laws", "convergence", "claims")
 #: data of figures, not for reading
-CURVES = ("laws_time", "paper_figures")
+CURVES = ("laws_time", "paper_figures", "one_step", "strong_damping")
 #: a table with more cells is left to its CSV
 MOST_CELLS = 15_000
 #: of the stability table, what is shown beside its map
