@@ -22,7 +22,7 @@ from contactbench.report import (
     report,
     winners,
 )
-from contactbench.stability_report import advice, stability_document, usable
+from contactbench.stability_report import advice, stability_document, strong_section, usable
 from contactbench.table import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
 
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
@@ -188,3 +188,10 @@ def test_a_readme_without_its_marks_is_refused(tmp_path):
     (tmp_path / "README.md").write_text("nothing")
     with pytest.raises(cb.BadInput, match="once each"):
         into_readme(tmp_path / "README.md", REPOSITORY / "results")
+
+
+def test_strong_damping_is_left_out_of_a_partial_run_without_strang():
+    frame = pd.DataFrame(
+        {"method": ["contact-o8"], "gamma": [5.0], "damping_per_evaluation": [1.0], "error": [0.1]}
+    )
+    assert list(strong_section(frame)) == []

@@ -170,7 +170,7 @@ def error_and_cost(rows: pd.DataFrame) -> str:
 
 # -- strong damping --------------------------------------------------------------------------------
 def strong_section(frame: pd.DataFrame) -> Iterator[str]:
-    if not len(frame):
+    if STRANG not in set(frame["method"]):  # all others are compared with it
         return
     gammas = sorted(frame["gamma"].unique())
     rows = [
