@@ -23,7 +23,7 @@ from contactbench.stability import (
     true_radius,
 )
 from contactbench.table import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
-from hard_cells import overdamped_row, stability_row, weak_row
+from hard_cells import SolverError, overdamped_row, stability_row, weak_row
 
 #: seconds per call, compilation included
 LIMIT = 60.0
@@ -138,7 +138,7 @@ def answers(promised):
             yield future.result()
         except TimedOut as error:
             yield row | {"status": "timeout", "message": str(error)}
-        except (Died, RuntimeError) as error:
+        except (Died, SolverError) as error:  # anything else is a fault of ours, and fails the cell
             yield row | {"message": " ".join(str(error).split())[:200]}
 
 

@@ -7,6 +7,7 @@ import os
 
 import pytest
 
+import contactbench as cb
 import planted
 from bench_stability import answers
 from contactbench.isolation import Workers
@@ -47,6 +48,15 @@ def test_the_sound_solvers_around_them_are_untouched(rows):
         assert rows[name]["status"] == "ok"
         assert rows[name]["solution_error"] < 1e-4
         assert math.isfinite(rows[name]["end_error"])
+
+
+def test_a_fault_of_the_experiment_is_no_row():
+    """Only what a solver raises is a failed solver."""
+    with Workers([None]) as workers:
+        future = workers.submit(60.0, planted.row, "no-such-method")
+        with pytest.raises(cb.UnknownName, match="no-such-method") as caught:
+            list(answers([({"status": "failed"}, future)]))
+    assert "in planted" not in str(caught.value) and "planted.py" in caught.value.__notes__[0]
 
 
 def test_no_process_is_left_and_later_calls_are_cancelled():

@@ -110,3 +110,13 @@ def test_a_rate_is_read_off_an_oscillating_energy():
     t = np.arange(1, 1001) * 10.0
     energy = np.exp(-1e-5 * t) * (1 + 0.03 * np.cos(2.1 * t + 0.3))
     assert energy_rate(t, energy) == pytest.approx(1e-5, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["cvode-adams", "diffrax-dopri8", "contact-adaptive", "contact-strang"])
+def test_weak_damping_is_measured_at_the_same_cost(name):
+    from hard_cells import COST, weak_row
+
+    row = weak_row("weak_damping", name, 1000.0)
+    assert row["status"] == "ok"
+    assert row["ratio"] == pytest.approx(1.0, abs=0.1)
+    assert COST / 3 < row["evaluations"] / 1000.0 < COST * 3

@@ -9,9 +9,11 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import pickle
 import queue
 import signal
 import threading
+import traceback
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from multiprocessing.connection import Connection
@@ -44,8 +46,20 @@ def serve(pipe: Connection, core: int | None) -> None:
         try:
             answer = (True, function(*arguments))
         except BaseException as error:
-            answer = (False, RuntimeError(f"{type(error).__name__}: {error}"))
+            answer = (False, portable(error))
         pipe.send(answer)
+
+
+def portable(error: BaseException) -> Exception:
+    """The exception with its traceback as a note; a RuntimeError that names it where it cannot be pickled."""
+    where = "".join(traceback.format_exception(error))
+    try:
+        same = pickle.loads(pickle.dumps(error))
+        assert isinstance(same, Exception)
+    except Exception:
+        same = RuntimeError(f"{type(error).__name__}: {error}")
+    same.add_note(f"in the worker process:\n{where}")
+    return same
 
 
 class Worker:
@@ -64,18 +78,18 @@ class Worker:
             raise TimedOut(f"no result after {limit:g} s")
         return self.pipe.recv()
 
-    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...], limit: float) -> Any:
+    def call(
+        self, function: Callable[..., Any], arguments: tuple[Any, ...], limit: float
+    ) -> tuple[bool, Any]:
+        """(True, what the function returned) or (False, what it raised)."""
         try:
             self.pipe.send((function, arguments))
-            fine, value = self.receive(limit)
+            return self.receive(limit)
         except (EOFError, ConnectionError):
             self.process.join(5)
             code = self.process.exitcode
             by = f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
             raise Died(f"the solver took its process down ({by})") from None
-        if fine:
-            return value
-        raise value
 
     def stop(self) -> None:
         self.process.kill()
@@ -87,7 +101,7 @@ class Workers:
     """A few worker processes that take calls in order: ``submit(limit, function, *arguments) -> Future``.
 
     Calls of one `group` go to one worker one after another.  A future raises `TimedOut`, `Died`, or
-    RuntimeError with what the function raised.  function and arguments must be picklable.
+    what the function raised.  function and arguments must be picklable.
     Close it, or use it as a context manager: no process is left behind.
     """
 
@@ -120,14 +134,14 @@ class Workers:
                     continue
                 try:
                     worker = worker or Worker(core)
-                    future.set_result(worker.call(function, arguments, limit))
-                except RuntimeError as error:
-                    future.set_exception(error)
+                    fine, value = worker.call(function, arguments, limit)
                 except BaseException as error:  # the worker is lost, the next call gets a new one
                     if worker is not None:
                         worker.stop()
                     worker = None
                     future.set_exception(error)
+                else:
+                    future.set_result(value) if fine else future.set_exception(value)
         if worker is not None:
             worker.stop()
 
