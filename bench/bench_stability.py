@@ -16,7 +16,6 @@ from contactbench.scenes import hard_scenes
 from contactbench.stability import (
     THEORY,
     fixed_step_methods,
-    per_step,
     propagation_error,
     spectral_radius,
     stability_limit,
@@ -56,9 +55,7 @@ def settings(scene, method):
     elif method.refuses(scene):
         values = [("step", COARSEST.get(scene.name, scene.t_end / 100))]
     else:
-        each = (method.counts(scene, 2) - method.counts(scene, 1)) / (
-            2 if method.kind_on(scene) == "rotation" else 1
-        )
+        each = method.per_step(scene) / (2 if method.kind_on(scene) == "rotation" else 1)
         coarsest = COARSEST.get(scene.name, scene.t_end / 400)
         values = [("step", coarsest * part * each) for part in RUNGS.get(scene.name, (1.0, 0.25, 0.0625))]
     return values
@@ -186,7 +183,7 @@ def linear(profile):
 @cells(linear)
 def test_linear_stability(cell, record_all):
     method = cb.METHODS[cell[0]]
-    theory, each = THEORY.get(method.name), per_step(method)
+    theory, each = THEORY.get(method.name), method.per_step(cb.SCENES["oscillator"])
     limits = []
     for gamma in GAMMAS:
         for omega in OMEGAS:

@@ -92,7 +92,7 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
     if method.refuses(scene):
         return None
     if "python" in engine and not method.adaptive:
-        per_step = method.counts(scene, 2) - method.counts(scene, 1)
+        per_step = method.per_step(scene)
     else:
         per_step = (PER_STEP | IMPLICIT).get(method.name)
     evaluations = round(profile.callback_evaluations * max(1.0, min(scene.t_end, LONGEST) / LONG))

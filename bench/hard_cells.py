@@ -140,7 +140,7 @@ def weak_row(scene, method, t_end):
     scene = cb.SCENES[scene].with_(t_end=t_end)
     chosen = cb.METHODS[method]
     if chosen.refuses(scene) is not None:
-        return rate_row("weak", solve(scene, method, **first(chosen)), t_end, math.nan)
+        return rate_row("weak", solve(scene, method, **first(chosen, scene)), t_end, math.nan)
     options = {"rtol": matching_tolerance(scene, chosen)} if chosen.adaptive else first(chosen, scene)
     solution = solve(
         scene, method, save_at=t_end * np.arange(1, SAMPLES + 1) / SAMPLES, carry=(), **options
@@ -154,12 +154,11 @@ def weak_row(scene, method, t_end):
     return row
 
 
-def first(method, scene=None):
+def first(method, scene):
     """The step that costs COST, or any tolerance where the method refuses the scene."""
     if method.adaptive:
         return {"rtol": 1e-3}
-    per_step = method.counts(scene, 2) - method.counts(scene, 1) if scene is not None else 1
-    return {"step": per_step / COST}
+    return {"step": (1 if method.refuses(scene) else method.per_step(scene)) / COST}
 
 
 def matching_tolerance(scene, method):

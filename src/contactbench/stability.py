@@ -196,9 +196,3 @@ def propagation_error(method: Any, gamma: float, h: float) -> float:
         if not np.isfinite(power).all():
             return math.inf
         return float(np.linalg.norm(power - exact, 2) / np.linalg.norm(exact, 2))
-
-
-def per_step(method: Any) -> int:
-    """Evaluations of a step in the middle of a run on a mechanical scene."""
-    scene = SCENES["oscillator"]
-    return method.counts(scene, 2) - method.counts(scene, 1)

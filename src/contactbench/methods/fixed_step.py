@@ -68,6 +68,10 @@ class FixedStep:
         """Evaluations in n uninterrupted steps."""
         return n * self.evaluations
 
+    def per_step(self, scene: Scene) -> int:
+        """Evaluations of a step in the middle of a run."""
+        return self.counts(scene, 2) - self.counts(scene, 1)
+
     def kind_on(self, scene: Scene) -> str:
         """What `counts` counts on this scene."""
         return self.kind
@@ -108,8 +112,7 @@ class FixedStepRun(Prepared):
         r = self.request
         self.saves_start = r.save_at[0] == 0
         self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
-        counts = self.method_.counts
-        self.first_step, self.each_step = counts(r.scene, 1), counts(r.scene, 2) - counts(r.scene, 1)
+        self.first_step, self.each_step = self.method_.counts(r.scene, 1), self.method_.per_step(r.scene)
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
@@ -264,9 +267,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
     def steps_a_turn(self) -> int:
         """Steps written out per turn of the loop: a turn costs XLA some 4 ns whatever it does."""
-        r = self.request
-        per_step = self.method_.counts(r.scene, 2) - self.method_.counts(r.scene, 1)
-        return max(1, UNROLL // per_step)
+        return max(1, UNROLL // self.each_step)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         fixed = self.fixed if n is self.n else (self.fixed[0], h, n)
