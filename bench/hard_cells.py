@@ -142,9 +142,7 @@ def weak_row(scene, method, t_end):
     if chosen.refuses(scene) is not None:
         return rate_row("weak", solve(scene, method, **first(chosen, scene)), t_end, math.nan)
     options = {"rtol": matching_tolerance(scene, chosen)} if chosen.adaptive else first(chosen, scene)
-    solution = solve(
-        scene, method, save_at=t_end * np.arange(1, SAMPLES + 1) / SAMPLES, carry=(), **options
-    )
+    solution = solve(scene, method, save_at=t_end * np.arange(1, SAMPLES + 1) / SAMPLES, carry=(), **options)
     grid = t_end * np.arange(1, 201) / 200
     truth = cb.reference(scene, grid, ())
     true_rate = energy_rate(grid, scene.energy(truth.states()))

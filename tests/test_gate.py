@@ -426,36 +426,59 @@ def test_a_cell_one_side_cannot_run_is_reported_and_a_broken_tree_is_not_compare
         speed.paired_times([sys.executable] * 2, [copy, tmp_path], CELLS, rounds=2, seed=0)
 
 
-def test_turns_are_shuffled_and_paired(monkeypatch, tmp_path):
+@pytest.fixture
+def clocked(monkeypatch, tmp_path):
+    """Times two trees by ``clock(tree's name, cell, readings so far)``; also gives who was asked, in order."""
+
+    def compare(clock, cells):
+        asked = []
+
+        class Side:
+            def __init__(self, _python, tree, _cells, _core, _later):
+                self.name = tree.name
+
+            def __enter__(self):
+                return self
+
+            def __exit__(self, *_):
+                pass
+
+            def refused(self):
+                return {}
+
+            def time(self, cell):
+                asked.append((self.name, cell))
+                return clock(self.name, cell, len(asked))
+
+        monkeypatch.setattr(speed, "Side", Side)
+        trees = [tmp_path / "base", tmp_path / "head"]
+        return speed.paired_times(["p", "p"], trees, cells, speed.ROUNDS, seed=0)[0], asked
+
+    return compare
+
+
+def test_turns_are_shuffled_and_paired(clocked):
     """Timed in turns by a clock that drifts: the ratio does not see the drift."""
-    asked = []
-
-    class Drifting:
-        def __init__(self, _python, tree, _cells, _core, _later):
-            self.factor = 1.5 if tree.name == "head" else 1.0
-            self.name = tree.name
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            pass
-
-        def refused(self):
-            return {}
-
-        def time(self, cell):
-            asked.append((self.name, cell))
-            return self.factor * 1e-3 * (1 + cell) * np.exp(len(asked) / 50)
-
-    monkeypatch.setattr(speed, "Side", Drifting)
-    ratios, _ = speed.paired_times(["p", "p"], [tmp_path / "base", tmp_path / "head"], CELLS * 4, 15, seed=0)
+    factor = {"base": 1.0, "head": 1.5}
+    ratios, asked = clocked(
+        lambda name, cell, k: factor[name] * 1e-3 * (1 + cell) * np.exp(k / 50), CELLS * 4
+    )
     for ratio in ratios.values():
         assert ratio.ratio == pytest.approx(1.5, rel=0.03)
-        assert ratio.low < 1.5 < ratio.high or ratio.ratio == pytest.approx(1.5, rel=0.03)
+        assert ratio.rounds == speed.ROUNDS
     first = [asked[i][0] for i in range(0, len(asked), 2)]
     assert 20 < first.count("base") < 40  # of 60 pairs either goes first
     assert [cell for _, cell in asked[:8:2]] != [cell for _, cell in asked[8:16:2]]
+
+
+def test_what_is_undecided_gets_more_rounds(clocked):
+    """Of three cells with a noisy clock only the one near the limit."""
+    noise = np.random.default_rng(1).normal(size=10_000)
+    factor = [1.0, 1.02 * speed.LIMIT, 2.0]
+    ratios, _ = clocked(
+        lambda name, cell, k: (factor[cell] if name == "head" else 1.0) * np.exp(0.1 * noise[k]), CELLS * 3
+    )
+    assert [ratios[i].rounds for i in range(3)] == [speed.ROUNDS, speed.MOST_ROUNDS, speed.ROUNDS]
 
 
 # -- the self-check --------------------------------------------------------------------------------

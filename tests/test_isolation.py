@@ -56,7 +56,8 @@ def test_a_fault_of_the_experiment_is_no_row():
         future = workers.submit(60.0, planted.row, "no-such-method")
         with pytest.raises(cb.UnknownName, match="no-such-method") as caught:
             list(answers([({"status": "failed"}, future)]))
-    assert "in planted" not in str(caught.value) and "planted.py" in caught.value.__notes__[0]
+    assert "in planted" not in str(caught.value)
+    assert "planted.py" in caught.value.__notes__[0]
 
 
 def test_no_process_is_left_and_later_calls_are_cancelled():

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 import tempfile
@@ -297,16 +298,36 @@ def fresh_run(root: Path, results: Path) -> list[Line]:
         raise BadInput(f"{root}: no benchmark there; run the gate where bench/ is, or give --fresh DIR")
     command = [
         sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results),
-        "-q", "-n", "auto", "--dist", "loadgroup", "--benchmark-disable", "-p", "no:cacheprovider",
+        "-v", "-n", "auto", "--dist", "loadgroup", "--benchmark-disable", "-p", "no:cacheprovider",
     ]  # fmt: skip
-    done = subprocess.run(command, cwd=root, env=speed.environment(root), capture_output=True, text=True)
-    last = (done.stdout.strip() or done.stderr.strip() or "no output").splitlines()[-1]
-    if done.returncode > 1:
-        raise BadInput(f"the benchmark did not run (pytest exit {done.returncode}): {last}")
-    if done.returncode == 0:
+    lines, status = followed(command, root)
+    last = next(filter(None, (line.strip() for line in reversed(lines))), "no output")
+    if status > 1:
+        raise BadInput(f"the benchmark did not run (pytest exit {status}): {last}")
+    if status == 0:
         return []
-    failed = "; ".join(line[7:160] for line in done.stdout.splitlines() if line.startswith("FAILED "))
+    failed = "; ".join(line[7:160] for line in lines if line.startswith("FAILED "))
     return [Line("benchmark run", "passed", "failed", failed or last, "failed", red=True)]
+
+
+def followed(command: list[str], root: Path) -> tuple[list[str], int]:
+    """What pytest printed and its exit status; a terminal is shown how far it is."""
+    from tqdm import tqdm
+
+    lines = []
+    with (
+        subprocess.Popen(
+            command, cwd=root, env=speed.environment(root), text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        ) as run,
+        tqdm(total=100, desc="smoke run", unit="%", disable=None) as bar,
+    ):  # fmt: skip
+        assert run.stdout is not None
+        for line in run.stdout:
+            lines.append(line)
+            done = re.match(r"\[gw\d+\] \[ *(\d+)%\]", line)
+            bar.update(int(done[1]) - bar.n if done else 0)
+    return lines, run.returncode
 
 
 # -- speed -----------------------------------------------------------------------------------------

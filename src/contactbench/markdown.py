@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
 from tabulate import tabulate
@@ -37,3 +39,15 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return tabulate(
         [list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True
     )
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table as values, for whoever writes it down: (label, how a value is shown) of each column, rows."""
+
+    columns: tuple[tuple[str, Callable[[Any], str]], ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    def markdown(self) -> str:
+        labels, shows = zip(*self.columns, strict=True)
+        return markdown(labels, ([show(v) for show, v in zip(shows, row, strict=True)] for row in self.rows))

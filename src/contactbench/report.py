@@ -14,7 +14,7 @@ import pandas as pd
 from contactbench import figures, paper_figures
 from contactbench.analysis import cost_at_error
 from contactbench.errors import BadInput
-from contactbench.markdown import DASH, count, duration, markdown, scientific
+from contactbench.markdown import DASH, Listing, count, duration, markdown, scientific
 from contactbench.stability_report import advice, stability_document
 from contactbench.table import SEPARATOR, TABLES, read, replacing
 
@@ -140,7 +140,7 @@ def decades(
     return markdown(["error", "best contact method", *PEERS], rows)
 
 
-def losses(work: pd.DataFrame) -> str:
+def losses(work: pd.DataFrame) -> Listing:
     """Every scene and error at which a peer is cheaper than every contact method, on equal terms."""
     rows = []
     terms = (
@@ -161,18 +161,28 @@ def losses(work: pd.DataFrame) -> str:
                 else:
                     cells.append(f"{peer} ×{ours / theirs:.2g}" if ours == ours else f"{peer}, alone")
             if any(cells):
-                rows.append([scene, measure, *cells])
-    return markdown(["scene", "on equal terms of", *(f"error {target:.0e}" for target in TARGETS)], rows)
+                rows.append((scene, measure, *cells))
+    head = ("scene", "on equal terms of", *(f"error {target:.0e}" for target in TARGETS))
+    return Listing(tuple((label, str) for label in head), tuple(rows))
 
 
-LOSSES = """What the contact methods cost there in units of the winner; blank where a contact method is cheapest. Why:
+LOSSES = (
+    "What the contact methods cost there in units of the winner; blank where a contact method is cheapest."
+)
+#: why they lose: in a word, and in a sentence
+REASONS = {
+    "High accuracy": "heyoka's Taylor method raises its order with the digits asked for and keeps its steps "
+    "long; a composition of fixed order has to shorten them.",
+    "Short runs": "A compiled call has a cost of its own whatever it does, which on runs of a few hundred "
+    "evaluations is most of the time; heyoka's is smaller.",
+    "No structure to use": "Damping quadratic in s has no merged flow, so that the Nyström tables do not apply, "
+    "and the anisotropic body has neither a conformal factor nor a potential.",
+}
 
-- **High accuracy.** heyoka's Taylor method raises its order with the digits asked for and keeps its steps
-  long; a composition of fixed order has to shorten them.
-- **Short runs.** A compiled call costs some 25 µs whatever it does, which on runs of a few hundred
-  evaluations is most of the time; heyoka's call costs less.
-- **No structure to use.** Damping quadratic in s has no merged flow, so that the Nyström tables do not apply,
-  and the anisotropic body has neither a conformal factor nor a potential."""
+
+def losses_section(work: pd.DataFrame) -> str:
+    reasons = "\n".join(f"- **{word}.** {sentence}" for word, sentence in REASONS.items())
+    return f"## Where the contact methods lose\n\n{LOSSES} Why:\n\n{reasons}\n\n{losses(work).markdown()}"
 
 
 # -- documents -------------------------------------------------------------------------------------
@@ -240,7 +250,11 @@ def laws_document(frame: pd.DataFrame) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def kernel_table(frame: pd.DataFrame) -> str:
+def nanoseconds(value: float) -> str:
+    return f"{value:.2f} ns"
+
+
+def kernels(frame: pd.DataFrame) -> Listing:
     """Time per gradient of our compiled kernels beside the same arithmetic as a C loop."""
     rows = []
     for _, limit in frame[(frame["track"] == "limit") & (frame["status"] == "ok")].iterrows():
@@ -251,30 +265,33 @@ def kernel_table(frame: pd.DataFrame) -> str:
         ]
         if len(ours):
             c, jax = (r["time_min_s"] / r["evaluations"] * 1e9 for r in (limit, ours.iloc[0]))
-            times = (f"{c:.2f} ns", f"{jax:.2f} ns", f"{jax / c:.2f}")
-            rows.append([limit["scene"], method, step, limit["evaluations"], *times])
-    return markdown(["scene", "method", "step", "gradients", "C loop", "jax, whole call", "ratio"], rows)
+            rows.append((limit["scene"], method, step, limit["evaluations"], c, jax, jax / c))
+    columns = (
+        ("scene", str), ("method", str), ("step", str), ("gradients", str), ("C loop", nanoseconds),
+        ("jax, whole call", nanoseconds), ("ratio", "{:.2f}".format),
+    )  # fmt: skip
+    return Listing(columns, tuple(rows))
 
 
-def chosen_table(frame: pd.DataFrame) -> str:
+def chosen(frame: pd.DataFrame) -> Listing:
     """What a tolerance asked of a fixed-step method gives, pilots included."""
     rows = []
     for _, row in frame[(frame["track"] == "chosen") & (frame["status"] == "ok")].iterrows():
-        rtol = float(row["setting"].partition("=")[2])
-        found = (f"{rtol:.0e}", scientific(row["solution_error"]), f"{row['solution_error'] / rtol:.2f}")
-        cost = (row["steps"], f"{row['rhs_equivalents']:.0f}", duration(row["time_median_s"]))
-        rows.append([row["scene"], row["method"], *found, *cost])
-    head = [
-        "scene",
-        "method",
-        "rtol",
-        "error",
-        "error / rtol",
-        "steps",
-        "evaluations with pilots",
-        "time with pilots",
-    ]
-    return markdown(head, rows)
+        rtol, error = float(row["setting"].partition("=")[2]), row["solution_error"]
+        cost = (row["steps"], row["rhs_equivalents"], row["time_median_s"])
+        rows.append((row["scene"], row["method"], rtol, error, error / rtol, *cost))
+    columns = (
+        ("scene", str), ("method", str), ("rtol", "{:.0e}".format), ("error", scientific),
+        ("error / rtol", "{:.2f}".format), ("steps", str), ("evaluations with pilots", count),
+        ("time with pilots", duration),
+    )  # fmt: skip
+    return Listing(columns, tuple(rows))
+
+
+KERNELS = (
+    "Fastest round, per gradient, one thread. The jax column is the whole call of a prepared solver, its "
+    "dispatch included."
+)
 
 
 def work_precision_document(frame: pd.DataFrame) -> str:
@@ -284,7 +301,7 @@ def work_precision_document(frame: pd.DataFrame) -> str:
         f"{labels('work_precision')['solution_error']}. Times compare "
         "engines as well as methods: compare jax with jax and python with python; evaluations compare methods.",
     ]
-    parts += [f"## Where the contact methods lose\n\n{LOSSES}", losses(frame)]
+    parts.append(losses_section(frame))
     for scene in dict.fromkeys(frame["scene"]):
         times = equal_error(frame, scene, "time_median_s")
         if not len(times):
@@ -311,10 +328,8 @@ def work_precision_document(frame: pd.DataFrame) -> str:
                 + markdown(["method (engine)", "setting", "status", "why"], endings)
             )
     parts += [
-        "## Compiled kernels beside a C loop\n\nFastest round, per gradient, one thread. The jax column is the "
-        "whole call of a prepared solver, its dispatch included.",
-        kernel_table(frame),
-        "## A step chosen from a tolerance\n\n" + chosen_table(frame),
+        f"## Compiled kernels beside a C loop\n\n{KERNELS}\n\n{kernels(frame).markdown()}",
+        f"## A step chosen from a tolerance\n\n{chosen(frame).markdown()}",
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -645,11 +660,7 @@ body, which together apply its whole vector field, count as one):
 
 ![cost against error on the {HEADLINE}](figures/work_precision_{HEADLINE}.svg)
 {advice(tables)}
-## Where the contact methods lose
-
-{LOSSES}
-
-{losses(work)}
+{losses_section(work)}
 
 ## Tables
 

@@ -3,9 +3,9 @@
 Each revision has a process of its own, with its sources on PYTHONPATH, on the same core.  A round
 times every cell in shuffled order, base and head right after one another in random order, so that
 whatever else the machine does meets both; the ratio of each pair is what counts, never a time.  A
-cell is judged slower when the whole interval of the median ratio is above `LIMIT`, and is again in
-fresh processes: the layout of code and data in memory, drawn anew with every process, is worth some
-per cent.
+cell whose interval of the median ratio straddles `LIMIT` gets more rounds.  It is judged slower when
+the whole interval is above `LIMIT`, and is again in fresh processes: the layout of code and data in
+memory, drawn anew with every process, is worth some per cent.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ from contactbench.errors import BadInput
 
 LIMIT = 1.25
 ROUNDS = 15
+#: rounds a cell gets at most, in as many more portions of the first, as long as it is undecided
+MOST_ROUNDS = 60
 #: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
 SCENES = ("particle", "particle_long", "rigid_body")
 #: of a method's settings the finest that takes at most so long; a method that has none is not timed there
@@ -71,6 +73,11 @@ def workload(work: pd.DataFrame, scenes: Sequence[str] = SCENES) -> list[Cell]:
         carry = tuple(field for field in ("s", "R") if field in str(row["carried"]).split())
         cells.append(Cell(row["scene"], row["method"], row["engine"], row["setting"], carry))
     return cells
+
+
+def undecided(ratio: PairedRatio) -> bool:
+    """Whether the interval has the limit in it."""
+    return ratio.low <= LIMIT < ratio.high
 
 
 def verdict(first: PairedRatio, again: PairedRatio | None) -> str:
@@ -147,7 +154,12 @@ def cores() -> tuple[int | None, int | None]:
 def paired_times(
     pythons: Sequence[str], trees: Sequence[Path], cells: Sequence[Cell], rounds: int, seed: int
 ) -> tuple[dict[int, PairedRatio], dict[int, str]]:
-    """Ratio second/first tree of every cell, from one new process each, and the cells refused."""
+    """Ratio second/first tree of every cell, from one new process each, and the cells refused.
+
+    rounds : for every cell; the undecided get as many again until they have `MOST_ROUNDS` or more.
+    """
+    from tqdm import tqdm
+
     main, other = cores()
     draw = random.Random(seed)
     with ExitStack() as stack:
@@ -161,11 +173,16 @@ def paired_times(
         times: dict[int, tuple[list[float], list[float]]] = {
             i: ([], []) for i in range(len(cells)) if i not in refused
         }
-        for _ in range(rounds):
-            for i in draw.sample(list(times), len(times)):
-                for k in draw.sample((0, 1), 2):
-                    times[i][k].append(sides[k].time(i))
-    return {i: paired_ratio(*pair) for i, pair in times.items()}, refused
+        ratios: dict[int, PairedRatio] = {}
+        ask = list(times)
+        while ask:
+            for _ in tqdm(range(rounds), f"timing {len(ask)} cells", unit="round", disable=None):
+                for i in draw.sample(ask, len(ask)):
+                    for k in draw.sample((0, 1), 2):
+                        times[i][k].append(sides[k].time(i))
+            ratios |= {i: paired_ratio(*times[i]) for i in ask}
+            ask = [i for i in ask if undecided(ratios[i]) and ratios[i].rounds < MOST_ROUNDS]
+    return dict(sorted(ratios.items())), refused
 
 
 # -- revisions -------------------------------------------------------------------------------------

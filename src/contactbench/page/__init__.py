@@ -86,6 +86,19 @@ def law_cell(value: Any) -> Cell:
     return number(value, look="exact" if not pd.isna(value) and abs(value) <= report.ROUND_OFF else "")
 
 
+def listing(title: str, made: report.Listing) -> Sheet:
+    """A listing of the documents, sorted by its values."""
+    rows = [
+        [
+            word(show(v)) if isinstance(v, str) else number(v, show)
+            for (_, show), v in zip(made.columns, row, strict=True)
+        ]
+        for row in made.rows
+    ]
+    words = [i for i, cell in enumerate(made.rows[0]) if isinstance(cell, str)] if made.rows else []
+    return sheet(title, [label for label, _ in made.columns], rows, words)
+
+
 def count(value: Any) -> str:
     return DASH if pd.isna(value) else f"{value:,.0f}".replace(",", "\u202f")
 
@@ -423,6 +436,12 @@ def page(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
             s: equal_error_sheet(work, s, "rhs_equivalents", count) for s in dict.fromkeys(work["scene"])
         },
         endings={s: endings_sheet(work, s) for s in dict.fromkeys(work["scene"])},
+        losses=listing("Where a peer is cheapest", report.losses(work)) if len(work) else None,
+        losses_meaning=report.LOSSES,
+        reasons=report.REASONS,
+        kernels=listing("Compiled kernels beside a C loop", report.kernels(work)),
+        kernels_meaning=report.KERNELS,
+        chosen=listing("A step chosen from a tolerance", report.chosen(work)),
         error_meaning=meaning["solution_error"],
         laws={s: laws_sheet(laws, s) for s in dict.fromkeys(laws["scene"])},
         law_meaning={name: report.labels("laws")[name] for name in report.LAW_COLUMNS},
