@@ -361,14 +361,16 @@ def speed_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
     for factor in SLOWDOWNS:
         wanted = "19 in 20" if factor >= 1.5 else "the more the better"
         with planted(*slowdown(factor)) as tree:
-            for condition, share in halves(runs):
+            for condition, share in halves(max(2, runs // 2)):  # several judgements a run
                 what = f"loops {factor} times as slow, {len(cells)} judged in each run"
                 yield repeated("speed", what, condition, wanted, partial(slowed, tree), share)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--runs", type=int, default=20, help="runs of identical code and of each slowdown")
+    parser.add_argument(
+        "--runs", type=int, default=20, help="runs of identical code; half as many of each slowdown"
+    )
     parser.add_argument("--results", type=Path, default=ROOT / "results", help="where the tables are and go")
     parser.add_argument("--only", choices=gate.PARTS, help="one part of the gate; both by default")
     arguments = parser.parse_args()
