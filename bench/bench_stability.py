@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import RTOLS, cells, step_budget
+from cells import RTOLS, SAVES, cells, step_budget
 from contactbench.isolation import Died, TimedOut, Workers
 from contactbench.scenes import hard_scenes
 from contactbench.stability import (
@@ -57,7 +57,9 @@ def settings(scene, method):
     else:
         each = method.per_step(scene) / (2 if method.kind_on(scene) == "rotation" else 1)
         coarsest = COARSEST.get(scene.name, scene.t_end / 400)
-        values = [("step", coarsest * part * each) for part in RUNGS.get(scene.name, (1.0, 0.25, 0.0625))]
+        steps = (coarsest * part * each for part in RUNGS.get(scene.name, (1.0, 0.25, 0.0625)))
+        longest = scene.t_end / SAVES  # no step straddles a saved time
+        values = [("step", step) for step in dict.fromkeys(min(step, longest) for step in steps)]
     return values
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.analysis import cost_at_error, fit_order, paired_ratio, timing
+from contactbench.analysis import cost_at_error, cost_to_reach, fit_order, paired_ratio, timing
 
 H = [0.8 / 2**k for k in range(9)]
 
@@ -56,6 +56,14 @@ def test_cost_at_error_interpolates_inside_and_refuses_outside():
 
 def test_a_setting_that_costs_more_for_less_does_not_count():
     assert cost_at_error([1e-2, 1e-3, 1e-4], [1.0, 500.0, 10.0], 1e-3) == pytest.approx(10**0.5)
+    assert cost_at_error([1e-2, 1e-4], [500.0, 10.0], 1e-3) == pytest.approx(10.0)  # an accurate one that is cheaper too
+
+
+def test_who_is_more_accurate_than_asked_pays_for_the_cheapest_setting():
+    errors, costs = [1e-4, 1e-6, 1e-5], [1.0, 100.0, math.nan]
+    assert cost_to_reach(errors, costs, 1e-2) == pytest.approx(1.0)
+    assert cost_to_reach(errors, costs, 1e-5) == pytest.approx(10.0)
+    assert math.isnan(cost_to_reach(errors, costs, 1e-7))
 
 
 def test_timing_statistics():

@@ -80,6 +80,16 @@ def cost_at_error(errors: Sequence[float], costs: Sequence[float], target: float
     The lower envelope of the points is used: the cheapest setting at least as accurate as each
     error, so that a method is not charged for a poor setting it has no need of.
     """
+    loosest = max((e for e in errors if math.isfinite(e)), default=math.nan)
+    return cost_to_reach(errors, costs, target) if target <= loosest else math.nan
+
+
+def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
+    """The same where the data end before they are as inaccurate as `target`: the cheapest setting then.
+
+    That is no more than a bound, but a fair one: a method that is better than asked for at a lower
+    cost is the better choice.  nan where no setting is as accurate.
+    """
     points = sorted(
         (e, c) for e, c in zip(errors, costs, strict=True) if e > 0 and math.isfinite(e) and math.isfinite(c)
     )
@@ -88,7 +98,7 @@ def cost_at_error(errors: Sequence[float], costs: Sequence[float], target: float
         if front and cost >= front[-1][1]:
             continue
         front.append((error, cost))
-    if not front or not front[0][0] <= target <= front[-1][0]:
+    if not front or target < front[0][0]:
         return math.nan
     x, y = np.log([e for e, _ in front]), np.log([c for _, c in front])
     return float(np.exp(np.interp(math.log(target), x, y)))

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from contactbench import figures, paper_figures
-from contactbench.analysis import cost_at_error
+from contactbench.analysis import cost_to_reach
 from contactbench.errors import BadInput
 from contactbench.markdown import DASH, Listing, count, duration, markdown, scientific
 from contactbench.stability_report import advice, stability_document
@@ -36,9 +36,11 @@ def labels(table: str) -> dict[str, str]:
 def equal_error(
     work: pd.DataFrame, scene: str, cost: str, targets: tuple[float, ...] = TARGETS
 ) -> pd.DataFrame:
-    """Cost at each target error, one row per (method, engine); nan outside a method's own data.
+    """Cost of each target error, one row per (method, engine); nan where a method is not as accurate.
 
     cost : "time_median_s", or "rhs_equivalents" (one row per method then: engines count alike).
+    Column "loosest": the largest error among a method's settings; the cost of a target above it is
+    that of its cheapest setting, an upper bound.
     """
     part = work[(work["scene"] == scene) & (work["status"] == "ok")]
     part = part[part["track"].isin(["fixed", "adaptive"])]
@@ -46,21 +48,32 @@ def equal_error(
     for (method, engine), line in part.groupby(["method", "engine"], sort=False):
         if cost == "rhs_equivalents" and any(row["method"] == method for row in rows):
             continue
-        costs = [cost_at_error(line["solution_error"], line[cost], target) for target in targets]
-        rows.append({"method": method, "engine": engine, **dict(zip(targets, costs, strict=True))})
+        costs = {target: cost_to_reach(line["solution_error"], line[cost], target) for target in targets}
+        rows.append({
+            "method": method, "engine": engine, "loosest": line["solution_error"].max(), **costs
+        })  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def writer(row: pd.Series, target: float, show: Callable[[float], str]) -> Callable[[float], str]:
+    """How a cost of `equal_error` is written: marked where it is a bound."""
+    return show if target <= row["loosest"] else lambda cost: f"≤ {show(cost)}"
+
+
+def cost_text(row: pd.Series, target: float, show: Callable[[float], str]) -> str:
+    return DASH if pd.isna(row[target]) else writer(row, target, show)(row[target])
 
 
 def equal_error_table(frame: pd.DataFrame, show: Callable[[float], str]) -> str:
     """The table with the best of each column in bold."""
     best = {target: frame[target].min() for target in TARGETS}
 
-    def cell(value: float, target: float) -> str:
-        text = show(value)
-        return f"**{text}**" if value == best[target] else text
+    def cell(row: pd.Series, target: float) -> str:
+        text = cost_text(row, target, show)
+        return f"**{text}**" if row[target] == best[target] else text
 
     rows = [
-        [f"{row['method']} ({row['engine']})", *(cell(row[target], target) for target in TARGETS)]
+        [f"{row['method']} ({row['engine']})", *(cell(row, target) for target in TARGETS)]
         for _, row in frame.iterrows()
     ]
     return markdown(["method (engine)", *(f"error {target:.0e}" for target in TARGETS)], rows)
@@ -107,14 +120,11 @@ def is_ours(method: str) -> bool:
     return method.startswith("contact-")
 
 
-def cheapest(frame: pd.DataFrame, target: float, methods: Iterable[str]) -> tuple[str, float]:
-    """Name and cost of the cheapest of some methods at a target error; nan if none reaches it."""
+def cheapest(frame: pd.DataFrame, target: float, methods: Iterable[str]) -> pd.Series | None:
+    """The row of `equal_error` with the cheapest of some methods at a target error, if one reaches it."""
     part = frame[frame["method"].isin(list(methods))] if len(frame) else frame
     part = part.dropna(subset=[target]) if len(part) else part
-    if not len(part):
-        return "", math.nan
-    best = part.loc[part[target].idxmin()]
-    return best["method"], best[target]
+    return part.loc[part[target].idxmin()] if len(part) else None
 
 
 def decades(
@@ -129,14 +139,18 @@ def decades(
     ours = [name for name in dict.fromkeys(work["method"]) if is_ours(name)]
     rows = []
     for target in targets:
-        name, best = cheapest(frame, target, ours)
+        best = cheapest(frame, target, ours)
         ratios = []
         for group in PEERS.values():
-            _, theirs = cheapest(frame, target, group)
-            ratio = theirs / best
-            text = DASH if math.isnan(theirs) else f"{show(theirs)} (×{ratio:.2g})"
-            ratios.append(f"**{text}**" if ratio < 1 else text)
-        rows.append([f"{target:.0e}", f"{name} {show(best)}" if name else DASH, *ratios])
+            theirs = cheapest(frame, target, group)
+            if theirs is None:
+                ratios.append(DASH)
+                continue
+            ratio = math.nan if best is None else theirs[target] / best[target]
+            text = cost_text(theirs, target, show) + ("" if best is None else f" (×{ratio:.2g})")
+            ratios.append(text if ratio >= 1 else f"**{text}**")
+        mine = DASH if best is None else f"{best['method']} {cost_text(best, target, show)}"
+        rows.append([f"{target:.0e}", mine, *ratios])
     return markdown(["error", "best contact method", *PEERS], rows)
 
 
@@ -154,12 +168,14 @@ def losses(work: pd.DataFrame) -> Listing:
             cells = []
             for target in TARGETS:
                 everyone = set(frame["method"]) if len(frame) else set()
-                ours = cheapest(frame, target, filter(is_ours, everyone))[1]
-                peer, theirs = cheapest(frame, target, (m for m in everyone if not is_ours(m)))
-                if not peer or theirs >= ours:
+                ours = cheapest(frame, target, filter(is_ours, everyone))
+                peer = cheapest(frame, target, (m for m in everyone if not is_ours(m)))
+                if peer is None or (ours is not None and peer[target] >= ours[target]):
                     cells.append("")
+                elif ours is None:
+                    cells.append(f"{peer['method']}, alone")
                 else:
-                    cells.append(f"{peer} ×{ours / theirs:.2g}" if ours == ours else f"{peer}, alone")
+                    cells.append(f"{peer['method']} ×{ours[target] / peer[target]:.2g}")
             if any(cells):
                 rows.append((scene, measure, *cells))
     head = ("scene", "on equal terms of", *(f"error {target:.0e}" for target in TARGETS))
@@ -297,7 +313,8 @@ KERNELS = (
 def work_precision_document(frame: pd.DataFrame) -> str:
     parts = [
         "# Cost at equal error",
-        "Log–log interpolation between a method's own settings; a dash outside them. The error is "
+        "Log–log interpolation between a method's own settings; a dash where none is as accurate, ≤ where even its "
+        "least accurate one is more so: what its cheapest setting costs. The error is "
         f"{labels('work_precision')['solution_error']}. Times compare "
         "engines as well as methods: compare jax with jax and python with python; evaluations compare methods.",
     ]
@@ -393,15 +410,12 @@ def arithmetic_table(frame: pd.DataFrame) -> str:
 def trajectory_table(frame: pd.DataFrame) -> str:
     """Time per trajectory with at most each target error, the best in bold."""
 
-    def cost(line: pd.DataFrame, target: float) -> float:
-        between = cost_at_error(line["solution_error"], line["each"], target)
-        return line[line["solution_error"] <= target]["each"].min() if math.isnan(between) else between
-
     rows: list[dict[Any, Any]] = []
     variants = [variant(row) for _, row in frame.iterrows()]
     for name, line in frame.groupby(variants, sort=False):
-        costs = {target: cost(line, target) for target in TARGETS}
-        rows.append({"method": name, "engine": line["engine"].iloc[0], **costs})
+        errors = line["solution_error"]
+        costs = {target: cost_to_reach(errors, line["each"], target) for target in TARGETS}
+        rows.append({"method": name, "engine": line["engine"].iloc[0], "loosest": errors.max(), **costs})
     return equal_error_table(pd.DataFrame(rows), duration) if rows else DASH
 
 
@@ -643,7 +657,8 @@ Otherwise the range over the settings tried. The printed scheme is first order; 
 
 ## Who is most accurate per second
 
-The fastest at each error, and the next method. Compiled engines:
+The fastest at each error, and the next method. Log–log interpolation between a method's own settings; one that is
+more accurate even at its least accurate setting is entered with what its cheapest one costs. Compiled engines:
 
 {winners(work, "time_median_s", duration, COMPILED)}
 

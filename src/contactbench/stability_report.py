@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from contactbench.analysis import cost_at_error
+from contactbench.analysis import cost_to_reach
 from contactbench.markdown import DASH, duration, markdown, scientific
 from contactbench.table import STABILITY
 
@@ -317,7 +317,7 @@ def ranked(problem: str, scores: dict[str, float], show: str) -> Recommendation:
 def fastest(problem: str, frame: pd.DataFrame, cost: str) -> Recommendation:
     part = frame[frame["status"] == "ok"]
     scores = {
-        str(method): cost_at_error(rows["solution_error"], rows[cost], TARGET)
+        str(method): cost_to_reach(rows["solution_error"], rows[cost], TARGET)
         for method, rows in part.groupby("method", sort=False)
     }
     return ranked(problem, scores, "time")

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from time import perf_counter
 from typing import Any, Protocol, runtime_checkable
 
@@ -63,7 +64,7 @@ class Request:
     atol: float | None = None
     max_steps: int = DEFAULT_MAX_STEPS
 
-    @property
+    @cached_property
     def setting(self) -> str:
         """The setting as it is keyed in tables."""
         return f"step={self.step:.6g}" if self.step is not None else f"rtol={self.rtol:.3g}"
@@ -103,7 +104,7 @@ class Prepared:
             y0 = np.array(r.scene.pack(r.scene.initial(r.carry, **r.scene.checked(data))), dtype=float)
         else:
             y0 = self._own_start
-        out = audited(self.integrate(y0), float(r.save_at[-1]))
+        out = audited(self.integrate(y0), self._end)
         solution = Solution(
             r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
             out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
@@ -118,11 +119,14 @@ class Prepared:
     def __post_init__(self) -> None:
         r = self.request
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
-        self._motion = r.scene.motion
+        self._motion, self._end = r.scene.motion, float(r.save_at[-1])
+        self._own_bound = divergence_bound(self._own_start[: self._motion])
 
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
         """Index of the first saved state in y that is not finite or out of scale, or None."""
-        return first_divergence(y, self._motion, divergence_bound(y0[: self._motion]))
+        own = y0 is self._own_start
+        bound = self._own_bound if own else divergence_bound(y0[: self._motion])
+        return first_divergence(y, self._motion, bound)
 
     def finished(
         self,
@@ -141,6 +145,8 @@ class Prepared:
         times = self.request.save_at
         reached = len(y)
         bad = self.first_divergence(y0, y)
+        if bad is None and status is Status.ok and reached == len(times):
+            return Outcome(y, counts, status, message, self._end, checked=True)
         if bad is not None:
             y, reached = y[:bad], bad
             status, message = (
@@ -159,20 +165,24 @@ class Prepared:
         return Outcome(y, counts, status, message, end)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Outcome:
-    """What integrating gave: packed states (NaN where not reached), counts, and how it ended."""
+    """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
+
+    checked : the states are known to be finite and the last one to be at the end.
+    """
 
     y: np.ndarray
     counts: Counts
     status: Status
     message: str
     end_time: float
+    checked: bool = False
 
 
 def audited(out: Outcome, end: float) -> Outcome:
     """The outcome, an `ok` taken back from a run that ended elsewhere or without a number."""
-    if out.status is not Status.ok:
+    if out.checked or out.status is not Status.ok:
         return out
     if out.end_time != end:
         message = f"ended at t = {out.end_time:.6g}, not at t = {end:.6g}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,14 @@ class CompiledRun(Prepared):
         import jax
 
         return tuple(jax.device_put(array) for array in arrays)
+
+    def placed(self, y0: np.ndarray) -> Any:
+        """The initial state as the program takes it: the scene's own is moved once, not at every call."""
+        return self._own_start_placed if y0 is self._own_start else y0
+
+    @cached_property
+    def _own_start_placed(self) -> Any:
+        return self.on_device(self._own_start)[0]
 
     def differentiable(self, y0: Any, *arguments: Any) -> Any:
         """`states`, in whatever form is best differentiated."""

@@ -224,7 +224,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         return y, jnp.stack([time, density, steps]), jnp.stack(scene.pack(x))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        y, info, last = self.program(y0, *self.fixed)
+        y, info, last = self.program(self.placed(y0), *self.fixed)
         time, density, steps = np.asarray(info).tolist()
         return self.ended(y0, np.asarray(y), int(steps), time, np.asarray(last), density)
 

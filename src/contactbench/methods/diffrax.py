@@ -101,7 +101,7 @@ class DiffraxRun(CompiledRun):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        y, info, last = self.program(y0, *self.arguments())
+        y, info, last = self.program(self.placed(y0), *self.arguments())
         y, (accepted, rejected, successful, exhausted, collapsed, time) = (
             np.asarray(y),
             np.asarray(info).tolist(),

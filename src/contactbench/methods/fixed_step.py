@@ -120,7 +120,7 @@ class FixedStepRun(Prepared):
         """Divide every interval into the fewest equal steps not longer than `step`."""
         self.n = np.array([steps_in(span, step) for span in self.marks], dtype=np.int64)
         self.h = self.marks / self.n
-        self.totals = self.cost(self.n)
+        self.totals, self.needed = self.cost(self.n), int(self.n.sum())
 
     def cost(self, n: np.ndarray) -> Counts:
         """Counts of intervals of n[k] steps; every interval starts afresh."""
@@ -138,9 +138,9 @@ class FixedStepRun(Prepared):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        if int(self.n.sum()) > r.max_steps:
+        if self.needed > r.max_steps:
             nothing = np.empty((0, len(y0)))
-            message = f"{self.n.sum()} steps needed, max_steps = {r.max_steps}"
+            message = f"{self.needed} steps needed, max_steps = {r.max_steps}"
             return self.finished(y0, nothing, Counts(), Status.budget, message)
         y = self.intervals(y0, self.h, self.n)
         if self.saves_start:
@@ -271,7 +271,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         fixed = self.fixed if n is self.n else (self.fixed[0], h, n)
-        return np.asarray(self.program(y0, *fixed))
+        return np.asarray(self.program(self.placed(y0), *fixed))
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         derivative = super().sensitivity(y0)

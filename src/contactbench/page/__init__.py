@@ -178,14 +178,13 @@ def equal_error_sheet(work: pd.DataFrame, scene: str, cost: str, show: Callable[
     frame = report.equal_error(work, scene, cost)
     with_engine = cost == "time_median_s"
     best = {target: frame[target].min() for target in TARGETS}
-    rows = [
-        [
-            word(row["method"]),
-            *([word(row["engine"])] if with_engine else []),
-            *(number(row[t], show, "best" if row[t] == best[t] else "") for t in TARGETS),
-        ]
-        for _, row in frame.iterrows()
-    ]
+    rows = []
+    for _, row in frame.iterrows():
+        cells = [word(row["method"]), *([word(row["engine"])] if with_engine else [])]
+        for target in TARGETS:
+            look = "best" if row[target] == best[target] else ""
+            cells.append(number(row[target], report.writer(row, target, show), look))
+        rows.append(cells)
     title = "Median time per solve" if with_engine else "Right-hand sides or equivalents"
     head = ["method", *(["engine"] if with_engine else []), *((power(t), f"error {t:.0e}") for t in TARGETS)]
     return sheet(title, head, rows, (0, 1) if with_engine else (0,))
