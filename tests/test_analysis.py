@@ -56,7 +56,8 @@ def test_cost_at_error_interpolates_inside_and_refuses_outside():
 
 def test_a_setting_that_costs_more_for_less_does_not_count():
     assert cost_at_error([1e-2, 1e-3, 1e-4], [1.0, 500.0, 10.0], 1e-3) == pytest.approx(10**0.5)
-    assert cost_at_error([1e-2, 1e-4], [500.0, 10.0], 1e-3) == pytest.approx(10.0)  # an accurate one that is cheaper too
+    # an accurate setting that is cheaper than all others
+    assert cost_at_error([1e-2, 1e-4], [500.0, 10.0], 1e-3) == pytest.approx(10.0)
 
 
 def test_who_is_more_accurate_than_asked_pays_for_the_cheapest_setting():
