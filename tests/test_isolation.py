@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -68,3 +72,37 @@ def test_no_process_is_left_and_later_calls_are_cancelled():
     workers.close()
     with pytest.raises(ProcessLookupError):
         os.kill(first, 0)
+
+
+ASKER = """
+import os, time
+from contactbench.isolation import Workers
+
+if __name__ == "__main__":
+    with Workers([None]) as workers:
+        print(workers.submit(60.0, os.getpid).result(), flush=True)
+        workers.submit(60.0, time.sleep, 60.0).result()
+"""
+
+
+def test_a_worker_ends_with_the_process_that_asked_even_when_that_is_killed(tmp_path):
+    (tmp_path / "asker.py").write_text(ASKER)
+    asker = subprocess.Popen([sys.executable, str(tmp_path / "asker.py")], stdout=subprocess.PIPE, text=True)
+    worker = int(asker.stdout.readline())
+    time.sleep(0.2)  # it is computing
+    asker.kill()
+    asker.wait()
+    deadline = time.monotonic() + 20
+    while alive(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(worker)
+
+
+def alive(pid):
+    """Whether a process runs; one that has ended may still be listed if nobody asked how."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    stat = Path(f"/proc/{pid}/stat")
+    return not (stat.exists() and stat.read_text().rpartition(")")[2].split()[0] == "Z")

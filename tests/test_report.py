@@ -22,6 +22,7 @@ from contactbench.report import (
     report,
     winners,
 )
+from contactbench.scenes import hard_scenes, standard_scenes
 from contactbench.stability_report import advice, stability_document, strong_section, usable
 from contactbench.table import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
 
@@ -182,6 +183,12 @@ def test_numbers_in_the_readme_are_those_of_the_results(tmp_path):
         r"\d(?:\.\d+)?e-\d+|\d+(?:\.\d+)? ?[µmn]s\b|×\s?\d+(?:\.\d+)?\b|\d+(?:\.\d+)?×", prose
     )
     assert not measured
+    assert re.search(r"(\d+)\s+checkable claims", prose)[1] == str(
+        len(read(TABLES["claims"], REPOSITORY / "results"))
+    )
+    words = {7: "seven", 16: "sixteen"}
+    assert f"on {words[len(standard_scenes())]} scenes" in prose
+    assert f"on {words[len(hard_scenes())]} hard scenes" in prose
 
 
 def test_a_readme_without_its_marks_is_refused(tmp_path):

@@ -34,6 +34,7 @@ class Died(Exception):
 def serve(pipe: Connection, core: int | None) -> None:
     """A worker's life: receive a call, send back its result or its exception."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=follow_parent, daemon=True).start()
     if core is not None and hasattr(os, "sched_setaffinity"):
         with contextlib.suppress(OSError):  # no such core for this process
             os.sched_setaffinity(0, {core})
@@ -48,6 +49,14 @@ def serve(pipe: Connection, core: int | None) -> None:
         except BaseException as error:
             answer = (False, portable(error))
         pipe.send(answer)
+
+
+def follow_parent() -> None:
+    """End with the process that asks, however it ends: nobody waits for the answer any more."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def portable(error: BaseException) -> Exception:
