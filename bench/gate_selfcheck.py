@@ -158,8 +158,8 @@ FAULTS = tuple(
 def slowdown(factor: float) -> list[Patch]:
     """The loops of both engines, run once more over a part of their steps."""
     share = factor - 1
-    compiled = "        return np.asarray(self.program(y0, *fixed))\n"
-    again = f"        np.asarray(self.program(y0, fixed[0], h, (n * {share}).astype(n.dtype)))\n"
+    compiled = "        return np.asarray(self.program(self.placed(y0), fixed))\n"
+    again = f"        np.asarray(self.program(self.placed(y0), self.spans(h, (n * {share}).astype(int))))\n"
     plain = "        rows = []\n        try:\n"
     spans = f"zip(h.tolist(), (n * {share}).astype(n.dtype).tolist(), strict=True)"
     more = f"        for _ in trajectory(self.method_, r.scene, x, {spans}, math):\n            pass\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,24 +30,25 @@ class CompiledRun(Prepared):
     a program is compiled once per scene structure and number of saved times, then shared.
     """
 
+    #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
+    fixed: Any
+
     def key(self) -> tuple[Any, ...]:
         """What the program depends on besides the scene's structure and the fields carried."""
         raise NotImplementedError
 
-    def arguments(self) -> tuple[Any, ...]:
-        """The arguments after y0."""
-        raise NotImplementedError
-
-    def states(self, y0: Any, *arguments: Any) -> Any:
+    def states(self, y0: Any, fixed: Any) -> Any:
         """Saved states (k, d), traceable."""
         raise NotImplementedError
 
-    @staticmethod
-    def on_device(*arrays: np.ndarray) -> tuple[Any, ...]:
-        """Arguments that do not change from call to call, moved once."""
-        import jax
+    def together(self, *vectors: Any) -> np.ndarray:
+        """Several arguments as one: what a short call costs is the number of its arguments."""
+        self.borders = np.cumsum([len(vector) for vector in vectors])[:-1].tolist()
+        return np.concatenate(vectors, dtype=float)
 
-        return tuple(jax.device_put(array) for array in arrays)
+    def apart(self, fixed: Any) -> list[Any]:
+        """The arguments again, inside the program."""
+        return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
 
     def placed(self, y0: np.ndarray) -> Any:
         """The initial state as the program takes it: the scene's own is moved once, not at every call."""
@@ -54,11 +56,13 @@ class CompiledRun(Prepared):
 
     @cached_property
     def _own_start_placed(self) -> Any:
-        return self.on_device(self._own_start)[0]
+        import jax
 
-    def differentiable(self, y0: Any, *arguments: Any) -> Any:
+        return jax.device_put(self._own_start)
+
+    def differentiable(self, y0: Any, fixed: Any) -> Any:
         """`states`, in whatever form is best differentiated."""
-        return self.states(y0, *arguments)
+        return self.states(y0, fixed)
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to trace and compile."""
@@ -75,12 +79,11 @@ class CompiledRun(Prepared):
         import jax
 
         r = self.request
-        rest = self.arguments()
 
-        def push(y0: Any, v: Any, *rest: Any) -> Any:
-            return jax.jvp(lambda y: self.differentiable(y, *rest), (y0,), (v,))[1]
+        def push(y0: Any, v: Any, fixed: Any) -> Any:
+            return jax.jvp(lambda y: self.differentiable(y, fixed), (y0,), (v,))[1]
 
         start = r.scene.unpack(tuple(y0.tolist()), r.carry)
         tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
-        program, _ = self.compiled("sensitivity", push, y0, tangents[0], *rest)
-        return np.stack([np.asarray(program(y0, v, *rest)) for v in tangents], axis=-1)
+        program, _ = self.compiled("sensitivity", push, y0, tangents[0], self.fixed)
+        return np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)

@@ -167,26 +167,26 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
     sensitivity_source = "forward-mode AD, accepted steps frozen"
 
     def __post_init__(self) -> None:
+        import jax
+
         super().__post_init__()
         r = self.request
-        options = np.array([self.epsilon, self.span, r.max_steps])
-        self.fixed = self.on_device(np.array(r.scene.numbers()), options, r.save_at)
-        self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, *self.fixed)
+        options = [self.epsilon, self.span, r.max_steps]
+        self.fixed = jax.device_put(self.together(r.scene.numbers(), options, r.save_at))
+        self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, self.fixed)
 
     def key(self) -> tuple[Any, ...]:
         return (self.method, len(self.request.save_at))
 
-    def arguments(self) -> tuple[Any, ...]:
-        return self.fixed
+    def states(self, y0: Any, fixed: Any) -> Any:
+        return self._solve(y0, fixed)[0]
 
-    def states(self, y0: Any, *arguments: Any) -> Any:
-        return self._solve(y0, *arguments)[0]
-
-    def _solve(self, y0: Any, numbers: Any, options: Any, times: Any) -> Any:
+    def _solve(self, y0: Any, fixed: Any) -> Any:
         import jax.numpy as jnp
         from jax import lax
 
         r, xp = self.request, ScalarNumbers()
+        numbers, options, times = self.apart(fixed)
         scene: Any = r.scene.with_numbers(list(numbers))
         epsilon, span, budget = options
         start = scene.unpack(list(y0), r.carry)
@@ -224,7 +224,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         return y, jnp.stack([time, density, steps]), jnp.stack(scene.pack(x))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        y, info, last = self.program(self.placed(y0), *self.fixed)
+        y, info, last = self.program(self.placed(y0), self.fixed)
         time, density, steps = np.asarray(info).tolist()
         return self.ended(y0, np.asarray(y), int(steps), time, np.asarray(last), density)
 

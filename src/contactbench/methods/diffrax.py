@@ -34,27 +34,26 @@ class DiffraxRun(CompiledRun):
     sensitivity_source = "forward-mode AD, accepted steps frozen"
 
     def __post_init__(self) -> None:
+        import jax
+
         super().__post_init__()
         r = self.request
-        tolerances = np.array([r.rtol, r.atol])
-        self.fixed = self.on_device(np.array(r.scene.numbers()), tolerances, r.save_at)
+        self.fixed = jax.device_put(self.together(r.scene.numbers(), [r.rtol, r.atol], r.save_at))
         self.final_only = len(r.save_at) == 1
-        self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, *self.arguments())
+        self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, self.fixed)
 
     def key(self) -> tuple[Any, ...]:
         return (self.method_, len(self.request.save_at), self.request.max_steps)
 
-    def arguments(self) -> tuple[Any, ...]:
-        return self.fixed
+    def states(self, y0: Any, fixed: Any) -> Any:
+        return self._solve(y0, fixed)[0]
 
-    def states(self, y0: Any, *arguments: Any) -> Any:
-        return self._solve(y0, *arguments)[0]
-
-    def _solve(self, y0: Any, numbers: Any, tolerances: Any, times: Any, counted: bool = False) -> Any:
+    def _solve(self, y0: Any, fixed: Any, counted: bool = False) -> Any:
         import diffrax
         import jax
         import jax.numpy as jnp
 
+        numbers, tolerances, times = self.apart(fixed)
         r = self.request
         scene = r.scene.with_numbers(list(numbers))
 
@@ -101,7 +100,7 @@ class DiffraxRun(CompiledRun):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        y, info, last = self.program(self.placed(y0), *self.arguments())
+        y, info, last = self.program(self.placed(y0), self.fixed)
         y, (accepted, rejected, successful, exhausted, collapsed, time) = (
             np.asarray(y),
             np.asarray(info).tolist(),
@@ -128,7 +127,7 @@ class DiffraxRun(CompiledRun):
         """
         import jax
 
-        arguments = (self._own_start, *self.arguments())
+        arguments = (self._own_start, self.fixed)
         program, _ = self.compiled("count", partial(self._solve, counted=True), *arguments)
         before = _calls[0]
         jax.block_until_ready(program(*arguments))

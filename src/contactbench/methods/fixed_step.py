@@ -225,35 +225,34 @@ class JaxLoop(FixedStepRun, CompiledRun):
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
+        import jax
+
         super().__post_init__()
         # on the device once: converting them at every call would cost as much as a short run
-        self.fixed = self.on_device(np.array(self.request.scene.numbers()), self.h, self.n)
-        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, *self.fixed)
+        self.fixed = jax.device_put(self.spans(self.h, self.n))
+        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
+
+    def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return self.together(self.request.scene.numbers(), h, n)
 
     def divide(self, step: float) -> None:
         super().divide(step)
         if hasattr(self, "fixed"):  # a step for one call: not worth moving ahead of it
-            self.fixed = (self.fixed[0], self.h, self.n)
+            self.fixed = self.spans(self.h, self.n)
 
     def key(self) -> tuple[Any, ...]:
         return (self.method_, len(self.n))
 
-    def arguments(self) -> tuple[Any, ...]:
-        return self.fixed
-
-    def states(self, y0: Any, numbers: Any, h: Any, n: Any) -> Any:
-        return self._states(y0, numbers, h, n)
-
-    def differentiable(self, y0: Any, *arguments: Any) -> Any:
+    def differentiable(self, y0: Any, fixed: Any) -> Any:
         """The same map as shorter code: stages in loops, one step a turn.  Slower, but its derivative
         compiles in a fraction of the time."""
-        numbers, h, n = arguments
-        return self._states(y0, numbers, h, n, short=True)
+        return self.states(y0, fixed, short=True)
 
-    def _states(self, y0: Any, numbers: Any, h: Any, n: Any, short: bool = False) -> Any:
+    def states(self, y0: Any, fixed: Any, short: bool = False) -> Any:
         import jax.numpy as jnp
         from jax import lax
 
+        numbers, h, n = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))
         loop = rolled if short else unrolled(self.steps_a_turn())
@@ -263,15 +262,15 @@ class JaxLoop(FixedStepRun, CompiledRun):
             x = self.method_.advance(scene, x, h, n, xp, loop)
             return x, jnp.stack(scene.pack(x))
 
-        return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n))[1]
+        return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n.astype(int)))[1]
 
     def steps_a_turn(self) -> int:
         """Steps written out per turn of the loop: a turn costs XLA some 4 ns whatever it does."""
         return max(1, UNROLL // self.each_step)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        fixed = self.fixed if n is self.n else (self.fixed[0], h, n)
-        return np.asarray(self.program(self.placed(y0), *fixed))
+        fixed = self.fixed if n is self.n else self.spans(h, n)
+        return np.asarray(self.program(self.placed(y0), fixed))
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         derivative = super().sensitivity(y0)

@@ -262,20 +262,6 @@ def structure_sheet(laws: pd.DataFrame, convergence: pd.DataFrame) -> Sheet:
     return sheet("Who keeps the laws", ["method", f"order, {report.HEADLINE}", *STRUCTURE], rows)
 
 
-def keepers(laws: pd.DataFrame) -> tuple[list[str], list[str], float]:
-    """Methods that keep every law they were measured on to round-off, the others, and the others' least drift."""
-    kept, others, least = [], [], math.inf
-    for method, ranges in report.structure_ranges(laws).items():
-        high = [pair[1] for pair in ranges.values() if not pd.isna(pair[1])]
-        low = [pair[0] for pair in ranges.values() if not pd.isna(pair[0])]
-        if high and max(high) <= report.ROUND_OFF:
-            kept.append(method)
-        elif high:
-            others.append(method)
-            least = min(least, *low)
-    return kept, others, least
-
-
 # -- the other tables ------------------------------------------------------------------------------
 def laws_sheet(laws: pd.DataFrame, scene: str) -> Sheet:
     part = laws[laws["scene"] == scene]
@@ -426,7 +412,7 @@ def page(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
         first=report.HEADLINE if report.HEADLINE in scenes else next(iter(scenes), ""),
         contests=[contest(work, which) for which in CONTESTS] if len(work) else [],
         structure=structure_sheet(laws, convergence) if len(laws) else None,
-        keepers=keepers(laws) if len(laws) else None,
+        keepers=report.keepers(laws) if len(laws) else None,
         round_off=report.ROUND_OFF,
         times={
             s: equal_error_sheet(work, s, "time_median_s", duration) for s in dict.fromkeys(work["scene"])
