@@ -53,13 +53,12 @@ def steps(scene: Scene, count: int) -> list[float]:
 def work_ladder(scene: Scene, order: int) -> list[float]:
     """About ten steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
 
-    Halving from 0.8, from 4 on a body and for order 4; from order 6 on by √2 from 3.2 at most: where errors
-    are 10⁻² or 10⁻³.  High orders go not as far down, because finer steps meet round-off.
+    Halving from 0.8, on a body from 4; from order 6 on by √2 from 3.2 at most: where errors are 10⁻² or
+    10⁻³.  High orders go not as far down, because finer steps meet round-off.
     """
     if order < 6:
         fine = steps(scene, 9)
-        longer = order == 4 or isinstance(scene, RigidBody)
-        return [fine[0] * 5, fine[0] * 2.5, *fine] if longer else fine
+        return [fine[0] * 5, fine[0] * 2.5, *fine] if isinstance(scene, RigidBody) else fine
     coarse = steps(scene, 1)[0] * 4
     counts = [5 * max(1, round(scene.t_end / coarse / 5 * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]
