@@ -162,8 +162,8 @@ def divergence_bound(motion: np.ndarray) -> float:
 def first_divergence(y: np.ndarray, size: int, bound: float) -> int | None:
     """Index of the first row of y that is not finite, or whose first `size` entries pass the bound."""
     flat = y.ravel()
-    # the common case in one product, np.dot because it may overflow silently; nan fails every comparison
-    if np.dot(flat, flat) <= bound * bound:
-        return None
+    with np.errstate(over="ignore"):
+        if flat @ flat <= bound * bound:  # the common case in one product; nan fails every comparison
+            return None
     bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, :size]).max(axis=1) <= bound))
     return int(np.argmax(bad)) if bad.any() else None
