@@ -161,9 +161,7 @@ def divergence_bound(motion: np.ndarray) -> float:
 
 def first_divergence(y: np.ndarray, size: int, bound: float) -> int | None:
     """Index of the first row of y that is not finite, or whose first `size` entries pass the bound."""
-    flat = y.ravel()
-    with np.errstate(over="ignore"):
-        if flat @ flat <= bound * bound:  # the common case in one product; nan fails every comparison
-            return None
+    if math.hypot(*y.ravel().tolist()) <= bound:  # the common case, without NumPy's warning of an overflow
+        return None
     bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, :size]).max(axis=1) <= bound))
     return int(np.argmax(bad)) if bad.any() else None
