@@ -415,6 +415,35 @@ def test_the_same_code_is_not_slower_and_twice_the_work_is(copy):
     ).stdout.count("contactbench-base")  # nothing is left behind
 
 
+HOLDER = """
+import sys, time
+from pathlib import Path
+from contactbench import speed
+
+with speed.checkout(Path(sys.argv[1]), speed.resolved(Path(sys.argv[1]), "HEAD")) as tree:
+    print(tree, flush=True)
+    time.sleep(60)
+"""
+
+
+def test_the_working_tree_of_a_killed_gate_is_removed_by_the_next_and_a_living_one_is_not(copy):
+    command = [sys.executable, "-c", HOLDER, str(copy)]
+    holders = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    killed, living = (Path(holder.stdout.readline().strip()) for holder in holders)
+    holders[0].kill()
+    holders[0].wait()
+    assert killed.exists()
+    with speed.checkout(copy, speed.resolved(copy, "HEAD")) as tree:
+        assert tree.exists()
+        assert not killed.parent.exists()
+        assert living.exists()
+        assert str(killed) not in speed.git(copy, "worktree", "list")
+    holders[1].terminate()
+    holders[1].wait()
+    with speed.checkout(copy, speed.resolved(copy, "HEAD")):
+        assert not living.parent.exists()
+
+
 def test_a_cell_one_side_cannot_run_is_reported_and_a_broken_tree_is_not_compared(copy, tmp_path):
     cells = [*CELLS, speed.Cell("particle", "no-such-method", "jax", "step=0.1", ())]
     ratios, refused = speed.paired_times([sys.executable] * 2, [copy] * 2, cells, rounds=2, seed=0)

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from filelock import FileLock, Timeout
 
 from contactbench.analysis import PairedRatio, paired_ratio, timing
 from contactbench.errors import BadInput
@@ -220,10 +221,14 @@ def resolved(root: Path, revision: str | None) -> str:
         raise BadInput(f"--base {name}: {why}") from None
 
 
+CHECKOUT = "contactbench-base-"
+
+
 @contextmanager
 def checkout(root: Path, commit: str) -> Iterator[Path]:
     """A working tree of a commit, for as long as the block lasts."""
-    with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
+    drop_dead_checkouts(root)
+    with tempfile.TemporaryDirectory(prefix=CHECKOUT) as scratch, FileLock(Path(scratch) / "alive"):
         tree = Path(scratch).resolve() / "base"
         git(root, "worktree", "add", "--detach", "--force", str(tree), commit)
         try:
@@ -232,6 +237,21 @@ def checkout(root: Path, commit: str) -> Iterator[Path]:
             yield tree
         finally:
             git(root, "worktree", "remove", "--force", str(tree))
+
+
+def drop_dead_checkouts(root: Path) -> None:
+    """Remove the working trees of processes that were killed: nobody holds their lock any more."""
+    for line in git(root, "worktree", "list", "--porcelain").splitlines():
+        tree = Path(line.removeprefix("worktree "))
+        if not line.startswith("worktree ") or not tree.parent.name.startswith(CHECKOUT):
+            continue
+        if tree.parent.exists():
+            try:
+                FileLock(tree.parent / "alive").acquire(blocking=False).lock.release()
+            except Timeout:
+                continue  # it lives
+            shutil.rmtree(tree.parent, ignore_errors=True)
+        git(root, "worktree", "prune")
 
 
 def interpreter(tree: Path, root: Path) -> str:
