@@ -158,7 +158,7 @@ FAULTS = tuple(
 def slowdown(factor: float) -> list[Patch]:
     """The loops of both engines, run once more over a part of their steps."""
     share = factor - 1
-    compiled = "        return np.asarray(self.program(self.placed(y0), fixed))\n"
+    compiled = "        return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]\n"
     again = f"        np.asarray(self.program(self.placed(y0), self.spans(h, (n * {share}).astype(int))))\n"
     plain = "        rows = []\n        try:\n"
     spans = f"zip(h.tolist(), (n * {share}).astype(n.dtype).tolist(), strict=True)"

@@ -162,6 +162,17 @@ def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypa
     assert len(compiled._programs) == before
 
 
+@fixed
+def test_the_number_of_saved_times_hardly_ever_recompiles(method):
+    from contactbench.methods import compiled
+
+    few, more = (cb.solve(PARTICLE, method.name, step=0.05, save_at=np.linspace(0, 4, k)) for k in (3, 41))
+    np.testing.assert_allclose(few.y, more.y[[0, 20, 40]], rtol=0, atol=1e-13)
+    before = len(compiled._programs)
+    cb.solve(PARTICLE, method.name, step=0.05, save_at=np.linspace(0, 4, 17))
+    assert len(compiled._programs) == before
+
+
 # -- saved times -----------------------------------------------------------------------------------
 @every
 def test_saved_times_are_the_ones_asked_for(method):

@@ -21,6 +21,8 @@ from contactbench.solution import Counts, Status
 
 #: evaluations written out in one turn of the compiled loop
 UNROLL = 32
+#: numbers of saved times a program is compiled for; the next larger one serves all in between
+CAPACITIES = (1, 64, 1024)
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
@@ -228,12 +230,17 @@ class JaxLoop(FixedStepRun, CompiledRun):
         import jax
 
         super().__post_init__()
+        saves = len(self.n)
+        self.capacity = next((size for size in CAPACITIES if size >= saves), saves)
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(self.spans(self.h, self.n))
         self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
 
     def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return self.together(self.request.scene.numbers(), h, n)
+        """The arguments of the program; intervals beyond those asked for have no steps."""
+        padded = np.zeros((2, self.capacity))
+        padded[:, : len(n)] = h, n
+        return self.together(self.request.scene.numbers(), *padded)
 
     def divide(self, step: float) -> None:
         super().divide(step)
@@ -241,7 +248,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
             self.fixed = self.spans(self.h, self.n)
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method_, len(self.n))
+        return (self.method_, self.capacity)
 
     def differentiable(self, y0: Any, fixed: Any) -> Any:
         """The same map as shorter code: stages in loops, one step a turn.  Slower, but its derivative
@@ -270,10 +277,10 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         fixed = self.fixed if n is self.n else self.spans(h, n)
-        return np.asarray(self.program(self.placed(y0), fixed))
+        return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        derivative = super().sensitivity(y0)
+        derivative = super().sensitivity(y0)[: len(self.n)]
         if not self.saves_start:
             return derivative
         scene = self.request.scene
