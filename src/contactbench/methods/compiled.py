@@ -50,6 +50,18 @@ class CompiledRun(Prepared):
         """The arguments again, inside the program."""
         return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
 
+    @staticmethod
+    def flat(function: Callable[..., tuple[Any, Any, Any]]) -> Callable[..., Any]:
+        """A function that returns saved states, facts about the run, and its last state, all in one vector."""
+        import jax.numpy as jnp
+
+        return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
+
+    def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], np.ndarray]:
+        """The three again: saved states (k, d), facts, last state (d,)."""
+        states = len(self.request.save_at) * d
+        return vector[:states].reshape(-1, d), vector[states:-d].tolist(), vector[-d:]
+
     def placed(self, y0: np.ndarray) -> Any:
         """The initial state as the program takes it: the scene's own is moved once, not at every call."""
         return self._own_start_placed if y0 is self._own_start else y0

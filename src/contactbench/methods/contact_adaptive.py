@@ -173,7 +173,9 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         r = self.request
         options = [self.epsilon, self.span, r.max_steps]
         self.fixed = jax.device_put(self.together(r.scene.numbers(), options, r.save_at))
-        self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, self.fixed)
+        self.program, self.compile_s = self.compiled(
+            "run", self.flat(self._solve), self._own_start, self.fixed
+        )
 
     def key(self) -> tuple[Any, ...]:
         return (self.method, len(self.request.save_at))
@@ -224,9 +226,9 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         return y, jnp.stack([time, density, steps]), jnp.stack(scene.pack(x))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        y, info, last = self.program(self.placed(y0), self.fixed)
-        time, density, steps = np.asarray(info).tolist()
-        return self.ended(y0, np.asarray(y), int(steps), time, np.asarray(last), density)
+        y, info, last = self.unflat(np.asarray(self.program(self.placed(y0), self.fixed)), len(y0))
+        time, density, steps = info
+        return self.ended(y0, y, int(steps), time, last, density)
 
 
 @dataclass(frozen=True)

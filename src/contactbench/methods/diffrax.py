@@ -40,7 +40,9 @@ class DiffraxRun(CompiledRun):
         r = self.request
         self.fixed = jax.device_put(self.together(r.scene.numbers(), [r.rtol, r.atol], r.save_at))
         self.final_only = len(r.save_at) == 1
-        self.program, self.compile_s = self.compiled("run", self._solve, self._own_start, self.fixed)
+        self.program, self.compile_s = self.compiled(
+            "run", self.flat(self._solve), self._own_start, self.fixed
+        )
 
     def key(self) -> tuple[Any, ...]:
         return (self.method_, len(self.request.save_at), self.request.max_steps)
@@ -100,11 +102,8 @@ class DiffraxRun(CompiledRun):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        y, info, last = self.program(self.placed(y0), self.fixed)
-        y, (accepted, rejected, successful, exhausted, collapsed, time) = (
-            np.asarray(y),
-            np.asarray(info).tolist(),
-        )
+        y, info, last = self.unflat(np.asarray(self.program(self.placed(y0), self.fixed)), len(y0))
+        accepted, rejected, successful, exhausted, collapsed, time = info
         accepted, rejected = int(accepted), int(rejected)
         counts = Counts(accepted, self.method_.evaluations(accepted, rejected), 0, rejected)
         if successful:
@@ -115,7 +114,7 @@ class DiffraxRun(CompiledRun):
         status = Status.budget if exhausted else Status.failed
         why = "step below the resolution of time" if collapsed else "the nonlinear solve failed"
         message = f"max_steps = {r.max_steps} spent" if exhausted else f"diffrax: {why} (t = {time:.6g})"
-        return self.finished(y0, y[:reached], counts, status, message, (time, np.asarray(last)))
+        return self.finished(y0, y[:reached], counts, status, message, (time, last))
 
     def count(self, counts: Counts) -> Counts:
         return counts._replace(evaluations=self.counted_by_callback()) if self.method_.stiff else counts
