@@ -23,6 +23,8 @@ class SolverError(Exception):
 def blamed_on_solver():
     try:
         yield
+    except cb.BadInput:  # a question nobody should have asked
+        raise
     except Exception as error:
         raise SolverError(f"{type(error).__name__}: {error}") from error
 
