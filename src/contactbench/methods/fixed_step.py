@@ -179,7 +179,7 @@ class PythonLoop(FixedStepRun):
     sensitivity_source = "forward-mode AD through the same steps on jax"
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return JaxLoop(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
+        return JaxSteps(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         r = self.request
@@ -221,8 +221,8 @@ def unrolled(together: int) -> Repeat:
     return loop
 
 
-class JaxLoop(FixedStepRun, CompiledRun):
-    """The steps as one compiled loop inside a scan over the saved times."""
+class JaxSteps(FixedStepRun, CompiledRun):
+    """The steps as a loop inside a scan over the saved times, to be compiled, and their derivative."""
 
     sensitivity_source = "forward-mode AD through the numerical map"
 
@@ -234,7 +234,6 @@ class JaxLoop(FixedStepRun, CompiledRun):
         self.capacity = next((size for size in CAPACITIES if size >= saves), saves)
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(self.spans(self.h, self.n))
-        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
 
     def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """The arguments of the program; intervals beyond those asked for have no steps."""
@@ -275,10 +274,6 @@ class JaxLoop(FixedStepRun, CompiledRun):
         """Steps written out per turn of the loop: a turn costs XLA some 4 ns whatever it does."""
         return max(1, UNROLL // self.each_step)
 
-    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        fixed = self.fixed if n is self.n else self.spans(h, n)
-        return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]
-
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         derivative = super().sensitivity(y0)[: len(self.n)]
         if not self.saves_start:
@@ -286,3 +281,15 @@ class JaxLoop(FixedStepRun, CompiledRun):
         scene = self.request.scene
         start = scene.unpack(tuple(y0.tolist()), self.request.carry)
         return np.concatenate([np.array([scene.pack(v) for v in scene.tangents(start)]).T[None], derivative])
+
+
+class JaxLoop(JaxSteps):
+    """The compiled steps."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        fixed = self.fixed if n is self.n else self.spans(h, n)
+        return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]
