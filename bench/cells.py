@@ -79,7 +79,7 @@ def engines() -> list[tuple[str, str]]:
 
 
 #: right-hand sides an adaptive method spends per step, where its step budget limits the run
-PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf": 2}
+PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf": 2, "contact-adaptive": 12}
 #: an implicit step compiled by XLA takes about as long as two right-hand sides in Python
 IMPLICIT = {"diffrax-kvaerno5": 2}
 
@@ -92,10 +92,10 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
     """Steps that keep one run below a second: a cell that would take longer ends as `budget`."""
     if method.refuses(scene):
         return None
-    if "python" in engine and not method.adaptive:
-        per_step = method.per_step(scene)
+    if "python" in engine:
+        per_step = PER_STEP.get(method.name, 1) if method.adaptive else method.per_step(scene)
     else:
-        per_step = (PER_STEP | IMPLICIT).get(method.name)
+        per_step = IMPLICIT.get(method.name)
     evaluations = round(profile.callback_evaluations * max(1.0, min(scene.t_end, LONGEST) / LONG))
     return evaluations // per_step if per_step else None
 

@@ -105,8 +105,10 @@ def test_losses_name_the_peer_that_wins_and_by_how_much():
         table([1e-2, 1e-6], [1e-4, 1e-2], "rk4"),
     ])  # fmt: skip
     assert "rk4 ×10" in losses(work).markdown()
-    assert "**100 µs (×0.1)**" not in decades(work, "s", "time_median_s", duration)  # 1e-2 is no decade of it
-    assert "**316 µs (×0.1)**" in decades(work, "s", "time_median_s", duration)
+    assert "**100 µs (×0.10)**" not in decades(
+        work, "s", "time_median_s", duration
+    )  # 1e-2 is no decade of it
+    assert "**316 µs (×0.10)**" in decades(work, "s", "time_median_s", duration)
     ahead = work.assign(method=work["method"].map({"contact-strang": "rk4", "rk4": "contact-strang"}))
     assert not losses(ahead).rows
 

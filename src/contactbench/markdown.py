@@ -27,6 +27,11 @@ def duration(seconds: float) -> str:
     return f"{seconds / 1e-9:.3g} ns"
 
 
+def times(ratio: float) -> str:
+    """A ratio: two decimals where they tell who is ahead, two digits above ten."""
+    return f"×{ratio:.2f}" if ratio < 9.995 else f"×{ratio:.2g}"
+
+
 def count(value: float) -> str:
     """A number of evaluations; a dash for nan."""
     return DASH if math.isnan(value) else f"{value:.0f}"

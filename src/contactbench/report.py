@@ -14,7 +14,7 @@ import pandas as pd
 from contactbench import figures, paper_figures
 from contactbench.analysis import cost_to_reach
 from contactbench.errors import BadInput
-from contactbench.markdown import DASH, Listing, count, duration, markdown, scientific
+from contactbench.markdown import DASH, Listing, count, duration, markdown, scientific, times
 from contactbench.stability_report import advice, stability_document
 from contactbench.table import SEPARATOR, TABLES, read, replacing
 
@@ -99,7 +99,7 @@ def winners(work: pd.DataFrame, cost: str, show: Callable[[float], str], engines
                 continue
             text = f"**{costs.index[0]}** {show(costs.iloc[0])}"
             if len(costs) > 1:
-                text += f"; {costs.index[1]} ×{costs.iloc[1] / costs.iloc[0]:.2g}"
+                text += f"; {costs.index[1]} {times(costs.iloc[1] / costs.iloc[0])}"
             cells.append(text)
         rows.append([scene, *cells])
     return markdown(["scene", *(f"error {target:.0e}" for target in TARGETS)], rows)
@@ -147,7 +147,7 @@ def decades(
                 ratios.append(DASH)
                 continue
             ratio = math.nan if best is None else theirs[target] / best[target]
-            text = cost_text(theirs, target, show) + ("" if best is None else f" (×{ratio:.2g})")
+            text = cost_text(theirs, target, show) + ("" if best is None else f" ({times(ratio)})")
             ratios.append(text if ratio >= 1 else f"**{text}**")
         mine = DASH if best is None else f"{best['method']} {cost_text(best, target, show)}"
         rows.append([f"{target:.0e}", mine, *ratios])
@@ -175,7 +175,7 @@ def losses(work: pd.DataFrame) -> Listing:
                 elif ours is None:
                     cells.append(f"{peer['method']}, alone")
                 else:
-                    cells.append(f"{peer['method']} ×{ours[target] / peer[target]:.2g}")
+                    cells.append(f"{peer['method']} {times(ours[target] / peer[target])}")
             if any(cells):
                 rows.append((scene, measure, *cells))
     head = ("scene", "on equal terms of", *(f"error {target:.0e}" for target in TARGETS))
@@ -745,7 +745,7 @@ def standing(work: pd.DataFrame, cost: str, engines: tuple[str, ...]) -> str:
             leads.append(math.inf if not len(peers) else peers.iloc[0] / costs.iloc[0])
         if leads and min(leads) > 1:
             known = [lead for lead in leads if math.isfinite(lead)]
-            by = f" (×{min(known):.2g} to ×{max(known):.2g} ahead of the best peer)" if known else ""
+            by = f" ({times(min(known))} to {times(max(known))} ahead of the best peer)" if known else ""
             always.append(f"`{scene}`{by}")
     order = sorted(wins.items(), key=lambda item: -item[1])
     said = f"Cheapest in {sum(wins.values())} pairs of scene and error: "

@@ -145,7 +145,8 @@ def rates_sections(frame: pd.DataFrame) -> Iterator[str]:
             rows.append([method, *cells])
         yield (
             "## Weak damping: the rate at equal cost\n\n|measured/true − 1| of the rate at which H0 falls, γ = 10⁻⁵, "
-            "about eight evaluations per unit of time for every method (evaluations in parentheses).\n\n"
+            "about eight evaluations per unit of time for every method, or as near to that as its tolerances come "
+            "(evaluations in parentheses).\n\n"
             + markdown(["method", *(f"{scene}, T = {span:.0e}" for scene, span in questions)], rows)
         )
 

@@ -18,6 +18,7 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 
 from contactbench import figures, report
+from contactbench.markdown import times
 from contactbench.report import ANY, CALLBACKS, COMPILED, DASH, STRUCTURE, TARGETS, duration, scientific
 from contactbench.table import SEPARATOR, TABLES, read, replacing
 
@@ -238,7 +239,9 @@ def contest(work: pd.DataFrame, which: Contest) -> dict[str, Any]:
             first, least = str(costs.index[0]), costs.iloc[0]
             tally[first] = tally.get(first, 0) + 1
             after = (
-                f"{costs.index[1]} ×{costs.iloc[1] / least:.3g}" if len(costs) > 1 else "no other gets there"
+                f"{costs.index[1]} {times(costs.iloc[1] / least)}"
+                if len(costs) > 1
+                else "no other gets there"
             )
             cells.append(Cell(first, float(least), "winner", ((which.show(least), after),)))
         rows.append(cells)
