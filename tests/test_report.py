@@ -23,7 +23,7 @@ from contactbench.report import (
     winners,
 )
 from contactbench.scenes import hard_scenes, standard_scenes
-from contactbench.stability_report import advice, stability_document, strong_section, usable
+from contactbench.stability_report import advice, error_and_cost, stability_document, strong_section, usable
 from contactbench.table import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
 
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
@@ -197,6 +197,13 @@ def test_a_readme_without_its_marks_is_refused(tmp_path):
     (tmp_path / "README.md").write_text("nothing")
     with pytest.raises(cb.BadInput, match="once each"):
         into_readme(tmp_path / "README.md", REPOSITORY / "results")
+
+
+def test_a_cost_that_is_not_known_is_a_dash():
+    row = {"status": "ok", "rate_error": 0.5, "evaluations": 80_000}
+    frame = pd.DataFrame([row, row | {"evaluations": None}]).astype({"evaluations": "Int64"})
+    assert error_and_cost(frame[:1]) == "5.0e-01 (8e+04)"
+    assert error_and_cost(frame[1:]) == "5.0e-01 (—)"
 
 
 def test_strong_damping_is_left_out_of_a_partial_run_without_strang():

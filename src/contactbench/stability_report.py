@@ -166,7 +166,8 @@ def error_and_cost(rows: pd.DataFrame) -> str:
     row = rows.iloc[0]
     if row["status"] != "ok":
         return str(row["status"])
-    return f"{scientific(row['rate_error'])} ({row['evaluations']:.2g})"
+    cost = DASH if pd.isna(row["evaluations"]) else f"{row['evaluations']:.2g}"
+    return f"{scientific(row['rate_error'])} ({cost})"
 
 
 # -- strong damping --------------------------------------------------------------------------------
