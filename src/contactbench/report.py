@@ -662,6 +662,8 @@ def headline_document(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) ->
 
 Every number below is computed from the CSV files beside this page by `contactbench report`.
 
+{findings(tables)}
+
 ## Who keeps the laws
 
 Bold: kept to round-off (≤ {ROUND_OFF:.0e}) at every step size tried, however inaccurate the solution.
@@ -707,28 +709,40 @@ README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from r
 
 
 def findings(tables: dict[str, pd.DataFrame]) -> str:
-    """What the tables say, in a few sentences."""
-    laws, work = tables["laws"], tables["work_precision"]
-    kept, _, least = keepers(laws)
-    contact = [method for method in dict.fromkeys(laws["method"]) if is_ours(method)]
-    who = "Every contact method, and no other, keeps" if kept == contact else f"Kept by {', '.join(kept)}:"
-    printed, meant = (
-        headline_order(tables["convergence"], name) for name in ("contact-printed", "contact-abc")
+    """What the tables say, in a few sentences; what they do not say is left out."""
+    laws, work, convergence, claims = (
+        tables[name] for name in ("laws", "work_precision", "convergence", "claims")
     )
-    convergence = tables["convergence"]
-    highest = convergence[convergence["method"].map(is_ours)]["order_nominal"].max()
-    verdicts = tables["claims"]["verdict"].value_counts()
-    sentences = [
-        f"**Structure.** {who} every law measured (momentum map, contact form, attitude) to round-off at every step "
-        f"size tried, however inaccurate the solution. The least drift of any other method at any setting: "
-        f"{scientific(least)}.",
-        f"**Order.** The paper's scheme as printed is of order {printed:.2f}; as the palindrome it means, of order "
-        f"{meant:.2f}. Merging kinetic and damping flow gives orders up to {highest:.0f} with the structure kept.",
-        f"**Time at equal error, compiled engines.** {standing(work, 'time_median_s', COMPILED)}",
-        f"**Evaluations at equal error.** {standing(work, 'rhs_equivalents', ANY)}",
-        f"**The paper.** Of its {len(tables['claims'])} claims {verdicts.get(VERDICTS[0], 0)} hold, "
-        f"{verdicts.get(VERDICTS[1], 0)} hold once corrected, {verdicts.get(VERDICTS[2], 0)} are refuted.",
-    ]
+    sentences = []
+    kept, others, least = keepers(laws)
+    if kept:
+        contact = [method for method in dict.fromkeys(laws["method"]) if is_ours(method)]
+        who = (
+            "Every contact method, and no other, keeps" if kept == contact else f"Kept by {', '.join(kept)}:"
+        )
+        rest = f" The least drift of any other method at any setting: {scientific(least)}." if others else ""
+        sentences.append(
+            f"**Structure.** {who} every law measured (momentum map, contact form, attitude) to round-off at every "
+            f"step size tried, however inaccurate the solution.{rest}"
+        )
+    printed, meant = (headline_order(convergence, name) for name in ("contact-printed", "contact-abc"))
+    if printed is not None and meant is not None:
+        highest = convergence[convergence["method"].map(is_ours)]["order_nominal"].max()
+        sentences.append(
+            f"**Order.** The paper's scheme as printed is of order {printed:.2f}; as the palindrome it means, of "
+            f"order {meant:.2f}. Merging kinetic and damping flow gives orders up to {highest:.0f} with the structure "
+            "kept."
+        )
+    sentences.append(
+        f"**Time at equal error, compiled engines.** {standing(work, 'time_median_s', COMPILED)}"
+    )
+    sentences.append(f"**Evaluations at equal error.** {standing(work, 'rhs_equivalents', ANY)}")
+    if len(claims):
+        verdicts = claims["verdict"].value_counts()
+        sentences.append(
+            f"**The paper.** Of its {len(claims)} claims {verdicts.get(VERDICTS[0], 0)} hold, "
+            f"{verdicts.get(VERDICTS[1], 0)} hold once corrected, {verdicts.get(VERDICTS[2], 0)} are refuted."
+        )
     return "\n".join(f"- {sentence}" for sentence in sentences)
 
 
