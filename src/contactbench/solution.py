@@ -152,6 +152,7 @@ class Solution:
 
 #: a run has diverged when |q|, |p| or |M| exceed this many times the scene's scale
 DIVERGENCE = 1e6
+FEW = 64
 
 
 def divergence_bound(motion: np.ndarray) -> float:
@@ -161,7 +162,9 @@ def divergence_bound(motion: np.ndarray) -> float:
 
 def first_divergence(y: np.ndarray, size: int, bound: float) -> int | None:
     """Index of the first row of y that is not finite, or whose first `size` entries pass the bound."""
-    if math.hypot(*y.ravel().tolist()) <= bound:  # the common case, without NumPy's warning of an overflow
+    # the common case first, without an overflow; a few numbers are worth no NumPy, many are
+    largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
+    if largest <= bound:  # nan fails every comparison
         return None
     bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, :size]).max(axis=1) <= bound))
     return int(np.argmax(bad)) if bad.any() else None
