@@ -108,7 +108,7 @@ def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
     if method.refuses(scene):
         return
     for step in (0.5, 0.1):
-        law = cb.LAWS["momentum_law"](cb.solve(scene, method.name, step=step, engine="python"))
+        law = cb.LAWS["momentum_law"](cb.solve(scene, method.name, step=step))
         assert (law < 1e-12) == method.contact, law
 
 
