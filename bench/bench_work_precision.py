@@ -34,16 +34,15 @@ def ladder(profile):
     rows = []
     for scene in standard_scenes():
         for name, engine in engines():
-            adaptive = cb.METHODS[name].adaptive
             method = cb.METHODS[name]
-            if adaptive:
+            kind = "rtol" if method.adaptive else "step"
+            if method.adaptive:
                 values = profile.choose([rtol for rtol in RTOLS if rtol >= method.rtol_range[0]])
                 if profile.points > 1 and method.rtol_range[1] >= LOOSEST:
                     values = [LOOSEST, *values]
             else:
                 values = profile.choose(work_ladder(scene, method.order))
-            for value in values:
-                rows.append((scene.name, name, engine, f"{'rtol' if adaptive else 'step'}={value:.6g}"))
+            rows += [(scene.name, name, engine, f"{kind}={value:.6g}") for value in values]
     for scene in CHOSEN_ON:
         rows += [(scene, CHOSEN, "jax", f"rtol={rtol:.6g}") for rtol in profile.choose(CHOSEN_RTOLS)]
     return rows

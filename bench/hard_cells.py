@@ -50,13 +50,13 @@ def stability_row(scene, method, engine, kind, value, max_steps):
         times = [perf_counter()]
         solution = run()
         times.append(perf_counter())
-    while (
-        solution.ok
-        and len(times) < (6 if times[-1] - times[-2] < QUICK else 3)
-        and times[1] - times[0] < PATIENCE
-    ):
-        run()  # the second call may be much shorter: the first imports and allocates
-        times.append(perf_counter())
+        while (
+            solution.ok
+            and len(times) < (6 if times[-1] - times[-2] < QUICK else 3)
+            and times[1] - times[0] < PATIENCE
+        ):
+            run()  # the second call may be much shorter: the first imports and allocates
+            times.append(perf_counter())
     found = blow_up_time(scene) if solution.status is not cb.Status.unsupported else None
     row = outcome(solution) | {
         "end_time": solution.end_time,

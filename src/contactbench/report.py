@@ -733,10 +733,12 @@ def findings(tables: dict[str, pd.DataFrame]) -> str:
             f"order {meant:.2f}. Merging kinetic and damping flow gives orders up to {highest:.0f} with the structure "
             "kept."
         )
-    sentences.append(
-        f"**Time at equal error, compiled engines.** {standing(work, 'time_median_s', COMPILED)}"
-    )
-    sentences.append(f"**Evaluations at equal error.** {standing(work, 'rhs_equivalents', ANY)}")
+    for title, cost, engines in (
+        ("Time at equal error, compiled engines", "time_median_s", COMPILED),
+        ("Evaluations at equal error", "rhs_equivalents", ANY),
+    ):
+        if said := standing(work, cost, engines):
+            sentences.append(f"**{title}.** {said}")
     if len(claims):
         verdicts = claims["verdict"].value_counts()
         sentences.append(
@@ -747,7 +749,7 @@ def findings(tables: dict[str, pd.DataFrame]) -> str:
 
 
 def standing(work: pd.DataFrame, cost: str, engines: tuple[str, ...]) -> str:
-    """Who is cheapest in how many pairs of scene and error, and where a contact method always is."""
+    """Who is cheapest in how many pairs of scene and error, and where a contact method always is; or ""."""
     wins: dict[str, int] = {}
     always = []
     for scene in dict.fromkeys(work["scene"]):
@@ -763,6 +765,8 @@ def standing(work: pd.DataFrame, cost: str, engines: tuple[str, ...]) -> str:
             known = [lead for lead in leads if math.isfinite(lead)]
             by = f" ({times(min(known))} to {times(max(known))} ahead of the best peer)" if known else ""
             always.append(f"`{scene}`{by}")
+    if not wins:
+        return ""
     order = sorted(wins.items(), key=lambda item: -item[1])
     said = f"Cheapest in {sum(wins.values())} pairs of scene and error: "
     said += ", ".join(f"{camp} in {n}" for camp, n in order) + "."
