@@ -32,7 +32,7 @@ from contactbench.errors import BadInput
 
 LIMIT = 1.25
 ROUNDS = 15
-#: rounds a cell gets at most, in as many more portions of the first, as long as it is undecided
+#: rounds a cell gets at most, as long as it is undecided
 MOST_ROUNDS = 60
 #: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
 SCENES = ("particle", "particle_long", "rigid_body")
