@@ -6,7 +6,7 @@ import numpy as np
 
 import contactbench as cb
 from cells import cells, outcome, save_times, scenes, setting, step_budget, steps
-from contactbench.laws import (
+from contactbench.measure.laws import (
     contact_deviation,
     energies,
     hamiltonian_deviation,
@@ -16,7 +16,7 @@ from contactbench.laws import (
     momentum_deviation,
     relative_deviation,
 )
-from contactbench.table import LAWS_TABLE, LAWS_TIME
+from contactbench.results.schema import LAWS_TABLE, LAWS_TIME
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 

@@ -11,9 +11,8 @@ import pytest
 
 import contactbench as cb
 from cells import RTOLS, SAVES, cells, step_budget
-from contactbench.isolation import Died, TimedOut, Workers
-from contactbench.scenes import hard_scenes
-from contactbench.stability import (
+from contactbench.measure.isolation import Died, TimedOut, Workers
+from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
     propagation_error,
@@ -21,7 +20,8 @@ from contactbench.stability import (
     stability_limit,
     true_radius,
 )
-from contactbench.table import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
+from contactbench.results.schema import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
+from contactbench.scenes import hard_scenes
 from hard_cells import SolverError, overdamped_row, stability_row, weak_row
 
 #: seconds per call, compilation included

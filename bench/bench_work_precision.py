@@ -16,9 +16,9 @@ import pytest
 
 import contactbench as cb
 from cells import RTOLS, cells, engines, outcome, step_budget, timed, work_ladder
-from contactbench.laws import absolute_error
+from contactbench.measure.laws import absolute_error
+from contactbench.results.schema import WORK_PRECISION
 from contactbench.scenes import standard_scenes
-from contactbench.table import WORK_PRECISION
 from limit import KERNELS, kernel
 
 pytestmark = pytest.mark.timed

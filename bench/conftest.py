@@ -15,8 +15,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import jax
 import pytest
 
-from contactbench import journal, table
 from contactbench.errors import BadInput
+from contactbench.results import journal
+from contactbench.results import schema as table
 
 SHUFFLE_SEED = 20
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -181,8 +182,8 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         return
     config.journal.close()
     if config.getoption("--report"):
-        from contactbench import page
-        from contactbench.report import report
+        from contactbench.report import page
+        from contactbench.report.documents import report
 
         report(config.journal.results)
         page.write(config.journal.results)

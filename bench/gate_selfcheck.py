@@ -28,9 +28,9 @@ from statistics import median
 from time import perf_counter
 from typing import Any
 
-from contactbench import gate, speed
-from contactbench.composition import COMPOSITIONS
-from contactbench.table import (
+from contactbench.gate.accuracy import accuracy as gate
+from contactbench.gate.accuracy import speed
+from contactbench.results.schema import (
     GATE_SELFCHECK,
     TABLES,
     Rule,
@@ -40,6 +40,7 @@ from contactbench.table import (
     read,
     save_environment,
 )
+from contactbench.splitting.tables import COMPOSITIONS
 
 ROOT = Path(__file__).resolve().parents[1]
 #: of every kind of method and engine one or two, with all their tables

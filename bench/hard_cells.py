@@ -10,9 +10,9 @@ import numpy as np
 
 import contactbench as cb
 from cells import outcome, save_times
-from contactbench.laws import MEANINGFUL, is_contact, laws_of
-from contactbench.references import blow_up_time, condition_number
-from contactbench.stability import slow_rate
+from contactbench.measure.laws import MEANINGFUL, is_contact, laws_of
+from contactbench.measure.stability import slow_rate
+from contactbench.truth.reference import blow_up_time, condition_number
 
 
 class SolverError(Exception):

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from contactbench.composition import RKN6, STRANG, number
-from contactbench.flows import MECHANICAL
+from contactbench.splitting.composition import number
+from contactbench.splitting.flows import MECHANICAL
+from contactbench.splitting.tables import RKN6, STRANG
 
 KERNELS = {"contact-strang": ("strang", STRANG), "contact-rkn6": ("rkn6", RKN6)}
 FLAGS = ("-O3", "-march=native", "-shared", "-fPIC")

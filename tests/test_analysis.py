@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.analysis import cost_at_error, cost_to_reach, fit_order, paired_ratio, timing
+from contactbench.measure.analysis import cost_at_error, cost_to_reach, fit_order, paired_ratio, timing
 
 H = [0.8 / 2**k for k in range(9)]
 

@@ -7,15 +7,19 @@ import re
 
 import pytest
 
-from contactbench import flows, paper_figures, references, report, table
 from contactbench.claims import CLAIMS, Correction, Evidence, Verdict, verdict
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.cli import main
-from contactbench.composition import ABC
 from contactbench.methods import METHODS, compiled
 from contactbench.methods.contact import contact_method
+from contactbench.report import documents as report
+from contactbench.report import paper_figures
+from contactbench.results import schema as table
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
+from contactbench.splitting import flows
+from contactbench.splitting.tables import ABC
+from contactbench.truth import reference as references
 
 IDS = [f"C{n:02d}" for n in range(1, 37)]
 REFUTED = {"C04", "C10", "C16", "C20", "C21", "C25", "C32", "C33"}

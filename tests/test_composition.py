@@ -9,11 +9,12 @@ from fractions import Fraction
 import pytest
 
 import contactbench as cb
-import contactbench.composition
+import contactbench.splitting.composition
 from cases import by_name, in_mp, random_state
-from contactbench import flows
-from contactbench.composition import ABC, COMPOSITIONS, PRINTED, STRANG, advance, plan, refusal
-from contactbench.flows import flows_of
+from contactbench.splitting import flows
+from contactbench.splitting.composition import advance, plan, refusal
+from contactbench.splitting.flows import flows_of
+from contactbench.splitting.tables import ABC, COMPOSITIONS, PRINTED, STRANG
 from properties import parts_applied
 
 SCENES = [cb.SCENES[name] for name in ("particle", "rigid_body", "rigid_body_anisotropic")]
@@ -73,7 +74,7 @@ def test_counts_are_the_calls_really_made(composition, scene, monkeypatch):
             calls[0] += 1
             return turned(*arguments)
 
-        for module in (flows, contactbench.composition):
+        for module in (flows, contactbench.splitting.composition):
             monkeypatch.setattr(module, "rotation", counting)
         advance(composition, scene, random_state(scene), 0.1, 7, math)
         assert plan(composition, scene).count(flows_of(scene), "rotation", 7) == calls[0]

@@ -9,8 +9,8 @@ import pytest
 
 import contactbench as cb
 from cases import USER, in_mp, random_state
-from contactbench.dual import Dual
 from contactbench.methods.contact_adaptive import composition_on, frequency, next_density, squared_curvature
+from contactbench.numbers.dual import Dual
 from contactbench.scenes import hard_scenes, standard_scenes
 
 NAME = "contact-adaptive"
@@ -74,7 +74,7 @@ def test_a_step_with_its_density_undoes_itself(mp50):
     """Φ and the density, reversed in time, retrace their way: the whole control is time-symmetric."""
     scene, x = in_mp(KEPLER, KEPLER.initial(()))
     method, epsilon, span = composition_on(KEPLER), mp50.mpf("0.3"), mp50.mpf(100)
-    from contactbench.composition import advance
+    from contactbench.splitting.composition import advance
 
     density = frequency(scene, x, span)[0]
     start = (x, density)

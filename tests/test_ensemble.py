@@ -14,10 +14,11 @@ import pytest
 
 import contactbench as cb
 from cases import TILTED, USER, by_name, in_mp, random_state
-from contactbench.composition import COMPOSITIONS, advance, refusal, repeat, shortest_period
 from contactbench.ensembles import TILE
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.solution import Status
+from contactbench.splitting.composition import advance, refusal, repeat, shortest_period
+from contactbench.splitting.tables import COMPOSITIONS
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
 PARTICLE = cb.SCENES["particle"].with_(t_end=1.0, gamma=0.35)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import contactbench as cb
-from contactbench.precision import contact_defect, error_at, momentum_defect, order_at
+from contactbench.measure.precision import contact_defect, error_at, momentum_defect, order_at
 
 METHODS = [m for m in cb.METHODS.values() if not m.adaptive and (m.contact or m.factor)]
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))

@@ -14,7 +14,7 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
-from contactbench.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation, spin
+from contactbench.splitting.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation, spin
 
 BITS = 180
 DIGITS = mp.mpf(10) ** -45

@@ -17,14 +17,14 @@ import pandas as pd
 import pytest
 
 import gate_selfcheck
-from contactbench import speed, table
-from contactbench.analysis import PairedRatio
 from contactbench.cli import main
-from contactbench.composition import COMPOSITIONS
 from contactbench.errors import BadInput
-from contactbench.gate import DECADES, accuracy
-from contactbench.report import gate_document
-from contactbench.table import (
+from contactbench.gate import speed
+from contactbench.gate.accuracy import DECADES, accuracy
+from contactbench.measure.analysis import PairedRatio
+from contactbench.report.documents import gate_document
+from contactbench.results import schema as table
+from contactbench.results.schema import (
     CLAIMS_TABLE,
     CONVERGENCE,
     GATE_SELFCHECK,
@@ -36,6 +36,7 @@ from contactbench.table import (
     Rule,
     merge,
 )
+from contactbench.splitting.tables import COMPOSITIONS
 
 REPOSITORY = Path(__file__).parents[1]
 RUN = {"profile": "smoke", "cpu": "a", "python": "3.13", "packages": {"jax": "1"}, "references": "r"}
@@ -418,7 +419,7 @@ def test_the_same_code_is_not_slower_and_twice_the_work_is(copy):
 HOLDER = """
 import sys, time
 from pathlib import Path
-from contactbench import speed
+from contactbench.gate import speed
 
 with speed.checkout(Path(sys.argv[1]), speed.resolved(Path(sys.argv[1]), "HEAD")) as tree:
     print(tree, flush=True)

@@ -115,7 +115,7 @@ def test_claimed_conformal_factor_is_kept_to_round_off_over_many_steps(method, s
     if factor is None:
         assert method.refuses(scene) or not (method.contact or method.factor)
         return
-    from contactbench.laws import pullbacks
+    from contactbench.measure.laws import pullbacks
 
     solution = cb.solve(scene, method.name, step=step, save_at=[step * n], engine="python")
     pulled, form, _ = pullbacks(solution)

@@ -14,7 +14,7 @@ import pytest
 import contactbench as cb
 import planted
 from bench_stability import answers
-from contactbench.isolation import Workers
+from contactbench.measure.isolation import Workers
 
 EXPECTED = {
     "planted-hang": ("timeout", "no result after 2 s"),
@@ -76,7 +76,7 @@ def test_no_process_is_left_and_later_calls_are_cancelled():
 
 ASKER = """
 import os, time
-from contactbench.isolation import Workers
+from contactbench.measure.isolation import Workers
 
 if __name__ == "__main__":
     with Workers([None]) as workers:

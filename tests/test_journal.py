@@ -13,8 +13,8 @@ import pytest
 
 import contactbench as cb
 from cases import bench, finished
-from contactbench.journal import FOLDER, Journal, begin_anew, done, entries, fold_dead_runs
-from contactbench.table import CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, read
+from contactbench.results.journal import FOLDER, Journal, begin_anew, done, entries, fold_dead_runs
+from contactbench.results.schema import CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, read
 
 RECORD = {"profile": "smoke"}
 SMALL = "particle and not long and not limit and (strang or cvode-adams)"
@@ -73,8 +73,8 @@ def test_a_living_run_is_left_alone(tmp_path):
 KILLED_WHILE_FOLDING = """
 import os, sys
 from pathlib import Path
-from contactbench import journal, table
-from contactbench.journal import Journal
+from contactbench.results import journal, schema as table
+from contactbench.results.journal import Journal
 replacing, calls = table.replacing, []
 def dying(path):
     calls.append(path)

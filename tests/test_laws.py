@@ -10,7 +10,7 @@ import pytest
 
 import contactbench as cb
 from cases import USER, by_name
-from contactbench.laws import conformal_deviation, laws_of, momentum_deviation, relative_deviation
+from contactbench.measure.laws import conformal_deviation, laws_of, momentum_deviation, relative_deviation
 from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)

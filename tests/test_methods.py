@@ -9,11 +9,11 @@ import pytest
 
 import contactbench as cb
 from cases import USER, by_name
-from contactbench.analysis import fit_order
+from contactbench.measure.analysis import fit_order
 from contactbench.methods.base import steps_in
 from contactbench.methods.fixed_step import trajectory
-from contactbench.references import blow_up_time
 from contactbench.solution import Status
+from contactbench.truth.reference import blow_up_time
 
 FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
 ADAPTIVE = [m for m in cb.METHODS.values() if m.adaptive]

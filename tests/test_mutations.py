@@ -20,10 +20,10 @@ from mpmath import mp
 
 import contactbench as cb
 import properties
-from contactbench import flows
-from contactbench.composition import COMPOSITIONS
 from contactbench.methods import herglotz
 from contactbench.methods.contact import contact_method
+from contactbench.splitting import flows
+from contactbench.splitting.tables import COMPOSITIONS
 from properties import BODY, CENTRAL, PARTICLE
 
 STRUCTURED = [cb.METHODS[name] for name in ("contact-abc", "contact-strang", "herglotz1", "herglotz2")]

@@ -17,7 +17,8 @@ from math import factorial
 import pytest
 from mpmath import mp
 
-from contactbench.composition import COMPOSITIONS, Composition
+from contactbench.splitting.composition import Composition
+from contactbench.splitting.tables import COMPOSITIONS
 
 LETTERS = {"kick": "B", "drift_damp": "A"}
 TWO_PART = [c for c in COMPOSITIONS if c.two_part]

@@ -11,8 +11,16 @@ import pandas as pd
 import pytest
 
 from cases import REPOSITORY
-from contactbench import figures, page
-from contactbench.table import CLAIMS_TABLE, CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, Table, read
+from contactbench.report import figures, page
+from contactbench.results.schema import (
+    CLAIMS_TABLE,
+    CONVERGENCE,
+    LAWS_TABLE,
+    TABLES,
+    WORK_PRECISION,
+    Table,
+    read,
+)
 
 RESULTS = REPOSITORY / "results"
 VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path", "use"}

@@ -12,9 +12,10 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
-from contactbench import figures, page, plugins
-from contactbench.report import report
-from contactbench.table import WORK_PRECISION, merge, read
+from contactbench import plugins
+from contactbench.report import figures, page
+from contactbench.report.documents import report
+from contactbench.results.schema import WORK_PRECISION, merge, read
 
 MINE = ("my-method", "my-scene")
 

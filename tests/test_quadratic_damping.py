@@ -12,7 +12,7 @@ import pytest
 
 import contactbench as cb
 from cases import random_state
-from contactbench.laws import decay_rate, laws_of, pullbacks
+from contactbench.measure.laws import decay_rate, laws_of, pullbacks
 
 SCENE = cb.SCENES["quadratic_damping"]
 TIMES = SCENE.t_end * np.arange(1, 26) / 25

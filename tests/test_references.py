@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from contactbench import references as truth
 from contactbench.errors import BadInput
-from contactbench.references import digest, reference
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES
 from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
+from contactbench.truth import reference as truth
+from contactbench.truth.reference import digest, reference
 
 FOLDER = Path(__file__).parents[1] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]

@@ -10,9 +10,9 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
-from contactbench import figures
-from contactbench.gate import accuracy
-from contactbench.report import (
+from contactbench.gate.accuracy import accuracy
+from contactbench.report import figures
+from contactbench.report.documents import (
     README_PART,
     decades,
     duration,
@@ -22,9 +22,9 @@ from contactbench.report import (
     report,
     winners,
 )
+from contactbench.report.stability import advice, error_and_cost, stability_document, strong_section, usable
+from contactbench.results.schema import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
 from contactbench.scenes import hard_scenes, standard_scenes
-from contactbench.stability_report import advice, error_and_cost, stability_document, strong_section, usable
-from contactbench.table import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
 
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.scene import State
-from contactbench.stability import (
+from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
     flow_matrix,
@@ -21,6 +20,7 @@ from contactbench.stability import (
     step_matrix,
     true_radius,
 )
+from contactbench.scene import State
 
 METHODS = fixed_step_methods()
 every = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench import table
-from contactbench.table import CONVERGENCE, merge, read, replacing
+from contactbench.results import schema as table
+from contactbench.results.schema import CONVERGENCE, merge, read, replacing
 
 
 def row(method="rk4", setting="step=0.1", error=1e-3, **more):

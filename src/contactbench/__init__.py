@@ -19,13 +19,13 @@ if jax.config.jax_num_cpu_devices < 0 and "device_count" not in os.environ["XLA_
 
 from contactbench.ensembles import Ensemble, ensemble  # noqa: E402
 from contactbench.errors import BadInput, UnknownName  # noqa: E402
-from contactbench.laws import LAWS  # noqa: E402
+from contactbench.measure.laws import LAWS  # noqa: E402
 from contactbench.methods import METHODS, fixed_step, prepare, solve  # noqa: E402
 from contactbench.plugins import load_installed  # noqa: E402
-from contactbench.references import reference  # noqa: E402
 from contactbench.scene import Mechanical, RigidBody, shifted  # noqa: E402
 from contactbench.scenes import SCENES  # noqa: E402
 from contactbench.solution import Counts, Solution, Status  # noqa: E402
+from contactbench.truth.reference import reference  # noqa: E402
 
 __all__ = [
     "LAWS",

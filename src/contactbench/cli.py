@@ -76,7 +76,7 @@ def solve(arguments: argparse.Namespace) -> int:
 
 def summary(solution: Any) -> dict[str, Any]:
     """Final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
-    from contactbench.laws import is_contact
+    from contactbench.measure.laws import is_contact
 
     scene, out = solution.scene, {}
     if solution.ok:
@@ -117,7 +117,7 @@ def claim(arguments: argparse.Namespace) -> int:
 
 def readable(row: dict[str, Any]) -> str:
     """A claim's row: the claim, each measurement on a line, the verdict, the correction."""
-    from contactbench.table import SEPARATOR
+    from contactbench.results.schema import SEPARATOR
 
     lines = [f"{row['id']}  {row['where']}", f"claim       {row['claim']}"]
     lines += [f"scene       {row['scene']}", f"method      {row['method']}"]
@@ -133,9 +133,9 @@ def readable(row: dict[str, Any]) -> str:
 
 def report(arguments: argparse.Namespace) -> int:
     """Write markdown, figures and the page from the CSV tables."""
-    from contactbench import page
-    from contactbench.report import into_readme
-    from contactbench.report import report as write
+    from contactbench.report import page
+    from contactbench.report.documents import into_readme
+    from contactbench.report.documents import report as write
 
     if not list(arguments.results.glob("*.csv")):
         raise BadInput(
@@ -151,8 +151,8 @@ def report(arguments: argparse.Namespace) -> int:
 
 def gate(arguments: argparse.Namespace) -> int:
     """Compare with the committed tables and time against another revision; 1 if something regressed."""
-    from contactbench.gate import PARTS
-    from contactbench.gate import gate as judge
+    from contactbench.gate.accuracy import PARTS
+    from contactbench.gate.accuracy import gate as judge
 
     signal.signal(
         signal.SIGTERM, lambda *_: sys.exit(143)
@@ -165,7 +165,7 @@ def gate(arguments: argparse.Namespace) -> int:
 
 def references(_: argparse.Namespace) -> int:
     """Print the stored references, their digits and their digests."""
-    from contactbench.references import frozen_folder, manifest
+    from contactbench.truth.reference import frozen_folder, manifest
 
     folder = frozen_folder()
     if folder is None:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.errors import BadInput, finite, positive, unknown_name
-from contactbench.laws import LAWS, conformal_deviation, hamiltonian_terms, momentum_terms
+from contactbench.measure.laws import LAWS, conformal_deviation, hamiltonian_terms, momentum_terms
 from contactbench.methods.base import METHODS, Refused, lookup, prepare
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step import FixedStep, FixedStepRun, rolled

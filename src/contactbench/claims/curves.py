@@ -26,8 +26,8 @@ from contactbench.claims.integrator import (
 )
 from contactbench.claims.rigid_body import SPECTRUM, coupling, growth, growths, momentum_rate, with_damping
 from contactbench.methods import solve
-from contactbench.references import reference
 from contactbench.scenes import SCENES
+from contactbench.truth.reference import reference
 
 Row = tuple[str, str, str, float, float, float]
 FIGURES: dict[str, Callable[[], Iterator[Row]]] = {}

@@ -21,10 +21,10 @@ from contactbench.claims.integrator import (
     slope,
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
-from contactbench.laws import LAWS
+from contactbench.measure.laws import LAWS
 from contactbench.methods import solve
-from contactbench.references import reference
 from contactbench.scenes import SCENES
+from contactbench.truth.reference import reference
 
 
 def paper_run(name: str, **changes: Any) -> Any:

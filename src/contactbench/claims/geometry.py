@@ -29,8 +29,8 @@ from contactbench.claims.calculus import (
     vector_field,
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
-from contactbench.references import reference
 from contactbench.scenes import SCENES
+from contactbench.truth.reference import reference
 
 DEGREES = (1, 2, 3)  #: degrees of freedom on which an identity is tested
 SOLVER = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}

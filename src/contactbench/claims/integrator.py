@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contactbench.analysis import fit_order
 from contactbench.claims.calculus import (
     ROUND_OFF,
     ROUND_OFF_WHY,
@@ -25,14 +24,15 @@ from contactbench.claims.calculus import (
     pullback,
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
-from contactbench.flows import MECHANICAL, Flow
-from contactbench.laws import LAWS
+from contactbench.measure.analysis import fit_order
+from contactbench.measure.laws import LAWS
+from contactbench.measure.stability import SLACK, spectral_radius
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step import FixedStep, trajectory
-from contactbench.references import decimal_context, reference, with_decimals
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
-from contactbench.stability import SLACK, spectral_radius
+from contactbench.splitting.flows import MECHANICAL, Flow
+from contactbench.truth.reference import decimal_context, reference, with_decimals
 
 PARTICLE = "particle"
 PRINTED, ABC, STRANG, RK4 = "contact-printed", "contact-abc", "contact-strang", "rk4"

@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from contactbench.errors import Registry
-from contactbench.table import SEPARATOR
+from contactbench.results.schema import SEPARATOR
 
 CLAIMS = Registry("claim")
 

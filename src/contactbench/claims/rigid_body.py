@@ -21,9 +21,9 @@ from contactbench.claims.calculus import (
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.methods import solve
-from contactbench.references import reference
 from contactbench.scene import BodyState, RigidBody, cross
 from contactbench.scenes import SCENES
+from contactbench.truth.reference import reference
 
 BODY = "rigid_body"
 ANISOTROPIC = "rigid_body_anisotropic"

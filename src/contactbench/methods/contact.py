@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.composition import COMPOSITIONS, Composition, Repeat, advance, plan, refusal, repeat
-from contactbench.flows import flows_of
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Mechanical, Scene
+from contactbench.splitting.composition import Composition, Repeat, advance, plan, refusal, repeat
+from contactbench.splitting.flows import flows_of
+from contactbench.splitting.tables import COMPOSITIONS
 
 
 @dataclass(frozen=True)

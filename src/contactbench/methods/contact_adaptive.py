@@ -24,13 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.composition import BM6, RKN6, Composition, advance, plan
-from contactbench.dual import Dual, slope, value
-from contactbench.flows import flows_of
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.numbers.dual import Dual, slope, value
 from contactbench.scene import Mechanical, Scene, Vector
 from contactbench.solution import DIVERGENCE, Counts, Status, divergence_bound
+from contactbench.splitting.composition import Composition, advance, plan
+from contactbench.splitting.flows import flows_of
+from contactbench.splitting.tables import BM6, RKN6
 
 #: ωh of one step at rtol = 1
 AIM = 3.0

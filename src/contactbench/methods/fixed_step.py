@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.composition import Repeat, repeat
 from contactbench.methods.base import METHODS, Outcome, Prepared, Request, steps_in
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
+from contactbench.splitting.composition import Repeat, repeat
 
 #: evaluations written out in one turn of the compiled loop
 UNROLL = 32

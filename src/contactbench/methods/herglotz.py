@@ -16,11 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.composition import Repeat, repeat
-from contactbench.flows import drift
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Mechanical, Scene, State
+from contactbench.splitting.composition import Repeat, repeat
+from contactbench.splitting.flows import drift
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,20 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 
-from contactbench import figures, report
-from contactbench.markdown import times
-from contactbench.report import ANY, CALLBACKS, COMPILED, DASH, STRUCTURE, TARGETS, duration, scientific
-from contactbench.table import SEPARATOR, TABLES, read, replacing
+from contactbench.report import documents as report
+from contactbench.report.documents import (
+    ANY,
+    CALLBACKS,
+    COMPILED,
+    DASH,
+    STRUCTURE,
+    TARGETS,
+    duration,
+    figures,
+    scientific,
+)
+from contactbench.report.markdown import times
+from contactbench.results.schema import SEPARATOR, TABLES, read, replacing
 
 #: tables with a section of their own; the others are shown as they are
 SECTIONS = ("work_precision", "laws", "convergence", "claims")
@@ -446,7 +456,7 @@ def page(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
 
 
 def part(name: str) -> str:
-    return files("contactbench.page").joinpath(name).read_text(encoding="utf-8")
+    return files("contactbench.report.page").joinpath(name).read_text(encoding="utf-8")
 
 
 def script_safe(payload: Any) -> str:

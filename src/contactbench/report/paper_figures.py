@@ -16,7 +16,7 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from contactbench.figures import style
+from contactbench.report.figures import style
 
 BLUE, ORANGE, GREY, BLACK = "#0077BB", "#CC3311", "#888888", "#000000"
 #: stable and unstable differ in colour and in marker

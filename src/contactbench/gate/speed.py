@@ -27,8 +27,8 @@ from typing import Any
 import pandas as pd
 from filelock import FileLock, Timeout
 
-from contactbench.analysis import PairedRatio, paired_ratio, timing
 from contactbench.errors import BadInput
+from contactbench.measure.analysis import PairedRatio, paired_ratio, timing
 
 LIMIT = 1.25
 ROUNDS = 15

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import BadInput, Registry
-from contactbench.references import reference
 from contactbench.scene import Mechanical, RigidBody, Scene, rotation_matrix
 from contactbench.solution import Solution
+from contactbench.truth.reference import reference
 
 LAWS = Registry("law")
 

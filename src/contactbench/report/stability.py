@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from contactbench.analysis import cost_to_reach
-from contactbench.markdown import DASH, duration, markdown, scientific
-from contactbench.table import STABILITY
+from contactbench.measure.analysis import cost_to_reach
+from contactbench.report.markdown import DASH, duration, markdown, scientific
+from contactbench.results.schema import STABILITY
 
 Frames = dict[str, pd.DataFrame]
 

@@ -93,13 +93,13 @@ class Table:
 
 
 def _law_columns() -> dict[str, str]:
-    from contactbench.laws import LAWS
+    from contactbench.measure.laws import LAWS
 
     return {name: item.definition for name, item in LAWS.items()}
 
 
 def _law_rules() -> dict[str, Rule]:
-    from contactbench.laws import LAWS
+    from contactbench.measure.laws import LAWS
 
     rules = {name: Rule.structure if item.structural else Rule.error for name, item in LAWS.items()}
     return rules | {"energy_increases": Rule.count}
@@ -494,7 +494,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
     for name in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     manifest = root / "references" / "MANIFEST.json"
     return {
         "utc": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from filelock import FileLock, Timeout
 
-from contactbench.table import TABLES, Table, merge, replacing, save_environment
+from contactbench.results.schema import TABLES, Table, merge, replacing, save_environment
 
 Cell = tuple[str, ...]
 FOLDER = ".journal"

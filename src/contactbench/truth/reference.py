@@ -126,8 +126,9 @@ def digest(scene: Scene) -> str:
         if f.name not in ("exact", "hessian") and callable(value := getattr(scene, f.name))
     ]
     kind = type(scene)
+    package = ".".join(kind.__module__.split(".")[:2])  # where it is imported from, not where it is written
     definition = [
-        f"{kind.__module__}.{kind.__qualname__}",
+        f"{package}.{kind.__qualname__}",
         functions,
         list(getattr(scene, "parameters", {})),
         [repr(float(x)) for x in scene.numbers()],
@@ -267,7 +268,7 @@ def decimal_context(digits: int) -> Any:
 def frozen_folder() -> Path | None:
     """Where the frozen files are: beside the sources, or inside the installed package."""
     here = Path(__file__).resolve()
-    for folder in (here.parents[2] / "references", here.parent / "_references"):
+    for folder in (here.parents[3] / "references", here.parents[1] / "_references"):
         if (folder / "MANIFEST.json").is_file():
             return folder
     return None

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench import speed
 from contactbench.errors import BadInput
-from contactbench.report import DASH, ROUND_OFF, markdown
-from contactbench.table import PROFILES, TABLES, Rule, Table, read
+from contactbench.gate import speed
+from contactbench.report.documents import DASH, ROUND_OFF, markdown
+from contactbench.results.schema import PROFILES, TABLES, Rule, Table, read
 
 #: how far an error may move, in decades: a factor of two
 DECADES = 0.3

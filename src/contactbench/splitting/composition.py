@@ -12,10 +12,6 @@ A composition may be processed: stages π before the first step, the same ones i
 the last, so that n steps are π χⁿ π*.  The kernel χ then need only be conjugate to a method of the
 order, which leaves it far fewer conditions, and it is the kernel that is paid for at every step
 (Blanes, Casas, Ros, SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
-
-Published tables have 15 to 26 digits.  The ones here are the solutions of the order conditions next to
-them, to 50 digits (Newton's method in the free algebra of the two parts, modulo [B, [B, [B, A]]] for
-the Nyström ones); none differs from print by more than a few units in the last digit.
 """
 
 from __future__ import annotations
@@ -25,8 +21,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from contactbench.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
 from contactbench.scene import BodyState, RigidBody, Scene
+from contactbench.splitting.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
 
 Stage = tuple[str, Fraction]
 HALF, ONE = Fraction(1, 2), Fraction(1)
@@ -116,180 +112,6 @@ def merged(stages: Iterable[Stage]) -> tuple[Stage, ...]:
         else:
             out.append((name, coefficient))
     return tuple(out)
-
-
-PRINTED = Composition(
-    "contact-printed", 1,
-    (("kick", HALF), ("damp", ONE), ("drift", ONE), ("kick", HALF)),
-    "the paper, eq. Strang-Integrator, read right to left: B½, C, A, B½",
-)  # fmt: skip
-
-ABC = Composition(
-    "contact-abc", 2,
-    (("kick", HALF), ("drift", HALF), ("damp", ONE), ("drift", HALF), ("kick", HALF)),
-    "the palindromic three-part splitting; Bravetti, Seri, Vermeeren, Zadra, Celest. Mech. Dyn. Astron. "
-    "132, 7 (2020), doi:10.1007/s10569-019-9946-9",
-)  # fmt: skip
-
-STRANG = Composition(
-    "contact-strang", 2,
-    (("kick", HALF), ("drift_damp", ONE), ("kick", HALF)),
-    "Strang, SIAM J. Numer. Anal. 5, 506 (1968), doi:10.1137/0705041, on V and T + γs",
-)  # fmt: skip
-
-BLANES_MOAN = "Blanes, Moan, J. Comput. Appl. Math. 142, 313 (2002), doi:10.1016/S0377-0427(01)00492-7"
-
-BM4 = Composition(
-    "contact-bm4", 4,
-    palindrome(
-        "kick", "drift_damp",
-        (
-            "0.079203696431195669433663495888260798438386669927815",
-            "0.20951510661336202127407264002949039971368957530527",
-            "0.35317290604977398848106131157312333164277031093604",
-            "-0.14385177317981800827511505785653618701033259713195",
-            "-0.042065080357719535368110298302515207686514298192775",
-        ),
-        13,
-    ),
-    f"S6 of {BLANES_MOAN}",
-)  # fmt: skip
-
-BM6 = Composition(
-    "contact-bm6", 6,
-    palindrome(
-        "kick", "drift_damp",
-        (
-            "0.050262764400392686021221654402397513629577787569618",
-            "0.1488164479010432319209010055360047916700944368305",
-            "0.41351430042834381506306372013091290903522165849761",
-            "-0.1323858657677836474488454265998966699569670767424",
-            "0.045079889794398062968897052124940537763958704107536",
-            "0.067307604692184458150257896592082543718256196906123",
-            "-0.18805485381956891479912848891626252441530182136536",
-            "0.43266640257817359752766797088454962323046694953908",
-            "0.54196067845078013483141474093199460128604741047017",
-        ),
-        21,
-    ),
-    f"S10 of {BLANES_MOAN}",
-)  # fmt: skip
-
-RKN4 = Composition(
-    "contact-rkn4", 4,
-    palindrome(
-        "kick", "drift_damp",
-        (
-            "0.082984406417405018838347478942265881558838163780929",
-            "0.24529895718427116260393242600141783223311001879892",
-            "0.39630980149836807709491152826365930198137621752971",
-            "0.60487266571107997496089269764306760781459593913832",
-            "-0.039056304922348435170865290765367112585752451476464",
-        ),
-        13,
-    ),
-    f"SRKN6b of {BLANES_MOAN}",
-)  # fmt: skip
-
-RKN6 = Composition(
-    "contact-rkn6", 6,
-    palindrome(
-        "kick", "drift_damp",
-        (
-            "0.041464998518262843298778133916980363329979264472426",
-            "0.12322977594627115156108638033741953478048446514427",
-            "0.1981286719180665411367264731820410168042880747604",
-            "0.29055379779955827036641416932431729650341126625154",
-            "-0.040006192104152686888828363536154469243445061813333",
-            "-0.12704921262541691566250505382923211008325120941956",
-            "0.075253984301580341127878878525511443979020626422923",
-            "-0.24633176106207540419497348910506449470832789179453",
-            "-0.011511387420687770062443201500596928412724038204632",
-            "0.35720887279592775261986034962403529482885932820439",
-        ),
-        23,
-    ),
-    f"SRKN11b of {BLANES_MOAN}", nystrom=True,
-)  # fmt: skip
-
-# Found by Newton's method from random starts.  Kernel: 13 stages, 14 − 2 consistent parameters, and the
-# 1 + 2 + 5 conditions of degree 3, 5 and 7 for a time-symmetric method to be conjugate to order 8; of
-# the solutions met, that with the smallest leading error, the parts of degree 9 that no processor
-# removes (weighted 100) and the part of degree 8 that the processor would have to supply.  Processor:
-# the 26 conditions that its logarithm be the conjugation up to degree 7, among the solutions met that
-# of the smallest coefficients.  Kernels and processors were compared on Hénon–Heiles, coupled pendula
-# and the potential q1²q2², none of them a scene here.
-RKN8 = Composition(
-    "contact-rkn8", 8,
-    palindrome(
-        "drift_damp", "kick",
-        (
-            "-0.037087380456747430688368995277224020188573135083406",
-            "0.07485206416529386921230256055332740852362196241037",
-            "-0.051031696465799471106816762992760499620799363339497",
-            "-0.079792074136650552156379854928346122033118598707705",
-            "-0.16600794409994134657258642091881399390999757928972",
-            "0.0044571932925694125393117795771810182856288324679514",
-            "0.36306835029540571374191832828872301208011351020852",
-            "0.19373984154963269502384585604479253580335520007716",
-            "0.23563392689463614493805807209796760973055372412487",
-            "-0.087185737979965480013482866140340042735171104098752",
-            "-0.039782227772119742294144653437389762698073757096257",
-            "0.28789966568690919924694864078836167897563698395771",
-        ),
-        27,
-    ),
-    "kernel of 13 stages and processor of 13, derived here from the order conditions", nystrom=True,
-    processor=balanced(
-        "drift_damp", "kick",
-        (
-            "0.070514925777936012012668886963256591939211632838262",
-            "-0.084131039684989077262963484874728814583123704068104",
-            "0.2925468768738881350246379252167112998325084154009",
-            "0.00049780725989633267456906066656073117824996347949124",
-            "-0.17019923780815188228930630658870043674415770604181",
-            "0.015167411765776938209632262217813899829843967199728",
-            "-0.24700694056430219561405540701778532325295974015966",
-            "-0.039339101641317136964240007277559479590762756671507",
-            "0.18658705865443389056960684910609126403448493046574",
-            "-0.039431755939464070530495150997676508967983525814219",
-            "-0.17829552206194901969796237993047998951622571555908",
-            "0.014527458603364490579539037754177336842718025264845",
-            "0.10271130566948693976337222798305513369666044166097",
-            "0.12482062863990015290088559950560817960698474666573",
-            "-0.13020985769473103643210818209867537818989117506866",
-            "0.083318420771153904337146651758064437288350616744159",
-            "-0.20565702122535208155392445902224595243902702372526",
-            "-0.0037741136024227068874324095678494839979087214915938",
-            "0.33218255097965166228151497210193725577253059013722",
-            "0.072322288034870999177282554684410088589190028750349",
-            "-0.16367804499246382384537986053226588316388677263549",
-            "0.042488485206775721930051424221202092585763477563909",
-            "0.039901379333993978334716935434180597827870188217062",
-            "-0.07244025151803453302283655353039359595159575317472",
-            "0.1264189594309054959521289619269493647151729253326",
-        ),
-    ),
-)  # fmt: skip
-
-_KAHAN_LI = (
-    "0.13020248308889008087881763209670052235723185436506",
-    "0.56116298177510838456196440770015056726615922120603",
-    "-0.3894749626448472864080785982352483888360299624802",
-    "0.15884190655515560089621074570715248141215492833811",
-    "-0.39590389413323757733623153934793893602680169266742",
-    "0.18453964097831570709183254153337546281900077254789",
-    "0.25837438768632204729397910999493947181308868214327",
-    "0.2950117236093102988709662402182281129765178453897",
-)  # fmt: skip
-
-O8 = Composition(
-    "contact-o8", 8,
-    strang_composition([*_KAHAN_LI, 1 - 2 * sum(map(Fraction, _KAHAN_LI)), *reversed(_KAHAN_LI)]),
-    "s17odr8b of Kahan, Li, Math. Comput. 66, 1089 (1997), doi:10.1090/S0025-5718-97-00873-9, on Strang",
-)  # fmt: skip
-
-COMPOSITIONS = (PRINTED, ABC, STRANG, BM4, BM6, RKN4, RKN6, RKN8, O8)
 
 
 def number(coefficient: Fraction, xp: Any) -> Any:

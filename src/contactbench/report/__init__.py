@@ -1,0 +1,1 @@
+"""Documents, page and figures, from the tables alone: nothing is solved here."""

@@ -1,0 +1,42 @@
+"""Scenes: what is solved.
+
+A scene is its energy, force and right-hand side, written once as plain arithmetic on tuples of
+components.  The same functions run on Python floats, NumPy arrays (one array per component: an
+ensemble), JAX tracers, mpmath numbers and heyoka expressions, because every number a scene holds
+can be replaced (`Scene.with_numbers`) by a number of another kind.
+
+Conventions: contact form η = ds − p·dq, contact Hamiltonian H = H0 + Γ(s), Γ(s) = γ s + ½ κ s²;
+q' = ∂H/∂p, p' = −∂H/∂q − p Γ'(s), s' = p·∂H/∂p − H  (paper, eq. canonical-contact-equations).
+"""
+
+from contactbench.scene.algebra import (
+    BodyState,
+    State,
+    Vector,
+    cross,
+    dot,
+    quaternion_of,
+    quaternion_product,
+    rotate,
+    rotation_matrix,
+    shifted,
+)
+from contactbench.scene.base import Scene
+from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.rigid_body import RigidBody
+
+__all__ = [
+    "BodyState",
+    "Mechanical",
+    "RigidBody",
+    "Scene",
+    "State",
+    "Vector",
+    "cross",
+    "dot",
+    "quaternion_of",
+    "quaternion_product",
+    "rotate",
+    "rotation_matrix",
+    "shifted",
+]

@@ -1,0 +1,101 @@
+"""States as tuples of components, and the little algebra they need: vectors, quaternions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from contactbench.errors import BadInput
+
+Vector = tuple[Any, ...]
+
+
+class State(NamedTuple):
+    """State of a mechanical scene: q and p are n-tuples, s a number or None when not carried."""
+
+    q: Vector
+    p: Vector
+    s: Any = None
+
+
+class BodyState(NamedTuple):
+    """State of a rigid body: body momentum M, attitude R as a quaternion (w, x, y, z), and s.
+
+    R and s are None when not carried.
+    """
+
+    M: Vector
+    R: Vector | None = None
+    s: Any = None
+
+
+def shifted(x: Any, h: Any, slope: Any) -> Any:
+    """x + h·slope, component by component, fields that are not carried left alone."""
+    parts: list[Any] = []
+    for part, rate in zip(x, slope, strict=True):
+        if isinstance(part, tuple):
+            parts.append(tuple(a + h * b for a, b in zip(part, rate, strict=True)))
+        else:
+            parts.append(None if part is None else part + h * rate)
+    return type(x)(*parts)
+
+
+def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """a·b, summed left to right."""
+    total = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        total = total + x * y
+    return total
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """a × b in R³."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def quaternion_product(a: Vector, b: Vector) -> Vector:
+    """Hamilton product a ⊗ b of quaternions (w, x, y, z)."""
+    w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
+    x = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
+    y = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
+    z = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+    return (w, x, y, z)
+
+
+def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
+    """The 3×3 matrix of a quaternion.
+
+    Homogeneous of degree two and deliberately not normalised: what a solver lets drift in the
+    quaternion's length shows up in RᵀR − 1 and in J = R M, as it would with a drifting matrix.
+    """
+    w, x, y, z = R
+    return (
+        (w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z),
+    )
+
+
+def rotate(R: Vector, v: Vector) -> Vector:
+    """R v for an attitude quaternion R."""
+    return tuple(dot(row, v) for row in rotation_matrix(R))
+
+
+def quaternion_of(value: Any) -> Vector:
+    """An attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion."""
+    if np.ndim(value) == 0 and value == 1:
+        return (1.0, 0.0, 0.0, 0.0)
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape == (4,) and abs(np.linalg.norm(array) - 1) < 1e-12:
+        return tuple(array.tolist())
+    if array.shape == (3, 3) and np.allclose(array.T @ array, np.eye(3), rtol=0, atol=1e-12):
+        from scipy.spatial.transform import Rotation
+
+        if np.linalg.det(array) > 0:
+            return tuple(Rotation.from_matrix(array).as_quat(scalar_first=True).tolist())
+    raise BadInput(f"R = {value!r}: must be 1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix")

@@ -1,0 +1,162 @@
+"""What every scene has."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from contactbench.errors import BadInput, finite, unknown_name
+from contactbench.scene.algebra import Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What every scene has: a name, initial data, an end time, and numbers that can be replaced."""
+
+    name: str
+    t_end: float
+    s: float = 0.0
+    #: closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None
+    exact: Callable[[Any, Any, Any], Any] | None = None
+    about: str = ""
+    #: only the stability experiment runs it
+    hard: bool = False
+
+    #: optional state fields, in packing order
+    optional: ClassVar[tuple[str, ...]] = ("s",)
+    initial_fields: ClassVar[tuple[str, ...]] = ()
+
+    def with_(self, **changes: Any) -> Self:
+        """A copy with some parameters changed, any of them by keyword.
+
+        Raises `BadInput` for an unknown parameter or a value that is not allowed.
+        """
+        allowed = [f.name for f in dataclasses.fields(self) if f.init]
+        extra = dict(getattr(self, "parameters", {}))
+        fields: dict[str, Any] = {}
+        for key, value in changes.items():
+            if key in extra:
+                extra[key] = finite(key, value)
+            elif key in allowed:
+                fields[key] = value
+            else:
+                raise unknown_name(f"parameter of scene {self.name!r}", key, [*extra, *allowed])
+        if extra and "parameters" not in fields:
+            fields["parameters"] = extra
+        return dataclasses.replace(self, **fields)
+
+    # -- packing -------------------------------------------------------------------------------
+    def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
+        """The optional fields to integrate, validated; None means all the scene has."""
+        if names is None:
+            return self.optional
+        names = (names,) if isinstance(names, str) else tuple(names)
+        for name in names:
+            if name not in self.optional:
+                what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
+                raise BadInput(f"carry = {names!r}: scene {self.name!r} can carry {what}")
+        return tuple(name for name in self.optional if name in names or name in self.required)
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        """Optional fields the dynamics cannot do without."""
+        return ()
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        """Component names of the packed state, in order."""
+        raise NotImplementedError
+
+    @property
+    def motion(self) -> int:
+        """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
+        return len(self.labels(()))
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+        """The initial state; `data` overrides the scene's own initial values."""
+        raise NotImplementedError
+
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
+        """A packed state as a NamedTuple of components."""
+        raise NotImplementedError
+
+    @staticmethod
+    def pack(state: Any) -> list[Any]:
+        """A state as a flat list, fields that are not carried left out."""
+        flat: list[Any] = []
+        for part in state:
+            if isinstance(part, tuple):
+                flat.extend(part)
+            elif part is not None:
+                flat.append(part)
+        return flat
+
+    def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Initial data given by keyword, validated against the scene's own."""
+        for key in data:
+            if key not in self.initial_fields:
+                raise unknown_name(f"initial value of scene {self.name!r}", key, self.initial_fields)
+        if not data:
+            return {f: getattr(self, f) for f in self.initial_fields}
+        changed = self.with_(**data)
+        return {f: getattr(changed, f) for f in self.initial_fields}
+
+    # -- numbers -------------------------------------------------------------------------------
+    def numbers(self) -> list[float]:
+        """The scene's parameters as a flat list (initial data and end time are not among them)."""
+        raise NotImplementedError
+
+    def number_names(self) -> list[str]:
+        """What `with_` calls each of `numbers`; empty where it is part of a larger parameter."""
+        raise NotImplementedError
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        """The same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
+        raise NotImplementedError
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        """What compiled code depends on: everything but the numbers."""
+        raise NotImplementedError
+
+    def _replaced(self, **attributes: Any) -> Self:
+        twin = copy.copy(self)
+        for key, value in attributes.items():
+            object.__setattr__(twin, key, value)
+        return twin
+
+    # -- physics -------------------------------------------------------------------------------
+    def rhs(self, x: Any) -> Any:
+        """Time derivative of the state, a state of the same fields."""
+        raise NotImplementedError
+
+    def energy(self, x: Any) -> Any:
+        """Mechanical energy H0."""
+        raise NotImplementedError
+
+    def hamiltonian(self, x: Any) -> Any:
+        """Contact Hamiltonian H = H0 + Γ(s); needs s."""
+        raise NotImplementedError
+
+    def jacobian(self, x: Any) -> Any:
+        """∂(rhs)/∂(state) in packed order, or None where the scene does not provide it."""
+        raise NotImplementedError
+
+    def momentum(self, x: Any) -> Vector | None:
+        """Momentum map J of the rotations, None where there is none."""
+        raise NotImplementedError
+
+    def tangents(self, x: Any) -> list[Any]:
+        """A basis of the tangent space at x, as states."""
+        raise NotImplementedError
+
+    def contact_form(self, x: Any, dx: Any) -> Any:
+        """η(dx) at x."""
+        raise NotImplementedError
+
+    @property
+    def conformal_rate(self) -> Any:
+        """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
+        raise NotImplementedError

@@ -1,0 +1,195 @@
+"""Mechanical scenes: kinetic energy, potential, damping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+from contactbench.errors import BadInput, finite, positive, vector
+from contactbench.scene.algebra import State, Vector, cross, dot
+from contactbench.scene.base import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mechanical(Scene):
+    """H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
+
+    potential : ``V(q, **parameters) -> number``; gradient : ``dV(q, **parameters) -> n-tuple``;
+    hessian : ``(q, **parameters) -> n×n`` nested tuples, or None (solvers then difference).
+    q, p : n numbers; gamma, kappa : damping (κ ≠ 0 makes s part of the dynamics); mass > 0.
+    rotation_invariant : V(Rq) = V(q), so that the angular momentum obeys J' = −Γ'(s) J.
+    Raises `BadInput` for lengths that differ, values that are not finite, mass ≤ 0, t_end ≤ 0.
+    """
+
+    potential: Callable[..., Any]
+    gradient: Callable[..., Vector]
+    q: Vector
+    p: Vector
+    gamma: float = 0.0
+    kappa: float = 0.0
+    mass: float = 1.0
+    hessian: Callable[..., Any] | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    rotation_invariant: bool = False
+    #: kept so that no division is left in the right-hand side: compiled loops run up to twice as fast
+    inverse_mass: Any = field(init=False, repr=False, default=1.0)
+
+    initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
+
+    def __post_init__(self) -> None:
+        fix = object.__setattr__
+        fix(self, "q", vector("q", self.q))
+        fix(self, "p", vector("p", self.p))
+        if len(self.q) != len(self.p):
+            raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
+        for name in ("gamma", "kappa", "s"):
+            fix(self, name, finite(name, getattr(self, name)))
+        fix(self, "mass", positive("mass", self.mass))
+        fix(self, "inverse_mass", 1 / self.mass)
+        fix(self, "t_end", positive("t_end", self.t_end))
+        fix(self, "parameters", {k: finite(k, v) for k, v in self.parameters.items()})
+        self._check_dimension()
+
+    def _check_dimension(self) -> None:
+        try:
+            force = self.gradient(self.q, **self.parameters)
+        except ZeroDivisionError:
+            raise BadInput(f"q = {self.q!r}: the force of scene {self.name!r} is singular there") from None
+        except (ValueError, IndexError, TypeError) as error:
+            raise BadInput(
+                f"q = {self.q!r}: wrong for scene {self.name!r}, whose gradient says: {error}"
+            ) from None
+        if len(force) != len(self.q):
+            raise BadInput(f"q = {self.q!r}: scene {self.name!r} needs {len(force)} components")
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        return ("s",) if self.kappa else ()
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        n = len(self.q)
+        names = [f"q{i + 1}" for i in range(n)] + [f"p{i + 1}" for i in range(n)]
+        return names + [c for c in self.optional if c in carry]
+
+    def initial(self, carry: Sequence[str], **data: Any) -> State:
+        values = {f: getattr(self, f) for f in self.initial_fields} | data
+        return State(tuple(values["q"]), tuple(values["p"]), values["s"] if "s" in carry else None)
+
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
+        n = len(self.q)
+        return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
+
+    def numbers(self) -> list[float]:
+        return [self.gamma, self.kappa, self.mass, *self.parameters.values()]
+
+    def number_names(self) -> list[str]:
+        return ["gamma", "kappa", "mass", *self.parameters]
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        gamma, kappa, mass, *rest = numbers
+        parameters = dict(zip(self.parameters, rest, strict=True))
+        nonlinear = self.nonlinear_damping
+        return self._replaced(
+            gamma=gamma,
+            kappa=kappa,
+            mass=mass,
+            inverse_mass=1 / mass,
+            parameters=parameters,
+            _nonlinear=nonlinear,
+        )
+
+    @property
+    def nonlinear_damping(self) -> bool:
+        """Whether Γ has its quadratic term (decided by the original κ, not by a tracer)."""
+        return self.__dict__.get("_nonlinear", self.kappa != 0)
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (
+            Mechanical, self.potential, self.gradient, self.hessian, len(self.q),
+            tuple(self.parameters), self.nonlinear_damping,
+        )  # fmt: skip
+
+    # -- physics -------------------------------------------------------------------------------
+    def kinetic(self, p: Vector) -> Any:
+        """T(p) = ‖p‖²/2m."""
+        return dot(p, p) * self.inverse_mass / 2
+
+    def V(self, q: Vector) -> Any:
+        return self.potential(q, **self.parameters)
+
+    def dV(self, q: Vector) -> Vector:
+        return self.gradient(q, **self.parameters)
+
+    def energy(self, x: State) -> Any:
+        """H0 = T + V."""
+        return self.kinetic(x.p) + self.V(x.q)
+
+    def dissipation(self, s: Any) -> Any:
+        """Γ(s) = γ s + ½ κ s²."""
+        linear = self.gamma * s
+        return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
+
+    def dissipation_rate(self, s: Any) -> Any:
+        """Γ'(s) = γ + κ s."""
+        return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
+
+    def hamiltonian(self, x: State) -> Any:
+        """H = H0 + Γ(s); needs s."""
+        return self.energy(x) + self.dissipation(x.s)
+
+    def rhs(self, x: State) -> State:
+        rate = self.dissipation_rate(x.s)
+        velocity = tuple(p * self.inverse_mass for p in x.p)
+        force = tuple(-g - rate * p for g, p in zip(self.dV(x.q), x.p, strict=True))
+        if x.s is None:
+            return State(velocity, force)
+        return State(velocity, force, self.kinetic(x.p) - self.V(x.q) - self.dissipation(x.s))
+
+    def jacobian(self, x: State) -> list[list[Any]] | None:
+        """∂(rhs)/∂(state) in packed order, or None when the scene has no Hessian."""
+        if self.hessian is None:
+            return None
+        n = len(x.q)
+        hess = self.hessian(x.q, **self.parameters)
+        rate = self.dissipation_rate(x.s)
+        tail: list[Any] = [] if x.s is None else [0.0]
+        rows = [[0.0] * n + [self.inverse_mass if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
+        for i in range(n):
+            damping = [-rate if i == j else 0.0 for j in range(n)]
+            column = [] if x.s is None else [-self.kappa * x.p[i] if self.nonlinear_damping else 0.0]
+            rows.append([-hess[i][j] for j in range(n)] + damping + column)
+        if x.s is not None:
+            rows.append([-g for g in self.dV(x.q)] + [p * self.inverse_mass for p in x.p] + [-rate])
+        return rows
+
+    def momentum(self, x: State) -> Vector | None:
+        """Angular momentum q × p (one component in the plane, three in space), else None."""
+        q, p = x.q, x.p
+        if len(q) == 2:
+            return (q[0] * p[1] - q[1] * p[0],)
+        return cross(q, p) if len(q) == 3 else None
+
+    def torque(self, x: State) -> Vector | None:
+        """−q × ∇V, the rate at which the potential changes the angular momentum."""
+        return self.momentum(State(x.q, tuple(-g for g in self.dV(x.q))))
+
+    @property
+    def has_momentum_law(self) -> bool:
+        return self.rotation_invariant and len(self.q) in (2, 3)
+
+    def contact_form(self, x: State, dx: State) -> Any:
+        """η(dx) = ds − p·dq at x."""
+        return dx.s - dot(x.p, dx.q)
+
+    def tangents(self, x: State) -> list[State]:
+        """The coordinate basis of the tangent space at x, in packed order."""
+        flat = self.pack(x)
+        carry = ("s",) if x.s is not None else ()
+        size = len(flat)
+        return [self.unpack([1.0 if i == j else 0.0 for j in range(size)], carry) for i in range(size)]
+
+    @property
+    def conformal_rate(self) -> Any:
+        return None if self.nonlinear_damping else self.gamma

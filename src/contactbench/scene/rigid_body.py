@@ -1,0 +1,241 @@
+"""The damped rigid body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from contactbench.errors import BadInput, finite, positive, vector
+from contactbench.scene.algebra import (
+    BodyState,
+    Vector,
+    cross,
+    dot,
+    quaternion_of,
+    quaternion_product,
+    rotate,
+)
+from contactbench.scene.base import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidBody(Scene):
+    """Damped rigid body: M' = M × I⁻¹M − D M, R' = R Ω̂, s' = ½ M·Ω − γ s on T*SO(3) × R.
+
+    inertia : three principal moments > 0.  Exactly one of gamma (isotropic, D = γ 1: a contact
+    system with H = ½ M·I⁻¹M + γ s) and damping (three rates ≥ 0, or a symmetric 3×3 D ≥ 0: no
+    contact Hamiltonian, hence no s).  M : body angular momentum; R : attitude (see `quaternion_of`).
+    Momentum map of the left action: the spatial momentum J = R M.
+    Raises `BadInput` for a negative inertia, a D that is not symmetric ≥ 0, t_end ≤ 0.
+    """
+
+    inertia: Vector
+    M: Vector
+    gamma: Any = None
+    damping: Any = None
+    R: Any = 1
+    #: eigenvalues of an anisotropic D, and its eigenvectors as columns (None when D is diagonal)
+    rates: Vector = field(init=False, repr=False, default=())
+    axes: Any = field(init=False, repr=False, default=None)
+    #: kept so that no division is left in the right-hand side
+    inverse_inertia: Vector = field(init=False, repr=False, default=())
+    #: the axes of the smallest, intermediate and largest moment (decided by the original moments)
+    by_inertia: tuple[int, ...] = field(init=False, repr=False, default=())
+
+    initial_fields: ClassVar[tuple[str, ...]] = ("M", "R", "s")
+
+    def __post_init__(self) -> None:
+        fix = object.__setattr__
+        fix(self, "inertia", vector("inertia", self.inertia, 3))
+        if min(self.inertia) <= 0:
+            raise BadInput(f"inertia = {self.inertia!r}: all three moments must be > 0")
+        fix(self, "inverse_inertia", tuple(1 / i for i in self.inertia))
+        fix(self, "by_inertia", tuple(sorted(range(3), key=lambda i: self.inertia[i])))
+        fix(self, "M", vector("M", self.M, 3))
+        fix(self, "R", quaternion_of(self.R))
+        fix(self, "s", finite("s", self.s))
+        fix(self, "t_end", positive("t_end", self.t_end))
+        if (self.gamma is None) == (self.damping is None):
+            raise BadInput("give exactly one of gamma (isotropic) and damping (a matrix D)")
+        if self.gamma is not None:
+            fix(self, "gamma", finite("gamma", self.gamma))
+            return
+        matrix = damping_matrix(self.damping)
+        fix(self, "damping", tuple(map(tuple, matrix.tolist())))
+        diagonal = not np.any(matrix - np.diag(np.diag(matrix)))
+        rates, axes = (np.diag(matrix), None) if diagonal else np.linalg.eigh(matrix)
+        fix(self, "rates", tuple(np.maximum(rates, 0.0).tolist()))
+        fix(self, "axes", None if axes is None else tuple(map(tuple, axes.tolist())))
+
+    def with_(self, **changes: Any) -> Self:
+        if changes.get("gamma") is not None and "damping" not in changes:
+            changes["damping"] = None
+        if changes.get("damping") is not None and "gamma" not in changes:
+            changes["gamma"] = None
+        return super().with_(**changes)
+
+    @property
+    def isotropic(self) -> bool:
+        return self.damping is None
+
+    @property
+    def optional(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("R", "s") if self.isotropic else ("R",)
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        names = ["M1", "M2", "M3"]
+        names += ["R_w", "R_x", "R_y", "R_z"] if "R" in carry else []
+        return names + (["s"] if "s" in carry else [])
+
+    def initial(self, carry: Sequence[str], **data: Any) -> BodyState:
+        values = {f: getattr(self, f) for f in self.initial_fields} | data
+        R = tuple(values["R"]) if "R" in carry else None
+        return BodyState(tuple(values["M"]), R, values["s"] if "s" in carry else None)
+
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> BodyState:
+        R = tuple(y[3:7]) if "R" in carry else None
+        return BodyState(tuple(y[:3]), R, y[7 if R is not None else 3] if "s" in carry else None)
+
+    def numbers(self) -> list[float]:
+        if self.gamma is not None:
+            return [*self.inertia, self.gamma]
+        axes = [] if self.axes is None else [v for row in self.axes for v in row]
+        return [*self.inertia, *self.rates, *axes]
+
+    def number_names(self) -> list[str]:
+        return ["", "", "", "gamma"] if self.isotropic else [""] * len(self.numbers())
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        inertia, rest = tuple(numbers[:3]), tuple(numbers[3:])
+        moments = {"inertia": inertia, "inverse_inertia": tuple(1 / i for i in inertia)}
+        if self.isotropic:
+            return self._replaced(**moments, gamma=rest[0])
+        axes = None if self.axes is None else (rest[3:6], rest[6:9], rest[9:12])
+        return self._replaced(**moments, rates=rest[:3], axes=axes)
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (RigidBody, self.isotropic, self.isotropic or self.axes is None, self.by_inertia)
+
+    # -- physics -------------------------------------------------------------------------------
+    def angular_velocity(self, M: Vector) -> Vector:
+        """Ω = I⁻¹ M."""
+        return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
+
+    def damp_matrix_function(self, M: Vector, f: Callable[[Any], Any]) -> Vector:
+        """f(D) M through the eigen-decomposition of D."""
+        if self.isotropic:
+            return tuple(f(self.gamma) * m for m in M)
+        if self.axes is None:
+            return tuple(f(d) * m for d, m in zip(self.rates, M, strict=True))
+        columns = tuple(zip(*self.axes, strict=True))
+        modal = tuple(f(d) * dot(c, M) for d, c in zip(self.rates, columns, strict=True))
+        return tuple(dot(row, modal) for row in self.axes)
+
+    def energy(self, x: BodyState) -> Any:
+        """H0 = ½ M·I⁻¹M."""
+        return dot(x.M, self.angular_velocity(x.M)) / 2
+
+    def hamiltonian(self, x: BodyState) -> Any:
+        """H = H0 + γ s; needs s."""
+        return self.energy(x) + self.gamma * x.s
+
+    def rhs(self, x: BodyState) -> BodyState:
+        omega = self.angular_velocity(x.M)
+        damped = self.damp_matrix_function(x.M, lambda rate: rate)
+        dM = tuple(c - d for c, d in zip(cross(x.M, omega), damped, strict=True))
+        dR = None
+        if x.R is not None:
+            half = tuple(w / 2 for w in omega)
+            a, b, c, d = x.R
+            dR = (  # ½ R ⊗ (0, Ω), the zero products left out
+                -b * half[0] - c * half[1] - d * half[2],
+                a * half[0] + c * half[2] - d * half[1],
+                a * half[1] - b * half[2] + d * half[0],
+                a * half[2] + b * half[1] - c * half[0],
+            )
+        ds = None if x.s is None else dot(x.M, omega) / 2 - self.gamma * x.s
+        return BodyState(dM, dR, ds)
+
+    def jacobian(self, x: BodyState) -> list[list[Any]]:
+        """∂(rhs)/∂(state) in packed order."""
+        inv = self.inverse_inertia
+        omega = self.angular_velocity(x.M)
+        width = 3 + (4 if x.R is not None else 0) + (1 if x.s is not None else 0)
+        rows = [[0.0] * width for _ in range(width)]
+        unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        for j, e in enumerate(unit):
+            gyroscopic = cross(x.M, tuple(inv[k] * e[k] for k in range(3)))
+            other = cross(e, omega)
+            damped = self.damp_matrix_function(e, lambda rate: rate)
+            for i in range(3):
+                rows[i][j] = other[i] + gyroscopic[i] - damped[i]
+        if x.R is not None:
+            for j, e in enumerate(unit):
+                column = quaternion_product(x.R, (0.0, *(inv[j] * c / 2 for c in e)))
+                for i in range(4):
+                    rows[3 + i][j] = column[i]
+            for j in range(4):
+                e4 = tuple(1.0 if i == j else 0.0 for i in range(4))
+                column = quaternion_product(e4, (0.0, *(w / 2 for w in omega)))
+                for i in range(4):
+                    rows[3 + i][3 + j] = column[i]
+        if x.s is not None:
+            rows[-1][:3] = list(omega)
+            rows[-1][-1] = -self.gamma
+        return rows
+
+    def momentum(self, x: BodyState) -> Vector | None:
+        """J = R M, the spatial angular momentum; None when R is not carried."""
+        return None if x.R is None else rotate(x.R, x.M)
+
+    @property
+    def has_momentum_law(self) -> bool:
+        return self.isotropic
+
+    def contact_form(self, x: BodyState, dx: BodyState) -> Any:
+        """η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
+        assert x.R is not None
+        assert dx.R is not None
+        w, a, b, c = x.R
+        xi = quaternion_product((w, -a, -b, -c), dx.R)[1:]
+        return dx.s - 2 * dot(x.M, xi)
+
+    def tangents(self, x: BodyState) -> list[BodyState]:
+        """Basis of the tangent space: ∂/∂M_i, the body-frame rotations e_i (and ∂/∂s)."""
+        zero3, zero4 = (0.0,) * 3, (0.0,) * 4
+        s0 = 0.0 if x.s is not None else None
+        R0 = zero4 if x.R is not None else None
+        unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        basis = [BodyState(e, R0, s0) for e in unit]
+        if x.R is not None:
+            for e in unit:
+                half = quaternion_product(x.R, (0.0, *(c / 2 for c in e)))
+                basis.append(BodyState(zero3, half, s0))
+        if x.s is not None:
+            basis.append(BodyState(zero3, R0, 1.0))
+        return basis
+
+    @property
+    def conformal_rate(self) -> Any:
+        return self.gamma
+
+
+def damping_matrix(value: Any) -> np.ndarray:
+    """D as a 3×3 array, from three rates or a matrix; `BadInput` unless symmetric and ≥ 0."""
+    message = f"damping = {value!r}: must be three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix"
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise BadInput(message) from None
+    matrix = np.diag(array) if array.shape == (3,) else array
+    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)) or not np.array_equal(matrix, matrix.T):
+        raise BadInput(message)
+    scale = np.abs(matrix).max()
+    if np.linalg.eigvalsh(matrix).min() < -4 * math.ulp(1.0) * scale:
+        raise BadInput(message)
+    return matrix

@@ -1,0 +1,1 @@
+"""The truth: closed forms, frozen high-precision files, live high-precision solutions."""
