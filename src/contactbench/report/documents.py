@@ -30,7 +30,7 @@ ANY = COMPILED + CALLBACKS
 
 def labels(table: str) -> dict[str, str]:
     """Column meanings of a table, for axis labels and headers."""
-    return dict(TABLES[table].columns)
+    return {name: column.meaning for name, column in TABLES[table].columns.items()}
 
 
 # -- equal error -----------------------------------------------------------------------------------
