@@ -64,10 +64,22 @@ class Request:
     atol: float | None = None
     max_steps: int = DEFAULT_MAX_STEPS
 
+    @property
+    def control(self) -> str:
+        """What is set: "step" or "rtol"."""
+        return "rtol" if self.step is None else "step"
+
+    @property
+    def value(self) -> float:
+        """To what it is set."""
+        value = self.rtol if self.step is None else self.step
+        assert value is not None  # `prepare` sees to it
+        return value
+
     @cached_property
     def setting(self) -> str:
         """The setting as it is keyed in tables."""
-        return f"step={self.step:.6g}" if self.step is not None else f"rtol={self.rtol:.3g}"
+        return f"{self.control}={self.value:.6g}"
 
 
 @dataclass
@@ -108,7 +120,7 @@ class Prepared:
         solution = Solution(
             r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
             out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
-            self.sensitivity_source,
+            self.sensitivity_source, r.control, r.value,
         )  # fmt: skip
         return solution
 
