@@ -12,12 +12,12 @@ from typing import Any
 # One thread for every engine; read when the libraries are first imported.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-import jax
 import pytest
 
 from contactbench.errors import BadInput
 from contactbench.results import journal
 from contactbench.results import schema as table
+from contactbench.xla import jax
 
 SHUFFLE_SEED = 20
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
@@ -24,6 +22,7 @@ from contactbench.methods import solve
 from contactbench.scene import BodyState, RigidBody, cross
 from contactbench.scenes import SCENES
 from contactbench.truth.reference import reference
+from contactbench.xla import jax, jnp
 
 BODY = "rigid_body"
 ANISOTROPIC = "rigid_body_anisotropic"

@@ -488,7 +488,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "XLA_FL
 
 def environment(profile: str, seed: int) -> dict[str, Any]:
     """Where and with what a run was made."""
-    import jax
+    from contactbench.xla import jax
 
     versions = {}
     for name in PACKAGES:
