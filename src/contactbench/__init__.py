@@ -8,7 +8,7 @@ from contactbench.plugins import load_installed
 from contactbench.scene import Mechanical, RigidBody, shifted
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 
 __all__ = [
     "LAWS",

@@ -28,7 +28,7 @@ from contactbench.claims.calculus import (
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 from contactbench.xla import jax, jnp
 
 DEGREES = (1, 2, 3)  #: degrees of freedom on which an identity is tested

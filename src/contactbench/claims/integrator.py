@@ -30,7 +30,7 @@ from contactbench.methods.fixed_step import FixedStep, trajectory
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
 from contactbench.splitting.flows import MECHANICAL, Flow
-from contactbench.truth.reference import decimal_context, reference, with_decimals
+from contactbench.truth import decimal_context, reference, with_decimals
 from contactbench.xla import jax, jnp
 
 PARTICLE = "particle"

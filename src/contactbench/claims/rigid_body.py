@@ -21,7 +21,7 @@ from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, 
 from contactbench.methods import solve
 from contactbench.scene import BodyState, RigidBody, cross
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 from contactbench.xla import jax, jnp
 
 BODY = "rigid_body"
