@@ -12,7 +12,6 @@ from typing import Any
 # One thread for every engine; read when the libraries are first imported.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-import jax
 import pytest
 
 from cells import family
@@ -23,6 +22,7 @@ from contactbench.results import journal, provenance
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import TABLES
 from contactbench.results.store import OldTable, read
+from contactbench.xla import jax
 
 SHUFFLE_SEED = 20
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -13,7 +13,7 @@ from cells import outcome, save_times
 from contactbench.measure.laws import MEANINGFUL, is_contact, laws_of
 from contactbench.measure.stability import slow_rate
 from contactbench.results.tables import DAMPING_RATES
-from contactbench.truth.reference import blow_up_time, condition_number
+from contactbench.truth import blow_up_time, condition_number
 
 
 class SolverError(Exception):

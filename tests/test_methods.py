@@ -13,7 +13,7 @@ from contactbench.measure.order import fit_order
 from contactbench.methods.base import steps_in
 from contactbench.methods.fixed_step import trajectory
 from contactbench.solution import Status
-from contactbench.truth.reference import blow_up_time
+from contactbench.truth import blow_up_time
 
 FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
 ADAPTIVE = [m for m in cb.METHODS.values() if m.adaptive]

@@ -165,7 +165,7 @@ def gate(arguments: argparse.Namespace) -> int:
 
 def references(_: argparse.Namespace) -> int:
     """Print the stored references, their digits and their digests."""
-    from contactbench.truth.reference import frozen_folder, manifest
+    from contactbench.truth import frozen_folder, manifest
 
     folder = frozen_folder()
     if folder is None:

@@ -211,7 +211,7 @@ def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> It
 
 def rolled(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
     """`repeat` as a compiled loop that asks for loops over stages too: the shortest code."""
-    from jax import lax
+    from contactbench.xla import lax
 
     return lax.fori_loop(0, n, lambda _, x: body(x), x)
 
@@ -235,7 +235,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
-        import jax
+        from contactbench.xla import jax
 
         super().__post_init__()
         saves = len(self.n)
@@ -263,8 +263,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
         return self.states(y0, fixed, short=True)
 
     def states(self, y0: Any, fixed: Any, short: bool = False) -> Any:
-        import jax.numpy as jnp
-        from jax import lax
+        from contactbench.xla import jnp, lax
 
         numbers, h, n = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
