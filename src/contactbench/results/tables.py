@@ -165,9 +165,7 @@ ENSEMBLE_TABLE = table(
     "throughput of ensembles: against C loops, at equal error, with their number and with the cores",
     {
         **COMMON,
-        "question": Column(
-            "what the row is for: arithmetic (same steps as C loops), error, size or cores", rule=Rule.same
-        ),
+        "question": Column("what the row is for: arithmetic (same steps as C loops), error, size or cores"),
         "trajectories": whole("number of trajectories"),
         "cores": whole("cores used"),
         "solution_error": number(
