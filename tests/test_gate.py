@@ -127,6 +127,7 @@ FAULTS = {
     "status": (setting(WORK_PRECISION, "rk4", status="diverged", solution_error=math.nan), "rk4", "status"),
     "a refusal that ends well": (setting(WORK_PRECISION, "cvode-bdf", status="ok"), "cvode-bdf", "status"),
     "order claimed": (setting(CONVERGENCE, "contact-o8", order_nominal=6), "contact-o8", "order_nominal"),
+    "family": (setting(LAWS_TABLE, "rk4", family="contact"), "rk4", "family"),
     "verdict of a claim": (setting(CLAIMS_TABLE, "any", verdict="refuted"), "any", "verdict"),
     "dropped method": (
         lambda t, r: None if r["method"] == "contact-o8" else r, "contact-o8", "row of convergence",
@@ -221,6 +222,25 @@ def test_new_rows_and_other_machines_are_noted_not_judged(baseline, tmp_path):
     verdict = accuracy(baseline, fresh)
     assert not verdict.red
     assert set(verdict.notes) == {"1 rows have no baseline yet", "processor: baseline a, fresh b"}
+
+
+def test_a_column_that_the_baseline_lacks_is_not_judged_and_one_that_is_lost_is(tmp_path):
+    """A law that is new, in a table from before it."""
+    new = setting(LAWS_TABLE, "rk4", momentum_balance=1e-3)
+    assert not judged(folder(tmp_path / "before"), new, tmp_path).red
+    had = folder(tmp_path / "had", new)
+    lines = accuracy(had, folder(tmp_path / "lost")).lines
+    assert {(line.method, line.measure) for line in lines if line.red} == {("rk4", "momentum_balance")}
+
+
+def test_tables_of_another_version_are_named_and_what_to_do(baseline, tmp_path, capsys):
+    fresh = folder(tmp_path / "fresh")
+    path = LAWS_TABLE.path(baseline)
+    path.write_text(path.read_text().replace(",3,smoke", ",2,smoke"))
+    status, text = outcome(capsys, "--only", "accuracy", "--baseline", baseline, "--fresh", fresh)
+    assert status == 2
+    assert f"{path}: schema 2, this version reads 3; run the benchmark (tox -e bench)" in text
+    assert text.count("\n") == 1
 
 
 def test_every_table_says_what_is_compared():
