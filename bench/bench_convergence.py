@@ -10,9 +10,9 @@ import math
 
 import contactbench as cb
 from cells import cells, outcome, save_times, scenes, setting, steps
-from contactbench.measure.analysis import fit_order
+from contactbench.measure.order import fit_order
 from contactbench.measure.precision import error_at
-from contactbench.results.schema import CONVERGENCE
+from contactbench.results.tables import CONVERGENCE
 
 POINTS = 9
 #: below this, relative to the solution, an error is round-off

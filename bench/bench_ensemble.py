@@ -21,7 +21,7 @@ import pytest
 
 import contactbench as cb
 from cells import cells, timed
-from contactbench.results.schema import ENSEMBLE_TABLE
+from contactbench.results.tables import ENSEMBLE_TABLE
 from limit import KERNELS, SHAPES
 from peers import prepared
 

@@ -16,7 +16,7 @@ from contactbench.measure.laws import (
     momentum_deviation,
     relative_deviation,
 )
-from contactbench.results.schema import LAWS_TABLE, LAWS_TIME
+from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 

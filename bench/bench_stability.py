@@ -20,7 +20,7 @@ from contactbench.measure.stability import (
     stability_limit,
     true_radius,
 )
-from contactbench.results.schema import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
+from contactbench.results.tables import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.scenes import hard_scenes
 from hard_cells import SolverError, overdamped_row, stability_row, weak_row
 

@@ -17,7 +17,7 @@ import pytest
 import contactbench as cb
 from cells import RTOLS, cells, engines, outcome, step_budget, timed, work_ladder
 from contactbench.measure.laws import absolute_error
-from contactbench.results.schema import WORK_PRECISION
+from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import standard_scenes
 from limit import KERNELS, kernel
 

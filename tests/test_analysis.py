@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.measure.analysis import cost_at_error, cost_to_reach, fit_order, paired_ratio, timing
+from contactbench.measure.order import fit_order
+from contactbench.results.statistics import cost_at_error, cost_to_reach, paired_ratio, timing
 
 H = [0.8 / 2**k for k in range(9)]
 

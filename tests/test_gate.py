@@ -21,7 +21,7 @@ from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import speed
 from contactbench.gate.accuracy import DECADES, accuracy
-from contactbench.measure.analysis import PairedRatio
+from contactbench.results.statistics import PairedRatio
 from contactbench.report.documents import gate_document
 from contactbench.results import schema as table
 from contactbench.results.schema import (

@@ -24,7 +24,7 @@ from contactbench.claims.calculus import (
     pullback,
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
-from contactbench.measure.analysis import fit_order
+from contactbench.measure.order import fit_order
 from contactbench.measure.laws import LAWS
 from contactbench.measure.stability import SLACK, spectral_radius
 from contactbench.methods import METHODS, solve

@@ -28,7 +28,7 @@ import pandas as pd
 from filelock import FileLock, Timeout
 
 from contactbench.errors import BadInput
-from contactbench.measure.analysis import PairedRatio, paired_ratio, timing
+from contactbench.results.statistics import PairedRatio, paired_ratio, timing
 
 LIMIT = 1.25
 ROUNDS = 15

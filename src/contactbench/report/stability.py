@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.analysis import cost_to_reach
+from contactbench.results.statistics import cost_to_reach
 from contactbench.report.markdown import DASH, duration, markdown, scientific
-from contactbench.results.schema import STABILITY
+from contactbench.results.tables import STABILITY
 
 Frames = dict[str, pd.DataFrame]
 

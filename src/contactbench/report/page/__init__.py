@@ -30,7 +30,8 @@ from contactbench.report.documents import (
     scientific,
 )
 from contactbench.report.markdown import times
-from contactbench.results.schema import SEPARATOR, TABLES, read, replacing
+from contactbench.results.schema import SEPARATOR, TABLES
+from contactbench.results.store import read, replacing
 
 #: tables with a section of their own; the others are shown as they are
 SECTIONS = ("work_precision", "laws", "convergence", "claims")
