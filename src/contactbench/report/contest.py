@@ -10,25 +10,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import pandas as pd
 
-from contactbench.measure.analysis import cost_to_reach
 from contactbench.report.model import DASH, Cell, Frames, Head, Mark, View, marks, word
 from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.results.statistics import TIE, cost_to_reach, noise, verdict
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 DECADES = tuple(10.0**-k for k in range(3, 13))
 CONTACT = "contact"
 #: rows that are no contestants: plain C loops
 LIMIT = "limit"
-#: costs whose ratio is no larger than this are a tie, whatever the noise measured
-TIE = 1.15
-#: of the repeated measurements, this part has a smaller ratio than the noise
-SHARE = 0.95
 CALLBACKS = ("python", "c+python")
 #: engines at extended precision, never timed
 UNTIMED = ("mpmath",)
@@ -61,16 +56,6 @@ CALLED_BACK = Kind(
     "Median time of a call that evaluates the right-hand side in Python; the fixed-step methods run in Python.",
 )  # fmt: skip
 KINDS = (EVALUATIONS, COMPILED, CALLED_BACK)
-
-
-def noise(work: pd.DataFrame) -> float:
-    """How far apart two measurements of the same cell are: the ratio that 95 % of the repeats stay below.
-
-    From `time_repeat_ratio`; 1 where nothing was repeated.
-    """
-    ratios = work.get("time_repeat_ratio", pd.Series(dtype=float)).astype(float).dropna()
-    ratios = ratios[ratios > 0]
-    return float(np.exp(np.quantile(np.abs(np.log(ratios)), SHARE))) if len(ratios) else 1.0
 
 
 def margin(work: pd.DataFrame, kind: Kind) -> float:
@@ -113,14 +98,17 @@ class Cost:
         return self.reason if not self.reached else ("≤ " if self.bound else "") + show(self.value)
 
 
-def cost(rows: pd.DataFrame, column: str, target: float) -> Cost:
+def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cost]:
     """Log–log interpolation between the settings of one method (on one engine, where times are asked)."""
     ok = rows[rows["status"] == "ok"]
-    errors, costs = ok["solution_error"].astype(float), ok[column].astype(float)
-    value = cost_to_reach(errors, costs, target)
-    if math.isnan(value):
-        return Cost(value, reason=unreached(rows, target))
-    return Cost(value, bound=bool(target > errors.max()))
+    errors, spent = ok["solution_error"].astype(float).tolist(), ok[column].astype(float).tolist()
+    loosest = max(errors, default=math.nan)
+    found = []
+    for target in targets:
+        value = cost_to_reach(errors, spent, target)
+        reason = unreached(rows, target) if math.isnan(value) else ""
+        found.append(Cost(value, target > loosest, reason))
+    return found
 
 
 @dataclass(frozen=True)
@@ -134,7 +122,7 @@ class Lead:
     costs: dict[str, Cost]
     family: dict[str, str]
     margin: float
-    missing: dict[str, Cost] = field(default_factory=dict)
+    missing: dict[str, Cost]
 
     @property
     def decided(self) -> bool:
@@ -170,7 +158,9 @@ class Lead:
         """For the contact methods: win, tie, loss, or "" where nobody gets there."""
         if math.isnan(self.ratio):
             return ""
-        return "win" if self.ratio > self.margin else "loss" if self.ratio < 1 / self.margin else "tie"
+        if math.isinf(self.ratio) or self.ratio == 0:
+            return "win" if self.ratio else "loss"
+        return verdict(1 / self.ratio, self.margin)
 
     def text(self, show: Callable[[float], str]) -> str:
         """**a** 12 µs; next b ×1.3, or: tie: a, b 12 µs."""
@@ -187,39 +177,41 @@ class Lead:
         return f"{shown} {least}{after}"
 
 
-def lead(work: pd.DataFrame, scene: str, target: float, kind: Kind, tie: float | None = None) -> Lead:
-    """The contest at one error on one scene."""
-    part = contestants(work)
-    part = part[(part["scene"] == scene)]
-    part = part[kind.engines(part["engine"])]
-    found: dict[str, Cost] = {}
-    missing: dict[str, Cost] = {}
-    for method, rows in part.groupby("method", sort=False):
-        groups = [g for _, g in rows.groupby("engine", sort=False)] if kind.timed else [rows]
-        costs = [cost(g, kind.cost, target) for g in groups if (g["status"] != "unsupported").any()]
-        reached = sorted((c for c in costs if c.reached), key=lambda c: c.value)
-        if reached:
-            found[str(method)] = reached[0]
-        elif costs:
-            missing[str(method)] = next((c for c in costs if c.reason != DASH), costs[0])
-    ordered = dict(sorted(found.items(), key=lambda item: item[1].value))
-    family = dict(zip(part["method"], part["family"], strict=True))
-    return Lead(ordered, family, margin(work, kind) if tie is None else tie, missing)
+class Field:
+    """All contests of a table of one kind: every scene, every error of DECADES.
 
+    leads : by scene and error.  scenes : all of them.  contested : those where both camps have a row.
+    """
 
-def leads(
-    work: pd.DataFrame, kind: Kind, targets: Iterable[float] = TARGETS
-) -> dict[tuple[str, float], Lead]:
-    """Every contest of a table in which both camps have a row of this kind on the scene."""
-    part = contestants(work)
-    part = part[kind.engines(part["engine"]) & (part["status"] != "unsupported")]
-    tie = margin(work, kind)
-    return {
-        (scene, target): lead(work, scene, target, kind, tie)
-        for scene, rows in part.groupby("scene", sort=False)
-        if (rows["family"] == CONTACT).any() and (rows["family"] != CONTACT).any()
-        for target in targets
-    }
+    def __init__(self, work: pd.DataFrame, kind: Kind) -> None:
+        self.kind, self.margin = kind, margin(work, kind)
+        part = contestants(work)
+        part = part[kind.engines(part["engine"]) & (part["status"] != "unsupported")]
+        family = dict(zip(part["method"], part["family"], strict=True))
+        self.methods = list(family)
+        self.scenes, self.contested = list(dict.fromkeys(part["scene"])), []
+        self.leads: dict[tuple[str, float], Lead] = {}
+        for scene, here in part.groupby("scene", sort=False):
+            known = {m: self.cheapest(rows) for m, rows in here.groupby("method", sort=False)}
+            if len({family[m] == CONTACT for m in known}) == 2:
+                self.contested.append(scene)
+            for i, target in enumerate(DECADES):
+                reached = {str(m): c[i] for m, c in known.items() if c[i].reached}
+                missing = {str(m): c[i] for m, c in known.items() if not c[i].reached}
+                ordered = dict(sorted(reached.items(), key=lambda item: item[1].value))
+                self.leads[str(scene), target] = Lead(ordered, family, self.margin, missing)
+
+    def cheapest(self, rows: pd.DataFrame) -> list[Cost]:
+        """What every error costs a method on a scene, on its best engine where times are asked."""
+        groups = [g for _, g in rows.groupby("engine", sort=False)] if self.kind.timed else [rows]
+        tried = zip(*(costs(g, self.kind.cost, DECADES) for g in groups), strict=True)
+        return [
+            min(t, key=lambda c: (not c.reached, c.value if c.reached else c.reason == DASH)) for t in tried
+        ]
+
+    def contests(self) -> dict[tuple[str, float], Lead]:
+        """Those that count: both camps have a row, errors of TARGETS."""
+        return {(s, t): self.leads[s, t] for s in self.contested for t in TARGETS}
 
 
 @dataclass(frozen=True)
@@ -262,108 +254,101 @@ DASHES = (
 )
 
 
-def error_heads(targets: Iterable[float] = TARGETS) -> list[Head]:
-    return [Head(f"error {power(target)}") for target in targets]
+def error_heads(words: bool = False) -> list[Head]:
+    return [Head(f"error {power(target)}", words=words) for target in TARGETS]
 
 
-def winners_view(work: pd.DataFrame, kind: Kind, name: str, title: str, source: str) -> View:
-    """Per scene and error the cheapest, those that tie with it, and the next."""
-    contests = leads(work, kind)
-    scenes = list(dict.fromkeys(scene for scene, _ in contests))
+def leading(contest: Lead, contact: bool) -> Mark | None:
+    """The mark of a camp's best."""
+    if contest.outcome == "tie":
+        return Mark.tie
+    return Mark.best if contest.outcome == ("win" if contact else "loss") else None
+
+
+def winners_view(field: Field, name: str, title: str, source: str) -> View:
+    """Per scene and error the cheapest, those that tie with it, and the next; marked where a contact method leads."""
     rows = []
-    for scene in scenes:
-        cells = []
-        for target in TARGETS:
-            contest = contests[scene, target]
-            mark = {"win": Mark.best, "tie": Mark.tie}.get(contest.outcome)
-            cells.append(Cell(contest.text(kind.show), marks=marks(mark)))
+    for scene in field.contested:
+        contests = (field.leads[scene, target] for target in TARGETS)
+        cells = (Cell(c.text(field.kind.show), marks=marks(leading(c, contact=True))) for c in contests)
         rows.append((word(scene), *cells))
-    heads = (Head("scene", words=True), *(Head(h.label, words=True) for h in error_heads()))
-    tie = margin(work, kind)
-    meaning = f"{kind.about} The cheapest at each error, then the next beyond a tie. {said(tie)} {DASHES}"
+    heads = (Head("scene", words=True), *error_heads(words=True))
+    meaning = f"{field.kind.about} The cheapest at each error, then the next beyond a tie. {said(field.margin)} {DASHES}"
     return View(name, title, meaning, heads, tuple(rows), source)
 
 
-def costs_view(work: pd.DataFrame, scene: str, kind: Kind, source: str) -> View:
+def costs_view(field: Field, scene: str, source: str) -> View:
     """What each error costs each method on a scene; the cheapest in bold, ties marked."""
-    contests = {target: lead(work, scene, target, kind) for target in TARGETS}
-    methods = [
-        m
-        for m in dict.fromkeys(contestants(work)["method"])
-        if any(m in c.costs or m in c.missing for c in contests.values())
-    ]
+    contests = {target: field.leads[scene, target] for target in TARGETS}
     rows = []
-    for method in methods:
+    for method in field.methods:
         cells = []
         for contest in contests.values():
-            own = contest.costs.get(method) or contest.missing[method]
-            leading = method in contest.first
-            mark = (Mark.best if len(contest.first) == 1 else Mark.tie) if leading else None
+            own = contest.costs.get(method) or contest.missing.get(method)
+            if own is None:
+                break
+            first = (Mark.best if len(contest.first) == 1 else Mark.tie) if method in contest.first else None
             value = own.value if own.reached else None
-            cells.append(Cell(own.text(kind.show), value, marks(mark, Mark.bound if own.bound else None)))
-        rows.append((word(method), *cells))
-    meaning = f"{kind.about} {said(margin(work, kind))} {DASHES}"
-    return View(
-        f"{kind.name}_{scene}", f"{kind.title} on {scene}", meaning,
-        (Head("method", words=True), *error_heads()), tuple(rows), source,
-    )  # fmt: skip
+            cells.append(
+                Cell(own.text(field.kind.show), value, marks(first, Mark.bound if own.bound else None))
+            )
+        else:
+            rows.append((word(method), *cells))
+    meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
+    title = f"{field.kind.title} on {scene}"
+    heads = (Head("method", words=True), *error_heads())
+    return View(f"{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
 
 
-def duel_view(work: pd.DataFrame, scene: str, kind: Kind, source: str) -> View | None:
-    """Decade by decade the best contact method beside the best other; None if a camp has no rows there."""
-    tie = margin(work, kind)
-    contests = {target: lead(work, scene, target, kind, tie) for target in DECADES}
-    everyone = {m for c in contests.values() for m in (*c.costs, *c.missing)}
-    family = next(iter(contests.values())).family
-    if len({family[m] == CONTACT for m in everyone}) < 2:
-        return None
+def duel_view(field: Field, scene: str, source: str) -> View:
+    """Decade by decade the best contact method beside the best other."""
     rows = []
-    for target, contest in contests.items():
+    for target in DECADES:
+        contest = field.leads[scene, target]
         cells = []
         for contact in (True, False):
             best = contest.best(contact)
             if best is None:
-                whys = {c.reason for m, c in contest.missing.items() if (family[m] == CONTACT) == contact}
-                cells.append(word(", ".join(sorted(whys - {DASH})) or DASH))
+                camp = (
+                    c.reason for m, c in contest.missing.items() if (contest.family[m] == CONTACT) == contact
+                )
+                cells.append(word(", ".join(sorted(set(camp) - {DASH})) or DASH))
             else:
-                mark = {"win": Mark.best, "tie": Mark.tie, "loss": None}[contest.outcome]
-                if not contact:
-                    mark = {"loss": Mark.best, "tie": Mark.tie, "win": None}[contest.outcome]
-                cells.append(Cell(f"{best} {contest.costs[best].text(kind.show)}", marks=marks(mark)))
+                text = f"{best} {contest.costs[best].text(field.kind.show)}"
+                cells.append(Cell(text, marks=marks(leading(contest, contact))))
         finite = math.isfinite(contest.ratio) and contest.ratio > 0
-        outcome = {"win": "contact", "loss": "other", "tie": "tie", "": DASH}[contest.outcome]
         ratio = Cell(times(contest.ratio), contest.ratio) if finite else Cell(DASH)
-        rows.append((word(power(target)), *cells, ratio, word(outcome)))
+        rows.append((word(power(target)), *cells, ratio, word(CHEAPER[contest.outcome])))
     heads = (
         Head("error", words=True), Head("best contact method", words=True), Head("best other method", words=True),
         Head("other / contact", "cost of the best other method in units of the best contact method"),
         Head("cheaper", words=True),
     )  # fmt: skip
-    meaning = f"{kind.about} {said(tie)} {DASHES}"
-    return View(
-        f"duel_{kind.name}_{scene}", f"{kind.title} on {scene}", meaning, heads, tuple(rows), source
-    )
+    title = f"{field.kind.title} on {scene}, decade by decade"
+    meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
+    return View(f"duel_{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
 
 
-def losses_view(work: pd.DataFrame, name: str, source: str) -> View:
+CHEAPER = {"win": CONTACT, "loss": "other", "tie": "tie", "": DASH}
+
+
+def losses_view(fields: Iterable[Field], name: str, source: str) -> View:
     """Every scene and error at which another method is cheaper than every contact method, kind by kind."""
-    contests = {kind: leads(work, kind) for kind in KINDS}
     rows = []
-    for scene in dict.fromkeys(work["scene"]):
-        for kind, found in contests.items():
+    for field in fields:
+        for scene in field.contested:
             cells = []
             for target in TARGETS:
-                contest = found.get((scene, target))
-                if contest is None or contest.outcome != "loss":
+                contest = field.leads[scene, target]
+                if contest.outcome != "loss":
                     cells.append(Cell(""))
                     continue
-                other = str(contest.best(contact=False))
-                alone = contest.ratio == 0
+                other, alone = str(contest.best(contact=False)), contest.ratio == 0
                 text = f"{other}, alone" if alone else f"{other} {times(1 / contest.ratio)}"
                 cells.append(Cell(text, None if alone else 1 / contest.ratio))
             if any(cell.text for cell in cells):
-                rows.append((word(scene), word(kind.title), *cells))
-    heads = (Head("scene", words=True), Head("compared", words=True), *error_heads())
+                rows.append((word(field.kind.title), word(scene), *cells))
+    heads = (Head("compared", words=True), Head("scene", words=True), *error_heads())
     meaning = (
         "What the best contact method costs in units of the cheapest other method. Blank: a contact method is "
         "cheapest, or it is a tie, or nobody gets there. Alone: no contact method reaches the error."
@@ -371,33 +356,37 @@ def losses_view(work: pd.DataFrame, name: str, source: str) -> View:
     return View(name, "Where the contact methods lose", meaning, heads, tuple(rows), source)
 
 
-def standing(work: pd.DataFrame, kind: Kind) -> tuple[str, str] | None:
+def standing(field: Field) -> tuple[str, str] | None:
     """The tally as a sentence, and what it covers; None without contests."""
-    contests = leads(work, kind)
-    count_ = tally(contests.values())
-    if not count_.decided:
+    contests = field.contests()
+    counted = tally(contests.values())
+    if not counted.decided:
         return None
     against = ", ".join(f"{method} {n}" for method, n in camps(contests.values()).items())
     sentence = (
-        f"A contact method is cheapest in {count_.wins} of {count_.decided} pairs of scene and error, "
-        f"{count_.ties} are ties, another method is cheapest in {count_.losses}"
+        f"A contact method is cheapest in {counted.wins} of {counted.decided} pairs of scene and error, "
+        f"{counted.ties} are ties, another method is cheapest in {counted.losses}"
         + (f" ({against})." if against else ".")
     )
-    scenes = list(dict.fromkeys(scene for scene, _ in contests))
     won = []
-    for scene in scenes:
+    for scene in field.contested:
         own = [contests[scene, t] for t in TARGETS if contests[scene, t].outcome]
         if own and all(c.outcome == "win" for c in own):
             known = [c.ratio for c in own if math.isfinite(c.ratio)]
-            by = f" ({times(min(known))} to {times(max(known))} ahead of the best other method)" if known else ""
+            by = (
+                f" ({times(min(known))} to {times(max(known))} ahead of the best other method)"
+                if known
+                else ""
+            )
             won.append(f"`{scene}`{by}")
     if won:
         sentence += f" A contact method is cheapest at every error on {names(won)}."
     covers = (
-        f"{len(scenes)} scenes, errors {', '.join(power(t) for t in TARGETS)}; a tie: within "
-        f"{100 * (margin(work, kind) - 1):.0f} %"
-        + (f"; {count_.open} pairs that nobody reaches are not counted" if count_.open else "")
+        f"{len(field.contested)} scenes, errors {', '.join(power(t) for t in TARGETS)}; a tie: within "
+        f"{100 * (field.margin - 1):.0f} %"
     )
+    if counted.open:
+        covers += f"; {counted.open} pairs that no method reaches are not counted"
     return sentence, covers
 
 
@@ -406,6 +395,6 @@ def families(frames: Frames) -> dict[str, str]:
     found: dict[str, str] = {}
     for frame in frames.values():
         if {"method", "family"} <= set(frame.columns):
-            pairs = frame[["method", "family"]].dropna().drop_duplicates()
+            pairs = frame[["method", "family"]].drop_duplicates()
             found |= {str(m): str(f) for m, f in pairs.itertuples(index=False)}
     return found

@@ -11,7 +11,21 @@ import pandas as pd
 from contactbench.report.contest import CONTACT
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.model import (
-    DASH, ROOMS, Cell, Figure, Finding, Frames, Head, Mark, Panel, Part, Room, View, marks, number, word,
+    DASH,
+    ROOMS,
+    Cell,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Panel,
+    Part,
+    Room,
+    View,
+    marks,
+    number,
+    word,
 )  # fmt: skip
 from contactbench.report.numbers import names
 from contactbench.report.raw import raw

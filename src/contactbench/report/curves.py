@@ -43,7 +43,5 @@ def by_method(
         method = str(names[0])
         values = np.array(floats(line[y])) * scale
         values = np.where(values <= 0, FLOOR, np.maximum(values, FLOOR))  # nan stays nan
-        curves.append(
-            Curve(floats(line[x]), tuple(values), method, method, hints=hints(line), **options)
-        )
+        curves.append(Curve(floats(line[x]), tuple(values), method, method, hints=hints(line), **options))
     return tuple(curves)

@@ -36,14 +36,12 @@ from contactbench.report.model import (
 )
 from contactbench.report.numbers import count, names, readable, scientific
 from contactbench.report.raw import raw
+from contactbench.results.round_off import STRUCTURE, floor
 from contactbench.results.schema import Column, Rule, Table
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE, LAWS_TIME
 
-#: at or below this a deviation is round-off where nothing magnifies it
-ROUND_OFF = 1e-12
-EPSILON = float(np.finfo(float).eps)
-#: rounding errors that are round-off whatever their number; more of them grow as their square root
-ROUNDINGS = 100.0
+#: a run with a larger error than this does not follow the motion, whose condition number then says little
+WILD = 0.01
 #: laws of the state alone: the sensitivity of the motion does not magnify their round-off
 OF_THE_STATE = ("momentum_law", "attitude_drift")
 #: the suffix of a law measured with the steps of an adaptive method held fixed
@@ -81,13 +79,27 @@ def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Seri
 def bound(rows: pd.DataFrame, law: str) -> pd.Series:
     """Up to what a deviation from a law is round-off, row by row.
 
-    ε for each of ROUNDINGS rounding errors, or of √n for n evaluations, times the condition number of
-    the motion where the law is one of the derivative; no less than ROUND_OFF.
+    The motion magnifies the round-off of a law of the derivative by its condition number, that of a law
+    of the state it does not.
     """
     if law in OF_THE_STATE:
-        return pd.Series(ROUND_OFF, rows.index)
-    errors = np.maximum(ROUNDINGS, np.sqrt(numbers(rows, "evaluations", 0.0)))
-    return np.maximum(ROUND_OFF, EPSILON * errors * np.maximum(1.0, numbers(rows, "condition_number", 1.0)))
+        return pd.Series(STRUCTURE, rows.index)
+    return pd.Series(floor(Rule.structure, rows), rows.index)
+
+
+MEASURED = [
+    "scene",
+    "method",
+    "family",
+    "setting",
+    "solution_error",
+    "value",
+    "bound",
+    "condition",
+    "frozen",
+    "unsure",
+    "kept",
+]
 
 
 def measured(frames: Frames, law: str) -> pd.DataFrame:
@@ -107,11 +119,7 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
         )  # fmt: skip
     parts = [part[part.columns[part.notna().any()]] for part in parts if len(part)]
     if not parts:
-        return pd.DataFrame(
-            columns=[
-                "scene", "method", "family", "setting", "value", "bound", "condition", "frozen", "unsure"
-            ]
-        )  # fmt: skip
+        return pd.DataFrame(columns=MEASURED)
     rows = pd.concat(parts, ignore_index=True)
     rows["frozen"] = numbers(rows, "frozen")
     return rows.assign(kept=(rows["value"] <= rows["bound"]) & ~rows["unsure"].astype(bool))
@@ -137,7 +145,7 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
     kept, contact = keepers(rows), rows["family"] == CONTACT
     ours = list(dict.fromkeys(rows[contact]["method"]))
     exceptions = list(contact_exceptions(frames, law, rows[contact & ~rows["kept"]]))
-    magnified = rows[contact & rows["kept"] & (rows["value"] > ROUND_OFF)]
+    magnified = rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]
     if len(magnified):
         where = [
             f"`{scene}` (condition number {scientific(part['condition'].max())}) up to {scientific(part['value'].max())}"
@@ -147,7 +155,10 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
     if ours and (not exceptions or set(ours) <= set(kept)):
         sentence = "Every contact method keeps it to round-off at every setting on every scene"
     elif ours:
-        sentence = "The contact methods keep it to round-off at every setting, with the exceptions below"
+        good, all_ = int((contact & rows["kept"]).sum()), int(contact.sum())
+        sentence = (
+            f"The contact methods keep it to round-off, in {good} of {all_} runs; the exceptions are below"
+        )
     else:
         sentence = "No contact method was measured"
     others = [method for method in kept if method not in ours]
@@ -170,7 +181,9 @@ def covers(rows: pd.DataFrame, frames: Frames, law: str) -> str:
     said = f"{len(rows)} runs of {rows['method'].nunique()} methods on {rows['scene'].nunique()} scenes"
     ran = [frames[n] for n in ("laws", "stability") if n in frames and law in frames[n]]
     scenes = set(rows["scene"])
-    tried = dict.fromkeys(m for f in ran for m in f[(f["status"] == "ok") & f["scene"].isin(scenes)]["method"])
+    tried = dict.fromkeys(
+        m for f in ran for m in f[(f["status"] == "ok") & f["scene"].isin(scenes)]["method"]
+    )
     if without := [m for m in tried if m not in set(rows["method"])]:
         said += f"; not measured: {names(without)}"
     return said
@@ -200,8 +213,12 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
             cause = f"; what is kept there: {names(instead)}" if instead else ""
         else:
             who = names(methods, 3)
-            over = f"{worst['value'] / worst['bound']:.2g} times the bound of round-off"
-            condition = f", condition number {scientific(worst['condition'])}" if worst["condition"] > 1 else ""
+            over = f"{worst['value'] / worst['bound']:.3g} times the bound of round-off"
+            if worst["solution_error"] > WILD:
+                over += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
+            condition = (
+                f", condition number {scientific(worst['condition'])}" if worst["condition"] > 1 else ""
+            )
             cause = f", {over}{condition}"
         yield f"on `{scene}` {who}: up to {scientific(worst['value'])} ({worst['method']}, {worst['setting']}){cause}"
 
@@ -272,9 +289,7 @@ def drift_cell(row: pd.Series, law: str) -> Cell:
     structure = LAWS_TABLE.columns[law].rule is Rule.structure
     limit = float(bound(row.to_frame().T, law).iloc[0])
     kept = Mark.kept if structure and value <= limit and error <= max(value, limit) else None
-    return Cell(
-        text + (DAGGER if clamped else ""), value, marks(kept, Mark.clamped if clamped else None)
-    )
+    return Cell(text + (DAGGER if clamped else ""), value, marks(kept, Mark.clamped if clamped else None))
 
 
 def order_cell(frames: Frames, method: str, scene: str) -> Cell:
@@ -347,7 +362,10 @@ def equal_cost_view(frames: Frames, scene: str) -> View:
     for _, row in part.iterrows():
         lead = (word(row["method"]), word(row["engine"]), word(row["setting"]))
         if row["status"] != "ok":
-            blanks = (Cell(str(row["status"]), marks=marks(Mark.none)), *(Cell("") for _ in range(len(shown) + 2)))
+            blanks = (
+                Cell(str(row["status"]), marks=marks(Mark.none)),
+                *(Cell("") for _ in range(len(shown) + 2)),
+            )
             rows.append((*lead, *blanks))
             continue
         rows.append((

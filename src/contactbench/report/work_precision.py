@@ -2,17 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pandas as pd
 
 from contactbench.report.contest import (
-    KINDS, LIMIT, contestants, costs_view, duel_view, lead, leads, losses_view, noise, standing, winners_view,
+    KINDS,
+    LIMIT,
+    TARGETS,
+    Field,
+    contestants,
+    costs_view,
+    duel_view,
+    losses_view,
+    standing,
+    winners_view,
 )  # fmt: skip
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.model import (
-    ROOMS, Cell, Figure, Finding, Frames, Head, Mark, Panel, Part, Room, Section, Text, View, marks, number, word,
+    ROOMS,
+    Cell,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Panel,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    marks,
+    number,
+    word,
 )  # fmt: skip
-from contactbench.report.numbers import count, duration, scientific, times
+from contactbench.report.numbers import count, duration, names, power, scientific, times
 from contactbench.report.raw import raw
+from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import WORK_PRECISION
 
 SOURCE = "work_precision.csv"
@@ -23,7 +50,7 @@ ERROR = WORK_PRECISION.columns["solution_error"].meaning
 def findings(frames: Frames) -> list[Finding]:
     found = []
     for kind in KINDS:
-        if said := standing(frames["work_precision"], kind):
+        if said := standing(Field(frames["work_precision"], kind)):
             found.append(Finding(f"cost_{kind.name}", f"{kind.title}, at equal error", *said))
     return found
 
@@ -35,7 +62,9 @@ def endings_view(work: pd.DataFrame, scene: str) -> View | None:
     if not len(part):
         return None
     rows = []
-    for (method, status, message), runs in part.groupby(["method", "status", "message"], sort=False, dropna=False):
+    for (method, status, message), runs in part.groupby(
+        ["method", "status", "message"], sort=False, dropna=False
+    ):
         settings = "all" if status == "unsupported" else ", ".join(dict.fromkeys(runs["setting"]))
         rows.append((word(method), word(", ".join(dict.fromkeys(runs["engine"]))), word(settings), word(status), word(message)))  # fmt: skip
     heads = tuple(Head(label, words=True) for label in ("method", "engine", "setting", "status", "why"))
@@ -110,60 +139,68 @@ def chosen_view(work: pd.DataFrame) -> View | None:
         *(Head(label, words=True) for label in ("scene", "method", "engine")), Head("rtol"), Head("error"),
         Head("error / rtol"), Head("steps"), Head("evaluations with pilots"), Head("time with pilots"),
     )  # fmt: skip
-    meaning = "The step is chosen from pilot runs for the tolerance asked for. Marked: less accurate than asked."
+    meaning = (
+        "The step is chosen from pilot runs for the tolerance asked for. Marked: less accurate than asked."
+    )
     return View("chosen", "A step chosen from a tolerance", meaning, heads, tuple(rows), SOURCE)
 
 
-def reasons(work: pd.DataFrame) -> tuple[str, ...]:
+def reasons(fields: Iterable[Field]) -> tuple[str, ...]:
     """What the table shows of where the contact methods lose: at which errors, on which scenes, how often."""
     said = []
-    for kind in KINDS:
-        contests = leads(work, kind)
+    for field in fields:
+        contests = field.contests()
         lost = {key: c for key, c in contests.items() if c.outcome == "loss"}
         if not lost:
             continue
-        errors = {t: sum(target == t for _, target in lost) for t in dict.fromkeys(t for _, t in contests)}
-        by_error = ", ".join(f"{n} at {scientific(t, 0)}" for t, n in errors.items() if n)
+        errors = {t: sum(target == t for _, target in lost) for t in TARGETS}
+        by_error = ", ".join(f"{n} at {power(t)}" for t, n in errors.items() if n)
         always = [
-            f"`{s}`" for s in dict.fromkeys(s for s, _ in lost)
-            if all(c.outcome in ("loss", "") for (scene, _), c in contests.items() if scene == s)
+            f"`{scene}`" for scene in field.contested
+            if {contests[scene, t].outcome for t in TARGETS} - {""} == {"loss"}
         ]  # fmt: skip
-        sentence = f"**{kind.title}**: {len(lost)} losses, {by_error}"
-        said.append(sentence + (f"; at every error on {', '.join(always)}." if always else "."))
+        sentence = f"**{field.kind.title}**: {len(lost)} of {len(contests)} lost, {by_error}"
+        said.append(sentence + (f"; at every error on {names(always)}." if always else "."))
     return tuple(said)
 
 
 def noise_text(work: pd.DataFrame) -> Text:
-    ratios = work.get("time_repeat_ratio", pd.Series(dtype=float)).dropna()
+    ratios = work["time_repeat_ratio"].dropna()
     if not len(ratios):
         return Text("No cell was timed twice in these tables: the noise of the times is not known.")
     return Text(
         f"Every timed cell is measured twice, at two places of a shuffled order: of {len(ratios)} such pairs 95 % are "
-        f"within {times(noise(work))} of each other. A tie is what is within 15 % or within that, whichever is larger."
+        f"within {times(noise(work))} of each other. A tie is what is within {times(TIE)} or within that, whichever is larger."
     )
 
 
-def scene_section(work: pd.DataFrame, scene: str) -> Section:
-    present = [k for k in KINDS if lead(work, scene, 1e-3, k).costs or lead(work, scene, 1e-3, k).missing]
+def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Section:
     parts: list[Part | None] = [figure(work, scene)]
-    for kind in present:
-        parts += [costs_view(work, scene, kind, SOURCE), duel_view(work, scene, kind, SOURCE)]
+    for field in fields:
+        if scene in field.scenes:
+            parts.append(costs_view(field, scene, SOURCE))
+        if scene in field.contested:
+            parts.append(duel_view(field, scene, SOURCE))
     parts.append(endings_view(work, scene))
     return Section(scene, tuple(part for part in parts if part is not None), choice="scene")
 
 
 def sections(frames: Frames) -> list[Part]:
     work = frames["work_precision"]
+    fields = [Field(work, kind) for kind in KINDS]
     parts: list[Part] = [
         Text(
             f"Log–log interpolation between a method's own settings. The error is {ERROR}. Evaluations, times of "
             "compiled calls and times of solvers that call back into Python are three comparisons, never one."
         ),
         noise_text(work),
-        *(winners_view(work, k, f"winners_{k.name}", f"Cheapest at equal error: {k.title}", SOURCE) for k in KINDS),
-        losses_view(work, "losses", SOURCE),
-        Text(items=reasons(work)),
-        *(scene_section(work, str(scene)) for scene in dict.fromkeys(work["scene"])),
+        *(
+            winners_view(f, f"winners_{f.kind.name}", f"Cheapest at equal error: {f.kind.title}", SOURCE)
+            for f in fields
+        ),
+        losses_view(fields, "losses", SOURCE),
+        Text(items=reasons(fields)),
+        *(scene_section(work, str(scene), fields) for scene in dict.fromkeys(work["scene"])),
     ]
     parts += [view for view in (kernels_view(work), chosen_view(work)) if view is not None]
     return [*parts, raw(WORK_PRECISION, work)]
