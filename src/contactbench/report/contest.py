@@ -25,6 +25,8 @@ CONTACT = "contact"
 #: rows that are no contestants: plain C loops
 LIMIT = "limit"
 CALLBACKS = ("python", "c+python")
+#: endings that are our doing: a finer setting might be more accurate
+CUT = ("budget", "timeout")
 #: engines at extended precision, never timed
 UNTIMED = ("mpmath",)
 
@@ -68,15 +70,15 @@ def contestants(work: pd.DataFrame) -> pd.DataFrame:
     return work[(work["family"] != LIMIT) & (work["variant"].fillna("") == "")]
 
 
-def unreached(rows: pd.DataFrame, target: float) -> str:
-    """Why no setting of a method reaches an error: the status of a finer one that did not end, or a dash.
+def unreached(rows: pd.DataFrame) -> str:
+    """Why no setting of a method is more accurate: the status of a finer one that we cut off, or a dash.
 
-    rows : of one method on one scene.  A dash: no setting tried is as accurate.
+    rows : of one method on one scene.  A dash: no setting tried is more accurate.
     """
-    ok = rows[rows["status"] == "ok"]
-    best = ok.loc[ok["solution_error"].astype(float).idxmin(), "value"] if len(ok) else math.inf
-    cut = rows[(rows["value"] < best) & rows["status"].isin(["budget", "timeout"])]
-    return str(cut.sort_values("value")["status"].iloc[-1]) if len(cut) else DASH
+    runs = list(zip(rows["value"], rows["status"], rows["solution_error"].astype(float), strict=True))
+    best = min(((error, value) for value, status, error in runs if status == "ok"), default=(math.inf, math.inf))
+    cut = [(value, status) for value, status, _ in runs if status in CUT and value < best[1]]
+    return str(max(cut)[1]) if cut else DASH
 
 
 @dataclass(frozen=True)
@@ -100,15 +102,11 @@ class Cost:
 
 def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cost]:
     """Log–log interpolation between the settings of one method (on one engine, where times are asked)."""
-    ok = rows[rows["status"] == "ok"]
-    errors, spent = ok["solution_error"].astype(float).tolist(), ok[column].astype(float).tolist()
-    loosest = max(errors, default=math.nan)
-    found = []
-    for target in targets:
-        value = cost_to_reach(errors, spent, target)
-        reason = unreached(rows, target) if math.isnan(value) else ""
-        found.append(Cost(value, target > loosest, reason))
-    return found
+    ok = (rows["status"] == "ok").to_numpy()
+    errors, spent = (rows[name].to_numpy(dtype=float, na_value=math.nan)[ok].tolist() for name in ("solution_error", column))
+    loosest, reason = max(errors, default=math.nan), unreached(rows)
+    values = ((target, cost_to_reach(errors, spent, target)) for target in targets)
+    return [Cost(value, target > loosest, reason) for target, value in values]
 
 
 @dataclass(frozen=True)
@@ -187,6 +185,7 @@ class Field:
         self.kind, self.margin = kind, margin(work, kind)
         part = contestants(work)
         part = part[kind.engines(part["engine"]) & (part["status"] != "unsupported")]
+        part = part[["scene", "method", "family", "engine", "value", "status", "solution_error", kind.cost]]
         family = dict(zip(part["method"], part["family"], strict=True))
         self.methods = list(family)
         self.scenes, self.contested = list(dict.fromkeys(part["scene"])), []

@@ -39,6 +39,7 @@ def by_method(
     """A curve for each method, and for each value of the columns `apart`; y in units of 1/scale."""
     keys = ["method", *apart]
     curves = []
+    rows = rows[[name for name in dict.fromkeys([*keys, x, y, "setting", "engine"]) if name in rows]]
     for names, line in rows.groupby(keys, sort=False, dropna=False):
         method = str(names[0])
         values = np.array(floats(line[y])) * scale

@@ -88,18 +88,9 @@ def bound(rows: pd.DataFrame, law: str) -> pd.Series:
 
 
 MEASURED = [
-    "scene",
-    "method",
-    "family",
-    "setting",
-    "solution_error",
-    "value",
-    "bound",
-    "condition",
-    "frozen",
-    "unsure",
-    "kept",
-]
+    "scene", "method", "family", "setting", "solution_error", "value", "bound", "condition", "frozen", "unsure",
+    "contact_drift_clamped",
+]  # fmt: skip
 
 
 def measured(frames: Frames, law: str) -> pd.DataFrame:
@@ -117,11 +108,9 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
                 frozen=numbers(part, law + FROZEN), unsure=uncertainty > numbers(part, law),
             )
         )  # fmt: skip
-    parts = [part[part.columns[part.notna().any()]] for part in parts if len(part)]
     if not parts:
-        return pd.DataFrame(columns=MEASURED)
-    rows = pd.concat(parts, ignore_index=True)
-    rows["frozen"] = numbers(rows, "frozen")
+        return pd.DataFrame(columns=[*MEASURED, "kept"])
+    rows = pd.concat([part.reindex(columns=MEASURED) for part in parts], ignore_index=True)
     return rows.assign(kept=(rows["value"] <= rows["bound"]) & ~rows["unsure"].astype(bool))
 
 
@@ -277,19 +266,34 @@ def findings(frames: Frames) -> list[Finding]:
 
 
 # -- views -----------------------------------------------------------------------------------------
+def bounded(frame: pd.DataFrame) -> pd.DataFrame:
+    """The frame with a column `LAW_bound` for each structural law it has: up to what it is round-off."""
+    return frame.assign(**{f"{law}_bound": bound(frame, law) for law in structural() if law in frame})
+
+
 def drift_cell(row: pd.Series, law: str) -> Cell:
-    """One deviation: with its error bar where that is a tenth of it or more, and a dagger where clamped."""
-    value, error = row.get(law), numbers(row.to_frame().T, f"{law}_uncertainty", 0.0).iloc[0]
+    """One deviation: with its error bar where that is a tenth of it or more, and a dagger where clamped.
+
+    row : of a frame that is `bounded`.
+    """
+    value = row.get(law)
     if value is None or pd.isna(value):
-        why = row.get("derivative") if law.endswith("drift") else ""
-        return Cell(DASH, hint="" if pd.isna(why) else str(why))
+        return Cell(DASH, hint=str(row.get("derivative", "")) if law.endswith("drift") else "")
     value = float(value)
-    text = scientific(value) + (f" ± {scientific(error, 0)}" if error >= value / 10 and error > 0 else "")
-    clamped = law == "contact_drift" and numbers(row.to_frame().T, "contact_drift_clamped", 0.0).iloc[0] > 0
-    structure = LAWS_TABLE.columns[law].rule is Rule.structure
-    limit = float(bound(row.to_frame().T, law).iloc[0])
-    kept = Mark.kept if structure and value <= limit and error <= max(value, limit) else None
-    return Cell(text + (DAGGER if clamped else ""), value, marks(kept, Mark.clamped if clamped else None))
+    error, limit = (scalar(row, f"{law}_{name}") for name in ("uncertainty", "bound"))
+    text = scientific(value) + (f" ± {scientific(error, 0)}" if error > 0 and error >= value / 10 else "")
+    clamped = law == "contact_drift" and scalar(row, "contact_drift_clamped") > 0
+    kept = law in structural() and value <= limit and error <= max(value, limit)
+    return Cell(
+        text + (DAGGER if clamped else ""), value,
+        marks(Mark.kept if kept else None, Mark.clamped if clamped else None),
+    )  # fmt: skip
+
+
+def scalar(row: pd.Series, name: str) -> float:
+    """A number of a row, 0 where it is blank."""
+    value = row.get(name)
+    return 0.0 if value is None or pd.isna(value) else float(value)
 
 
 def order_cell(frames: Frames, method: str, scene: str) -> Cell:
@@ -323,6 +327,7 @@ def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
     for scene in scenes:
         heads.append(Head("order", "order of convergence, extrapolated", group=scene))
         heads += [Head(LAWS_TABLE.columns[law].label, LAWS_TABLE.columns[law].meaning, group=scene) for law in shown[scene]]  # fmt: skip
+    part = bounded(part)
     rows = []
     for method in dict.fromkeys(part["method"]):
         cells = [word(method)]
@@ -355,7 +360,7 @@ def equal_cost(part: pd.DataFrame) -> str:
 
 def equal_cost_view(frames: Frames, scene: str) -> View:
     """One scene of the table at equal cost, with the setting taken and what it cost."""
-    part = frames["decay_laws"]
+    part = bounded(frames["decay_laws"])
     part = part[part["scene"] == scene]
     shown = [law for law in laws(LAWS_TABLE, "overview") if law in part and part[law].notna().any()]
     rows = []
