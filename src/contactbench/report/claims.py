@@ -6,7 +6,22 @@ import pandas as pd
 
 from contactbench.report import paper_figures
 from contactbench.report.model import (
-    DASH, ROOMS, Cell, Figure, Finding, Frames, Head, Mark, Part, Room, Section, Text, View, number, slug, word,
+    DASH,
+    ROOMS,
+    Cell,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    number,
+    slug,
+    word,
 )  # fmt: skip
 from contactbench.results.schema import SEPARATOR
 
@@ -58,7 +73,11 @@ def claims_view(frame: pd.DataFrame) -> View:
     rows = []
     for _, row in frame.iterrows():
         mark = VERDICTS[row["verdict"]][0] if row["verdict"] in VERDICTS else Mark.bad
-        bound = Cell(DASH) if pd.isna(row["bound"]) else Cell(f"{row['relation']} {row['bound']:.2g}", row["bound"])
+        bound = (
+            Cell(DASH)
+            if pd.isna(row["bound"])
+            else Cell(f"{row['relation']} {row['bound']:.2g}", row["bound"])
+        )
         rows.append((
             word(row["id"], link=f"#{slug(heading(row))}"), word(verdict(row), mark), Cell(row["claim"], more=more(row)),
             word(row["where"]), word(row["quantity"]), number(row["measured"], "{:.2g}".format), bound,
@@ -75,13 +94,17 @@ def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
     """One claim: where, what, evidence, verdict, correction, command, figures."""
     parts: list[Part] = [Text(f"**Claim** ({row['where']}). {row['claim']}")]
     if row["status"] != "ok":
-        return Section(heading(row), (*parts, Text(f"Not measured: {row['message']}"), Text(f"`{row['command']}`")))
+        return Section(
+            heading(row), (*parts, Text(f"Not measured: {row['message']}"), Text(f"`{row['command']}`"))
+        )
     parts.append(Text(f"**Measured** on {row['scene']}. Method: {row['method']}.", items(row["evidence"])))
     if row["correction"]:
         said = f"**{CAPTIONS.get(row['correction_kind'], 'Corrected')}.** {row['correction']}"
         parts.append(Text(said, items(row["corrected_evidence"])))
     parts.append(Text(f"Measure it again: `{row['command']}`"))
-    parts += [drawn.pop(name) for name in row["figures"].split() if name in drawn]  # once, where it is first needed
+    parts += [
+        drawn.pop(name) for name in row["figures"].split() if name in drawn
+    ]  # once, where it is first needed
     return Section(heading(row), tuple(parts))
 
 
@@ -94,7 +117,9 @@ def findings(frames: Frames) -> list[Finding]:
     if not len(frame):
         return []
     held, corrected, refuted = count(frame).values()
-    sentence = f"Of its {len(frame)} claims {held} hold, {corrected} hold once corrected, {refuted} are refuted."
+    sentence = (
+        f"Of its {len(frame)} claims {held} hold, {corrected} hold once corrected, {refuted} are refuted."
+    )
     missing = frame[~frame["verdict"].isin(VERDICTS)]
     exceptions = tuple(f"{r['id']} was not measured: {r['message']}" for _, r in missing.iterrows())
     return [Finding("claims", "The paper", sentence, f"{len(frame)} claims", exceptions)]
@@ -103,7 +128,9 @@ def findings(frames: Frames) -> list[Finding]:
 def sections(frames: Frames) -> list[Part]:
     frame = frames["claims"]
     drawn = {figure.name: figure for figure in paper_figures.all_figures(frames["paper_figures"])}
-    fell = frame[frame["verdict"].isin([name for name in VERDICTS if name != "holds"]) & (frame["correction"] != "")]
+    fell = frame[
+        frame["verdict"].isin([name for name in VERDICTS if name != "holds"]) & (frame["correction"] != "")
+    ]
     changes = tuple(
         f"[{r['id']}](#{slug(heading(r))}), {r['where']}: {r['correction']}" for _, r in fell.iterrows()
     )

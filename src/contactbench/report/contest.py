@@ -25,6 +25,8 @@ CONTACT = "contact"
 #: rows that are no contestants: plain C loops
 LIMIT = "limit"
 CALLBACKS = ("python", "c+python")
+#: of those that tie, so many are named
+NAMED = 3
 #: endings that are our doing: a finer setting might be more accurate
 CUT = ("budget", "timeout")
 #: engines at extended precision, never timed
@@ -76,7 +78,9 @@ def unreached(rows: pd.DataFrame) -> str:
     rows : of one method on one scene.  A dash: no setting tried is more accurate.
     """
     runs = list(zip(rows["value"], rows["status"], rows["solution_error"].astype(float), strict=True))
-    best = min(((error, value) for value, status, error in runs if status == "ok"), default=(math.inf, math.inf))
+    best = min(
+        ((error, value) for value, status, error in runs if status == "ok"), default=(math.inf, math.inf)
+    )
     cut = [(value, status) for value, status, _ in runs if status in CUT and value < best[1]]
     return str(max(cut)[1]) if cut else DASH
 
@@ -103,7 +107,10 @@ class Cost:
 def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cost]:
     """Log–log interpolation between the settings of one method (on one engine, where times are asked)."""
     ok = (rows["status"] == "ok").to_numpy()
-    errors, spent = (rows[name].to_numpy(dtype=float, na_value=math.nan)[ok].tolist() for name in ("solution_error", column))
+    errors, spent = (
+        rows[name].to_numpy(dtype=float, na_value=math.nan)[ok].tolist()
+        for name in ("solution_error", column)
+    )
     loosest, reason = max(errors, default=math.nan), unreached(rows)
     values = ((target, cost_to_reach(errors, spent, target)) for target in targets)
     return [Cost(value, target > loosest, reason) for target, value in values]
@@ -131,6 +138,12 @@ class Lead:
         """The cheapest, and those no dearer than the margin."""
         least = min((c.value for c in self.costs.values()), default=math.nan)
         return [m for m, c in self.costs.items() if c.value <= least * self.margin]
+
+    @property
+    def tied(self) -> list[str]:
+        """Those that tie for the first place, the best of each camp before the others."""
+        bests = [m for m in (self.best(True), self.best(False)) if m in self.first]
+        return list(dict.fromkeys([*sorted(bests, key=self.first.index), *self.first]))
 
     @cached_property
     def next(self) -> str | None:
@@ -166,7 +179,7 @@ class Lead:
             reasons = {c.reason for c in self.missing.values()} - {DASH}
             return ", ".join(sorted(reasons)) or DASH
         least = self.costs[self.first[0]].text(show)
-        shown = f"tie: {', '.join(self.first)}" if len(self.first) > 1 else f"**{self.first[0]}**"
+        shown = f"tie: {names(self.tied, NAMED)}" if len(self.first) > 1 else f"**{self.first[0]}**"
         after = (
             f"; {self.next} {times(self.costs[self.next].value / self.costs[self.first[0]].value)}"
             if self.next
@@ -264,13 +277,20 @@ def leading(contest: Lead, contact: bool) -> Mark | None:
     return Mark.best if contest.outcome == ("win" if contact else "loss") else None
 
 
-def winners_view(field: Field, name: str, title: str, source: str) -> View:
-    """Per scene and error the cheapest, those that tie with it, and the next; marked where a contact method leads."""
+def winners_view(
+    field: Field, name: str, title: str, source: str, called: Callable[[str], str] = str
+) -> View:
+    """Per scene and error the cheapest, those that tie with it, and the next; marked where a contact method leads.
+
+    called : what a scene is called.
+    """
     rows = []
     for scene in field.contested:
-        contests = (field.leads[scene, target] for target in TARGETS)
+        contests = [field.leads[scene, target] for target in TARGETS]
+        if not any(c.decided for c in contests):
+            continue
         cells = (Cell(c.text(field.kind.show), marks=marks(leading(c, contact=True))) for c in contests)
-        rows.append((word(scene), *cells))
+        rows.append((word(called(scene)), *cells))
     heads = (Head("scene", words=True), *error_heads(words=True))
     meaning = f"{field.kind.about} The cheapest at each error, then the next beyond a tie. {said(field.margin)} {DASHES}"
     return View(name, title, meaning, heads, tuple(rows), source)
@@ -299,10 +319,10 @@ def costs_view(field: Field, scene: str, source: str) -> View:
     return View(f"{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
 
 
-def duel_view(field: Field, scene: str, source: str) -> View:
+def duel_view(field: Field, scene: str, source: str, targets: Iterable[float] = DECADES) -> View:
     """Decade by decade the best contact method beside the best other."""
     rows = []
-    for target in DECADES:
+    for target in targets:
         contest = field.leads[scene, target]
         cells = []
         for contact in (True, False):
@@ -323,7 +343,7 @@ def duel_view(field: Field, scene: str, source: str) -> View:
         Head("other / contact", "cost of the best other method in units of the best contact method"),
         Head("cheaper", words=True),
     )  # fmt: skip
-    title = f"{field.kind.title} on {scene}, decade by decade"
+    title = f"{field.kind.title} on {scene}: the best of each camp"
     meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
     return View(f"duel_{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
 
@@ -353,6 +373,25 @@ def losses_view(fields: Iterable[Field], name: str, source: str) -> View:
         "cheapest, or it is a tie, or nobody gets there. Alone: no contact method reaches the error."
     )
     return View(name, "Where the contact methods lose", meaning, heads, tuple(rows), source)
+
+
+def reasons(fields: Iterable[Field]) -> tuple[str, ...]:
+    """What the table shows of where the contact methods lose: at which errors, on which scenes, how often."""
+    said = []
+    for field in fields:
+        contests = field.contests()
+        lost = {key: c for key, c in contests.items() if c.outcome == "loss"}
+        if not lost:
+            continue
+        errors = {t: sum(target == t for _, target in lost) for t in TARGETS}
+        by_error = ", ".join(f"{n} at {power(t)}" for t, n in errors.items() if n)
+        always = [
+            f"`{scene}`" for scene in field.contested
+            if {contests[scene, t].outcome for t in TARGETS} - {""} == {"loss"}
+        ]  # fmt: skip
+        sentence = f"**{field.kind.title}**: {len(lost)} of {len(contests)} lost, {by_error}"
+        said.append(sentence + (f"; at every error on {names(always)}." if always else "."))
+    return tuple(said)
 
 
 def standing(field: Field) -> tuple[str, str] | None:

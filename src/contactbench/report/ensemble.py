@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.contest import DASHES, LIMIT, TARGETS, Cost, costs, error_heads, said
+from contactbench.report.contest import COMPILED, DASHES, LIMIT, TARGETS, Cost, costs, error_heads, said
 from contactbench.report.curves import by_method, floats, number_axis
 from contactbench.report.model import (
-    ROOMS, Axis, Cell, Curve, Figure, Finding, Frames, Head, Mark, Panel, Part, Room, Section, Text, View, marks,
-    number, word,
+    ROOMS,
+    Axis,
+    Cell,
+    Curve,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Panel,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    marks,
+    number,
+    word,
 )  # fmt: skip
-from contactbench.report.numbers import count, duration, power, times
+from contactbench.report.numbers import count, duration, names, power, times
 from contactbench.report.raw import raw
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import ENSEMBLE_TABLE
@@ -48,7 +64,12 @@ def arithmetic_view(frame: pd.DataFrame) -> View | None:
     shapes = list(dict.fromkeys(kernels[2])) if len(loops) else []
     rows = []
     for _, own in frame[frame["family"] != LIMIT].iterrows():
-        cells = [word(own["method"]), word(own["engine"]), word(own["setting"]), number(own["stage"], duration)]
+        cells = [
+            word(own["method"]),
+            word(own["engine"]),
+            word(own["setting"]),
+            number(own["stage"], duration),
+        ]
         for shape in shapes:
             same = (kernels[0] == own["method"]) & (kernels[2] == shape) & (loops["value"] == own["value"])
             stage = loops[same]["stage"]
@@ -59,13 +80,18 @@ def arithmetic_view(frame: pd.DataFrame) -> View | None:
         return None
     heads = [*(Head(label, words=True) for label in ("method", "engine", "setting")), Head("per gradient")]
     for shape in shapes:
-        heads += [Head("time", SHAPES.get(shape, ""), group=f"C loop, {shape}"), Head("ratio", group=f"C loop, {shape}")]
+        heads += [
+            Head("time", SHAPES.get(shape, ""), group=f"C loop, {shape}"),
+            Head("ratio", group=f"C loop, {shape}"),
+        ]
     spoken = "; ".join(f"`{shape}`: {SHAPES[shape]}" for shape in shapes if shape in SHAPES)
     meaning = (
         f"Fastest round on one core, time per gradient and trajectory, the same steps. {spoken}. A ratio below one: faster "
         "than the loop."
     )
-    return View("ensemble_arithmetic", "The same arithmetic as C loops", meaning, tuple(heads), tuple(rows), SOURCE)
+    return View(
+        "ensemble_arithmetic", "The same arithmetic as C loops", meaning, tuple(heads), tuple(rows), SOURCE
+    )
 
 
 def error_view(frame: pd.DataFrame) -> View | None:
@@ -77,8 +103,13 @@ def error_view(frame: pd.DataFrame) -> View | None:
     found: dict[tuple[str, str, str], list[Cost]] = {}
     for key, rows in part.groupby(["method", "engine", "variant"], sort=False):
         found[key] = costs(rows, "each", TARGETS)
-    least = [min((c[i].value for c in found.values() if c[i].reached), default=0.0) for i in range(len(TARGETS))]
-    first = [[k for k, c in found.items() if c[i].reached and c[i].value <= tie * least[i]] for i in range(len(TARGETS))]
+    least = [
+        min((c[i].value for c in found.values() if c[i].reached), default=0.0) for i in range(len(TARGETS))
+    ]
+    first = [
+        [k for k, c in found.items() if c[i].reached and c[i].value <= tie * least[i]]
+        for i in range(len(TARGETS))
+    ]
     lines = []
     for key, own in found.items():
         cells = []
@@ -145,17 +176,21 @@ def figure(frame: pd.DataFrame) -> Figure | None:
 def findings(frames: Frames) -> list[Finding]:
     frame = timed(frames["ensemble"])
     part = asked(frame, "error")
-    part = part[part["family"] != LIMIT]
+    part = part[(part["family"] != LIMIT) & COMPILED.engines(part["engine"])]
     if not len(part):
         return []
     tie = max(TIE, noise(part))
-    found = {key: costs(rows, "each", TARGETS) for key, rows in part.groupby(["method", "variant"], sort=False)}
+    found = {
+        key: costs(rows, "each", TARGETS) for key, rows in part.groupby(["method", "variant"], sort=False)
+    }
     leaders = []
     for i, target in enumerate(TARGETS):
         reached = sorted((c[i].value, f"{m} {v}".strip()) for (m, v), c in found.items() if c[i].reached)
         if reached:
             first = [name for value, name in reached if value <= tie * reached[0][0]]
-            leaders.append(f"{power(target)} {'tie: ' if len(first) > 1 else ''}{', '.join(first)} {duration(reached[0][0])}")
+            leaders.append(
+                f"{power(target)} {'tie: ' if len(first) > 1 else ''}{names(first)} {duration(reached[0][0])}"
+            )
     sentence = f"Least time per trajectory at equal error: {'; '.join(leaders)}."
     covers = f"{part['method'].nunique()} methods, one core, {count(part['trajectories'].max())} trajectories"
     return [Finding("ensembles", "Ensembles", sentence, covers)] if leaders else []
@@ -183,4 +218,14 @@ def sections(frames: Frames) -> list[Part]:
     ]
 
 
-ROOMS.add(Room("ensemble", "Ensembles", "throughput of many trajectories at once", 60, ("ensemble",), sections, findings))
+ROOMS.add(
+    Room(
+        "ensemble",
+        "Ensembles",
+        "throughput of many trajectories at once",
+        60,
+        ("ensemble",),
+        sections,
+        findings,
+    )
+)

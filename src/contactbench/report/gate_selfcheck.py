@@ -5,7 +5,17 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.report.model import (
-    ROOMS, Finding, Frames, Head, Mark, Part, Room, Text, View, number, word,
+    ROOMS,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Part,
+    Room,
+    Text,
+    View,
+    number,
+    word,
 )  # fmt: skip
 from contactbench.report.numbers import count, duration
 
@@ -21,7 +31,9 @@ def rates(frame: pd.DataFrame) -> tuple[int, int, int, int]:
     """False alarms, judgements of identical code, faults found, faults planted."""
     same = frame["wanted"] == "none"
     alarms, faults = frame[same], frame[~same]
-    return tuple(int(v) for v in (alarms["red"].sum(), alarms["runs"].sum(), faults["red"].sum(), faults["runs"].sum()))  # type: ignore[return-value]
+    return tuple(
+        int(v) for v in (alarms["red"].sum(), alarms["runs"].sum(), faults["red"].sum(), faults["runs"].sum())
+    )  # type: ignore[return-value]
 
 
 def part_view(frame: pd.DataFrame, part: str) -> View:
@@ -50,7 +62,8 @@ def findings(frames: Frames) -> list[Finding]:
     sentence = f"{alarms} false alarms in {judged} judgements of identical code; {found} of {planted} planted faults found."
     missed = frame[(frame["wanted"] != "none") & (frame["red"] < frame["runs"])]
     exceptions = tuple(
-        f"{r['part']}, {r['planted']} ({r['condition']}): {r['red']} of {r['runs']} found" for _, r in missed.iterrows()
+        f"{r['part']}, {r['planted']} ({r['condition']}): {r['red']} of {r['runs']} found"
+        for _, r in missed.iterrows()
     )
     return [Finding("gate", "The regression gate", sentence, f"{len(frame)} conditions", exceptions)]
 

@@ -20,7 +20,9 @@ def methods_view(methods: Mapping[str, Any]) -> View:
         )
         for name, item in methods.items()
     )  # fmt: skip
-    heads = tuple(Head(label, words=True) for label in ("method", "family", "order", "steps", "engines", "what it is"))
+    heads = tuple(
+        Head(label, words=True) for label in ("method", "family", "order", "steps", "engines", "what it is")
+    )
     meaning = (
         "Family: *contact*, a composition of exact contact flows; *variational*, from a discrete action; *established*, "
         "a solver in use. The engine is what runs it."
@@ -36,7 +38,9 @@ def named_view(name: str, title: str, entries: Iterable[tuple[str, str]]) -> Vie
 def columns_view(name: str) -> View:
     table = TABLES[name]
     about = table.about[0].upper() + table.about[1:]
-    rows = tuple((word(f"`{c}`"), word(column.type), word(column.meaning)) for c, column in table.columns.items())
+    rows = tuple(
+        (word(f"`{c}`"), word(column.type), word(column.meaning)) for c, column in table.columns.items()
+    )
     heads = (Head("column", words=True), Head("type", words=True), Head("meaning", words=True))
     return View(f"columns_{name}", f"{name}.csv", f"{about}.", heads, rows, f"{name}.csv")
 

@@ -7,20 +7,40 @@ computed sentences of all rooms, and who is cheapest where.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from contactbench.report import laws, stability
-from contactbench.report.contest import KINDS, Field, duel_view, losses_view, winners_view
-from contactbench.report.model import (
-    ROOMS, Finding, Frames, Part, Room, Section, Text, View, figures, rooms,
-)  # fmt: skip
-from contactbench.report.work_precision import SOURCE, reasons
+import pandas as pd
 
-UNITS = "All quantities are dimensionless, as in the paper; times are of the machine named below."
+from contactbench.report import laws, stability, work_precision
+from contactbench.report.contest import (
+    EVALUATIONS,
+    KINDS,
+    Field,
+    duel_view,
+    losses_view,
+    reasons,
+    winners_view,
+)
+from contactbench.report.model import (
+    ROOMS,
+    Finding,
+    Frames,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    rooms,
+    spoken,
+)  # fmt: skip
+
+UNITS = "All quantities are dimensionless, as in the paper; times are of the machine that results/README.md names."
 #: scenes whose costs stand in the project's README
+SOURCES = "work_precision.csv, stability.csv"
 DUELS = ("particle_long", "rigid_body")
-#: the figure beside the comparison of costs
-DRAWN = "work_precision_particle"
+#: the scene whose figure stands here
+DRAWN = "particle"
 
 
 def all_findings(frames: Frames) -> list[Finding]:
@@ -28,22 +48,13 @@ def all_findings(frames: Frames) -> list[Finding]:
     return [finding for room in rooms(frames) if room.name != "headline" for finding in room.findings(frames)]
 
 
-def spoken(found: list[Finding], exceptions: bool = True) -> Text:
-    """Findings as a list: sentence, exceptions, what it covers."""
-    items = []
-    for finding in found:
-        said = f"**{finding.title}.** {finding.sentence}"
-        if exceptions and finding.exceptions:
-            said += f" Exceptions: {'; '.join(finding.exceptions)}."
-        items.append(f"{said} *({finding.covers}.)*")
-    return Text(items=tuple(items))
-
-
 def documents(frames: Frames) -> Text:
     """The list of documents."""
     others = [room for room in rooms(frames) if room.name != "headline"]
     lines = (f"[{room.file}]({room.file}): {room.about} ({', '.join(f'`{t}.csv`' for t in room.tables if len(frames[t]))})" for room in others)  # fmt: skip
-    return Text(items=(*lines, "[glossary.md](glossary.md): the methods, the scenes and every column of the tables"))
+    return Text(
+        items=(*lines, "[glossary.md](glossary.md): the methods, the scenes and every column of the tables")
+    )
 
 
 def glance(frames: Frames) -> tuple[View, ...]:
@@ -56,31 +67,47 @@ def excerpt(frames: Frames) -> list[Part]:
     """What the project's README says of the results."""
     work = frames["work_precision"]
     parts: list[Part] = [*glance(frames), Text(UNITS), spoken(all_findings(frames))]
-    for kind in KINDS[:2]:
+    for kind in (EVALUATIONS, COMPILED):
         field = Field(work, kind) if len(work) else None
-        parts += [duel_view(field, s, SOURCE) for s in DUELS if field is not None and s in field.contested]
+        views = [
+            duel_view(field, scene, work_precision.SOURCE, TARGETS)
+            for scene in DUELS if field is not None and scene in field.contested
+        ]  # fmt: skip
+        parts += [replace(view, meaning="") if n else view for n, view in enumerate(views)]
     return parts
+
+
+def fields(frames: Frames) -> list[Field]:
+    """All contests: evaluations on every scene of either table, times on those that were timed."""
+    work, hard = frames["work_precision"], frames["stability"]
+    both = [frame for frame in (work, hard) if len(frame)]
+    found = [Field(pd.concat(both, ignore_index=True), EVALUATIONS)] if both else []
+    return found + [Field(work, kind) for kind in KINDS if kind.timed and len(work)]
 
 
 def sections(frames: Frames) -> list[Part]:
-    work = frames["work_precision"]
-    fields = [Field(work, kind) for kind in KINDS] if len(work) else []
-    drawn = [f for f in figures(ROOMS["work_precision"].sections(frames)) if f.name == DRAWN] if len(work) else []
-    advised = list(stability.advice(frames))
+    contests, rates = fields(frames), frames["damping_rates"]
+    winners: list[Part] = [
+        winners_view(f, f"winners_{f.kind.name}", f.kind.title, SOURCES, stability.problem) for f in contests
+    ]
+    if len(rates):
+        winners.append(stability.rates_view(rates))
     parts: list[Part] = [
         documents(frames),
-        Text(f"Every number is computed from the CSV files beside this page by `contactbench report`. {UNITS}"),
+        Text(
+            f"Every number is computed from the CSV files beside this page by `contactbench report`. {UNITS}"
+        ),
         *glance(frames),
         Section("What was found", (spoken(all_findings(frames)),)),
     ]
-    if fields:
-        views = (winners_view(f, f"headline_{f.kind.name}", f.kind.title, SOURCE) for f in fields)
-        parts.append(Section("Cheapest at equal error", (*views, *drawn)))
-        lost = losses_view(fields, "headline_losses", SOURCE)
-        parts.append(Section("Where the contact methods lose", (Text(items=reasons(fields)), lost)))
-    if advised:
-        parts.append(Section("Which integrator for which problem", tuple(advised)))
-    return parts
+    if contests:
+        parts.append(Section("Which integrator for which problem", tuple(winners)))
+        lost = losses_view(contests, "losses", SOURCES)
+        parts.append(
+            Section(lost.title, (Text(items=reasons(contests)), replace(lost, title="Where and by how much")))
+        )
+    drawn = work_precision.figure(frames["work_precision"], DRAWN) if len(frames["work_precision"]) else None
+    return [*parts, drawn] if drawn else parts
 
 
 def machines(runs: Mapping[str, Mapping[str, Any]]) -> Section:
@@ -99,6 +126,6 @@ def machines(runs: Mapping[str, Mapping[str, Any]]) -> Section:
 ROOMS.add(
     Room(
         "headline", "Results", "what was found", 0,
-        ("laws", "decay_laws", "work_precision", "convergence", "stability", "claims"), sections, document="README.md",
+        ("laws", "decay_laws", "work_precision", "convergence", "stability", "damping_rates"), sections, document="README.md",
     )
 )  # fmt: skip

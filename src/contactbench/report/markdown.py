@@ -4,26 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from tabulate import tabulate
-
-from contactbench.report.model import Cell, Figure, Head, Mark, Part, Room, Section, Text, View
+from contactbench.report.model import (
+    Cell,
+    Figure,
+    Finding,
+    Head,
+    Mark,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    spoken,
+)
 
 #: marks that are seen in a document
 STRONG = (Mark.best, Mark.kept)
 SLANTED = (Mark.tie,)
 FLAGGED = (Mark.exception,)
+#: a longer cell is not worth lining its column up for
+PADDED = 40
 #: columns in a table; groups of columns that would make it wider are written one below the other
 WIDEST = 14
 
 
 def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterable[bool] = ()) -> str:
-    """A GitHub table; the first column and columns of words left, the others right aligned."""
-    head = list(header)
-    left = [i == 0 or word for i, word in enumerate([*words, *[False] * len(head)][: len(head)])]
-    align = ["left" if l else "right" for l in left]
-    return tabulate(
-        [list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True
-    )
+    """A GitHub table; the first column and columns of words left, the others right aligned.
+
+    Columns are padded to line up in the source unless a cell is longer than PADDED.
+    """
+    lines = [list(header), *([str(cell) for cell in row] for row in rows)]
+    left = [i == 0 or word for i, word in enumerate([*words, *[False] * len(lines[0])][: len(lines[0])])]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    widths = [width if width <= PADDED else 0 for width in widths]
+    rule = [f":{'-' * (w + 1)}" if l else f"{'-' * (w + 1)}:" for w, l in zip(widths, left, strict=True)]
+
+    def written(line: list[str]) -> str:
+        cells = (c.ljust(w) if l else c.rjust(w) for c, w, l in zip(line, widths, left, strict=True))
+        return f"| {' | '.join(cells)} |"
+
+    return "\n".join([written(lines[0]), f"|{'|'.join(rule)}|", *map(written, lines[1:])])
 
 
 def cell(item: Cell) -> str:
@@ -48,7 +68,9 @@ def label(head: Head, grouped: bool) -> str:
 
 
 def table(columns: Sequence[Head], rows: Sequence[Sequence[Cell]]) -> str:
-    return grid((label(h, True) for h in columns), (map(cell, row) for row in rows), (h.words for h in columns))
+    return grid(
+        (label(h, True) for h in columns), (map(cell, row) for row in rows), (h.words for h in columns)
+    )
 
 
 def split(view: View) -> list[list[int]]:
@@ -78,7 +100,9 @@ def view(item: View, depth: int) -> str:
     if not item.rows:
         return "\n\n".join([*parts, "None."])
     for indices in split(item):
-        parts.append(table([item.columns[i] for i in indices], [[row[i] for i in indices] for row in item.rows]))
+        parts.append(
+            table([item.columns[i] for i in indices], [[row[i] for i in indices] for row in item.rows])
+        )
     return "\n\n".join(parts)
 
 
@@ -108,5 +132,7 @@ def parts(items: Iterable[Part], depth: int = 2) -> str:
     return "\n\n".join(filter(None, (WRITERS[type(item)](item, depth) for item in items)))
 
 
-def document(room: Room, items: Iterable[Part]) -> str:
-    return f"# {room.title}\n\n{parts(items)}\n"
+def document(room: Room, items: Iterable[Part], found: Sequence[Finding] = ()) -> str:
+    """Title, what was found, the parts."""
+    said = parts([spoken(found)]) if found else ""
+    return "\n\n".join(filter(None, [f"# {room.title}", said, parts(items)])) + "\n"

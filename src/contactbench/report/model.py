@@ -126,6 +126,17 @@ class Finding:
     exceptions: tuple[str, ...] = ()
 
 
+def spoken(found: Iterable[Finding]) -> Text:
+    """Findings as a list: sentence, exceptions, what it covers."""
+    items = []
+    for finding in found:
+        said = f"**{finding.title}.** {finding.sentence}"
+        if finding.exceptions:
+            said += f" Exceptions: {'; '.join(finding.exceptions)}."
+        items.append(f"{said} *({finding.covers}.)*")
+    return Text(items=tuple(items))
+
+
 # -- figures ---------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Axis:

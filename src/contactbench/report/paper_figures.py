@@ -82,7 +82,9 @@ def angles(rows: pd.DataFrame) -> Iterator[Panel]:
                   role=f"shade {len(found) + 1}", markers=False)
         )  # fmt: skip
     degrees = Axis("angle of M with the axis it started near, degrees", limits=(0.0, 185.0))
-    yield Panel("direction", Axis("‖M‖ / ‖M(0)‖ = e^{−γt}", inverted=True, limits=(0.0, 1.0)), degrees, tuple(found))
+    yield Panel(
+        "direction", Axis("‖M‖ / ‖M(0)‖ = e^{−γt}", inverted=True, limits=(0.0, 1.0)), degrees, tuple(found)
+    )
 
 
 def growth(rows: pd.DataFrame) -> Iterator[Panel]:
@@ -91,7 +93,13 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
     for panel, part in sample.groupby("panel", sort=False):
         grid = part.pivot(index="y", columns="x", values="z")
         values = tuple(tuple(map(float, line)) for line in grid.to_numpy())
-        heat = Heat(floats(grid.columns), floats(grid.index), values, "largest transverse growth rate", "growth rate 0")
+        heat = Heat(
+            floats(grid.columns),
+            floats(grid.index),
+            values,
+            "largest transverse growth rate",
+            "growth rate 0",
+        )
         first, second = (i for i in "123" if i != str(panel)[-1])
         lines = (c for c in curves(rows[rows["curve"] != "growth rate"], str(panel)))
         yield Panel(
@@ -158,7 +166,9 @@ def figure(name: str, rows: pd.DataFrame) -> Figure:
         if shape.more.get("z") is None:
             found = tuple(replace(c, z=()) for c in found)
         panels.append(Panel(shape.title, shape.x, shape.y, found, **shape.more))
-    return Figure(name, plan.title, (*panels, *plan.also(rows)), plan.caption, legend="each", source="paper_figures.csv")
+    return Figure(
+        name, plan.title, (*panels, *plan.also(rows)), plan.caption, legend="each", source="paper_figures.csv"
+    )
 
 
 def all_figures(table: pd.DataFrame) -> Iterator[Figure]:

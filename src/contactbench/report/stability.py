@@ -9,18 +9,41 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from contactbench.report.contest import COMPILED, EVALUATIONS, Field, Kind, standing, winners_view
+from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing, winners_view
 from contactbench.report.curves import by_method, floats, number_axis
 from contactbench.report.laws import bounded, drift_cell, laws, numbers
 from contactbench.report.model import (
-    DASH, ROOMS, Axis, Cell, Curve, Figure, Finding, Frames, Head, Mark, Panel, Part, Room, Section, Span, Text, View,
-    marks, number, word,
+    DASH,
+    ROOMS,
+    Axis,
+    Cell,
+    Curve,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Panel,
+    Part,
+    Room,
+    Section,
+    Span,
+    Text,
+    View,
+    marks,
+    number,
+    word,
 )  # fmt: skip
 from contactbench.report.numbers import count, names, scientific
 from contactbench.report.raw import raw
+from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Rule
 from contactbench.results.tables import (
-    DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING,
+    DAMPING_RATES,
+    ONE_STEP,
+    STABILITY,
+    STABILITY_LIMITS,
+    STRONG_DAMPING,
 )  # fmt: skip
 
 #: above this condition number the round-off of a solution is more than round-off
@@ -64,7 +87,9 @@ def map_view(frame: pd.DataFrame) -> View:
         rows.append(tuple(cells))
     heads = (Head("method", words=True), *(Head(rung, group=scene) for scene in scenes for rung in steps))
     meaning = "Solution error at each setting of the ladder, coarse to fine, or how the run ended."
-    return View("how_it_ends", "How it ends", meaning, heads, tuple(rows), "stability.csv", detail=True, map=True)
+    return View(
+        "how_it_ends", "How it ends", meaning, heads, tuple(rows), "stability.csv", detail=True, map=True
+    )
 
 
 def scene_view(frame: pd.DataFrame, scene: str) -> View:
@@ -84,7 +109,9 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
         whys = dict.fromkeys(m for m in mine[mine["status"] != "ok"]["message"] if m)
         cells.append(word(shortened("; ".join(whys))))
         rows.append(tuple(cells))
-    labels = (Head(STABILITY.columns[law].label, STABILITY.columns[law].meaning, group="worst") for law in shown)
+    labels = (
+        Head(STABILITY.columns[law].label, STABILITY.columns[law].meaning, group="worst") for law in shown
+    )
     heads = (
         Head("method", words=True), *(Head(rung, group="solution error") for rung in steps), *labels,
         Head("evaluations", "of the finest run that ended ok"), Head("why not ok", words=True),
@@ -154,13 +181,20 @@ def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View 
     heads = (Head("method", words=True), *(Head(f"γ = {g:g}") for g in gammas))
     meaning = f"{STABILITY_LIMITS.columns[column].meaning.capitalize()}; q'' + γq' + q = 0."
     if column == "limit":
-        meaning += " In parentheses what theory gives. Marked: larger steps are stable again, see the windows."
+        meaning += (
+            " In parentheses what theory gives. Marked: larger steps are stable again, see the windows."
+        )
     return View(name, title, meaning, heads, tuple(rows), "stability_limits.csv")
 
 
 def windows_view(frame: pd.DataFrame) -> View | None:
     rows = [
-        (word(r["method"]), number(r["gamma"], "{:g}".format), number(r["limit"], "{:.4g}".format), word(r["windows"]))
+        (
+            word(r["method"]),
+            number(r["gamma"], "{:g}".format),
+            number(r["limit"], "{:.4g}".format),
+            word(r["windows"]),
+        )
         for _, r in frame[(frame["omega"] == 1.0) & (frame["windows"] != "")].iterrows()
     ]
     if not rows:
@@ -192,7 +226,9 @@ def rate_cell(rows: pd.DataFrame, column: str) -> Cell:
         return Cell(DASH)
     row = rows.iloc[0]
     if row["status"] != "ok":
-        return Cell(str(row["status"]), marks=marks(Mark.none if row["status"] == "unsupported" else Mark.bad))
+        return Cell(
+            str(row["status"]), marks=marks(Mark.none if row["status"] == "unsupported" else Mark.bad)
+        )
     return number(row[column], "{:.4g}".format if column == "ratio" else scientific)
 
 
@@ -200,7 +236,10 @@ def creep_views(frame: pd.DataFrame) -> Iterator[View]:
     """The slow rate of the overdamped oscillator."""
     creep = frame[frame["experiment"] == "overdamped"]
     meaning = f"{DAMPING_RATES.columns['ratio'].meaning.capitalize()} of the slow rate, γ = 50: one is right."
-    for control, key, title in (("step", "damping_per_step", "γh = {:g}"), ("rtol", "value", "rtol = {:.0e}")):
+    for control, key, title in (
+        ("step", "damping_per_step", "γh = {:g}"),
+        ("rtol", "value", "rtol = {:.0e}"),
+    ):
         part = creep[creep["control"] == control]
         if not len(part):
             continue
@@ -271,7 +310,13 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
     )  # fmt: skip
     ranges = []
     for low, high in itertools.pairwise(DAMPING_RANGES):
-        label = f"below {high:g}" if low == 0 else f"above {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+        label = (
+            f"below {high:g}"
+            if low == 0
+            else f"above {low:g}"
+            if math.isinf(high)
+            else f"{low:g} to {high:g}"
+        )
         ranges.append((word(label), *(alike_cell(in_range(frame, g, low, high)) for g in gammas)))
     yield View(
         "strong_best", "Strong damping: the most accurate fixed-step method at equal cost",
@@ -290,13 +335,13 @@ def in_range(frame: pd.DataFrame, gamma: float, low: float, high: float) -> pd.S
 
 
 def alike_cell(errors: pd.Series) -> Cell:
-    """The most accurate, and those within ALIKE of it."""
+    """The most accurate, and those within ALIKE of it; all that is round-off is alike."""
     errors = errors[errors < 1].sort_values(kind="stable")
     if not len(errors):
         return Cell(DASH)
-    first = [str(m) for m in errors.index[errors <= ALIKE * errors.iloc[0]]]
+    first = [str(m) for m in errors.index[errors <= max(STRUCTURE, ALIKE * errors.iloc[0])]]
     tied = len(first) > 1
-    text = f"tie: {', '.join(first)}" if tied else first[0]
+    text = f"tie: {names(first, NAMED)}" if tied else first[0]
     least = float(errors.iloc[0])
     return Cell(f"{text} {scientific(least)}", least, marks(Mark.tie if tied else Mark.best))
 
@@ -327,24 +372,6 @@ def problem(scene: str) -> str:
     return f"{said} (`{scene}`)" if said else f"`{scene}`"
 
 
-def advice(frames: Frames) -> Iterator[View]:
-    """Cheapest method at each error for every problem of either table, and the most accurate rates at equal cost."""
-    work, hard = frames["work_precision"], frames["stability"]
-    frame = pd.concat([f for f in (work, hard) if len(f)], ignore_index=True) if len(work) or len(hard) else work
-    if len(frame):
-        yield problems_view(frame, EVALUATIONS, "advice_evaluations", "Which integrator for which problem: evaluations")
-    if len(work):
-        yield problems_view(work, COMPILED, "advice_time", "Which integrator for which problem: compiled time")
-    if len(frames["damping_rates"]):
-        yield rates_view(frames["damping_rates"])
-
-
-def problems_view(frame: pd.DataFrame, kind: Kind, name: str, title: str) -> View:
-    made = winners_view(Field(frame, kind), name, title, "work_precision.csv, stability.csv")
-    rows = tuple((word(problem(row[0].text)), *row[1:]) for row in made.rows)
-    return View(name, title, made.meaning, (Head("problem", words=True), *made.columns[1:]), rows, made.source)
-
-
 def rates_view(frame: pd.DataFrame) -> View:
     """Errors of damping rates at equal cost, each question with its ties."""
     rows = []
@@ -353,7 +380,12 @@ def rates_view(frame: pd.DataFrame) -> View:
         fixed = creep[creep["damping_per_step"] == damping]
         budget = AFFORDABLE * float(fixed["evaluations"].max())
         adaptive = creep[creep["damping_per_step"].isna() & (creep["evaluations"] <= budget)]
-        rows.append((word(f"slow rate of creep, γh = {damping:g}"), *at_equal_cost(pd.concat([fixed, adaptive]), budget)))
+        rows.append(
+            (
+                word(f"slow rate of creep, γh = {damping:g}"),
+                *at_equal_cost(pd.concat([fixed, adaptive]), budget),
+            )
+        )
     weak = frame[(frame["experiment"] == "weak") & (frame["status"] == "ok")]
     for (scene, span), part in weak.groupby(["scene", "t_end"], sort=False):
         steps = part[part["control"] == "step"]
@@ -365,7 +397,9 @@ def rates_view(frame: pd.DataFrame) -> View:
         f"cost no more than {100 * (AFFORDABLE - 1):.0f} % above the dearest fixed-step run. Methods within a factor of "
         f"{ALIKE:g} are a tie."
     )
-    return View("advice_rates", "Which integrator for damping rates", meaning, heads, tuple(rows), "damping_rates.csv")
+    return View(
+        "advice_rates", "Which integrator for damping rates", meaning, heads, tuple(rows), "damping_rates.csv"
+    )
 
 
 def at_equal_cost(rows: pd.DataFrame, budget: float) -> tuple[Cell, Cell]:
@@ -393,7 +427,14 @@ def limits_figure(frame: pd.DataFrame) -> Figure:
         scaled=rows["limit"] * rows["omega"], each=rows["per_evaluation"] * rows["omega"], known=rows["theory"] * rows["omega"]
     )  # fmt: skip
     theory = [
-        Curve(floats(line["ratio"]), floats(line["known"]), "theory", role="reference", markers=False, dashed=True)
+        Curve(
+            floats(line["ratio"]),
+            floats(line["known"]),
+            "theory",
+            role="reference",
+            markers=False,
+            dashed=True,
+        )
         for _, line in rows[rows["known"].notna()].groupby("method", sort=False)
     ]
     x = number_axis("γ/ω")
@@ -445,7 +486,9 @@ def findings(frames: Frames) -> list[Finding]:
         clean = [m for m in dict.fromkeys(tried["method"]) if m not in set(bad["method"])]
         most = bad.groupby("method", sort=False).size().sort_values(ascending=False, kind="stable")
         sentence = f"{len(tried) - len(bad)} of {len(tried)} runs end as the true motion does."
-        sentence += f" Without a bad ending: {names(clean)}." if clean else " No method is without a bad ending."
+        sentence += (
+            f" Without a bad ending: {names(clean)}." if clean else " No method is without a bad ending."
+        )
         if len(most):
             sentence += f" Most bad endings: {names([f'{m} {n}' for m, n in most[:3].items()])}."
         found.append(Finding("endings", "Hard scenes", sentence, f"{tried['method'].nunique()} methods on {tried['scene'].nunique()} scenes"))  # fmt: skip
@@ -466,7 +509,10 @@ def sections(frames: Frames) -> list[Part]:
             "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited in "
             "steps and evaluations; how each ended is part of the result."
         ),
-        *advice(frames),
+        winners_view(
+            Field(hard, EVALUATIONS), "hard_winners", "Cheapest at equal error", "stability.csv", problem
+        ),
+        *([rates_view(frames["damping_rates"])] if len(frames["damping_rates"]) else []),
         *([drawn] if drawn else []),
         *([ends] if ends else []),
         map_view(hard),
@@ -491,8 +537,8 @@ def sections(frames: Frames) -> list[Part]:
 ROOMS.add(
     Room(
         "stability", "Numerical stability on hard cases",
-        "hard scenes, stability limits, damping rates, and which integrator for which problem", 50,
-        ("stability", "stability_limits", "one_step", "damping_rates", "strong_damping", "work_precision"),
+        "hard scenes, stability limits, damping rates", 50,
+        ("stability", "stability_limits", "one_step", "damping_rates", "strong_damping"),
         sections, findings,
     )
 )  # fmt: skip

@@ -9,7 +9,6 @@ import pandas as pd
 from contactbench.report.contest import (
     KINDS,
     LIMIT,
-    TARGETS,
     Field,
     contestants,
     costs_view,
@@ -37,7 +36,7 @@ from contactbench.report.model import (
     number,
     word,
 )  # fmt: skip
-from contactbench.report.numbers import count, duration, names, power, scientific, times
+from contactbench.report.numbers import count, duration, scientific, times
 from contactbench.report.raw import raw
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import WORK_PRECISION
@@ -145,25 +144,6 @@ def chosen_view(work: pd.DataFrame) -> View | None:
     return View("chosen", "A step chosen from a tolerance", meaning, heads, tuple(rows), SOURCE)
 
 
-def reasons(fields: Iterable[Field]) -> tuple[str, ...]:
-    """What the table shows of where the contact methods lose: at which errors, on which scenes, how often."""
-    said = []
-    for field in fields:
-        contests = field.contests()
-        lost = {key: c for key, c in contests.items() if c.outcome == "loss"}
-        if not lost:
-            continue
-        errors = {t: sum(target == t for _, target in lost) for t in TARGETS}
-        by_error = ", ".join(f"{n} at {power(t)}" for t, n in errors.items() if n)
-        always = [
-            f"`{scene}`" for scene in field.contested
-            if {contests[scene, t].outcome for t in TARGETS} - {""} == {"loss"}
-        ]  # fmt: skip
-        sentence = f"**{field.kind.title}**: {len(lost)} of {len(contests)} lost, {by_error}"
-        said.append(sentence + (f"; at every error on {names(always)}." if always else "."))
-    return tuple(said)
-
-
 def noise_text(work: pd.DataFrame) -> Text:
     ratios = work["time_repeat_ratio"].dropna()
     if not len(ratios):
@@ -194,12 +174,7 @@ def sections(frames: Frames) -> list[Part]:
             "compiled calls and times of solvers that call back into Python are three comparisons, never one."
         ),
         noise_text(work),
-        *(
-            winners_view(f, f"winners_{f.kind.name}", f"Cheapest at equal error: {f.kind.title}", SOURCE)
-            for f in fields
-        ),
-        losses_view(fields, "losses", SOURCE),
-        Text(items=reasons(fields)),
+        Text("Which method is cheapest where, and where the contact methods lose, is in [README.md](README.md)."),
         *(scene_section(work, str(scene), fields) for scene in dict.fromkeys(work["scene"])),
     ]
     parts += [view for view in (kernels_view(work), chosen_view(work)) if view is not None]
@@ -208,7 +183,7 @@ def sections(frames: Frames) -> list[Part]:
 
 ROOMS.add(
     Room(
-        "work_precision", "Cost at equal error", "time and evaluations at equal error, and where the contact methods lose",
+        "work_precision", "Cost at equal error", "time and evaluations at equal error, scene by scene",
         40, ("work_precision",), sections, findings,
     )
 )  # fmt: skip

@@ -35,7 +35,9 @@ def made(frames: Frames, runs: dict[str, Any]) -> Iterator[tuple[Room, list[Part
 
 def documents(frames: Frames, runs: dict[str, Any], registries: glossary.Registries) -> dict[str, str]:
     """File name → text."""
-    texts = {room.file: markdown.document(room, parts) for room, parts in made(frames, runs)}
+    texts = {}
+    for room, parts in made(frames, runs):
+        texts[room.file] = markdown.document(room, parts, tuple(room.findings(frames)))
     if texts:
         parts = glossary.sections(registries)
         texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(parts)}\n"
@@ -69,7 +71,9 @@ def differing(results: Path, readme: Path | None, registries: glossary.Registrie
     wanted = {results / name: text for name, text in texts.items()}
     if readme is not None:
         wanted[readme] = with_excerpt(readme, results)
-    return [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    return [
+        path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text
+    ]
 
 
 def report(results: Path, registries: glossary.Registries) -> list[Path]:
