@@ -340,9 +340,7 @@ def duel_view(work: pd.DataFrame, scene: str, kind: Kind, source: str) -> View |
         Head("cheaper", words=True),
     )  # fmt: skip
     meaning = f"{kind.about} {said(tie)} {DASHES}"
-    return View(
-        f"duel_{kind.name}_{scene}", f"{kind.title} on {scene}", meaning, heads, tuple(rows), source
-    )
+    return View(f"duel_{kind.name}_{scene}", f"{kind.title} on {scene}", meaning, heads, tuple(rows), source)
 
 
 def losses_view(work: pd.DataFrame, name: str, source: str) -> View:
@@ -389,7 +387,11 @@ def standing(work: pd.DataFrame, kind: Kind) -> tuple[str, str] | None:
         own = [contests[scene, t] for t in TARGETS if contests[scene, t].outcome]
         if own and all(c.outcome == "win" for c in own):
             known = [c.ratio for c in own if math.isfinite(c.ratio)]
-            by = f" ({times(min(known))} to {times(max(known))} ahead of the best other method)" if known else ""
+            by = (
+                f" ({times(min(known))} to {times(max(known))} ahead of the best other method)"
+                if known
+                else ""
+            )
             won.append(f"`{scene}`{by}")
     if won:
         sentence += f" A contact method is cheapest at every error on {names(won)}."
