@@ -24,7 +24,7 @@ from contactbench.report.model import Axis, Curve, Figure, Heat, Panel
 SHADED = "#f0f4ff"
 PANEL = (4.5, 3.9)  #: inches
 LEGEND_ROW = 0.22  #: inches
-RC = {
+RC: dict[Any, Any] = {
     "figure.dpi": 110,
     "savefig.bbox": "tight",
     "font.size": 10,
@@ -147,7 +147,7 @@ def draw_panel(figure: Drawn, axes: Axes, panel: Panel) -> None:
         axes.set_aspect("equal", adjustable="datalim" if panel.heat is None else "box")
     for note in panel.notes:
         where = (note.x, note.y, note.z) if three else (note.x, note.y)
-        axes.text(*where, plain(note.text), ha="center", va="center", fontsize=9)
+        axes.text(*where, plain(note.text), ha="center", va="center", fontsize=9)  # type: ignore[call-arg]
     axes.set_title(plain(panel.title))
 
 
