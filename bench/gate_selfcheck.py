@@ -50,7 +50,7 @@ SLOWED = ("contact-strang", "contact-rkn6", "rk4")
 SLOWDOWNS = (1.3, 1.5, 2.0)
 
 PACKAGE = Path("src/contactbench")
-COMPOSITION, FIXED_STEP = PACKAGE / "composition.py", PACKAGE / "methods" / "fixed_step.py"
+COMPOSITION, FIXED_STEP = PACKAGE / "splitting" / "tables.py", PACKAGE / "methods" / "fixed_step.py"
 
 
 # -- patches ---------------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ FAULTS = tuple(
         ),
         (
             "a drift that is no longer round-off: damping stronger by 1e-9",
-            (PACKAGE / "flows.py", "(-gamma * h), -xp.expm1(", "(-gamma * h), -(1 + 1e-9) * xp.expm1("),
+            (PACKAGE / "splitting" / "flows.py", "(-gamma * h), -xp.expm1(", "(-gamma * h), -(1 + 1e-9) * xp.expm1("),
             "contact-strang", "contact_drift",
         ),
     )
