@@ -239,10 +239,17 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         return
     config.journal.close()
     if config.getoption("--report"):
-        from contactbench.report import page
-        from contactbench.report.documents import report
-
-        report(config.journal.results)
-        page.write(config.journal.results)
+        write_report(config.journal.results)
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
         session.exitstatus = pytest.ExitCode.OK
+
+
+def write_report(results: Path) -> None:
+    """Documents, figures and page; and the README's computed part, where the tables are those beside it."""
+    from contactbench.report import write
+    from contactbench.scenes import SCENES
+
+    write.report(results, {"methods": METHODS, "scenes": SCENES})
+    readme = REPOSITORY / "README.md"
+    if results == REPOSITORY / "results" and readme.exists():
+        write.into_readme(readme, results)

@@ -24,7 +24,8 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.gate import speed
-from contactbench.report.documents import DASH, markdown
+from contactbench.report.markdown import grid
+from contactbench.report.model import DASH
 from contactbench.results import provenance
 from contactbench.results.round_off import floor
 from contactbench.results.schema import PROFILES, TABLES, Rule, Table
@@ -100,7 +101,7 @@ class Verdict:
         ]  # fmt: skip
         head = ["scene", "method", "measure", "engine", "setting", "before", "after", "change", "verdict"]
         parts = [title, "\n".join(f"- {sentence}" for sentence in self.compared)]
-        parts += [markdown(head, rows)] if rows else ["Nothing moved."]
+        parts += [grid(head, rows)] if rows else ["Nothing moved."]
         parts += [f"{unlisted} more moved within their limits."] if unlisted else []
         parts += ["\n".join(f"- {note}" for note in sorted(self.notes))] if self.notes else []
         return "\n\n".join(parts) + "\n"
