@@ -135,7 +135,9 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         return
     results, name = config.journal.results, config.profile.name
     if not partial(config):
-        config.journal.expect(cell for module in {item.module for item in items} for cell in all_of(module, config))
+        config.journal.expect(
+            cell for module in {item.module for item in items} for cell in all_of(module, config)
+        )
     if not config.getoption("--resume"):
         journal.begin_anew(results, name, map(_identity, items))
         return

@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from contactbench.report.documents import gate_document
 
 import gate_selfcheck
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import speed
 from contactbench.gate.accuracy import DECADES, accuracy
-from contactbench.results.statistics import PairedRatio
-from contactbench.report.documents import gate_document
 from contactbench.results.schema import PROFILES, TABLES, Rule
+from contactbench.results.statistics import PairedRatio
 from contactbench.results.store import merge, read
 from contactbench.results.tables import (
     CLAIMS_TABLE,

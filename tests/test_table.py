@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import random
 
-import numpy as np
 import pandas as pd
 import pytest
 
 import contactbench as cb
 from cells import controlled
-from contactbench.results import provenance, store
+from contactbench.results import provenance
 from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import TABLES, Column, Rule, Table
 from contactbench.results.store import OldTable, forget, keys, merge, read, replacing
 from contactbench.results.tables import (
     CONVERGENCE,
     DAMPING_RATES,
-    ENSEMBLE_TABLE,
     LAWS_TABLE,
     STABILITY_LIMITS,
     WORK_PRECISION,
@@ -67,7 +64,11 @@ def test_numbers_have_six_digits_round_off_one_inputs_all_and_times_three(tmp_pa
     assert back.loc[0.25, "solution_error"] == 2e-14  # below 100 ε
     assert back.loc[0.125, "solution_error"] == 1.5708e-14  # at fifty digits it is no round-off
     law = {name: value for name, value in row().items() if name != "step"}
-    merge(LAWS_TABLE, [law | {"momentum_law": 0.9 * STRUCTURE, "contact_drift": 1.23456789 * STRUCTURE}], tmp_path)
+    merge(
+        LAWS_TABLE,
+        [law | {"momentum_law": 0.9 * STRUCTURE, "contact_drift": 1.23456789 * STRUCTURE}],
+        tmp_path,
+    )
     (law,) = read(LAWS_TABLE, tmp_path).to_dict("records")
     assert (law["momentum_law"], law["contact_drift"]) == (9e-13, 1.23457e-12)
     merge(WORK_PRECISION, [timed(seconds=1.23456789e-4)], tmp_path)
@@ -126,7 +127,10 @@ def test_a_measurement_that_now_times_out_does_not_keep_its_old_result(tmp_path)
     merge(DAMPING_RATES, [weak | controlled("step", 0.5) | {"status": "ok"}, other], tmp_path)
     merge(DAMPING_RATES, [weak | {"setting": "", "status": "timeout"}], tmp_path)
     back = read(DAMPING_RATES, tmp_path)
-    assert back[["t_end", "status", "setting"]].values.tolist() == [[1e4, "timeout", ""], [1e5, "ok", "step=0.5"]]
+    assert back[["t_end", "status", "setting"]].values.tolist() == [
+        [1e4, "timeout", ""],
+        [1e5, "ok", "step=0.5"],
+    ]
 
 
 def test_rows_whose_benchmark_no_longer_exists_are_forgotten(tmp_path):
@@ -194,6 +198,7 @@ def test_a_column_holds_its_type_or_is_refused(tmp_path):
         merge(CONVERGENCE, [row(in_fit="perhaps")], tmp_path)
     with pytest.raises(cb.BadInput, match="key columns"):
         Table("t", "", {"a": Column("a", "number", timed=True)}, key=("a",))
+
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
     path = tmp_path / "x.txt"

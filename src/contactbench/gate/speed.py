@@ -76,7 +76,9 @@ def workload(work: pd.DataFrame, scenes: Sequence[str] = SCENES) -> list[Cell]:
     cells = []
     for _, row in slowest.sort_index()[lambda rows: rows["scene"].isin(scenes)].iterrows():
         carry = tuple(field for field in ("s", "R") if field in row["carried"].split())
-        cells.append(Cell(*row[["scene", "method", "engine", "control"]], float(row["value"]), carry))
+        cells.append(
+            Cell(row["scene"], row["method"], row["engine"], row["control"], float(row["value"]), carry)
+        )
     return cells
 
 

@@ -168,7 +168,9 @@ def _profiles(results: Path) -> dict[str, Any]:
 
 
 def _done(results: Path, profile: str) -> Made:
-    return {tuple(cell): known for cell, known in _profiles(results).get(profile, []) if isinstance(known, dict)}
+    return {
+        tuple(cell): known for cell, known in _profiles(results).get(profile, []) if isinstance(known, dict)
+    }
 
 
 def _save_done(results: Path, profile: str, made: Made) -> None:

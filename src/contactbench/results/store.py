@@ -66,7 +66,9 @@ def part(table: Table, path: Path) -> pd.DataFrame:
         )
     missing = [name for name in table.key if name not in frame]
     if missing:
-        raise BadInput(f"{path}: no key columns {missing} of table {table.name!r}; move it away or restore it")
+        raise BadInput(
+            f"{path}: no key columns {missing} of table {table.name!r}; move it away or restore it"
+        )
     unknown = [name for name in frame if name not in table.every_column]
     if unknown:
         note(f"{path}: columns {unknown} are not known to this version and left out")
