@@ -21,8 +21,12 @@ def seconds(meaning: str) -> Column:
 COMMON = {
     "scene": Column("name of the scene"),
     "method": Column("name of the method"),
-    "family": Column("contact, variational or established, as the method declares; limit: a plain C loop", rule=Rule.same),
-    "engine": Column("what runs it: numba, jax, python, c+python (compiled solver, Python callbacks), llvm, c, c++, mpmath"),
+    "family": Column(
+        "contact, variational or established, as the method declares; limit: a plain C loop", rule=Rule.same
+    ),
+    "engine": Column(
+        "what runs it: numba, jax, python, c+python (compiled solver, Python callbacks), llvm, c, c++, mpmath"
+    ),
     "control": Column("what is set: step or rtol", rule=Rule.same),
     "value": number("its value, in full", Rule.same, exact=True),
     "variant": Column("which of several ways to run it; of a C loop, the kernel", rule=Rule.same),
