@@ -240,10 +240,14 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     if not config.controls or not config.journal.alive.is_locked:
         return
     config.journal.close()
-    if config.getoption("--report"):
-        write_report(config.journal.results)
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
         session.exitstatus = pytest.ExitCode.OK
+    if config.getoption("--report"):
+        try:
+            write_report(config.journal.results)
+        except BadInput as error:  # a table that this run did not make is of another version
+            config.get_terminal_writer().line(f"\nno report: {error}", red=True)
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 def write_report(results: Path) -> None:

@@ -122,8 +122,7 @@ def _fold(folder: Path) -> None:
     profile = record["profile"]
     for name, new in rows.items():
         merge(TABLES[name], new, results)
-    made = _done(results, profile) | made
-    whole = _whole(folder, made)
+    whole = _whole(folder, _done(results, profile) | made)
     for name, known in whole.items():
         forget(TABLES[name], known, PROFILES[: PROFILES.index(profile) + 1], results)
     save_run(folder.name, record, [name for name in rows if rows[name]], whole, results)
@@ -147,36 +146,52 @@ def _whole(folder: Path, made: Made) -> dict[str, set[tuple[Any, ...]]]:
 
 
 # -- which cells are done ------------------------------------------------------------------------------
-def done(results: Path, profile: str) -> set[Cell]:
-    """The cells of a profile that have been folded since they were last begun anew."""
-    return set(_done(results, profile))
+def done(results: Path, profile: str, selection: str = "") -> set[Cell]:
+    """The cells of a profile that have been folded since a run with this selection last began anew."""
+    since = _profile(results, profile)["begun"].get(selection, 0)
+    return {tuple(cell) for cell, _, number in _profile(results, profile)["cells"] if number >= since}
 
 
-def begin_anew(results: Path, profile: str, cells: Iterable[Cell]) -> None:
-    """Cells that are about to be run are not done, whatever an earlier run says."""
+def begin_anew(results: Path, profile: str, cells: Iterable[Cell], selection: str = "") -> None:
+    """Cells that are about to be run are not done, whatever an earlier run says.
+
+    selection : what was asked for.  A run in several goes (first what is not timed, then, resumed, what is)
+    begins with the first of them: what was done before that is not done for the goes that follow.
+    """
     with folding(results):
-        anew = set(cells)
-        made = _done(results, profile)
-        _save_done(results, profile, {cell: known for cell, known in made.items() if cell not in anew})
+        state, anew = _profile(results, profile), set(cells)
+        state["begun"][selection] = state["number"] = state["number"] + 1
+        state["cells"] = [entry for entry in state["cells"] if tuple(entry[0]) not in anew]
+        _save(results, profile, state)
 
 
-def _profiles(results: Path) -> dict[str, Any]:
+def _profile(results: Path, profile: str) -> dict[str, Any]:
+    """number : of runs begun anew; begun : selection → its last one; cells : [cell, keys of its rows, number]."""
     path = results / FOLDER / "done.json"
     profiles = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    # a list of bare cells is of an older version: nothing is known of its rows
-    return {name: cells for name, cells in profiles.items() if all(len(cell) == 2 for cell in cells)}
+    state = profiles.get(profile)
+    # a bare list is of an older version: nothing is known of the rows of its cells
+    return state if isinstance(state, dict) else {"number": 0, "begun": {}, "cells": []}
 
 
 def _done(results: Path, profile: str) -> Made:
-    return {
-        tuple(cell): known for cell, known in _profiles(results).get(profile, []) if isinstance(known, dict)
-    }
+    return {tuple(cell): known for cell, known, _ in _profile(results, profile)["cells"]}
 
 
 def _save_done(results: Path, profile: str, made: Made) -> None:
-    profiles = _profiles(results) | {profile: sorted(made.items(), key=lambda item: item[0])}
-    with replacing(results / FOLDER / "done.json") as file:
-        json.dump(profiles, file)
+    """Note cells as done now."""
+    state = _profile(results, profile)
+    cells = {tuple(cell): [cell, known, number] for cell, known, number in state["cells"]}
+    cells |= {cell: [cell, known, state["number"]] for cell, known in made.items()}
+    state["cells"] = [cells[cell] for cell in sorted(cells)]
+    _save(results, profile, state)
+
+
+def _save(results: Path, profile: str, state: dict[str, Any]) -> None:
+    path = results / FOLDER / "done.json"
+    profiles = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    with replacing(path) as file:
+        json.dump(profiles | {profile: state}, file)
 
 
 def _plain(value: Any) -> Any:
