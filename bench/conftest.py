@@ -134,14 +134,14 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if config.getoption("collectonly"):
         return
     results, name = config.journal.results, config.profile.name
-    if not partial(config):
+    if not selection(config):
         config.journal.expect(
             cell for module in {item.module for item in items} for cell in all_of(module, config)
         )
     if not config.getoption("--resume"):
-        journal.begin_anew(results, name, map(_identity, items))
+        journal.begin_anew(results, name, map(_identity, items), selection(config))
         return
-    done = journal.done(results, name)
+    done = journal.done(results, name, selection(config))
     config.hook.pytest_deselected(items=[item for item in items if _identity(item) in done])
     items[:] = [item for item in items if _identity(item) not in done]
 
@@ -157,10 +157,13 @@ def all_of(module: Any, config: pytest.Config) -> list[journal.Cell]:
     return [(file, f"{test.__name__}[{name}]") for test in tests for name in visits(test, config)]
 
 
-def partial(config: pytest.Config) -> bool:
-    """Whether only a part of the experiments was asked for: the rows of the rest are kept then."""
-    narrowed = any(path.suffix or "::" in str(path) for path in map(Path, config.args))
-    return bool(config.getoption("keyword")) or narrowed
+def selection(config: pytest.Config) -> str:
+    """Which part of the experiments was asked for, empty for all of them: the rows of the rest are kept.
+
+    Marks do not count: a run is made in two goes, what is timed by itself.
+    """
+    narrowed = [argument for argument in config.args if "::" in argument or argument.endswith(".py")]
+    return " ".join([*narrowed, config.getoption("keyword")]).strip()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -183,7 +186,7 @@ def readable(table: Any, config: pytest.Config) -> None:
     try:
         read(table, config.journal.results)
     except OldTable:
-        if partial(config):
+        if selection(config):
             raise
 
 
