@@ -37,7 +37,7 @@ def paper_run(name: str, **changes: Any) -> Any:
 
 @claim(
     "C29",
-    "§6 Results",
+    "§6.3, Phase portrait",
     "The splitting integrator closely matches RK4 in q(t) and p(t).",
     scene="particle, h = 0.01, T = 20",
     method="contact-printed against rk4",
@@ -68,7 +68,7 @@ def rises(name: str, gamma: float, h: float) -> tuple[int, float]:
 
 @claim(
     "C30",
-    "§6 Energy decay",
+    "§6.3, Energy decay",
     "Both methods decay H0 monotonically.",
     kind=Correction.repairs,
     correction="At γ = 0.1 and the paper's h they do. For weak damping and coarse steps the splitting "
@@ -119,7 +119,7 @@ def balance_defect(name: str, h: float) -> float:
 
 @claim(
     "C31",
-    "eq:dH0dt",
+    "§6.3, eq. (92)",
     "H0' = −γ‖p‖² is reproduced to high accuracy.",
     scene="particle, h = 0.01, T = 20",
     method="contact-printed; order: also contact-strang",
@@ -150,7 +150,7 @@ def dissipation_law() -> Evidence:
 
 @claim(
     "C32",
-    "fig7 left",
+    "§6.2, Figure 7, left",
     "H0 of the particle follows an exact exponential law.",
     kind=Correction.replaces,
     correction="H follows one, H(t) = H(0) e^{−γt}, and H0 of the isotropic body does. H0 of a particle in "
@@ -189,7 +189,7 @@ NOMINAL = {PRINTED: 1, ABC: 2, STRANG: 2, RK4: 4}
 
 @claim(
     "C33",
-    "fig7 right",
+    "§6.2, Figure 7, right",
     "Both integrators, the splitting and RK4, converge with second order in H0.",
     kind=Correction.replaces,
     correction="RK4 is of order 4; the splitting as printed of order 1; its palindromic forms of order 2.",
@@ -219,7 +219,7 @@ def convergence_orders() -> Evidence:
 
 @claim(
     "C34",
-    "fig7 caption",
+    "§6.2, Figure 7, caption",
     "Only the geometric method preserves the contact structure.",
     scene="particle, T = 20",
     method="contact-* and rk4 at h = 0.1, diffrax-tsit5 at rtol 10⁻⁶",
@@ -264,7 +264,7 @@ def nearest_return(points_: np.ndarray) -> float:
 
 @claim(
     "C35",
-    "§6 Conservative limit, fig8",
+    "§6.3, Conservative limit, and Figure 8",
     "At γ = 0 there is no artificial dissipation: the energy stays bounded and the orbits of the 2-DOF "
     "particle are closed.",
     kind=Correction.repairs,

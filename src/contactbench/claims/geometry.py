@@ -1,4 +1,4 @@
-"""Claims about contact geometry and the contact Hamilton equations (§2, and eq. symplectification)."""
+"""Claims about contact geometry and the contact Hamilton equations (§2 of the paper)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def quadratically_damped():
     return SCENES["particle"].with_(name="particle, κ = 0.3", gamma=0.1, kappa=0.3)
 
 
-@claim("C01", "eq:contact-condition", "η ∧ (dη)ⁿ is a volume form.", scene="T*Rⁿ × R, n = 1, 2, 3")
+@claim("C01", "§2.1, eq. (2)", "η ∧ (dη)ⁿ is a volume form.", scene="T*Rⁿ × R, n = 1, 2, 3")
 def volume() -> Evidence:
     def density(y):
         """|η ∧ (dη)ⁿ|/n!: the Pfaffian of dη bordered by η."""
@@ -65,7 +65,7 @@ def volume() -> Evidence:
 
 @claim(
     "C02",
-    "eq:ReebDef, eq:Reeb-in-coordinates",
+    "§2.2, eqs. (4), (8) and (9)",
     "R = ∂_s is the vector field with η(R) = 1 and ι_R dη = 0, and the only one.",
     scene="T*Rⁿ × R, n = 1, 2, 3",
 )
@@ -98,7 +98,7 @@ def reeb_field() -> Evidence:
 
 @claim(
     "C03",
-    "eq:contact-vector-field, eq:canonical-contact-equations",
+    "§2.3, eqs. (11) and (23)",
     "The coordinate equations q' = H_p, p' = −H_q − p H_s, s' = p·H_p − H solve ι_X dη = dH − R(H) η, ι_X "
     "η = −H.",
     scene="random cubic H(q, p, s), n = 1, 2, 3; particle, γ s and ½ κ s²",
@@ -141,7 +141,7 @@ def contact_hamilton_equations() -> Evidence:
 
 @claim(
     "C04",
-    "eq:H-evolution-Reeb",
+    "§2.2, eq. (10)",
     "Along the flow H' = −R(H).",
     kind=Correction.replaces,
     correction="H' = −R(H)·H, hence H(t) = H(0) e^{−γt}: the rate is proportional to H.",
@@ -184,7 +184,7 @@ def hamiltonian_evolution() -> Evidence:
 
 @claim(
     "C05",
-    "eq:damped-Newton",
+    "§2.4.1, eq. (33)",
     "g q̈ + Γ' g q̇ + ∇V = 0 for H0 = ½ g^{ij}(q) p_i p_j + V(q).",
     kind=Correction.repairs,
     correction="True for a constant metric, which is what the paper assumes two equations earlier. For "
@@ -244,7 +244,7 @@ def damped_newton() -> Evidence:
     )
 
 
-@claim("C06", "eq:dH0dt-intrinsic", "H0' = −Γ'(s) p·∂H0/∂p.", scene="particle, γ s and γ s + ½ κ s²")
+@claim("C06", "§2.4.1, eq. (35)", "H0' = −Γ'(s) p·∂H0/∂p.", scene="particle, γ s and γ s + ½ κ s²")
 def energy_balance() -> Evidence:
     def defect(scene):
         energy = function_of(scene.energy)
@@ -271,7 +271,7 @@ def energy_balance() -> Evidence:
 
 @claim(
     "C07",
-    "after eq:dH0dt-quadratic",
+    "§2.4.1, after eq. (37)",
     "H0 decreases monotonically when Γ' ≥ 0.",
     scene="particle, γ s and γ s + ½ κ s²",
 )
@@ -303,7 +303,7 @@ def monotone_energy() -> Evidence:
 
 @claim(
     "C08",
-    "fig2",
+    "§2.4.1, Figure 2",
     "The oscillator's orbits are closed at λ = 0 and spiral to the origin for λ > 0; R(H) = λ.",
     scene="oscillator, λ = 0 and 0.2",
     method="none: the closed form",
@@ -358,7 +358,7 @@ AXIS = np.array([0.48, 0.6, 0.64])  #: a unit vector
 
 @claim(
     "C09",
-    "eq:strict-invariance",
+    "§3.1, eq. (45)",
     "Cotangent lifts, extended trivially in s, preserve η.",
     scene="T*R² × R, T*R³ × R",
 )
@@ -394,7 +394,7 @@ def cotangent_lifts() -> Evidence:
 
 @claim(
     "C10",
-    "eq:xiM-Lie-eta",
+    "§3.1, eq. (49)",
     "Strictness implies L_ξ η = −dJ_ξ.",
     kind=Correction.replaces,
     correction="L_ξ η = 0, which is what strictness says; J_ξ = −ι_ξ η, and dJ_ξ = ι_ξ dη.",
@@ -438,7 +438,7 @@ def infinitesimal_strictness() -> Evidence:
 
 @claim(
     "C14",
-    "eq:symplectification",
+    "§3.3, eq. (64)",
     "The contact flow is the projection of a homogeneous Hamiltonian flow on (M × R₊, d(rη)).",
     scene="particle",
     method="SciPy DOP853, rtol 10⁻¹³, on Hamilton's equations",

@@ -124,7 +124,7 @@ def symplectic_defect(map_: Any, y: Any) -> Any:
 
 @claim(
     "C23",
-    "eq:disc-Herglotz",
+    "§5.1, eq. (79)",
     "s_{k+1} = s_k + h L(q_k, q_{k+1}, s_k) with variations of q_k is a variational integrator, and "
     "reduces to the symplectic one when L does not depend on s.",
     scene=PARTICLE,
@@ -184,7 +184,7 @@ def flow_defect(flow: Any, hamiltonian: Any) -> float:
 
 @claim(
     "C24",
-    "eq:A-flow, eq:B-flow, eq:C-flow",
+    "§5.2, eqs. (82)–(84)",
     "The three subflows are the exact contact flows of T, V and γ s.",
     kind=Correction.extends,
     scene=PARTICLE,
@@ -249,7 +249,7 @@ def subflows() -> Evidence:
 
 @claim(
     "C25",
-    "eq:Strang-Integrator, §5.2",
+    "§5.2, eq. (85)",
     "Φ_h = B½ A C B½ is symmetric and second order.",
     kind=Correction.replaces,
     correction="For γ > 0 it is first order and not time-symmetric, because A and C do not commute. The "
@@ -310,7 +310,7 @@ def step_drift(name: str, h: float) -> float:
 
 @claim(
     "C26",
-    "§5.2",
+    "§5.2, after eq. (85)",
     "The integrator preserves the contact structure up to O(h³).",
     kind=Correction.sharpens,
     correction="Every step is an exact conformal contact map, Φ_h*η = e^{−γh}η, at every step size: a "
@@ -361,7 +361,7 @@ ENERGY_LADDER = (16, 32, 64, 128, 256, 512)  #: steps per unit of time
 
 @claim(
     "C27",
-    "§5.2",
+    "§5.2, after eq. (85)",
     "The integrator has the correct decay of both H0 and s.",
     kind=Correction.repairs,
     correction="To the method's order only. What is exact at every step size is the conformal factor "
@@ -412,7 +412,7 @@ def energy_and_action_decay() -> Evidence:
 
 @claim(
     "C28",
-    "eq:VV-limit",
+    "§5.3, eq. (87)",
     "At γ = 0 the integrator is velocity Verlet.",
     scene="particle, γ = 0",
     method=PRINTED,
@@ -453,7 +453,7 @@ def border(name: str, gamma: float) -> float:
 
 @claim(
     "C36",
-    "Conclusion",
+    "Abstract",
     "Numerically stable integration.",
     kind=Correction.repairs,
     correction="Conditionally stable. The palindromic B½ A½ C A½ B½ needs ωh < 2 whatever the damping; the "

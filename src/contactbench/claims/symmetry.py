@@ -31,7 +31,7 @@ def momenta(scene):
 
 @claim(
     "C11",
-    "eq:momentum-decay-general, eq:J-decay-solution, fig3",
+    "§3.2, eqs. (55) and (59), Figure 3",
     "For a symmetry of H the momentum decays: J' = −R(H) J, J(t) = e^{−λt} J(0).",
     scene="central, rigid_body; central with γ s + ½ κ s²",
     figures=("paper_3",),
@@ -67,7 +67,7 @@ def momentum_decay() -> Evidence:
 
 @claim(
     "C12",
-    "eq:level-set-not-invariant",
+    "§3.3, eqs. (61) and (62)",
     "J⁻¹(μ) is not invariant for λ ≠ 0, unless μ = 0.",
     scene="central, λ = 0 and 0.1",
 )
@@ -90,7 +90,7 @@ def level_sets() -> Evidence:
 
 @claim(
     "C13",
-    "eq:time-dependent-level",
+    "§3.3, eq. (63)",
     "One may reduce along the decaying level μ(t) = e^{−λt} μ0.",
     scene="central in polar coordinates",
     method="SciPy DOP853, rtol 10⁻¹³, on the reduced equations",
