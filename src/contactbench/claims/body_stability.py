@@ -222,7 +222,9 @@ def diagonal_cases(axes: Sequence[int], cases: int, seed: int) -> list[tuple[np.
 
 def spectra_of(cases: Sequence[tuple[np.ndarray, Any, np.ndarray]]) -> np.ndarray:
     """Real parts of the full spectra, ascending; (k, 3)."""
-    return np.sort(spectra([body(D, inertia) for D, inertia, _ in cases], [M for *_, M in cases]).real, axis=1)
+    return np.sort(
+        spectra([body(D, inertia) for D, inertia, _ in cases], [M for *_, M in cases]).real, axis=1
+    )
 
 
 @claim(

@@ -14,7 +14,8 @@ import numpy as np
 
 from contactbench.claims.body_stability import SPECTRUM, direction_growths
 from contactbench.claims.experiment import NOMINAL
-from contactbench.claims.integrator import (
+from contactbench.claims.linearisation import INERTIA, body, border, criterion, growths, momentum_rate
+from contactbench.claims.orders import (
     ABC,
     ENERGY_LADDER,
     PAPER_STEP,
@@ -25,7 +26,6 @@ from contactbench.claims.integrator import (
     energy_errors,
     slope,
 )
-from contactbench.claims.linearisation import INERTIA, body, border, criterion, growths, momentum_rate
 from contactbench.methods import solve
 from contactbench.scenes import SCENES
 from contactbench.truth.reference import reference

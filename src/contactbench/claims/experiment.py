@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.claims.calculus import ROUND_OFF
-from contactbench.claims.integrator import (
+from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
+from contactbench.claims.orders import (
     ABC,
     ENERGY_LADDER,
     ORDER_MISS,
@@ -20,7 +21,6 @@ from contactbench.claims.integrator import (
     energy_errors,
     slope,
 )
-from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.measure.laws import LAWS
 from contactbench.methods import solve
 from contactbench.scenes import SCENES

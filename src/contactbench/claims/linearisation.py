@@ -138,4 +138,3 @@ def misjudged(cases: Sequence[tuple[np.ndarray, Any, np.ndarray]], slack: float)
         is_ = -1 if rates[1] > slack and rates[0] < -slack else 1 if rates[1] < -slack else 0
         wrong += says != is_
     return wrong
-

@@ -21,7 +21,7 @@ from contactbench.claims.calculus import (
     points,
     turned_left,
 )
-from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
+from contactbench.claims.ledger import Correction, Evidence, at_most, claim
 from contactbench.claims.linearisation import momentum_rate
 from contactbench.methods import solve
 from contactbench.scene import BodyState
