@@ -195,7 +195,7 @@ def paper_stability() -> Iterator[Row]:
         off = np.outer(np.eye(3)[j], np.eye(3)[k])
         rates = np.linspace(0, REACH[axis], 41)
         beside = [
-            (d, c, np.diag(d * (1 - e)) + c * (off + off.T))
+            (d, c, np.diag(d * (1 - e)) + np.clip(c, -d, d) * (off + off.T))
             for d in rates
             for c in np.linspace(-REACH[axis], REACH[axis], 81)
             if abs(c) <= d * (1 + 1e-12)

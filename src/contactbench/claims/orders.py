@@ -92,7 +92,7 @@ def energy_errors(
     return errors
 
 
-LOCAL_STEPS = (0.1, 0.05, 0.025, 0.0125)
+LOCAL_STEPS = (0.008, 0.004, 0.002, 0.001)
 
 
 def local_errors(
