@@ -162,7 +162,7 @@ def balance_defect(name: str, h: float, gamma: float) -> float:
     method="contact-printed; order: also contact-strang",
 )
 def dissipation_law(gamma: float = 0.1) -> Evidence:
-    ladder = (0.025, 0.0125, 0.00625, 0.003125)
+    ladder = min(1, gamma / 0.1) * np.array([0.025, 0.0125, 0.00625, 0.003125])  # h well below γ
     orders = {name: slope({h: balance_defect(name, h, gamma) for h in ladder}) for name in (PRINTED, STRANG)}
     return Evidence(
         [

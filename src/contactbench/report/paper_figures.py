@@ -267,7 +267,7 @@ def paper_stability(rows: pd.DataFrame) -> Figure:
     """
     figure, grid = plt.subplots(2, 3, figsize=(14.5, 9.4), layout="constrained")
     sample = rows[rows["curve"] == "growth rate"]
-    limit = float(sample["z"].abs().max())
+    limit = 2 * float(sample["z"].max())  # so that growth is seen; faster decay is drawn in one colour
     norm = TwoSlopeNorm(0.0, -limit, limit)
     places = ("smallest inertia", "intermediate", "largest inertia")
     for line_of, slice_ in zip(grid, ("diagonal", "full"), strict=True):
@@ -279,12 +279,12 @@ def paper_stability(rows: pd.DataFrame) -> Figure:
             )
             borders = [line for _, kind, line in curves(rows, panel) if kind == "criterion"]
             for line in borders:
-                axes.plot(line["x"], line["y"], color=BLACK, linestyle="--", linewidth=1.5)
+                axes.plot(line["x"], line["y"], color=BLACK, linestyle="--", linewidth=1.5, zorder=3)
             if borders:
                 axes.contour(
-                    points.columns, points.index, points.to_numpy(), [0.0], colors="#DDAA33", linewidths=2
+                    points.columns, points.index, points.to_numpy(), [0.0], colors="#DDAA33", linewidths=4
                 )
-                axes.plot([], [], color="#DDAA33", linewidth=2, label="growth rate 0, computed")
+                axes.plot([], [], color="#DDAA33", linewidth=4, label="growth rate 0, computed")
                 axes.plot([], [], color=BLACK, linestyle="--", label="criterion det = 0")
                 axes.legend(loc="upper right" if slice_ == "diagonal" else "upper left", frameon=True)
             j, k = (i for i in "123" if i != str(axis + 1))
