@@ -40,7 +40,7 @@ CASES = 300
 NONE_WRONG = "a criterion has none"
 
 
-def settled(D: Any, M: Sequence[float], t: float, inertia: Sequence[float] = INERTIA) -> np.ndarray:
+def settled(D: Any, M: Any, t: float, inertia: Sequence[float] = INERTIA) -> np.ndarray:
     """M(t) by integration."""
     scene = body(D, inertia).with_(M=tuple(float(m) for m in M), t_end=t)
     return solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1]
@@ -148,13 +148,14 @@ def equilibrium_set(seed: int = 3, cases: int = 27, inertia: Sequence[float] = I
         found = equilibria(D, inertia, rng)
         distances += [distance_from_set(M, D) for M in found]
         count += len(found)
-    D = body(any_damping(rng, 5), inertia)
+    damped = body(any_damping(rng, 5), inertia)
     u = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
     a = -np.array([1.0, -1.0, 0.0]) / np.sqrt(2) / 4
     skew = np.eye(3) - np.outer(u, u) + np.cross(np.eye(3), -a).T  # columns e_i × (−a) = a × e_i
     work = largest(
         lambda M: (
-            M @ momentum_rate(D)(M) + M @ jnp.stack(D.damp_matrix_function(tuple(M), lambda rate: rate))
+            M @ momentum_rate(damped)(M)
+            + M @ jnp.stack(damped.damp_matrix_function(tuple(M), lambda rate: rate))
         ),
         points(3, seed=seed),
     )
