@@ -261,35 +261,45 @@ def paper_8(rows: pd.DataFrame) -> Figure:
 
 @drawn
 def paper_stability(rows: pd.DataFrame) -> Figure:
-    """Growth rates of anisotropically damped rotations, with the corrected criterion."""
-    figure, grid = plt.subplots(1, 3, figsize=(14.5, 4.7), layout="constrained")
+    """Growth rates of anisotropically damped rotations, with the corrected criterion.
+
+    One row for diagonal D, one for D with a full transverse block; a column for each axis in ker D.
+    """
+    figure, grid = plt.subplots(2, 3, figsize=(14.5, 9.4), layout="constrained")
     sample = rows[rows["curve"] == "growth rate"]
-    limit = float(sample["z"].abs().max())
+    limit = 2 * float(sample["z"].max())  # so that growth is seen; faster decay is drawn in one colour
     norm = TwoSlopeNorm(0.0, -limit, limit)
-    for axes, panel in zip(grid, ("axis 1", "axis 2", "axis 3"), strict=True):
-        points = sample[sample["panel"] == panel].pivot(index="y", columns="x", values="z")
-        image = axes.pcolormesh(
-            points.columns, points.index, points.to_numpy(), cmap="RdBu_r", norm=norm, shading="nearest"
-        )
-        for name, kind, line in curves(rows, panel):
-            if kind == "criterion":
+    places = ("smallest inertia", "intermediate", "largest inertia")
+    for line_of, slice_ in zip(grid, ("diagonal", "full"), strict=True):
+        for axis, (axes, place) in enumerate(zip(line_of, places, strict=True)):
+            panel = f"axis {axis + 1}, {slice_}"
+            points = sample[sample["panel"] == panel].pivot(index="y", columns="x", values="z")
+            image = axes.pcolormesh(
+                points.columns, points.index, points.to_numpy(), cmap="RdBu_r", norm=norm, shading="nearest"
+            )
+            borders = [line for _, kind, line in curves(rows, panel) if kind == "criterion"]
+            for line in borders:
+                axes.plot(line["x"], line["y"], color=BLACK, linestyle="--", linewidth=1.5, zorder=3)
+            if borders:
                 axes.contour(
                     points.columns, points.index, points.to_numpy(), [0.0], colors="#DDAA33", linewidths=4
                 )
                 axes.plot([], [], color="#DDAA33", linewidth=4, label="growth rate 0, computed")
-                axes.plot(line["x"], line["y"], color=BLACK, linestyle="--", label=f"criterion {name}")
-                axes.legend(loc="upper right", frameon=True)
-        across = [i for i in "123" if i != panel[-1]]
-        place = {"axis 1": "smallest inertia", "axis 2": "intermediate", "axis 3": "largest inertia"}[panel]
-        axes.set(
-            xlabel=f"damping rate d{across[0]}",
-            ylabel=f"damping rate d{across[1]}",
-            title=f"rotation about {panel} ({place})",
-        )
-        axes.set_aspect("equal")
-        axes.grid(visible=False)
-    figure.colorbar(image, ax=list(grid), label="largest transverse growth rate (red: unstable)", shrink=0.9)
+                axes.plot([], [], color=BLACK, linestyle="--", label="criterion det = 0")
+                axes.legend(loc="upper right" if slice_ == "diagonal" else "upper left", frameon=True)
+            j, k = (i for i in "123" if i != str(axis + 1))
+            label = {
+                "diagonal": (f"d{j}{j}", f"d{k}{k}"),
+                "full": (f"d{j}{j} = d{k}{k}", f"d{j}{k}"),
+            }[slice_]
+            axes.set(xlabel=label[0], ylabel=label[1], title=f"axis {axis + 1} ({place}), {slice_} D")
+            axes.grid(visible=False)
+    figure.colorbar(
+        image, ax=list(grid.flat), label="largest transverse growth rate (red: unstable)", shrink=0.9
+    )
     figure.suptitle(
-        "rotations in ker D, I = (1, 2, 3), ‖M*‖ = 1: the intermediate axis is stable beyond d₁d₃ = ab = 1/12"
+        "steady rotations about an axis in ker D, I = (1, 2, 3), M* = +e_i.  Above: diagonal D.  Below: the slice of "
+        "full D ≥ 0\nwith equal rates, |off-diagonal| ≤ rate.  Not shown: unequal rates with an off-diagonal, other "
+        "I, other M*"
     )
     return figure

@@ -280,7 +280,7 @@ CLAIMS_TABLE = Table(
     "every claim of the paper with a measured number and the verdict that follows from it",
     {
         "id": "number of the claim",
-        "where": "equation label, section or figure of the paper",
+        "where": "section and equation or figure of the paper, as numbered in print",
         "claim": "what is claimed, in our words",
         "scene": "what it is measured on",
         "method": "integrator, or how the equations themselves are tested",
