@@ -9,12 +9,12 @@ import subprocess
 import sys
 
 import pytest
+from contactbench.report.documents import report
 
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench import plugins
 from contactbench.report import figures, page
-from contactbench.report.documents import report
 from contactbench.results.schema import WORK_PRECISION, merge, read
 
 MINE = ("my-method", "my-scene")

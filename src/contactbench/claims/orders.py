@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from contactbench.measure.analysis import fit_order
+from contactbench.measure.order import fit_order
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step import FixedStep, trajectory
 from contactbench.scene import Mechanical, State

@@ -29,6 +29,9 @@ from contactbench.truth import reference
 
 LAWS = Registry("law")
 
+#: where a law may be shown: the first table of the results, the tables of laws, those of the hard scenes
+VIEWS = ("overview", "laws", "stability")
+
 #: below this a float64 has lost relative precision to gradual underflow
 MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
 #: part of the cancelling terms below which a quantity is not resolved: round-off of a few ε stays below 10⁻¹²
@@ -48,6 +51,15 @@ class Law:
     structural: bool = False
     #: whether it compares with the decay e^{−∫Γ'} of the truth
     compares_decay: bool = False
+    #: its short name in headings, and the views that show it (VIEWS); how the gate compares it: the name of a
+    #: rule of the result tables, by default structure or error
+    label: str = ""
+    shown: tuple[str, ...] = ("laws",)
+    gated: str = ""
+
+    @property
+    def gate(self) -> str:
+        return self.gated or ("structure" if self.structural else "error")
 
     def __call__(self, solution: Solution) -> float:
         """The measure; nan unless the run ended `ok`.
@@ -79,12 +91,13 @@ def law(
     applies: Callable[[Scene], bool] = lambda scene: True,
     structural: bool = False,
     compares_decay: bool = False,
+    **display: Any,
 ) -> Callable[[Callable[[Solution], float]], Law]:
-    """Decorator that registers a measure under its function's name."""
+    """Decorator that registers a measure under its function's name; display: label, shown, gated."""
 
     def register(measure: Callable[[Solution], float]) -> Law:
         return LAWS.add(
-            Law(measure.__name__, definition, measure, needs, applies, structural, compares_decay)
+            Law(measure.__name__, definition, measure, needs, applies, structural, compares_decay, **display)
         )
 
     return register
@@ -147,13 +160,13 @@ def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
     return np.linalg.norm(numerical - exact, axis=1), float(np.linalg.norm(exact, axis=1).max())
 
 
-@law("max ‖y − y*‖ / max ‖y*‖")
+@law("max ‖y − y*‖ / max ‖y*‖", label="solution error", shown=("laws", "stability"))
 def solution_error(solution: Solution) -> float:
     error, size = absolute_error(solution)
     return float(error.max() / size)
 
 
-@law("‖y(T) − y*(T)‖ / max ‖y*‖")
+@law("‖y(T) − y*(T)‖ / max ‖y*‖", label="error at the end", shown=())
 def solution_error_end(solution: Solution) -> float:
     error, size = absolute_error(solution)
     return float(error[-1] / size)
@@ -166,13 +179,13 @@ def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray, float]:
     return scene.energy(solution.states()), scene.energy(exact), float(scene.energy(solution.start()))
 
 
-@law("max |H0(y) − H0(y*)| / |H0(y₀)|")
+@law("max |H0(y) − H0(y*)| / |H0(y₀)|", label="H0 law", shown=VIEWS)
 def energy_law(solution: Solution) -> float:
     numerical, exact, start = energies(solution)
     return float(np.abs(numerical - exact).max() / abs(start))
 
 
-@law("max |H0(y) / H0(y*) − 1|")
+@law("max |H0(y) / H0(y*) − 1|", label="H0 law, relative")
 def energy_law_relative(solution: Solution) -> float:
     numerical, exact, _ = energies(solution)
     return float(relative_deviation(numerical, exact).max())
@@ -264,7 +277,10 @@ def hamiltonian_deviation(solution: Solution) -> np.ndarray:
     return conformal_deviation(value[:, None], start, solution.t, decay_rate(solution), terms)
 
 
-@law(f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", needs=("s",), applies=is_contact, compares_decay=True)
+@law(
+    f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}",
+    needs=("s",), applies=is_contact, compares_decay=True, label="H law", shown=VIEWS,
+)  # fmt: skip
 def hamiltonian_law(solution: Solution) -> float:
     return float(hamiltonian_deviation(solution).max())
 
@@ -279,7 +295,7 @@ def momentum_deviation(solution: Solution) -> np.ndarray:
 
 @law(
     f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}",
-    needs=("R",), applies=has_momentum_law, structural=True, compares_decay=True,
+    needs=("R",), applies=has_momentum_law, structural=True, compares_decay=True, label="J law", shown=VIEWS,
 )  # fmt: skip
 def momentum_law(solution: Solution) -> float:
     return float(momentum_deviation(solution).max())
@@ -288,7 +304,8 @@ def momentum_law(solution: Solution) -> float:
 @law(
     "max |J − J*| e^{γt} / max |J* e^{γt}|, J* of the truth: J' = −γJ − ∂V/∂θ",
     applies=lambda scene: scene.conformal_rate is not None and has_torque(scene),
-)
+    label="J balance", shown=("overview", "laws"),
+)  # fmt: skip
 def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
     weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
@@ -326,12 +343,16 @@ def contact_deviation(solution: Solution) -> np.ndarray:
 @law(
     f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}",
     needs=("R", "s"), applies=is_contact, structural=True, compares_decay=True,
+    label="contact drift", shown=VIEWS,
 )  # fmt: skip
 def contact_drift(solution: Solution) -> float:
     return float(contact_deviation(solution).max())
 
 
-@law("sine of the angle between Φ*η and η", needs=("R", "s"), applies=is_contact, structural=True)
+@law(
+    "sine of the angle between Φ*η and η",
+    needs=("R", "s"), applies=is_contact, structural=True, label="ker η drift",
+)  # fmt: skip
 def distribution_drift(solution: Solution) -> float:
     pulled, form, terms = pullbacks(solution)
     unit = form / np.linalg.norm(form)
@@ -341,14 +362,20 @@ def distribution_drift(solution: Solution) -> float:
     return float(np.linalg.norm(across, axis=1)[length > MEANINGFUL].max(initial=0.0))
 
 
-@law("max ‖RᵀR − 1‖_F", needs=("R",), applies=is_body, structural=True)
+@law(
+    "max ‖RᵀR − 1‖_F",
+    needs=("R",), applies=is_body, structural=True, label="attitude drift", shown=("laws", "stability"),
+)  # fmt: skip
 def attitude_drift(solution: Solution) -> float:
     R = solution.R
     assert R is not None
     return float(np.linalg.norm(np.swapaxes(R, 1, 2) @ R - np.eye(3), axis=(1, 2)).max())
 
 
-@law("saved steps on which H0 grows although γ > 0", applies=lambda scene: not may_gain_energy(scene))
+@law(
+    "saved steps on which H0 grows although γ > 0",
+    applies=lambda scene: not may_gain_energy(scene), label="H0 grows", gated="count",
+)  # fmt: skip
 def energy_increases(solution: Solution) -> float:
     energy = solution.scene.energy(solution.states())
     energy = np.concatenate([[solution.scene.energy(solution.start())], energy])

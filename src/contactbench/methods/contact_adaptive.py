@@ -233,6 +233,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
 
 @dataclass(frozen=True)
 class AdaptiveContactMethod(Adaptive):
+    family = "contact"
     name: str = "contact-adaptive"
     order: int | None = 6
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
