@@ -14,8 +14,10 @@ import pandas as pd
 
 from contactbench.report import laws, stability, work_precision
 from contactbench.report.contest import (
+    COMPILED,
     EVALUATIONS,
     KINDS,
+    TARGETS,
     Field,
     duel_view,
     losses_view,
@@ -36,8 +38,8 @@ from contactbench.report.model import (
 )  # fmt: skip
 
 UNITS = "All quantities are dimensionless, as in the paper; times are of the machine that results/README.md names."
-#: scenes whose costs stand in the project's README
 SOURCES = "work_precision.csv, stability.csv"
+#: scenes whose costs stand in the project's README
 DUELS = ("particle_long", "rigid_body")
 #: the scene whose figure stands here
 DRAWN = "particle"

@@ -13,9 +13,7 @@ from contactbench.report.contest import (
     contestants,
     costs_view,
     duel_view,
-    losses_view,
     standing,
-    winners_view,
 )  # fmt: skip
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.model import (

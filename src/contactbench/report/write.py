@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from contactbench.errors import BadInput
-from contactbench.report import glossary, headline, markdown
-from contactbench.report.model import Frames, Part, Room, rooms
+from contactbench.report import draw, glossary, headline, markdown, page
+from contactbench.report.model import Frames, figures, rooms
+from contactbench.report.page import Said
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, replacing
 
@@ -26,21 +27,22 @@ def environment(results: Path) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
-def made(frames: Frames, runs: dict[str, Any]) -> Iterator[tuple[Room, list[Part]]]:
-    """Every room that has something to say, with its parts."""
+def heard(frames: Frames, runs: dict[str, Any]) -> list[Said]:
+    """Every room that has something to say, with its parts and findings."""
+    said = []
     for room in rooms(frames):
-        parts = list(room.sections(frames))
-        yield room, [*parts, headline.machines(runs)] if room.name == "headline" else parts
+        parts = tuple(room.sections(frames))
+        if room.name == "headline":
+            parts = (*parts, headline.machines(runs))
+        said.append(Said(room, parts, tuple(room.findings(frames))))
+    return said
 
 
-def documents(frames: Frames, runs: dict[str, Any], registries: glossary.Registries) -> dict[str, str]:
+def documents(said: Iterable[Said], registries: glossary.Registries) -> dict[str, str]:
     """File name → text."""
-    texts = {}
-    for room, parts in made(frames, runs):
-        texts[room.file] = markdown.document(room, parts, tuple(room.findings(frames)))
+    texts = {one.room.file: markdown.document(one.room, one.parts, one.findings) for one in said}
     if texts:
-        parts = glossary.sections(registries)
-        texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(parts)}\n"
+        texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(glossary.sections(registries))}\n"
     return texts
 
 
@@ -67,31 +69,24 @@ def into_readme(readme: Path, results: Path) -> None:
 
 def differing(results: Path, readme: Path | None, registries: glossary.Registries) -> list[Path]:
     """The documents in `results`, and the README, that do not say what the tables say."""
-    texts = documents(tables(results), environment(results), registries)
+    texts = documents(heard(tables(results), environment(results)), registries)
     wanted = {results / name: text for name, text in texts.items()}
     if readme is not None:
         wanted[readme] = with_excerpt(readme, results)
-    return [
-        path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text
-    ]
+    return [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
 
 
 def report(results: Path, registries: glossary.Registries) -> list[Path]:
-    """Write every document and figure the tables allow; returns the paths."""
-    from contactbench.report import draw
-    from contactbench.report.model import figures
-
-    frames, runs = tables(results), environment(results)
+    """Write every document and figure the tables allow, and the page; returns the paths."""
+    runs = environment(results)
+    said = heard(tables(results), runs)
+    texts = documents(said, registries) | {"report.html": page.page(said, list(runs.values()))}
     written = []
-    for name, text in documents(frames, runs, registries).items():
+    for name, text in texts.items():
         with replacing(results / name) as file:
             file.write(text)
         written.append(results / name)
-    seen = set()
-    for _, parts in made(frames, runs):
-        for figure in figures(parts):
-            if figure.name not in seen:
-                seen.add(figure.name)
-                draw.save(figure, results / "figures")
-                written.append(results / "figures" / f"{figure.name}.svg")
+    drawn = {figure.name: figure for one in said for figure in figures(one.parts)}
+    for figure in drawn.values():
+        written += draw.save(figure, results / "figures")
     return written
