@@ -16,7 +16,7 @@ from contactbench.measure.laws import (
     momentum_deviation,
     relative_deviation,
 )
-from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
+from contactbench.results.tables import COMMON, LAWS_TABLE, LAWS_TIME
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -60,6 +60,6 @@ def along_time(solution):
         "momentum_deviation": momentum_deviation(solution) if has_momentum_law(scene) else nothing,
         "contact_deviation": contact_deviation(solution) if is_contact(scene) else nothing,
     }
-    key = {k: outcome(solution)[k] for k in ("scene", "method", "engine", "setting", "status", "message")}
+    key = {name: value for name, value in outcome(solution).items() if name in COMMON}
     for values in zip(*columns.values(), strict=True):
         yield {**key, **dict(zip(columns, map(float, values), strict=True))}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import RTOLS, SAVES, cells, step_budget
+from cells import RTOLS, SAVES, cells, controlled, step_budget
 from contactbench.measure.isolation import Died, TimedOut, Workers
 from contactbench.measure.stability import (
     THEORY,
@@ -86,7 +86,7 @@ def calls(cell, profile):
     scene = cb.SCENES[which]
     budget = budget_of(profile, scene, method)
     for kind, value in settings(scene, method):
-        row = key | {"scene": which, "setting": printed(kind, value)}
+        row = key | {"scene": which, **controlled(kind, value)}
         yield row, stability_row, (which, method.name, engine, kind, value, budget)
 
 
@@ -101,17 +101,13 @@ def rate_calls(cell, profile):
         budget = budget_of(profile, scene, method)
         for kind, value in values:
             row = key | {
-                "experiment": "overdamped", "scene": which, "setting": printed(kind, value), "t_end": scene.t_end,
+                "experiment": "overdamped", "scene": which, **controlled(kind, value), "t_end": scene.t_end,
             }  # fmt: skip
             yield row, overdamped_row, (method.name, kind, value, budget)
         return
     name, _, span = which.partition(" ")
-    row = key | {"experiment": "weak", "scene": name, "setting": "step=nan", "t_end": float(span)}
+    row = key | {"experiment": "weak", "scene": name, "setting": "", "t_end": float(span)}
     yield row, weak_row, (name, method.name, float(span))
-
-
-def printed(kind, value):
-    return f"step={value:.6g}" if kind == "step" else f"rtol={value:.3g}"
 
 
 def budget_of(profile, scene, method):

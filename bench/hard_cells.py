@@ -12,7 +12,8 @@ import contactbench as cb
 from cells import outcome, save_times
 from contactbench.measure.laws import MEANINGFUL, is_contact, laws_of
 from contactbench.measure.stability import slow_rate
-from contactbench.truth.reference import blow_up_time, condition_number
+from contactbench.results.tables import DAMPING_RATES
+from contactbench.truth import blow_up_time, condition_number
 
 
 class SolverError(Exception):
@@ -102,8 +103,8 @@ def overdamped_row(method, kind, value, max_steps):
 
 def rate_row(experiment, solution, t_end, true_rate):
     common = outcome(solution)
-    keep = ("scene", "method", "engine", "setting", "status", "message", "evaluations")
-    return {k: common[k] for k in keep} | {"experiment": experiment, "t_end": t_end, "true_rate": true_rate}
+    keep = {name: value for name, value in common.items() if name in DAMPING_RATES.columns}
+    return keep | {"experiment": experiment, "t_end": t_end, "true_rate": true_rate}
 
 
 def rates(rate, true_rate):

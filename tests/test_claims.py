@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from contactbench import truth as references
 from contactbench.claims import CLAIMS, Correction, Evidence, Verdict, verdict
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.ledger import Claim, at_least, at_most
@@ -19,7 +20,6 @@ from contactbench.results import schema as table
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
 from contactbench.splitting import flows
 from contactbench.splitting.tables import ABC
-from contactbench.truth import reference as references
 
 IDS = [f"C{n:02d}" for n in range(1, 37)]
 REFUTED = {"C04", "C10", "C16", "C20", "C21", "C25", "C32", "C33"}

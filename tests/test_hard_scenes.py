@@ -10,7 +10,7 @@ import pytest
 import contactbench as cb
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import hard_scenes, standard_scenes
-from contactbench.truth.reference import blow_up_time, condition_number
+from contactbench.truth import blow_up_time, condition_number
 
 HARD = hard_scenes()
 by_scene = pytest.mark.parametrize("scene", HARD, ids=lambda scene: scene.name)

@@ -13,7 +13,7 @@ from contactbench.measure.order import fit_order
 from contactbench.methods.base import steps_in
 from contactbench.methods.fixed_step import trajectory
 from contactbench.solution import Status
-from contactbench.truth.reference import blow_up_time
+from contactbench.truth import blow_up_time
 
 FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
 ADAPTIVE = [m for m in cb.METHODS.values() if m.adaptive]
@@ -197,6 +197,52 @@ def test_a_span_that_is_a_multiple_up_to_round_off_is_not_cut_finer():
     assert steps_in(2000.0, 0.01) == 200_000
     assert steps_in(20.0, 0.3) == 67
     assert steps_in(1e-3, 5.0) == 1
+
+
+def grids(step):
+    """Times at multiples of a step, as users write them."""
+    n = 20_000
+    k = np.arange(1, n)
+    return {
+        "multiples": k * step,
+        "arange": np.arange(step, n * step, step),
+        "linspace": np.linspace(0, n * step, n + 1)[1:],
+        "sums": np.cumsum(np.full(n, step)),
+        "late": 1e6 * step + k * step,
+        "very late": 1e9 * step + k * step,
+        "every third": 3 * k * step,
+    }
+
+
+def divided(times, step):
+    """Steps of each interval between the times, the way to the first of them left out."""
+    spans = zip(np.diff(times).tolist(), times[1:].tolist(), strict=True)
+    return np.array([steps_in(span, step, until) for span, until in spans])
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
+def test_times_at_multiples_of_the_step_are_reached_in_whole_steps(step):
+    for name, times in grids(step).items():
+        assert (divided(times, step) == (3 if name == "every third" else 1)).all(), name
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
+def test_an_interval_that_is_longer_than_the_step_is_divided(step):
+    """By a part in 10⁹, where times that late resolve it."""
+    for name, times in grids(step).items():
+        if name in ("late", "very late"):  # 4 ulp(t)/h is 10⁻⁹ at t = 10⁶ h
+            continue
+        assert (divided(times, step * (1 - 1e-9)) == (4 if name == "every third" else 2)).all(), name
+    late = grids(step)["late"]
+    assert (divided(late, step * (1 - 1e-8)) == 2).all()
+
+
+@pytest.mark.parametrize("engine", ["jax", "python"])
+def test_saved_times_do_not_make_steps(engine):
+    times = np.arange(1, 50_000) * 0.001
+    run = cb.prepare("particle", "contact-strang", step=0.001, save_at=times, engine=engine, carry=())
+    assert run.needed == 49_999
+    assert (run.n == 1).all()
 
 
 def test_default_saves_are_bounded():

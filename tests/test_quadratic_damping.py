@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import random_state
 from contactbench.measure.laws import decay_rate, laws_of, pullbacks
+from contactbench.xla import jax, jnp
 
 SCENE = cb.SCENES["quadratic_damping"]
 TIMES = SCENE.t_end * np.arange(1, 26) / 25

@@ -233,8 +233,9 @@ def integrated(
     run: FixedStepRun, names: list[str], y0: np.ndarray, own: dict[int, np.ndarray], chunk: int | None
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Final states (d, m), measures (·, m) and end times (m,) of one chunk after the other."""
-    import jax
     from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+    from contactbench.xla import jax
 
     mesh = Mesh(np.array(jax.local_devices()), (AXIS,))
     platform = mesh.devices.flat[0].platform
@@ -275,8 +276,7 @@ def integrated(
 
 def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile: int) -> Callable[..., Any]:
     """What one device does: its part of a chunk, tile by tile."""
-    import jax.numpy as jnp
-    from jax import lax
+    from contactbench.xla import jnp, lax
 
     base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
 
@@ -334,8 +334,9 @@ def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
 
 def overall(names: list[str], rows: list[np.ndarray]) -> tuple[dict[str, Statistic], dict[Status, int]]:
     """Statistics and endings from the rows of all chunks of all processes."""
-    import jax
     from jax.experimental import multihost_utils
+
+    from contactbench.xla import jax
 
     def joined(rows: Any) -> np.ndarray:
         rows, split = np.asarray(rows), 2 + len(names)

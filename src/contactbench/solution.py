@@ -79,6 +79,9 @@ class Solution:
     differentiate: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None
     #: how it is obtained, for the tables; empty where it is not available
     sensitivity_source: str = ""
+    #: what was set, "step" or "rtol", and its value
+    control: str = ""
+    value: float = float("nan")
 
     @property
     def ok(self) -> bool:

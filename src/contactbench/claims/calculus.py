@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from contactbench.scene import BodyState, Mechanical, RigidBody, State, quaternion_product
 from contactbench.scenes import SCENES
+from contactbench.xla import jax, jnp
 
 Field = Callable[[Any], Any]
 

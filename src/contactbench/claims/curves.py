@@ -27,7 +27,7 @@ from contactbench.claims.integrator import (
 from contactbench.claims.rigid_body import SPECTRUM, coupling, growth, growths, momentum_rate, with_damping
 from contactbench.methods import solve
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 
 Row = tuple[str, str, str, float, float, float]
 FIGURES: dict[str, Callable[[], Iterator[Row]]] = {}

@@ -24,7 +24,7 @@ from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, 
 from contactbench.measure.laws import LAWS
 from contactbench.methods import solve
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 
 
 def paper_run(name: str, **changes: Any) -> Any:

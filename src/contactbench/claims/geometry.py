@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -30,7 +28,8 @@ from contactbench.claims.calculus import (
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
+from contactbench.xla import jax, jnp
 
 DEGREES = (1, 2, 3)  #: degrees of freedom on which an identity is tested
 SOLVER = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}

@@ -7,8 +7,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from contactbench.claims.calculus import (
@@ -32,7 +30,8 @@ from contactbench.methods.fixed_step import FixedStep, trajectory
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
 from contactbench.splitting.flows import MECHANICAL, Flow
-from contactbench.truth.reference import decimal_context, reference, with_decimals
+from contactbench.truth import decimal_context, reference, with_decimals
+from contactbench.xla import jax, jnp
 
 PARTICLE = "particle"
 PRINTED, ABC, STRANG, RK4 = "contact-printed", "contact-abc", "contact-strang", "rk4"

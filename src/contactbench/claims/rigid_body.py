@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
@@ -23,7 +21,8 @@ from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, 
 from contactbench.methods import solve
 from contactbench.scene import BodyState, RigidBody, cross
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
+from contactbench.xla import jax, jnp
 
 BODY = "rigid_body"
 ANISOTROPIC = "rigid_body_anisotropic"

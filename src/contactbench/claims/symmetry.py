@@ -16,7 +16,7 @@ from contactbench.claims.calculus import (
 from contactbench.claims.geometry import SOLVER, SOLVER_BOUND, SOLVER_WHY, TRUTH, TRUTH_WHY
 from contactbench.claims.ledger import Evidence, at_least, at_most, claim
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 
 
 def times(scene):

@@ -25,7 +25,7 @@ import numpy as np
 from contactbench.errors import BadInput, Registry
 from contactbench.scene import Mechanical, RigidBody, Scene, rotation_matrix
 from contactbench.solution import Solution
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 
 LAWS = Registry("law")
 

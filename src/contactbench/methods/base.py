@@ -1,7 +1,7 @@
 """The contract of a method, and the registry.
 
 A method is an object with a `name`, its `engines` (the first is the default), `adaptive`, `order`,
-a one-line `about`, and
+a one-line `about`, a `family` (contact, variational or established, which it is where a method does not say), and
 
     refuses(scene) -> str | None          why the scene is out of reach, or None
     prepare(Request) -> Prepared          compile once; the result is called many times
@@ -64,10 +64,22 @@ class Request:
     atol: float | None = None
     max_steps: int = DEFAULT_MAX_STEPS
 
+    @property
+    def control(self) -> str:
+        """What is set: "step" or "rtol"."""
+        return "rtol" if self.step is None else "step"
+
+    @property
+    def value(self) -> float:
+        """To what it is set."""
+        value = self.rtol if self.step is None else self.step
+        assert value is not None  # `prepare` sees to it
+        return value
+
     @cached_property
     def setting(self) -> str:
         """The setting as it is keyed in tables."""
-        return f"step={self.step:.6g}" if self.step is not None else f"rtol={self.rtol:.3g}"
+        return f"{self.control}={self.value:.6g}"
 
 
 @dataclass
@@ -108,7 +120,7 @@ class Prepared:
         solution = Solution(
             r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
             out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
-            self.sensitivity_source,
+            self.sensitivity_source, r.control, r.value,
         )  # fmt: skip
         return solution
 
@@ -208,6 +220,7 @@ class Adaptive:
     """Base of the solvers that choose their own steps from rtol."""
 
     adaptive = True
+    family = "established"
 
     def refuses(self, scene: Scene) -> str | None:
         return None
@@ -321,9 +334,19 @@ def _times(save_at: Any) -> np.ndarray:
     return times
 
 
-def steps_in(span: float, step: float) -> int:
-    """The fewest equal steps that cover `span` without exceeding `step` (up to round-off)."""
-    return max(1, math.ceil(span / step * (1 - 1e-12)))
+#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
+#: rounded, as a product or a sum of two, and so may be the spacing of the grid
+GRID_ULPS = 4
+
+
+def steps_in(span: float, step: float, until: float | None = None) -> int:
+    """The fewest equal steps that cover `span` without exceeding `step` (up to round-off).
+
+    until : the time at which the interval ends, by default `span`.  The difference of two saved times has
+    their round-off, which for short intervals late in a run is far above that of the interval itself.
+    """
+    round_off = GRID_ULPS * math.ulp(span if until is None else until)
+    return max(1, math.ceil((span * (1 - 1e-12) - round_off) / step))
 
 
 def stopwatch() -> Any:

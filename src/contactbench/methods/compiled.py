@@ -18,7 +18,7 @@ class XlaNumbers:
     """`jax.numpy`, and `settle`: a state that must be computed once, whoever reads it."""
 
     def __getattr__(self, name: str) -> Any:
-        import jax
+        from contactbench.xla import jax
 
         return jax.lax.optimization_barrier if name == "settle" else getattr(jax.numpy, name)
 
@@ -53,7 +53,7 @@ class CompiledRun(Prepared):
     @staticmethod
     def flat(function: Callable[..., tuple[Any, Any, Any]]) -> Callable[..., Any]:
         """A function that returns saved states, facts about the run, and its last state, all in one vector."""
-        import jax.numpy as jnp
+        from contactbench.xla import jnp
 
         return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
 
@@ -68,7 +68,7 @@ class CompiledRun(Prepared):
 
     @cached_property
     def _own_start_placed(self) -> Any:
-        import jax
+        from contactbench.xla import jax
 
         return jax.device_put(self._own_start)
 
@@ -78,7 +78,7 @@ class CompiledRun(Prepared):
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to trace and compile."""
-        import jax
+        from contactbench.xla import jax
 
         r = self.request
         key = (purpose, r.scene.structure, r.carry, *self.key())
@@ -88,7 +88,7 @@ class CompiledRun(Prepared):
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        import jax
+        from contactbench.xla import jax
 
         r = self.request
 

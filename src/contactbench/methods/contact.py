@@ -39,6 +39,7 @@ def contact_method(composition: Composition) -> ContactMethod:
         order=composition.order,
         step=lambda scene, x, h, xp: advance(composition, scene, x, h, 1, xp),
         kind="gradient",
+        family="contact",
         about=composition.source,
         contact=True,
         symmetric=composition.palindromic,

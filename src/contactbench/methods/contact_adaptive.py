@@ -168,7 +168,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
     sensitivity_source = "forward-mode AD, accepted steps frozen"
 
     def __post_init__(self) -> None:
-        import jax
+        from contactbench.xla import jax
 
         super().__post_init__()
         r = self.request
@@ -185,8 +185,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         return self._solve(y0, fixed)[0]
 
     def _solve(self, y0: Any, fixed: Any) -> Any:
-        import jax.numpy as jnp
-        from jax import lax
+        from contactbench.xla import jnp, lax
 
         r, xp = self.request, ScalarNumbers()
         numbers, options, times = self.apart(fixed)
@@ -234,6 +233,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
 
 @dataclass(frozen=True)
 class AdaptiveContactMethod(Adaptive):
+    family = "contact"
     name: str = "contact-adaptive"
     order: int | None = 6
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"

@@ -95,14 +95,14 @@ class SecondHerglotz(Herglotz):
 
 METHODS.add(
     Herglotz(
-        "herglotz1", 1, herglotz1, kind="gradient",
+        "herglotz1", 1, herglotz1, kind="gradient", family="variational",
         about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, eq. disc-Herglotz",
         factor=lambda scene, h, xp: 1 - scene.gamma * h,
     )
 )  # fmt: skip
 METHODS.add(
     SecondHerglotz(
-        "herglotz2", 2, herglotz2, kind="gradient", symmetric=True,
+        "herglotz2", 2, herglotz2, kind="gradient", family="variational", symmetric=True,
         about="Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767",
         factor=lambda scene, h, xp: (1 - scene.gamma * h / 2) / (1 + scene.gamma * h / 2),
     )

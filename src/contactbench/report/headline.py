@@ -6,7 +6,7 @@ computed sentences of all rooms, and who is cheapest where.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -112,14 +112,14 @@ def sections(frames: Frames) -> list[Part]:
     return [*parts, drawn] if drawn else parts
 
 
-def machines(runs: Mapping[str, Mapping[str, Any]]) -> Section:
+def machines(runs: Sequence[Mapping[str, Any]]) -> Section:
     """Where the tables were made."""
     items = []
-    for name, run in sorted(runs.items()):
+    for run in runs:
         packages = ", ".join(f"{k} {v}" for k, v in run.get("packages", {}).items() if k != "contactbench")
         commit = str(run.get("commit", ""))[:12] or "unknown"
         items.append(
-            f"run `{name}`: profile {run.get('profile', '')}, {run.get('cpu', '')}, {run.get('cores', '')} cores, Python "
+            f"run `{run['run']}`: profile {run.get('profile', '')}, {run.get('cpu', '')}, {run.get('cores', '')} cores, Python "
             f"{run.get('python', '')}, commit `{commit}`{' with local changes' if run.get('dirty') else ''}; {packages}"
         )
     return Section("Where this was measured", (Text(items=tuple(items)),))

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.report import draw, glossary, headline, markdown, page
-from contactbench.report.model import Frames, figures, rooms
+from contactbench.report.model import Figure, Frames, figures, rooms
 from contactbench.report.page import Said
+from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, replacing
 
+Runs = Sequence[Mapping[str, Any]]  #: the records of the benchmark runs, oldest first
 README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
 
 
@@ -22,18 +23,13 @@ def tables(results: Path) -> Frames:
     return {name: read(table, results) for name, table in TABLES.items()}
 
 
-def environment(results: Path) -> dict[str, Any]:
-    path = results / "environment.json"
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-
-
-def heard(frames: Frames, runs: dict[str, Any]) -> list[Said]:
+def heard(frames: Frames, recorded: Runs) -> list[Said]:
     """Every room that has something to say, with its parts and findings."""
     said = []
     for room in rooms(frames):
         parts = tuple(room.sections(frames))
         if room.name == "headline":
-            parts = (*parts, headline.machines(runs))
+            parts = (*parts, headline.machines(recorded))
         said.append(Said(room, parts, tuple(room.findings(frames))))
     return said
 
@@ -67,26 +63,24 @@ def into_readme(readme: Path, results: Path) -> None:
         file.write(text)
 
 
-def differing(results: Path, readme: Path | None, registries: glossary.Registries) -> list[Path]:
-    """The documents in `results`, and the README, that do not say what the tables say."""
-    texts = documents(heard(tables(results), environment(results)), registries)
-    wanted = {results / name: text for name, text in texts.items()}
-    if readme is not None:
-        wanted[readme] = with_excerpt(readme, results)
-    return [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+def made(results: Path, registries: glossary.Registries) -> tuple[dict[str, str], dict[str, Figure]]:
+    """What the tables of a folder allow: documents and the page, file name → text, and figures by name."""
+    recorded = runs(results)
+    said = heard(tables(results), recorded)
+    texts = documents(said, registries)
+    if texts:
+        texts["report.html"] = page.page(said, recorded)
+    return texts, {figure.name: figure for one in said for figure in figures(one.parts)}
 
 
 def report(results: Path, registries: glossary.Registries) -> list[Path]:
     """Write every document and figure the tables allow, and the page; returns the paths."""
-    runs = environment(results)
-    said = heard(tables(results), runs)
-    texts = documents(said, registries) | {"report.html": page.page(said, list(runs.values()))}
+    texts, drawn = made(results, registries)
     written = []
     for name, text in texts.items():
         with replacing(results / name) as file:
             file.write(text)
         written.append(results / name)
-    drawn = {figure.name: figure for one in said for figure in figures(one.parts)}
     for figure in drawn.values():
         written += draw.save(figure, results / "figures")
     return written

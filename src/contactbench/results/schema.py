@@ -129,8 +129,9 @@ def __getattr__(name: str) -> Any:
     """Names that have moved: the tables to `tables`, reading and writing to `store`."""
     from importlib import import_module
 
-    for module in ("tables", "store", "provenance"):
-        found = vars(import_module(f"contactbench.results.{module}")).get(name)
-        if found is not None and not name.startswith("_"):
-            return found
+    if not name.startswith("_"):
+        for module in ("tables", "store", "provenance"):
+            found = vars(import_module(f"contactbench.results.{module}")).get(name)
+            if found is not None:
+                return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -76,8 +76,11 @@ DRIFTS = {
     ),
     "contact_drift_uncertainty": number("error bar of contact_drift where the derivative is by differences"),
     "contact_drift_clamped": whole(
-        "saved times at which the deviation was taken against a thousandth of its terms, not its own size"
+        "saved times at which contact_drift is relative to a thousandth of the terms that cancel, not to e^{−∫Γ'}‖η‖"
     ),
+    "hamiltonian_law_clamped": whole("the same for hamiltonian_law"),
+    "momentum_law_clamped": whole("the same for momentum_law"),
+    "map_growth": number("max ‖DΦ(t)‖₂ of the numerical map over the saved times: what round-off grows to"),
     "derivative": Column("how the derivative of the numerical map was computed, or why it was not", rule=Rule.same),
 }  # fmt: skip
 
@@ -162,9 +165,7 @@ ENSEMBLE_TABLE = table(
     "throughput of ensembles: against C loops, at equal error, with their number and with the cores",
     {
         **COMMON,
-        "question": Column(
-            "what the row is for: arithmetic (same steps as C loops), error, size or cores", rule=Rule.same
-        ),
+        "question": Column("what the row is for: arithmetic (same steps as C loops), error, size or cores"),
         "trajectories": whole("number of trajectories"),
         "cores": whole("cores used"),
         "solution_error": number(
