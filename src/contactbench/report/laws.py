@@ -46,6 +46,8 @@ WILD = 0.01
 NEAR = 10.0
 #: laws of the state alone: the sensitivity of the motion does not magnify their round-off
 OF_THE_STATE = ("momentum_law", "attitude_drift")
+#: up to so many error bars a deviation by differences is no more than an upper bound
+UNSURE = 2.0
 #: the suffix of a law measured with the steps of an adaptive method held fixed
 FROZEN = "_frozen"
 DAGGER = "†"
@@ -56,7 +58,7 @@ ENERGIES = ("energy_law", "hamiltonian_law")
 MEANINGS = {
     "kept": "bold: kept to round-off at every setting tried, however inaccurate the solution",
     "range": f"smallest … largest over the settings tried; {DASH}: the law is not defined there, or not measured",
-    "dagger": f"{DAGGER}: where Φ*η has all but vanished, the deviation is relative to a thousandth of its terms",
+    "dagger": f"{DAGGER}: where a quantity has all but vanished, its deviation is relative to a thousandth of the terms that cancel",
 }
 
 
@@ -67,8 +69,23 @@ def laws(table: Table, view: str = "laws") -> dict[str, Column]:
 
 
 def structural(table: Table = LAWS_TABLE) -> dict[str, Column]:
-    """The laws that a method either keeps or does not, whatever its error."""
-    return {name: c for name, c in laws(table).items() if c.rule is Rule.structure}
+    """The laws of the map itself that a method either keeps or does not, whatever its error."""
+    return {n: c for n, c in laws(table).items() if c.rule is Rule.structure and not n.endswith(FROZEN)}
+
+
+def at_equal_cost() -> list[str]:
+    """The laws of the table at equal cost, in its order."""
+    return [
+        n
+        for n in DECAY_LAWS.columns
+        if n in laws(LAWS_TABLE) and n != "solution_error" and not n.endswith(FROZEN)
+    ]
+
+
+def called(law: str) -> str:
+    """The short name of a law in plain text."""
+    label = LAWS_TABLE.columns[law].label
+    return label if label and "$" not in label else law.replace("_", " ")
 
 
 def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
@@ -91,7 +108,7 @@ def bound(rows: pd.DataFrame, law: str) -> pd.Series:
 
 MEASURED = [
     "scene", "method", "family", "setting", "solution_error", "value", "bound", "condition", "frozen", "unsure",
-    "contact_drift_clamped",
+    "clamped",
 ]  # fmt: skip
 
 
@@ -103,17 +120,18 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
         if not len(frame) or law not in frame:
             continue
         part = frame[(frame["status"] == "ok") & frame[law].notna() & (frame["family"] != LIMIT)]
-        uncertainty = numbers(part, f"{law}_uncertainty", 0.0)
+        uncertainty, values = numbers(part, f"{law}_uncertainty", 0.0), numbers(part, law)
         parts.append(
             part.assign(
-                value=numbers(part, law), bound=bound(part, law), condition=numbers(part, "condition_number", 1.0),
-                frozen=numbers(part, law + FROZEN), unsure=uncertainty > numbers(part, law),
+                value=values, bound=bound(part, law), condition=numbers(part, "condition_number", 1.0),
+                frozen=numbers(part, law + FROZEN), unsure=(uncertainty > 0) & (values <= UNSURE * uncertainty),
+                clamped=numbers(part, f"{law}_clamped", 0.0),
             )
         )  # fmt: skip
     if not parts:
         return pd.DataFrame(columns=[*MEASURED, "kept"])
     rows = pd.concat([part.reindex(columns=MEASURED) for part in parts], ignore_index=True)
-    return rows.assign(kept=(rows["value"] <= rows["bound"]) & ~rows["unsure"].astype(bool))
+    return rows.assign(kept=rows["value"] <= rows["bound"], unsure=rows["unsure"].astype(bool))
 
 
 def keepers(rows: pd.DataFrame) -> list[str]:
@@ -132,7 +150,7 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
     rows = measured(frames, law)
     if not len(rows):
         return None
-    label = column.label or law
+    label = called(law)
     kept, contact = keepers(rows), rows["family"] == CONTACT
     ours = list(dict.fromkeys(rows[contact]["method"]))
     exceptions = list(contact_exceptions(frames, law, rows[contact & ~rows["kept"]]))
@@ -158,7 +176,7 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
     rest = rows[~contact & ~rows["method"].isin(others)]
     if len(rest):
         sentence += f" {'No other method does' if others else 'No method that is not a contact method does'}"
-        sure = rest[~rest["unsure"].astype(bool)]
+        sure = rest[~rest["unsure"]]
         if len(sure):
             least = sure.loc[sure["value"].idxmin()]
             sentence += (
@@ -179,6 +197,8 @@ def covers(rows: pd.DataFrame, frames: Frames, law: str) -> str:
     )
     if without := [m for m in tried if m not in set(rows["method"])]:
         said += f"; not measured: {names(without)}"
+    if unresolved := int((rows["unsure"] & ~rows["kept"]).sum()):
+        said += f"; {unresolved} runs are known as an upper bound only"
     return said
 
 
@@ -203,12 +223,12 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         worst = rows.loc[rows["value"].idxmax()]
         if near[rows.index].all():
             continue
-        if set(methods) >= set(here["method"]):
-            who = "no contact method keeps it"
-            instead = kept_instead(frames, law, str(scene), set(methods))
-            cause = f"; what is kept there: {names(instead)}" if instead else ""
+        nobody = set(methods) >= set(here["method"])
+        who = "no contact method keeps it" if nobody else names(methods, 3)
+        instead = kept_instead(frames, law, str(scene), set(methods)) if nobody else []
+        if instead:
+            cause = f"; what is kept there: {names(instead)}"
         else:
-            who = names(methods, 3)
             cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
             if worst["solution_error"] > WILD:
                 cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
@@ -231,12 +251,12 @@ def scenes_of(rows: pd.DataFrame) -> list[str]:
 def kept_instead(frames: Frames, law: str, scene: str, methods: set[str]) -> list[str]:
     """Labels of the other structural laws which all these methods keep on a scene, the steps held fixed or not."""
     found = []
-    for name, column in structural().items():
+    for name in structural():
         rows = measured(frames, name)
         rows = rows[(rows["scene"] == scene) & rows["method"].isin(methods)]
         fixed = rows["kept"] | (rows["frozen"] <= rows["bound"])
         if name != law and len(rows) and fixed.all():
-            found.append(column.label or name)
+            found.append(called(name))
     return found
 
 
@@ -249,7 +269,7 @@ def energy_finding(frames: Frames) -> Finding | None:
         if not len(rows):
             continue
         rows_of.append(rows)
-        label = LAWS_TABLE.columns[law].label or law
+        label = called(law)
         kept, ours = keepers(rows), rows[rows["family"] == CONTACT]
         who = f"{names(kept)} keep it" if kept else "no method keeps it to round-off"
         if len(ours):
@@ -293,12 +313,13 @@ def drift_cell(row: pd.Series, law: str) -> Cell:
         return Cell(DASH, hint=str(row.get("derivative", "")) if law.endswith("drift") else "")
     value = float(value)
     error, limit = (scalar(row, f"{law}_{name}") for name in ("uncertainty", "bound"))
-    text = scientific(value) + (f" ± {scientific(error, 0)}" if error > 0 and error >= value / 10 else "")
-    clamped = law == "contact_drift" and scalar(row, "contact_drift_clamped") > 0
-    kept = law in structural() and value <= limit and error <= max(value, limit)
+    clamped = scalar(row, f"{law}_clamped") > 0
+    kept = law in structural() and value <= limit
+    upper = error > 0 and value <= UNSURE * error
+    bar = f" ± {scientific(error, 0)}" if not upper and error >= value / 10 and error > 0 else ""
     return Cell(
-        text + (DAGGER if clamped else ""), value,
-        marks(Mark.kept if kept else None, Mark.clamped if clamped else None),
+        f"{'≤ ' if upper else ''}{scientific(value)}{bar}{DAGGER if clamped else ''}", value,
+        marks(Mark.kept if kept else None, Mark.clamped if clamped else None, Mark.bound if upper else None),
     )  # fmt: skip
 
 
@@ -329,16 +350,14 @@ def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
     part = rows_of[rows_of["scene"].isin(scenes)]
     shown = {
         scene: [
-            law
-            for law in laws(LAWS_TABLE, "overview")
-            if law in part and part[part["scene"] == scene][law].notna().any()
+            law for law in at_equal_cost() if law in part and part[part["scene"] == scene][law].notna().any()
         ]
         for scene in scenes
     }
     heads = [Head("method", words=True)]
     for scene in scenes:
         heads.append(Head("order", "order of convergence, extrapolated", group=scene))
-        heads += [Head(LAWS_TABLE.columns[law].label, LAWS_TABLE.columns[law].meaning, group=scene) for law in shown[scene]]  # fmt: skip
+        heads += [Head(called(law), LAWS_TABLE.columns[law].meaning, group=scene) for law in shown[scene]]  # fmt: skip
     part = bounded(part)
     rows = []
     for method in dict.fromkeys(part["method"]):
@@ -374,7 +393,7 @@ def equal_cost_view(frames: Frames, scene: str) -> View:
     """One scene of the table at equal cost, with the setting taken and what it cost."""
     part = bounded(frames["decay_laws"])
     part = part[part["scene"] == scene]
-    shown = [law for law in laws(LAWS_TABLE, "overview") if law in part and part[law].notna().any()]
+    shown = [law for law in at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
     for _, row in part.iterrows():
         lead = (word(row["method"]), word(row["engine"]), word(row["setting"]))
@@ -393,7 +412,7 @@ def equal_cost_view(frames: Frames, scene: str) -> View:
         Head("method", words=True), Head("engine", words=True), Head("setting", words=True),
         Head("evaluations", DECAY_LAWS.columns["rhs_equivalents"].meaning), Head("order"),
         Head("solution error", DECAY_LAWS.columns["solution_error"].meaning),
-        *(Head(LAWS_TABLE.columns[law].label, LAWS_TABLE.columns[law].meaning) for law in shown),
+        *(Head(called(law), LAWS_TABLE.columns[law].meaning) for law in shown),
     )  # fmt: skip
     return View(f"equal_cost_{scene}", f"At equal cost on {scene}", equal_cost(part), heads, tuple(rows), "decay_laws.csv")  # fmt: skip
 
@@ -405,7 +424,6 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
     if not len(rows):
         return None
     structure = column.rule is Rule.structure
-    clamps = "contact_drift_clamped" if law == "contact_drift" else ""
     scenes = [s for s in dict.fromkeys(frame["scene"]) if s in set(rows["scene"])]
     lines = []
     for method in dict.fromkeys(rows["method"]):
@@ -417,21 +435,24 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
                 continue
             low, high = here["value"].min(), here["value"].max()
             kept = structure and bool(here["kept"].all())
-            clamped = bool(clamps) and bool((numbers(here, clamps, 0.0) > 0).any())
+            clamped, upper = bool((here["clamped"] > 0).any()), bool(here["unsure"].any())
             whole = column.type == "whole"
             show = readable if whole else scientific
             text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
+            text = ("≤ " if upper and not kept else "") + text
             cells.append(
                 Cell(text + (DAGGER if clamped else ""), high,
                      marks(Mark.kept if kept else None, Mark.clamped if clamped else None))
             )  # fmt: skip
         lines.append(tuple(cells))
-    label = column.label or law
+    label = called(law)
     meaning = f"{column.meaning}. {MEANINGS['range'].capitalize()}."
     if structure:
         meaning += f" {MEANINGS['kept'].capitalize()}."
-    if clamps:
-        meaning += f" {MEANINGS['dagger']}. That of the map itself; of adaptive methods not with their steps held fixed."
+    if f"{law}_clamped" in frame:
+        meaning += f" {MEANINGS['dagger']}."
+    if f"{law}{FROZEN}" in frame:
+        meaning += " That of the map itself; of adaptive methods not with their steps held fixed. ≤: no more than an upper bound."
     heads = (Head("method", words=True), *map(Head, scenes))
     return View(f"law_{law}", label, meaning, heads, tuple(lines), "laws.csv")
 
@@ -468,7 +489,7 @@ def structure_figure(frame: pd.DataFrame) -> Figure | None:
     for law, scene in wanted:
         rows = ok[(ok["scene"] == scene) & ok[law].notna()]
         if len(rows):
-            label = LAWS_TABLE.columns[law].label
+            label = called(law)
             panels.append(
                 Panel(scene, number_axis("solution error", inverted=True), number_axis(label),
                       by_method(rows, "solution_error", law), spans=(round_off("y"),))
@@ -482,7 +503,7 @@ def structure_figure(frame: pd.DataFrame) -> Figure | None:
 
 
 def sections(frames: Frames) -> list[Part]:
-    parts: list[Part] = [Text(items=tuple(f"`{name}` ({c.label}): {c.meaning}" for name, c in laws(LAWS_TABLE).items()))]  # fmt: skip
+    parts: list[Part] = [Text(items=tuple(f"`{name}` ({called(name)}): {c.meaning}" for name, c in laws(LAWS_TABLE).items()))]  # fmt: skip
     equal = frames["decay_laws"]
     if len(equal):
         parts.append(

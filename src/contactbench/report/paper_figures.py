@@ -88,7 +88,10 @@ def angles(rows: pd.DataFrame) -> Iterator[Panel]:
 
 
 def growth(rows: pd.DataFrame) -> Iterator[Panel]:
-    """Growth rates over two damping rates, with the criterion where the table has one."""
+    """Growth rates over two entries of D, with the criterion where the table has one.
+
+    Panels are called "axis i", or "axis i, diagonal" and "axis i, full" for the two slices of D.
+    """
     sample = rows[rows["curve"] == "growth rate"]
     for panel, part in sample.groupby("panel", sort=False):
         grid = part.pivot(index="y", columns="x", values="z")
@@ -100,11 +103,14 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
             "largest transverse growth rate",
             "growth rate 0",
         )
-        first, second = (i for i in "123" if i != str(panel)[-1])
+        axis, _, slice_ = str(panel).partition(", ")
+        first, second = (i for i in "123" if i != axis[-1])
+        full = (f"d{first}{first} = d{second}{second}", f"d{first}{second}")
+        labels = full if slice_ == "full" else (f"d{first}{first}", f"d{second}{second}")
         lines = (c for c in curves(rows[rows["curve"] != "growth rate"], str(panel)))
         yield Panel(
-            f"rotation about {panel}", Axis(f"damping rate d{first}"), Axis(f"damping rate d{second}"),
-            tuple(replace(c, label=f"criterion {c.label}") for c in lines), heat=heat, equal=True,
+            f"rotation about {panel}", Axis(labels[0]), Axis(labels[1]),
+            tuple(replace(c, label="criterion") for c in lines), heat=heat, equal=slice_ != "full",
         )  # fmt: skip
 
 

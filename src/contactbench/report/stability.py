@@ -11,7 +11,7 @@ import pandas as pd
 
 from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing, winners_view
 from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.laws import bounded, drift_cell, laws, numbers
+from contactbench.report.laws import bounded, called, drift_cell, laws, numbers
 from contactbench.report.model import (
     DASH,
     ROOMS,
@@ -109,9 +109,7 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
         whys = dict.fromkeys(m for m in mine[mine["status"] != "ok"]["message"] if m)
         cells.append(word(shortened("; ".join(whys))))
         rows.append(tuple(cells))
-    labels = (
-        Head(STABILITY.columns[law].label, STABILITY.columns[law].meaning, group="worst") for law in shown
-    )
+    labels = (Head(called(law), STABILITY.columns[law].meaning, group="worst") for law in shown)
     heads = (
         Head("method", words=True), *(Head(rung, group="solution error") for rung in steps), *labels,
         Head("evaluations", "of the finest run that ended ok"), Head("why not ok", words=True),
@@ -500,8 +498,8 @@ def findings(frames: Frames) -> list[Finding]:
 def sections(frames: Frames) -> list[Part]:
     hard = frames["stability"]
     meanings = tuple(
-        f"{c.label}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
-        for c in laws(STABILITY, "stability").values()
+        f"{called(name)}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
+        for name, c in laws(STABILITY, "stability").items()
     )
     drawn, ends = hard_figure(hard), blow_up_view(hard)
     parts: list[Part] = [

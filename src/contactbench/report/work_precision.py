@@ -172,7 +172,9 @@ def sections(frames: Frames) -> list[Part]:
             "compiled calls and times of solvers that call back into Python are three comparisons, never one."
         ),
         noise_text(work),
-        Text("Which method is cheapest where, and where the contact methods lose, is in [README.md](README.md)."),
+        Text(
+            "Which method is cheapest where, and where the contact methods lose, is in [README.md](README.md)."
+        ),
         *(scene_section(work, str(scene), fields) for scene in dict.fromkeys(work["scene"])),
     ]
     parts += [view for view in (kernels_view(work), chosen_view(work)) if view is not None]

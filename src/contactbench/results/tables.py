@@ -191,7 +191,7 @@ CLAIMS_TABLE = table(
     "every claim of the paper with a measured number and the verdict that follows from it",
     {
         "id": Column("number of the claim"),
-        "where": Column("equation label, section or figure of the paper"),
+        "where": Column("section, equation or figure of the paper"),
         "claim": Column("what is claimed, in our words"),
         "scene": Column("what it is measured on"),
         "method": Column("integrator, or how the equations themselves are tested"),

@@ -226,6 +226,6 @@ def flows_of(scene: Scene) -> dict[str, Flow]:
     """The subflows a scene has, by name; a body has no potential, hence no kick."""
     if not isinstance(scene, Mechanical):
         return BODY
-    if scene.nonlinear_damping:  # T and Γ = ½κs² together have no elementary flow
+    if scene.nonlinear_damping:  # their joint flow (a Pinney equation) is not implemented here
         return {name: flow for name, flow in MECHANICAL.items() if name != "drift_damp"}
     return MECHANICAL
