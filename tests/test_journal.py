@@ -173,6 +173,27 @@ def test_a_whole_run_removes_rows_whose_benchmark_no_longer_exists(tmp_path):
     assert runs(tmp_path)[-1]["tables"] == {"convergence": "whole"}
 
 
+def test_the_run_behind_rows_of_a_larger_profile_stays_on_record(tmp_path):
+    large = Journal(tmp_path, "large")
+    large.open({"profile": "standard"})
+    large.append([(CONVERGENCE, row("a")), (CONVERGENCE, row("b", profile="standard"))], ("bench.py", "a"))
+    large.expect([("bench.py", "a")])
+    large.close()
+    assert expected_run(tmp_path, ["a"], ["a"]) == ["a", "b"]
+    assert {run["run"]: run["tables"]["convergence"] for run in runs(tmp_path)} == {"large": "whole", "of-a": "part"}
+
+
+def test_a_rerun_changes_what_the_clock_says_and_nothing_else(tmp_path):
+    """Two runs on one machine: the same bytes in every table but those of times."""
+    few = "particle and not long and not limit and strang and (laws or work_precision or convergence)"
+    finished(bench(tmp_path, few))
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
+    finished(bench(tmp_path, few))
+    after = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
+    assert {"convergence.csv", "laws.csv", "laws_time.csv", "work_precision.csv"} < set(before) == set(after)
+    assert {name for name in before if before[name] != after[name]} == {"work_precision_times.csv"}
+
+
 @pytest.mark.parametrize("content", ["a,b\n1,2\n", "not a table"])
 def test_a_foreign_file_is_refused_at_once_and_kept(tmp_path, content):
     path = CONVERGENCE.path(tmp_path)

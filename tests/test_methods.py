@@ -11,7 +11,7 @@ import contactbench as cb
 from cases import USER, by_name
 from contactbench.measure.order import fit_order
 from contactbench.methods.base import steps_in
-from contactbench.methods.fixed_step import trajectory
+from contactbench.methods.fixed_step import FixedStep, trajectory
 from contactbench.solution import Status
 from contactbench.truth import blow_up_time
 
@@ -397,3 +397,19 @@ def test_a_users_own_method_and_scene_run_everywhere():
             cb.fixed_step("midpoint-of-mine", order=2)(midpoint)
     finally:
         del cb.METHODS["midpoint-of-mine"]
+
+
+@pytest.mark.parametrize("name", cb.METHODS)
+def test_every_method_says_what_it_is_compared_as(name):
+    method = cb.METHODS[name]
+    assert method.family in ("contact", "variational", "established")
+    if getattr(method, "contact", False):  # exact contact maps with the true factor are ours
+        assert method.family == "contact"
+    if getattr(method, "factor", None) is not None:  # and with a factor of their own, the variational ones
+        assert method.family == "variational"
+
+
+def test_a_method_of_a_user_is_an_established_one_unless_it_says():
+    step = cb.METHODS["rk4"].step
+    assert FixedStep("mine", 4, step).family == "established"
+    assert FixedStep("mine", 4, step, family="contact").family == "contact"

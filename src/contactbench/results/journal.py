@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 
 from contactbench.results.provenance import save_run
 from contactbench.results.schema import PROFILES, TABLES, Table
-from contactbench.results.store import forget, keys, merge, replacing
+from contactbench.results.store import forget, keys, merge, read, replacing
 
 Cell = tuple[str, ...]  #: the file of an experiment and the name of one of its cells
 Made = dict[Cell, dict[str, list[list[Any]]]]  #: for each cell that is done, table → keys of its rows
@@ -123,9 +123,12 @@ def _fold(folder: Path) -> None:
     for name, new in rows.items():
         merge(TABLES[name], new, results)
     whole = _whole(folder, _done(results, profile) | made)
+    mine = PROFILES[: PROFILES.index(profile) + 1]
     for name, known in whole.items():
-        forget(TABLES[name], known, PROFILES[: PROFILES.index(profile) + 1], results)
-    save_run(folder.name, record, [name for name in rows if rows[name]], whole, results)
+        forget(TABLES[name], known, mine, results)
+    # rows of a larger profile stay, and with them the run that made them
+    alone = [name for name in whole if read(TABLES[name], results)["profile"].isin(mine).all()]
+    save_run(folder.name, record, [name for name in rows if rows[name]], alone, results)
     _save_done(results, profile, made)
 
 

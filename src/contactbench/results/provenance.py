@@ -27,6 +27,8 @@ PACKAGES = (
     "contactbench", "numpy", "scipy", "numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka",
     "cyrk", "pandas", "matplotlib", "mpmath", "pytest-benchmark",
 )  # fmt: skip
+#: what a benchmark itself writes: not a change of the sources
+MADE = ("results", "README.md")
 THREADS = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "XLA_FLAGS",
     "JAX_PLATFORMS",
@@ -53,7 +55,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "threads": {name: os.environ.get(name, "") for name in THREADS},
         "commit": _git(root, "rev-parse", "HEAD"),
-        "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no", "--", ".", ":!results")),
+        "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no", "--", ".", *(f":!{made}" for made in MADE))),
         "plugins": dict(LOADED),
         "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
     }
