@@ -180,7 +180,10 @@ def test_the_run_behind_rows_of_a_larger_profile_stays_on_record(tmp_path):
     large.expect([("bench.py", "a")])
     large.close()
     assert expected_run(tmp_path, ["a"], ["a"]) == ["a", "b"]
-    assert {run["run"]: run["tables"]["convergence"] for run in runs(tmp_path)} == {"large": "whole", "of-a": "part"}
+    assert {run["run"]: run["tables"]["convergence"] for run in runs(tmp_path)} == {
+        "large": "whole",
+        "of-a": "part",
+    }
 
 
 def test_a_rerun_changes_what_the_clock_says_and_nothing_else(tmp_path):

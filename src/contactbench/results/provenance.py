@@ -55,7 +55,17 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "threads": {name: os.environ.get(name, "") for name in THREADS},
         "commit": _git(root, "rev-parse", "HEAD"),
-        "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no", "--", ".", *(f":!{made}" for made in MADE))),
+        "dirty": bool(
+            _git(
+                root,
+                "status",
+                "--porcelain",
+                "--untracked-files=no",
+                "--",
+                ".",
+                *(f":!{made}" for made in MADE),
+            )
+        ),
         "plugins": dict(LOADED),
         "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
     }

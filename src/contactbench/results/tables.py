@@ -73,20 +73,23 @@ def law_columns() -> dict[str, Column]:
 
 
 #: what belongs to the drifts: of the steps held fixed, error bar, clamps, and where the derivative is from
-DRIFTS = {
+_DRIFTS = {
     "contact_drift_frozen": number("contact_drift with the steps of an adaptive method held fixed", Rule.structure),
     "distribution_drift_frozen": number(
         "distribution_drift with the steps of an adaptive method held fixed", Rule.structure
     ),
     "contact_drift_uncertainty": number("error bar of contact_drift where the derivative is by differences"),
     "contact_drift_clamped": whole(
-        "saved times at which contact_drift is relative to a thousandth of the terms that cancel, not to e^{−∫Γ'}‖η‖"
+        "saved times at which contact_drift is relative to a thousandth of the terms that cancel, not to e^{−∫Γ'}‖η‖",
+        Rule.count,
     ),
-    "hamiltonian_law_clamped": whole("the same for hamiltonian_law"),
-    "momentum_law_clamped": whole("the same for momentum_law"),
+    "hamiltonian_law_clamped": whole("the same for hamiltonian_law", Rule.count),
+    "momentum_law_clamped": whole("the same for momentum_law", Rule.count),
     "map_growth": number("max ‖DΦ(t)‖₂ of the numerical map over the saved times: what round-off grows to"),
     "derivative": Column("how the derivative of the numerical map was computed, or why it was not", rule=Rule.same),
 }  # fmt: skip
+#: less what has become a law, which says it itself
+DRIFTS = {name: column for name, column in _DRIFTS.items() if name not in LAWS}
 
 
 CONVERGENCE = table(
@@ -97,12 +100,15 @@ CONVERGENCE = table(
         "step": number("step size h", exact=True),
         "solution_error": ERROR,
         "pairwise_order": number("slope between this step and the next larger one", Rule.slope),
-        "in_fit": Column("whether the point lies in the asymptotic range the order is fitted on", "flag"),
+        "in_fit": Column("whether the order rests on this point", "flag"),
         "order": number(
-            "order of the method on this scene, extrapolated from the pairwise slopes (the same in every row)"
+            "order of the method on this scene, extrapolated from the pairwise slopes (the same in every row)",
+            Rule.slope,
         ),
-        "last_slope": number("pairwise slope of the two finest points of the fit"),
-        "order_uncertainty": number("spread of the extrapolation"),
+        "last_slope": number("pairwise slope of the two finest points the order rests on", Rule.slope),
+        "order_uncertainty": number(
+            "of the order: from the spread of successive extrapolations, and round-off"
+        ),
         "order_nominal": whole("order the method claims", Rule.same),
         **COUNTS,
     },
@@ -134,18 +140,20 @@ LAWS_TIME = table(
 
 DECAY_LAWS = table(
     "decay_laws",
-    "the decay laws at equal cost: every method at the same number of evaluations",
+    "errors and decay laws of every method at equal cost, the largest at five times",
     {
         **COMMON,
+        "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
+        "cost": number("right-hand sides per unit of time asked for"),
         "solution_error": ERROR,
         **{
             name: law_columns()[name]
-            for name in ("energy_law", "hamiltonian_law", "momentum_law", "momentum_balance", "contact_drift")
+            for name in ("energy_law", "hamiltonian_law", "momentum_law", "contact_drift")
         },
         **DRIFTS,
         **COUNTS,
     },
-    key=("scene", "method", "engine"),
+    key=("scene", "method", "engine", "cost"),
 )
 
 WORK_PRECISION = table(
@@ -277,7 +285,13 @@ STABILITY_LIMITS = table(
         ),
         "limit_kernel": number("of a processed method saved at the end only: its kernel's limit", Rule.value),
         "limit_saved": number("of a processed method saved at every step", Rule.value),
-        "windows": Column("intervals of unstable steps below the last stable step, a…b; blank: none"),
+        "windows": Column(
+            "intervals of unstable steps below the last stable step, a…b; blank: none", rule=Rule.same
+        ),
+        "last": number(
+            "the last stable step; islands of stability shorter than a hundredth of the step not counted",
+            Rule.value,
+        ),
         "theory": number("what theory gives, where it does"),
         "per_evaluation": number("the limit over the evaluations of a step"),
     },
@@ -292,7 +306,10 @@ ONE_STEP = table(
         "family": COMMON["family"],
         "gamma": number("damping γ"),
         "step": number("step size h"),
-        "radius": number("largest |eigenvalue| of the one-step map", Rule.value),
+        "radius": number(
+            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel", Rule.value
+        ),
+        "radius_saved": number("the same of a processed method where every step is saved", Rule.value),
         "true_radius": number("of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped"),
     },
     key=("method", "gamma", "step"),
@@ -327,8 +344,11 @@ STRONG_DAMPING = table(
             "γh over the evaluations of a step: the damping between two evaluations"
         ),
         "step": number("step size h"),
-        "error": number("‖Mⁿ − Φ_T‖₂/‖Φ_T‖₂ over the time T in which the motion falls by e", Rule.error),
-        "radius": number("largest |eigenvalue| of the one-step map"),
+        "error": number(
+            "‖M − Φ_T‖₂/‖Φ_T‖₂ of a run M over the time T in which the motion falls by e, the end saved", Rule.error
+        ),
+        "error_saved": number("the same of a processed method where every step is saved", Rule.error),
+        "radius": number("largest |eigenvalue| of the one-step map, of a processed method that of its kernel"),
     },
     key=("method", "gamma", "damping_per_evaluation"),
 )  # fmt: skip
