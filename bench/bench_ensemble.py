@@ -67,22 +67,21 @@ def core_counts():
 def ladder(profile):
     """(question, scene, method, engine, variant, control, value, trajectories, cores)."""
     smoke, rows = profile.points == 1, []
-    engine = {method: cb.METHODS[method].engines[0] for method in STEPS}
     for method in KERNELS:
-        rows.append(("arithmetic", "particle_long", method, engine[method], "", "step", 0.1, 1024, 1))
+        rows.append(("arithmetic", "particle_long", method, "jax", "", "step", 0.1, 1024, 1))
         rows += [
             ("arithmetic", "particle_long", "limit-c", "c", f"{method} {shape}", "step", 0.1, 1024, 1)
             for shape in SHAPES
         ]
     for method, steps in STEPS.items():
-        rows += [("error", "particle", method, engine[method], "", "step", h, 4096, 1) for h in steps]
-    for method, its_engine, variant in PEERS:
-        rows += [("error", "particle", method, its_engine, variant, "rtol", rtol, 4096, 1) for rtol in RTOLS]
+        rows += [("error", "particle", method, "jax", "", "step", h, 4096, 1) for h in steps]
+    for method, engine, variant in PEERS:
+        rows += [("error", "particle", method, engine, variant, "rtol", rtol, 4096, 1) for rtol in RTOLS]
     if smoke:  # one kernel, one setting of three methods; how many cores there are is the machine's affair
         return [row for row in rows if (row[2], row[4], row[6]) in SMOKE]
     sizes = [10**k for k in range(3, 8 if profile.name == "full" else 7)]
-    rows += [("size", "particle", OURS, engine[OURS], "", "step", 0.4, n, 1) for n in sizes]
-    rows += [("cores", "particle", OURS, engine[OURS], "", "step", 0.1, 200_000, k) for k in core_counts()]
+    rows += [("size", "particle", OURS, "jax", "", "step", 0.4, n, 1) for n in sizes]
+    rows += [("cores", "particle", OURS, "jax", "", "step", 0.1, 200_000, k) for k in core_counts()]
     return rows
 
 
