@@ -226,14 +226,13 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         nobody = set(methods) >= set(here["method"])
         who = "no contact method keeps it" if nobody else names(methods, 3)
         instead = kept_instead(frames, law, str(scene), set(methods)) if nobody else []
+        cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
+        if worst["solution_error"] > WILD:
+            cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
+        if worst["condition"] > 1:
+            cause += f", condition number {scientific(worst['condition'])}"
         if instead:
-            cause = f"; what is kept there: {names(instead)}"
-        else:
-            cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
-            if worst["solution_error"] > WILD:
-                cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
-            if worst["condition"] > 1:
-                cause += f", condition number {scientific(worst['condition'])}"
+            cause += f" (what is kept there: {names(instead)})"
         yield f"on `{scene}` {who}: up to {scientific(worst['value'])} ({worst['method']}, {worst['setting']}){cause}"
     slight = rest[near & ~rest["scene"].isin(set(rest[~near]["scene"]))]
     if len(slight):
