@@ -9,7 +9,7 @@ from contactbench.report.numbers import readable, upper
 from contactbench.results.schema import Table
 
 #: a table with more cells is left to its CSV
-MOST_CELLS = 15_000
+MOST_CELLS = 8_000
 
 
 def raw(table: Table, frame: pd.DataFrame) -> View:

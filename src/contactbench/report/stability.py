@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing, winners_view
+from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing
 from contactbench.report.curves import by_method, floats, number_axis
 from contactbench.report.laws import bounded, called, drift_cell, laws, numbers
 from contactbench.report.model import (
@@ -573,14 +573,10 @@ def sections(frames: Frames) -> list[Part]:
     drawn, ends = hard_figure(hard), blow_up_view(hard)
     parts: list[Part] = [
         Text(
-            "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are "
-            "isolated and limited in "
-            "steps and evaluations; how each ended is part of the result."
+            "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
+            "in steps and evaluations; how each ended is part of the result. Which method is cheapest where is in "
+            "[README.md](README.md)."
         ),
-        winners_view(
-            Field(hard, EVALUATIONS), "hard_winners", "Cheapest at equal error", "stability.csv", problem
-        ),
-        *([rates_view(frames["damping_rates"])] if len(frames["damping_rates"]) else []),
         *([drawn] if drawn else []),
         *([ends] if ends else []),
         map_view(hard),
