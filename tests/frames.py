@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Any
 
 import pandas as pd
@@ -23,8 +24,15 @@ def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@cache
+def empty(name: str) -> pd.DataFrame:
+    return typed(pd.DataFrame(columns=[*TABLES[name].every_column]), TABLES[name])
+
+
 def table(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
     """Rows as a frame of a table; what they do not say is blank."""
+    if not rows:
+        return empty(name).copy()
     columns = TABLES[name].every_column
     frame = pd.DataFrame(list(rows))
     unknown = set(frame) - set(columns)

@@ -6,6 +6,7 @@ import math
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from contactbench import truth as references
@@ -16,8 +17,8 @@ from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.cli import main
 from contactbench.methods import METHODS, compiled
 from contactbench.methods.contact import contact_method
-from contactbench.report import documents as report
-from contactbench.report import paper_figures
+from contactbench.report import claims as room
+from contactbench.report import markdown, paper_figures
 from contactbench.results import schema as table
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
 from contactbench.splitting import flows
@@ -300,19 +301,22 @@ def test_document(ledger, tmp_path):
     table.merge(table.CLAIMS_TABLE, ledger.values(), tmp_path)
     again = table.read(table.CLAIMS_TABLE, tmp_path)
     assert list(again["id"]) == IDS
-    text = report.claims_document(again, set(FIGURES))
-    assert "Of 36 claims **21** holds, **6** holds, corrected, **9** refuted." in text
+    figures = pd.concat([pd.DataFrame(rows(name)) for name in FIGURES])
+    (finding,) = room.findings({"claims": again})
+    assert finding.sentence == "Of its 36 claims 21 hold, 6 hold once corrected, 9 are refuted."
+    text = markdown.parts(room.sections({"claims": again, "paper_figures": figures}))
     for name in IDS:
         assert f"### {name} · {ledger[name]['verdict']}" in text
         assert ledger[name]["claim"] in text
     assert not re.search(r"\bnan\b", text)
-    assert all(f"figures/{name}.png" in text for name in FIGURES)
+    assert all(f"figures/{name}.svg" in text for name in FIGURES)
 
 
 def test_a_failed_claim_is_a_row(tmp_path):
     failed = Claim("C00", "nowhere", "nothing", "", "", lambda: 1 / 0).row()
     frame = table.merge(table.CLAIMS_TABLE, [failed, CLAIMS["C28"].row()], tmp_path)
-    assert "1 not measured" in report.claims_document(frame, set())
+    (finding,) = room.findings({"claims": frame})
+    assert finding.exceptions == ("C00 was not measured: ZeroDivisionError: division by zero",)
 
 
 def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
@@ -327,16 +331,17 @@ def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
 def test_figures(name, tmp_path):
     frame = table.merge(table.PAPER_FIGURES, rows(name), tmp_path)
     assert frame[["x", "y"]].map(math.isfinite).all(axis=None)
-    ((drawn, figure),) = paper_figures.figures(frame)
-    assert drawn == name
-    assert figure.axes
+    (figure,) = paper_figures.all_figures(frame)
+    assert figure.name == name
+    assert figure.panels
+    assert all(panel.curves or panel.heat for panel in figure.panels)
 
 
 def test_every_figure_belongs_to_a_claim():
     assert (
         set(FIGURES)
         == {name for item in CLAIMS.values() for name in item.figures}
-        == set(paper_figures.DRAWN)
+        == set(paper_figures.PLANS)
     )
 
 

@@ -388,7 +388,8 @@ def test_blow_up_is_one_line_per_method():
 
 def test_the_first_loss_of_stability_is_marked_where_there_are_windows():
     limits = [
-        {"method": "contact-bm6", "family": "contact", "gamma": 0.0, "omega": 1.0, "limit": 3.134, "windows": "3.134…3.163"},
+        {"method": "contact-bm6", "family": "contact", "gamma": 0.0, "omega": 1.0, "limit": 3.134,
+            "windows": "3.134…3.163"},
         {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.785, "windows": ""},
     ]  # fmt: skip
     view = stability.limit_view(table("stability_limits", limits), "limit", "limits", "t")
@@ -400,7 +401,8 @@ def test_where_negative_substeps_stop_paying():
     grid = [1e-3, 1e-2, 1e-1, 1.0]
     errors = {"contact-strang": [1e-6, 1e-4, 1e-2, 1e-1], "contact-rkn6": [1e-9, 1e-7, 1.0, float("inf")]}
     rows = [
-        {"method": m, "family": "contact", "gamma": 1.0, "damping_per_evaluation": d, "step": 1.0, "error": e, "radius": 1.0}
+        {"method": m, "family": "contact", "gamma": 1.0, "damping_per_evaluation": d, "step": 1.0, "error": e,
+            "radius": 1.0}
         for m, es in errors.items() for d, e in zip(grid, es, strict=True)
     ]  # fmt: skip
     assert stability.usable(table("strong_damping", rows), "contact-rkn6", 1.0) == 1e-2

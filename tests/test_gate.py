@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from contactbench.report.documents import gate_document
 
 import gate_selfcheck
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import speed
 from contactbench.gate.accuracy import DECADES, accuracy
+from contactbench.report import gate_selfcheck as room
+from contactbench.report import markdown
 from contactbench.results.schema import PROFILES, TABLES, Rule
 from contactbench.results.statistics import PairedRatio
 from contactbench.results.store import merge, read
@@ -553,7 +554,10 @@ def test_its_document_counts_alarms_and_faults():
         ),
         gate_selfcheck.outcome("accuracy", "a fault", "idle", "all", [(True, "a|b"), (True, "c")], 2.0),
     ]
-    text = gate_document(pd.DataFrame(rows))
+    tables = {"gate_selfcheck": pd.DataFrame(rows)}
+    text = markdown.parts(room.sections(tables))
+    (finding,) = room.findings(tables)
+    assert "1 false alarms in 2 judgements of identical code; 2 of 2 planted faults found" in finding.sentence
     assert "1 false alarms in 2 judgements; 2 of 2 planted faults found" in text
     assert "cried wolf" in text
     assert "a\\|b" in text

@@ -79,7 +79,8 @@ def claims_view(frame: pd.DataFrame) -> View:
             else Cell(f"{row['relation']} {row['bound']:.2g}", row["bound"])
         )
         rows.append((
-            word(row["id"], link=f"#{slug(heading(row))}"), word(verdict(row), mark), Cell(row["claim"], more=more(row)),
+            word(row["id"], link=f"#{slug(heading(row))}"), word(verdict(row), mark), Cell(row["claim"],
+            more=more(row)),
             word(row["where"]), word(row["quantity"]), number(row["measured"], "{:.2g}".format), bound,
         ))  # fmt: skip
     heads = (

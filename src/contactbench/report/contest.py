@@ -292,7 +292,10 @@ def winners_view(
         cells = (Cell(c.text(field.kind.show), marks=marks(leading(c, contact=True))) for c in contests)
         rows.append((word(called(scene)), *cells))
     heads = (Head("scene", words=True), *error_heads(words=True))
-    meaning = f"{field.kind.about} The cheapest at each error, then the next beyond a tie. {said(field.margin)} {DASHES}"
+    meaning = (
+        f"{field.kind.about} The cheapest at each error, then the next beyond a tie. "
+        f"{said(field.margin)} {DASHES}"
+    )
     return View(name, title, meaning, heads, tuple(rows), source)
 
 

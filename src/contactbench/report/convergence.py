@@ -27,7 +27,7 @@ from contactbench.report.model import (
     number,
     word,
 )  # fmt: skip
-from contactbench.report.numbers import names
+from contactbench.report.numbers import names, upper
 from contactbench.report.raw import raw
 from contactbench.results.tables import CONVERGENCE
 
@@ -129,11 +129,11 @@ def sections(frames: Frames) -> list[Part]:
     meaning = {name: column.meaning for name, column in CONVERGENCE.columns.items()}
     orders = view(
         frame, "orders", "Extrapolated order",
-        f"{meaning['order'].capitalize()}; ±: {meaning['order_uncertainty']}. Marked: further from the claimed order "
+        f"{upper(meaning['order'])}; ±: {meaning['order_uncertainty']}. Marked: further from the claimed order "
         f"than {AGREES:g} and than that spread.", order_text,
     )  # fmt: skip
     slopes = view(
-        frame, "last_slopes", "Last pairwise slope", f"{meaning['last_slope'].capitalize()}: what was measured, "
+        frame, "last_slopes", "Last pairwise slope", f"{upper(meaning['last_slope'])}: what was measured, "
         "before any extrapolation.", lambda row: number(row["last_slope"], "{:.3f}".format),
     )  # fmt: skip
     drawn = figure(frame)

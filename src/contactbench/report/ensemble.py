@@ -86,7 +86,8 @@ def arithmetic_view(frame: pd.DataFrame) -> View | None:
         ]
     spoken = "; ".join(f"`{shape}`: {SHAPES[shape]}" for shape in shapes if shape in SHAPES)
     meaning = (
-        f"Fastest round on one core, time per gradient and trajectory, the same steps. {spoken}. A ratio below one: faster "
+        f"Fastest round on one core, time per gradient and trajectory, the same steps. {spoken}. A "
+        "ratio below one: faster "
         "than the loop."
     )
     return View(
@@ -167,9 +168,25 @@ def figure(frame: pd.DataFrame) -> Figure | None:
             for _, line in part.groupby("method", sort=False):
                 number_of = line["cores"].astype(float)
                 ideal = number_of * line["gradients"].iloc[0] / number_of.iloc[0]
-                curves.append(Curve(floats(number_of), floats(ideal), "proportional", role="reference", markers=False, dashed=True))  # fmt: skip
+                curves.append(
+                    Curve(
+                        floats(number_of),
+                        floats(ideal),
+                        "proportional",
+                        role="reference",
+                        markers=False,
+                        dashed=True,
+                    )
+                )
         axis = Axis(by, "log" if question == "size" else "linear")
-        panels.append(Panel(f"number of {by}", axis, Axis("gradients × trajectories per second", limits=(0, None)), tuple(curves)))  # fmt: skip
+        panels.append(
+            Panel(
+                f"number of {by}",
+                axis,
+                Axis("gradients × trajectories per second", limits=(0, None)),
+                tuple(curves),
+            )
+        )
     return Figure("ensemble", "Ensembles of the particle", tuple(panels), source=SOURCE) if panels else None
 
 
@@ -209,7 +226,8 @@ def sections(frames: Frames) -> list[Part]:
     ends = tuple(f"{r['method']}, {r['setting']}: {r['status']}, {r['message']}" for _, r in bad.iterrows())
     return [
         Text(
-            "Many trajectories of a scene at once. Times are of the whole call, from initial to final states on the host."
+            "Many trajectories of a scene at once. Times are of the whole call, from initial to "
+            "final states on the host."
         ),
         *(view for view in views if view is not None),
         *([drawn] if drawn else []),

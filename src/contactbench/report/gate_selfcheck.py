@@ -17,12 +17,14 @@ from contactbench.report.model import (
     number,
     word,
 )  # fmt: skip
-from contactbench.report.numbers import count, duration
+from contactbench.report.numbers import count, duration, upper
 
 ABOUT = (
     "The gate compares a version of the code with the one before: its errors, counts and structure with the committed "
-    "tables, its speed with the older revision, in turns. Here it judged identical code, which should never be red, and "
-    "code with faults planted in it, which always should. Loaded: with a busy loop on all cores but one. A fault counts "
+    "tables, its speed with the older revision, in turns. Here it judged identical code, which "
+    "should never be red, and "
+    "code with faults planted in it, which always should. Loaded: with a busy loop on all cores but "
+    "one. A fault counts "
     "as found when a red line names the method and the measure."
 )
 
@@ -44,14 +46,15 @@ def part_view(frame: pd.DataFrame, part: str) -> View:
         good = r["red"] == 0 if r["wanted"] == "none" else r["red"] == r["runs"]
         rows.append((
             word(r["planted"]), word(r["condition"]), word(r["wanted"]), number(r["runs"], count),
-            number(r["red"], count, None if good else Mark.exception), number(r["seconds"], duration), word(r["example"]),
+            number(r["red"], count, None if good else Mark.exception), number(r["seconds"], duration),
+            word(r["example"]),
         ))  # fmt: skip
     heads = (
         *(Head(label, words=True) for label in ("planted", "condition", "wanted red")), Head("judged"), Head("red"),
         Head("a run took"), Head("for example", words=True),
     )  # fmt: skip
     meaning = f"**{alarms} false alarms in {judged} judgements; {found} of {planted} planted faults found.**"
-    return View(f"gate_{part}", part.capitalize(), meaning, heads, tuple(rows), "gate_selfcheck.csv")
+    return View(f"gate_{part}", upper(part), meaning, heads, tuple(rows), "gate_selfcheck.csv")
 
 
 def findings(frames: Frames) -> list[Finding]:
@@ -59,7 +62,10 @@ def findings(frames: Frames) -> list[Finding]:
     if not len(frame):
         return []
     alarms, judged, found, planted = rates(frame)
-    sentence = f"{alarms} false alarms in {judged} judgements of identical code; {found} of {planted} planted faults found."
+    sentence = (
+        f"{alarms} false alarms in {judged} judgements of identical code; {found} of {planted} "
+        "planted faults found."
+    )
     missed = frame[(frame["wanted"] != "none") & (frame["red"] < frame["runs"])]
     exceptions = tuple(
         f"{r['part']}, {r['planted']} ({r['condition']}): {r['red']} of {r['runs']} found"

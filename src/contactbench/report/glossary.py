@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from contactbench.report.model import Head, Part, Section, View, word
+from contactbench.report.numbers import upper
 from contactbench.results.schema import TABLES
 
 #: one who asks for the glossary hands over the registries: the report itself knows no solvers
@@ -24,7 +25,8 @@ def methods_view(methods: Mapping[str, Any]) -> View:
         Head(label, words=True) for label in ("method", "family", "order", "steps", "engines", "what it is")
     )
     meaning = (
-        "Family: *contact*, a composition of exact contact flows; *variational*, from a discrete action; *established*, "
+        "Family: *contact*, a composition of exact contact flows; *variational*, from a discrete "
+        "action; *established*, "
         "a solver in use. The engine is what runs it."
     )
     return View("methods", "Methods", meaning, heads, rows)
@@ -37,7 +39,7 @@ def named_view(name: str, title: str, entries: Iterable[tuple[str, str]]) -> Vie
 
 def columns_view(name: str) -> View:
     table = TABLES[name]
-    about = table.about[0].upper() + table.about[1:]
+    about = upper(table.about)
     rows = tuple(
         (word(f"`{c}`"), word(column.type), word(column.meaning)) for c, column in table.columns.items()
     )

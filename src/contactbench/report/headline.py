@@ -53,7 +53,10 @@ def all_findings(frames: Frames) -> list[Finding]:
 def documents(frames: Frames) -> Text:
     """The list of documents."""
     others = [room for room in rooms(frames) if room.name != "headline"]
-    lines = (f"[{room.file}]({room.file}): {room.about} ({', '.join(f'`{t}.csv`' for t in room.tables if len(frames[t]))})" for room in others)  # fmt: skip
+    lines = (
+        f"[{room.file}]({room.file}): {room.about} ({', '.join(f'`{t}.csv`' for t in room.tables if len(frames[t]))})"
+        for room in others
+    )
     return Text(
         items=(*lines, "[glossary.md](glossary.md): the methods, the scenes and every column of the tables")
     )
@@ -119,7 +122,8 @@ def machines(runs: Sequence[Mapping[str, Any]]) -> Section:
         packages = ", ".join(f"{k} {v}" for k, v in run.get("packages", {}).items() if k != "contactbench")
         commit = str(run.get("commit", ""))[:12] or "unknown"
         items.append(
-            f"run `{run['run']}`: profile {run.get('profile', '')}, {run.get('cpu', '')}, {run.get('cores', '')} cores, Python "
+            f"run `{run['run']}`: profile {run.get('profile', '')}, {run.get('cpu', '')}, "
+            f"{run.get('cores', '')} cores, Python "
             f"{run.get('python', '')}, commit `{commit}`{' with local changes' if run.get('dirty') else ''}; {packages}"
         )
     return Section("Where this was measured", (Text(items=tuple(items)),))
@@ -128,6 +132,7 @@ def machines(runs: Sequence[Mapping[str, Any]]) -> Section:
 ROOMS.add(
     Room(
         "headline", "Results", "what was found", 0,
-        ("laws", "decay_laws", "work_precision", "convergence", "stability", "damping_rates"), sections, document="README.md",
+        ("laws", "decay_laws", "work_precision", "convergence", "stability", "damping_rates"), sections,
+        document="README.md",
     )
 )  # fmt: skip

@@ -34,7 +34,7 @@ from contactbench.report.model import (
     number,
     word,
 )
-from contactbench.report.numbers import count, names, readable, scientific
+from contactbench.report.numbers import count, names, readable, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.results.round_off import STRUCTURE, floor
 from contactbench.results.schema import Column, Rule, Table
@@ -58,7 +58,8 @@ ENERGIES = ("energy_law", "hamiltonian_law")
 MEANINGS = {
     "kept": "bold: kept to round-off at every setting tried, however inaccurate the solution",
     "range": f"smallest … largest over the settings tried; {DASH}: the law is not defined there, or not measured",
-    "dagger": f"{DAGGER}: where a quantity has all but vanished, its deviation is relative to a thousandth of the terms that cancel",
+    "dagger": f"{DAGGER}: where a quantity has all but vanished, its deviation is relative to a "
+    "thousandth of the terms that cancel",
 }
 
 
@@ -157,7 +158,8 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
     magnified = rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]
     if len(magnified):
         where = [
-            f"`{scene}` (condition number {scientific(part['condition'].max())}) up to {scientific(part['value'].max())}"
+            f"`{scene}` (condition number {scientific(part['condition'].max())}) up to "
+            f"{scientific(part['value'].max())}"
             for scene, part in magnified.groupby("scene", sort=False)
         ]
         exceptions.append(f"to round-off times the condition number of the motion on {names(where)}")
@@ -183,7 +185,7 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
                 f"; the least of theirs at any setting is {scientific(least['value'])} ({place(least)})"
             )
         sentence += "."
-    title = label[0].upper() + label[1:]
+    title = upper(label)
     return Finding(f"law_{law}", title, sentence, covers(rows, frames, law), tuple(exceptions))
 
 
@@ -211,7 +213,8 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
     for method, rows in broken[frozen].groupby("method", sort=False):
         worst = rows.loc[rows["value"].idxmax()]
         yield (
-            f"{method}: up to {scientific(worst['value'])} on {names(scenes_of(rows), 4)}; its steps follow the motion, "
+            f"{method}: up to {scientific(worst['value'])} on {names(scenes_of(rows), 4)}; its steps "
+            "follow the motion, "
             f"and only with the steps held fixed it is kept ({scientific(rows['frozen'].max())})"
         )
     rest = broken[~frozen]
@@ -226,20 +229,20 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         nobody = set(methods) >= set(here["method"])
         who = "no contact method keeps it" if nobody else names(methods, 3)
         instead = kept_instead(frames, law, str(scene), set(methods)) if nobody else []
+        cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
+        if worst["solution_error"] > WILD:
+            cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
+        if worst["condition"] > 1:
+            cause += f", condition number {scientific(worst['condition'])}"
         if instead:
-            cause = f"; what is kept there: {names(instead)}"
-        else:
-            cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
-            if worst["solution_error"] > WILD:
-                cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
-            if worst["condition"] > 1:
-                cause += f", condition number {scientific(worst['condition'])}"
+            cause += f" (what is kept there: {names(instead)})"
         yield f"on `{scene}` {who}: up to {scientific(worst['value'])} ({worst['method']}, {worst['setting']}){cause}"
     slight = rest[near & ~rest["scene"].isin(set(rest[~near]["scene"]))]
     if len(slight):
         worst = slight.loc[(slight["value"] / slight["bound"]).idxmax()]
         yield (
-            f"no more than {np.ceil(10 * (worst['value'] / worst['bound'])) / 10:g} times above the bound of round-off in "
+            f"no more than {np.ceil(10 * (worst['value'] / worst['bound'])) / 10:g} times above the "
+            "bound of round-off in "
             f"{len(slight)} runs on {names(scenes_of(slight))} (worst {scientific(worst['value'])}, {place(worst)})"
         )
 
@@ -315,11 +318,11 @@ def drift_cell(row: pd.Series, law: str) -> Cell:
     error, limit = (scalar(row, f"{law}_{name}") for name in ("uncertainty", "bound"))
     clamped = scalar(row, f"{law}_clamped") > 0
     kept = law in structural() and value <= limit
-    upper = error > 0 and value <= UNSURE * error
-    bar = f" ± {scientific(error, 0)}" if not upper and error >= value / 10 and error > 0 else ""
+    vague = error > 0 and value <= UNSURE * error
+    bar = f" ± {scientific(error, 0)}" if not vague and error >= value / 10 and error > 0 else ""
     return Cell(
-        f"{'≤ ' if upper else ''}{scientific(value)}{bar}{DAGGER if clamped else ''}", value,
-        marks(Mark.kept if kept else None, Mark.clamped if clamped else None, Mark.bound if upper else None),
+        f"{'≤ ' if vague else ''}{scientific(value)}{bar}{DAGGER if clamped else ''}", value,
+        marks(Mark.kept if kept else None, Mark.clamped if clamped else None, Mark.bound if vague else None),
     )  # fmt: skip
 
 
@@ -357,7 +360,7 @@ def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
     heads = [Head("method", words=True)]
     for scene in scenes:
         heads.append(Head("order", "order of convergence, extrapolated", group=scene))
-        heads += [Head(called(law), LAWS_TABLE.columns[law].meaning, group=scene) for law in shown[scene]]  # fmt: skip
+        heads += [Head(called(law), LAWS_TABLE.columns[law].meaning, group=scene) for law in shown[scene]]
     part = bounded(part)
     rows = []
     for method in dict.fromkeys(part["method"]):
@@ -373,7 +376,14 @@ def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
                 else:
                     cells.append(drift_cell(here.iloc[0], law))
         rows.append(tuple(cells))
-    return View("overview", "Order and decay laws at equal cost", equal_cost(part), tuple(heads), tuple(rows), "decay_laws.csv")  # fmt: skip
+    return View(
+        "overview",
+        "Order and decay laws at equal cost",
+        equal_cost(part),
+        tuple(heads),
+        tuple(rows),
+        "decay_laws.csv",
+    )
 
 
 def equal_cost(part: pd.DataFrame) -> str:
@@ -385,7 +395,8 @@ def equal_cost(part: pd.DataFrame) -> str:
         spent.append(f"`{scene}` {low if low == high else f'{low} to {high}'}")
     return (
         f"Largest deviation over the run, every method at about the same number of evaluations ({', '.join(spent)}). "
-        f"Bold: round-off. H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}}. {MEANINGS['dagger']}."
+        f"Bold: round-off. H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}}. "
+        f"{MEANINGS['dagger']}."
     )
 
 
@@ -414,7 +425,14 @@ def equal_cost_view(frames: Frames, scene: str) -> View:
         Head("solution error", DECAY_LAWS.columns["solution_error"].meaning),
         *(Head(called(law), LAWS_TABLE.columns[law].meaning) for law in shown),
     )  # fmt: skip
-    return View(f"equal_cost_{scene}", f"At equal cost on {scene}", equal_cost(part), heads, tuple(rows), "decay_laws.csv")  # fmt: skip
+    return View(
+        f"equal_cost_{scene}",
+        f"At equal cost on {scene}",
+        equal_cost(part),
+        heads,
+        tuple(rows),
+        "decay_laws.csv",
+    )
 
 
 def law_view(frames: Frames, law: str, column: Column) -> View | None:
@@ -435,24 +453,27 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
                 continue
             low, high = here["value"].min(), here["value"].max()
             kept = structure and bool(here["kept"].all())
-            clamped, upper = bool((here["clamped"] > 0).any()), bool(here["unsure"].any())
+            clamped, vague = bool((here["clamped"] > 0).any()), bool(here["unsure"].any())
             whole = column.type == "whole"
             show = readable if whole else scientific
             text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
-            text = ("≤ " if upper and not kept else "") + text
+            text = ("≤ " if vague and not kept else "") + text
             cells.append(
                 Cell(text + (DAGGER if clamped else ""), high,
                      marks(Mark.kept if kept else None, Mark.clamped if clamped else None))
             )  # fmt: skip
         lines.append(tuple(cells))
     label = called(law)
-    meaning = f"{column.meaning}. {MEANINGS['range'].capitalize()}."
+    meaning = f"{column.meaning}. {upper(MEANINGS['range'])}."
     if structure:
-        meaning += f" {MEANINGS['kept'].capitalize()}."
+        meaning += f" {upper(MEANINGS['kept'])}."
     if f"{law}_clamped" in frame:
         meaning += f" {MEANINGS['dagger']}."
     if f"{law}{FROZEN}" in frame:
-        meaning += " That of the map itself; of adaptive methods not with their steps held fixed. ≤: no more than an upper bound."
+        meaning += (
+            " That of the map itself; of adaptive methods not with their steps held fixed. ≤: "
+            "no more than an upper bound."
+        )
     heads = (Head("method", words=True), *map(Head, scenes))
     return View(f"law_{law}", label, meaning, heads, tuple(lines), "laws.csv")
 
@@ -478,7 +499,14 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure:
         for column, title in ALONG_TIME.items() if rows[column].notna().any()
     )  # fmt: skip
     caption = "Settings: " + ", ".join(dict.fromkeys(rows["setting"])) + ". Shaded: round-off."
-    return Figure(f"laws_{scene}", f"{scene}: deviation from each law along time", panels, caption, len(panels), source="laws_time.csv")  # fmt: skip
+    return Figure(
+        f"laws_{scene}",
+        f"{scene}: deviation from each law along time",
+        panels,
+        caption,
+        len(panels),
+        source="laws_time.csv",
+    )
 
 
 def structure_figure(frame: pd.DataFrame) -> Figure | None:
@@ -503,7 +531,9 @@ def structure_figure(frame: pd.DataFrame) -> Figure | None:
 
 
 def sections(frames: Frames) -> list[Part]:
-    parts: list[Part] = [Text(items=tuple(f"`{name}` ({called(name)}): {c.meaning}" for name, c in laws(LAWS_TABLE).items()))]  # fmt: skip
+    parts: list[Part] = [
+        Text(items=tuple(f"`{name}` ({called(name)}): {c.meaning}" for name, c in laws(LAWS_TABLE).items()))
+    ]
     equal = frames["decay_laws"]
     if len(equal):
         parts.append(

@@ -58,3 +58,8 @@ def names(items: list[str], most: int = 0) -> str:
     if most and len(items) > most:
         return ", ".join(items[:most]) + f" and {len(items) - most} more"
     return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
+
+
+def upper(text: str) -> str:
+    """The text with a capital first letter; symbols stay as they are."""
+    return text[:1].upper() + text[1:]

@@ -52,7 +52,8 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
             role, ordered = f"shade {min(ordered, 4)}", ordered + 1
         single = len(points) == 1
         yield Curve(
-            floats(points["x"]), floats(points["y"]), label if kind != "flow" else "flow", method, "" if method else role,
+            floats(points["x"]), floats(points["y"]), label if kind != "flow" else "flow", method,
+            "" if method else role,
             line=not single, markers=single or kind == "method", dashed=kind in ("dissipative", "criterion"),
             z=floats(points["z"]) if points["z"].notna().all() else (),
         )  # fmt: skip
@@ -72,7 +73,7 @@ def on_sphere(letter: str, title: str, view: tuple[float, float]) -> Shape:
 
 def angles(rows: pd.DataFrame) -> Iterator[Panel]:
     """The angle of M with the axis it started near, against ‖M‖, which falls as e^{−γt}."""
-    found = []
+    found: list[Curve] = []
     for name, points in rows[rows["panel"] == "momentum"].groupby("curve", sort=False):
         M = points.sort_values("point")[["x", "y", "z"]].to_numpy(dtype=float)
         size = np.linalg.norm(M, axis=1)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.report.model import Head, View, number, word
-from contactbench.report.numbers import readable
+from contactbench.report.numbers import readable, upper
 from contactbench.results.schema import Table
 
 #: a table with more cells is left to its CSV
-MOST_CELLS = 15_000
+MOST_CELLS = 8_000
 
 
 def raw(table: Table, frame: pd.DataFrame) -> View:
@@ -25,6 +25,14 @@ def raw(table: Table, frame: pd.DataFrame) -> View:
         Head(table.columns[name].label or name.replace("_", " "), table.columns[name].meaning, name in words)
         for name in shown
     )
-    about = table.about[0].upper() + table.about[1:]
+    about = upper(table.about)
     meaning = f"{about}: {len(frame)} rows{', too many to show here' if large else ''}."
-    return View(f"raw_{table.name}", f"All rows: {table.name}", meaning, heads, tuple(rows), f"{table.name}.csv", detail=True)  # fmt: skip
+    return View(
+        f"raw_{table.name}",
+        f"All rows: {table.name}",
+        meaning,
+        heads,
+        tuple(rows),
+        f"{table.name}.csv",
+        detail=True,
+    )

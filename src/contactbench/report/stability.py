@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing, winners_view
+from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing
 from contactbench.report.curves import by_method, floats, number_axis
 from contactbench.report.laws import bounded, called, drift_cell, laws, numbers
 from contactbench.report.model import (
@@ -34,7 +35,7 @@ from contactbench.report.model import (
     number,
     word,
 )  # fmt: skip
-from contactbench.report.numbers import count, names, scientific
+from contactbench.report.numbers import count, names, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Rule
@@ -174,10 +175,11 @@ def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View 
             theory = row["theory"] if column == "limit" else math.nan
             known = "" if pd.isna(theory) else f" ({theory:.4g})"
             gaps = Mark.exception if column == "limit" and row["windows"] else None
-            cells.append(number(row[column], lambda v, known=known: f"{v:.4g}{known}", gaps))
+            value = number(row[column], "{:.4g}".format, gaps)
+            cells.append(replace(value, text=value.text + known))
         rows.append(tuple(cells))
     heads = (Head("method", words=True), *(Head(f"γ = {g:g}") for g in gammas))
-    meaning = f"{STABILITY_LIMITS.columns[column].meaning.capitalize()}; q'' + γq' + q = 0."
+    meaning = f"{upper(STABILITY_LIMITS.columns[column].meaning)}; q'' + γq' + q = 0."
     if column == "limit":
         meaning += (
             " In parentheses what theory gives. Marked: larger steps are stable again, see the windows."
@@ -200,7 +202,7 @@ def windows_view(frame: pd.DataFrame) -> View | None:
     heads = (
         Head("method", words=True), Head("γ"), Head("first loss of stability"), Head("unstable steps", words=True),
     )  # fmt: skip
-    meaning = f"{STABILITY_LIMITS.columns['windows'].meaning.capitalize()}; ω = 1."
+    meaning = f"{upper(STABILITY_LIMITS.columns['windows'].meaning)}; ω = 1."
     return View("windows", "Windows of instability", meaning, heads, tuple(rows), "stability_limits.csv")
 
 
@@ -233,7 +235,7 @@ def rate_cell(rows: pd.DataFrame, column: str) -> Cell:
 def creep_views(frame: pd.DataFrame) -> Iterator[View]:
     """The slow rate of the overdamped oscillator."""
     creep = frame[frame["experiment"] == "overdamped"]
-    meaning = f"{DAMPING_RATES.columns['ratio'].meaning.capitalize()} of the slow rate, γ = 50: one is right."
+    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: one is right."
     for control, key, title in (
         ("step", "damping_per_step", "γh = {:g}"),
         ("rtol", "value", "rtol = {:.0e}"),
@@ -248,7 +250,14 @@ def creep_views(frame: pd.DataFrame) -> Iterator[View]:
         ]
         heads = (Head("method", words=True), *(Head(title.format(c)) for c in columns))
         kind = "fixed steps" if control == "step" else "adaptive"
-        yield View(f"creep_{control}", f"Overdamped: the slow rate, {kind}", meaning, heads, tuple(rows), "damping_rates.csv")  # fmt: skip
+        yield View(
+            f"creep_{control}",
+            f"Overdamped: the slow rate, {kind}",
+            meaning,
+            heads,
+            tuple(rows),
+            "damping_rates.csv",
+        )
 
 
 def fading_view(frame: pd.DataFrame) -> View | None:
@@ -268,12 +277,23 @@ def fading_view(frame: pd.DataFrame) -> View | None:
     heads = [Head("method", words=True)]
     for scene, span in questions:
         group = f"{scene}, T = {span:.0e}"
-        heads += [Head("error", DAMPING_RATES.columns["rate_error"].meaning, group=group), Head("evaluations", group=group)]  # fmt: skip
+        heads += [
+            Head("error", DAMPING_RATES.columns["rate_error"].meaning, group=group),
+            Head("evaluations", group=group),
+        ]
     meaning = (
-        "|measured/true − 1| of the rate at which H0 falls, γ = 10⁻⁵, at about the same number of evaluations for every "
+        "|measured/true − 1| of the rate at which H0 falls, γ = 10⁻⁵, at about the same number of "
+        "evaluations for every "
         "method, or as near to that as its tolerances come."
     )
-    return View("fading", "Weak damping: the rate at equal cost", meaning, tuple(heads), tuple(rows), "damping_rates.csv")  # fmt: skip
+    return View(
+        "fading",
+        "Weak damping: the rate at equal cost",
+        meaning,
+        tuple(heads),
+        tuple(rows),
+        "damping_rates.csv",
+    )
 
 
 # -- strong damping --------------------------------------------------------------------------------
@@ -303,7 +323,8 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
     yield View(
         "strong_usable", "Strong damping: where negative substeps stop paying",
         f"Damping between two evaluations, γh/evaluations, up to which a method is no less accurate than {BASE} at the "
-        "same cost (oscillator, ω = 1, over the time in which the motion falls by e; 0: nowhere). Substeps against time "
+        "same cost (oscillator, ω = 1, over the time in which the motion falls by e; 0: nowhere). "
+        "Substeps against time "
         "grow by e^{γ|a|h}.", (Head("method", words=True), *heads), rows, "strong_damping.csv",
     )  # fmt: skip
     ranges = []
@@ -320,7 +341,8 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
         "strong_best", "Strong damping: the most accurate fixed-step method at equal cost",
         f"Median error in each range of γh per evaluation, oscillator; methods within a factor of {ALIKE:g} are named "
         f"together. {DASH}: no error below one.",
-        (Head("γh per evaluation", words=True), *(Head(h.label, words=True) for h in heads)), tuple(ranges), "strong_damping.csv",
+        (Head("γh per evaluation", words=True), *(Head(h.label, words=True) for h in heads)), tuple(ranges),
+        "strong_damping.csv",
     )  # fmt: skip
     yield strong_figure(frame, gammas)
 
@@ -388,11 +410,18 @@ def rates_view(frame: pd.DataFrame) -> View:
     for (scene, span), part in weak.groupby(["scene", "t_end"], sort=False):
         steps = part[part["control"] == "step"]
         budget = AFFORDABLE * float((steps if len(steps) else part)["evaluations"].max())
-        rows.append((word(f"rate of weak damping, `{scene}`, T = {span:.0e}"), *at_equal_cost(part[part["evaluations"] <= budget], budget)))  # fmt: skip
+        rows.append(
+            (
+                word(f"rate of weak damping, `{scene}`, T = {span:.0e}"),
+                *at_equal_cost(part[part["evaluations"] <= budget], budget),
+            )
+        )
     heads = (Head("rate", words=True), Head("most accurate", words=True), Head("evaluations allowed"))
     meaning = (
-        f"Error of a measured damping rate. Compared at equal cost: an adaptive method takes part with its settings that "
-        f"cost no more than {100 * (AFFORDABLE - 1):.0f} % above the dearest fixed-step run. Methods within a factor of "
+        "Error of a measured damping rate. Compared at equal cost: an adaptive method takes part "
+        "with its settings that "
+        f"cost no more than {100 * (AFFORDABLE - 1):.0f} % above the dearest fixed-step run. Methods "
+        "within a factor of "
         f"{ALIKE:g} are a tie."
     )
     return View(
@@ -412,17 +441,32 @@ def hard_figure(frame: pd.DataFrame) -> Figure | None:
     for scene in dict.fromkeys(ok["scene"]):
         part = ok[ok["scene"] == scene].sort_values("rhs_equivalents", kind="stable")
         curves = by_method(part, "rhs_equivalents", "solution_error")
-        panels.append(Panel(str(scene), number_axis("evaluations"), Axis("solution error", "log", limits=(1e-16, 1e6)), curves))  # fmt: skip
+        panels.append(
+            Panel(
+                str(scene),
+                number_axis("evaluations"),
+                Axis("solution error", "log", limits=(1e-16, 1e6)),
+                curves,
+            )
+        )
     if not panels:
         return None
-    return Figure("hard_scenes", "Hard scenes: error against evaluations", tuple(panels), "Runs that ended ok.", 4, source="stability.csv")  # fmt: skip
+    return Figure(
+        "hard_scenes",
+        "Hard scenes: error against evaluations",
+        tuple(panels),
+        "Runs that ended ok.",
+        4,
+        source="stability.csv",
+    )
 
 
 def limits_figure(frame: pd.DataFrame) -> Figure:
     rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
     rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
     rows = rows.assign(
-        scaled=rows["limit"] * rows["omega"], each=rows["per_evaluation"] * rows["omega"], known=rows["theory"] * rows["omega"]
+        scaled=rows["limit"] * rows["omega"], each=rows["per_evaluation"] * rows["omega"],
+        known=rows["theory"] * rows["omega"]
     )  # fmt: skip
     theory = [
         Curve(
@@ -438,7 +482,8 @@ def limits_figure(frame: pd.DataFrame) -> Figure:
     x = number_axis("γ/ω")
     panels = (
         Panel("per step", x, number_axis("ω × first unstable step"), (*by_method(rows, "ratio", "scaled"), *theory)),
-        Panel("per evaluation", x, number_axis("ω × first unstable step per evaluation"), by_method(rows, "ratio", "each")),
+        Panel("per evaluation", x, number_axis("ω × first unstable step per evaluation"), by_method(rows,
+            "ratio", "each")),
     )  # fmt: skip
     return Figure(
         "stability_map", "First loss of stability of q'' + γq' + ω²q = 0", panels,
@@ -451,7 +496,14 @@ def radius_figure(frame: pd.DataFrame) -> Figure:
     for gamma in [g for g in (0.0, 0.1, 1.0, 10.0, 50.0) if g in set(frame["gamma"])]:
         part = frame[frame["gamma"] == gamma].sort_values("step", kind="stable")
         truth = part.drop_duplicates("step")
-        exact = Curve(floats(truth["step"]), floats(truth["true_radius"]), "exact flow", role="truth", markers=False, dashed=True)  # fmt: skip
+        exact = Curve(
+            floats(truth["step"]),
+            floats(truth["true_radius"]),
+            "exact flow",
+            role="truth",
+            markers=False,
+            dashed=True,
+        )
         panels.append(
             Panel(f"γ = {gamma:g}", Axis("step size h", "log"), Axis("largest |eigenvalue|", limits=(0, 2)),
                   (*by_method(part, "step", "radius", every=8), exact), spans=(Span("y", 1.0, 1.0),))
@@ -465,12 +517,22 @@ def radius_figure(frame: pd.DataFrame) -> Figure:
 def strong_figure(frame: pd.DataFrame, gammas: list[float]) -> Figure:
     panels = []
     for gamma in gammas:
-        part = frame[(frame["gamma"] == gamma) & (frame["error"] < 1e4)].sort_values("damping_per_evaluation", kind="stable")  # fmt: skip
+        part = frame[(frame["gamma"] == gamma) & (frame["error"] < 1e4)].sort_values(
+            "damping_per_evaluation", kind="stable"
+        )
         panels.append(
-            Panel(f"γ = {gamma:g}", Axis("γh per evaluation", "log"), Axis("relative error", "log", limits=(1e-16, 1e2)),
+            Panel(f"γ = {gamma:g}", Axis("γh per evaluation", "log"), Axis("relative error", "log",
+                limits=(1e-16, 1e2)),
                   by_method(part, "damping_per_evaluation", "error", every=4))
         )  # fmt: skip
-    return Figure("strong_damping", "Equal cost under strong damping", tuple(panels), STRONG_DAMPING.columns["error"].meaning, 2, source="strong_damping.csv")  # fmt: skip
+    return Figure(
+        "strong_damping",
+        "Equal cost under strong damping",
+        tuple(panels),
+        STRONG_DAMPING.columns["error"].meaning,
+        2,
+        source="strong_damping.csv",
+    )
 
 
 # -- the room --------------------------------------------------------------------------------------
@@ -489,7 +551,14 @@ def findings(frames: Frames) -> list[Finding]:
         )
         if len(most):
             sentence += f" Most bad endings: {names([f'{m} {n}' for m, n in most[:3].items()])}."
-        found.append(Finding("endings", "Hard scenes", sentence, f"{tried['method'].nunique()} methods on {tried['scene'].nunique()} scenes"))  # fmt: skip
+        found.append(
+            Finding(
+                "endings",
+                "Hard scenes",
+                sentence,
+                f"{tried['method'].nunique()} methods on {tried['scene'].nunique()} scenes",
+            )
+        )
     if said := standing(Field(hard, EVALUATIONS)):
         found.append(Finding("hard_cost", "Evaluations on the hard scenes", *said))
     return found
@@ -504,13 +573,10 @@ def sections(frames: Frames) -> list[Part]:
     drawn, ends = hard_figure(hard), blow_up_view(hard)
     parts: list[Part] = [
         Text(
-            "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited in "
-            "steps and evaluations; how each ended is part of the result."
+            "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
+            "in steps and evaluations; how each ended is part of the result. Which method is cheapest where is in "
+            "[README.md](README.md)."
         ),
-        winners_view(
-            Field(hard, EVALUATIONS), "hard_winners", "Cheapest at equal error", "stability.csv", problem
-        ),
-        *([rates_view(frames["damping_rates"])] if len(frames["damping_rates"]) else []),
         *([drawn] if drawn else []),
         *([ends] if ends else []),
         map_view(hard),

@@ -63,7 +63,15 @@ def endings_view(work: pd.DataFrame, scene: str) -> View | None:
         ["method", "status", "message"], sort=False, dropna=False
     ):
         settings = "all" if status == "unsupported" else ", ".join(dict.fromkeys(runs["setting"]))
-        rows.append((word(method), word(", ".join(dict.fromkeys(runs["engine"]))), word(settings), word(status), word(message)))  # fmt: skip
+        rows.append(
+            (
+                word(method),
+                word(", ".join(dict.fromkeys(runs["engine"]))),
+                word(settings),
+                word(status),
+                word(message),
+            )
+        )
     heads = tuple(Head(label, words=True) for label in ("method", "engine", "setting", "status", "why"))
     return View(f"endings_{scene}", f"Runs on {scene} that did not end ok", "", heads, tuple(rows), SOURCE)
 
@@ -85,7 +93,9 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     if not panels:
         return None
     caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
-    return Figure(f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE)  # fmt: skip
+    return Figure(
+        f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE
+    )
 
 
 def kernels_view(work: pd.DataFrame) -> View | None:
@@ -126,8 +136,10 @@ def chosen_view(work: pd.DataFrame) -> View | None:
         ratio = row["solution_error"] / row["value"]
         mark = Mark.exception if ratio > 1 else None
         rows.append((
-            word(row["scene"]), word(row["method"]), word(row["engine"]), number(row["value"], lambda v: scientific(v, 0)),
-            number(row["solution_error"], scientific), Cell(times(ratio), ratio, marks(mark)), number(row["steps"], count),
+            word(row["scene"]), word(row["method"]), word(row["engine"]), number(row["value"],
+            lambda v: scientific(v, 0)),
+            number(row["solution_error"], scientific), Cell(times(ratio), ratio, marks(mark)),
+            number(row["steps"], count),
             number(row["rhs_equivalents"], count), number(row["time_median_s"], duration),
         ))  # fmt: skip
     if not rows:
@@ -148,7 +160,8 @@ def noise_text(work: pd.DataFrame) -> Text:
         return Text("No cell was timed twice in these tables: the noise of the times is not known.")
     return Text(
         f"Every timed cell is measured twice, at two places of a shuffled order: of {len(ratios)} such pairs 95 % are "
-        f"within {times(noise(work))} of each other. A tie is what is within {times(TIE)} or within that, whichever is larger."
+        f"within {times(noise(work))} of each other. A tie is what is within {times(TIE)} or within "
+        "that, whichever is larger."
     )
 
 
