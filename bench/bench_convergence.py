@@ -10,7 +10,7 @@ import math
 
 import contactbench as cb
 from cells import cells, outcome, save_times, scenes, setting, steps
-from contactbench.measure.analysis import fit_order
+from contactbench.measure.order import fit_order
 from contactbench.measure.precision import error_at
 from contactbench.results.schema import CONVERGENCE
 
@@ -61,8 +61,8 @@ def test_convergence(cell, record):
             pairwise_order=fit.pairwise[i],
             in_fit=bool(fit.used[i]),
             order=fit.order,
-            order_low=fit.low,
-            order_high=fit.high,
+            last_slope=fit.last_slope,
+            order_uncertainty=fit.uncertainty,
             order_nominal=method.order,
         )
     assert all(row["status"] == "ok" or row["message"] for row in rows)

@@ -9,7 +9,7 @@ import pytest
 
 import contactbench as cb
 from cases import USER, by_name
-from contactbench.measure.analysis import fit_order
+from contactbench.measure.order import fit_order
 from contactbench.methods.base import steps_in
 from contactbench.methods.fixed_step import trajectory
 from contactbench.solution import Status

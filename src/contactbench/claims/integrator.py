@@ -24,7 +24,7 @@ from contactbench.claims.calculus import (
     pullback,
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
-from contactbench.measure.analysis import fit_order
+from contactbench.measure.order import fit_order
 from contactbench.measure.laws import LAWS
 from contactbench.measure.stability import SLACK, spectral_radius
 from contactbench.methods import METHODS, solve
@@ -73,7 +73,7 @@ def exact_errors(method: FixedStep) -> dict[float, float]:
 
 
 def slope(errors: dict[float, float]) -> float:
-    """The order, fitted over the asymptotic range."""
+    """The order, extrapolated from the pairwise slopes."""
     return fit_order(list(errors), list(errors.values()), ENERGY_FLOOR).order
 
 

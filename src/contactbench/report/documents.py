@@ -202,6 +202,12 @@ def losses_section(work: pd.DataFrame) -> str:
 
 
 # -- documents -------------------------------------------------------------------------------------
+def with_uncertainty(value: float, uncertainty: float) -> str:
+    """Both to the first digit of the uncertainty, rounded up; at most six decimals."""
+    places = min(6, max(1, -math.floor(math.log10(uncertainty)))) if uncertainty > 0 else 6
+    return f"{value:.{places}f} ± {math.ceil(uncertainty * 10**places) / 10**places:.{places}f}"
+
+
 def convergence_document(frame: pd.DataFrame) -> str:
     scenes = list(dict.fromkeys(frame["scene"]))
     methods = list(dict.fromkeys(frame["method"]))
@@ -218,14 +224,14 @@ def convergence_document(frame: pd.DataFrame) -> str:
             if pd.isna(fit["order"]):
                 cells.append("no asymptotic range")
             else:
-                half = (fit["order_high"] - fit["order_low"]) / 2
-                cells.append(f"{fit['order']:.3f} ± {half:.3f} ({int(here['in_fit'].sum())})")
+                cells.append(f"{with_uncertainty(fit['order'], fit['order_uncertainty'])} ({fit['last_slope']:.3f})")
         rows.append([method, int(mine["order_nominal"].iloc[0]), *cells])
     table = markdown(["method", "claimed", *scenes], rows)
     return f"""# Order of convergence
 
-Slope of log error against log step with its 95 % interval, over the asymptotic range (number of
-points in parentheses). The errors behind it are in `convergence.csv`.
+The limit of the slopes of log error against log step as the step goes to zero, extrapolated from
+neighbouring slopes, ± what successive extrapolations differ by and round-off can do; in parentheses the last
+slope it is extrapolated from. The errors behind it are in `convergence.csv`.
 
 {table}
 

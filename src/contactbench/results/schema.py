@@ -113,14 +113,15 @@ CONVERGENCE = Table(
         "step": "step size h",
         "solution_error": "max ‖y − y*‖ / max ‖y*‖",
         "pairwise_order": "slope between this step and the next larger one",
-        "in_fit": "whether the point lies in the asymptotic range the order is fitted on",
-        "order": "fitted order of the method on this scene (the same in every row of the method)",
-        "order_low": "lower end of its 95 % interval",
-        "order_high": "upper end of its 95 % interval",
+        "in_fit": "whether the order rests on this point",
+        "order": "order on this scene, extrapolated from the pairwise slopes (the same in every row of the method)",
+        "last_slope": "pairwise slope of the two finest points the order rests on",
+        "order_uncertainty": "of the order: from the spread of successive extrapolations, and round-off",
         "order_nominal": "order the method claims",
         **_COUNTS,
     },
-    {**_RULES, "solution_error": Rule.error, "pairwise_order": Rule.slope, "order_nominal": Rule.same},
+    {**_RULES, "solution_error": Rule.error, "pairwise_order": Rule.slope, "order": Rule.slope,
+     "last_slope": Rule.slope, "order_nominal": Rule.same},
 )
 
 LAWS_TABLE = Table(

@@ -302,8 +302,8 @@ def convergence_sheet(frame: pd.DataFrame) -> Sheet:
                 cells.append(Cell("no range" if why == "ok" else str(why), look="soft"))
                 continue
             fit = here.iloc[0]
-            half = (fit["order_high"] - fit["order_low"]) / 2
-            cells.append(Cell(f"{fit['order']:.3f} ± {half:.3f}", float(fit["order"])))
+            text = report.with_uncertainty(fit["order"], fit["order_uncertainty"])
+            cells.append(Cell(text, float(fit["order"])))
         rows.append(cells)
     return sheet("Fitted orders", ["method", "claimed", *scenes], rows)
 
