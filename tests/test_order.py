@@ -73,7 +73,7 @@ def test_noise_has_no_order():
 @pytest.mark.parametrize("power", [1, 2])
 def test_the_uncertainty_covers_the_truth(power):
     """Random error constants of three powers, of either sign, and round-off: at most 3 % are missed,
-    where a term happens to be cancelled by the next; of the 95 % intervals of a straight line, most are."""
+    where a term happens to be cancelled by the next."""
     rng = np.random.default_rng(1)
     missed, total = 0, 0
     for _ in range(600):
