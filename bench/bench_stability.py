@@ -15,9 +15,11 @@ from contactbench.measure.isolation import Died, TimedOut, Workers
 from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
+    is_processed,
+    kernel,
     propagation_error,
     spectral_radius,
-    stability_limit,
+    stability,
     true_radius,
 )
 from contactbench.results.schema import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
@@ -186,27 +188,33 @@ def linear(profile):
 def test_linear_stability(cell, record_all):
     method = cb.METHODS[cell[0]]
     theory, each = THEORY.get(method.name), method.per_step(cb.SCENES["oscillator"])
+    repeated, both = kernel(method), is_processed(method)
     limits = []
     for gamma in GAMMAS:
         for omega in OMEGAS:
-            limit = stability_limit(method, gamma, omega)
+            found = stability(repeated, gamma, omega)
             limits.append({
-                "method": method.name, "gamma": gamma, "omega": omega, "limit": limit,
-                "theory": theory(gamma, omega) if theory else np.nan, "per_evaluation": limit / each,
+                "method": method.name, "gamma": gamma, "omega": omega, "limit": found.limit,
+                "windows": printed_windows(found), "last": found.last,
+                "theory": theory(gamma, omega) if theory else np.nan, "per_evaluation": found.limit / each,
+                "limit_kernel": found.limit if both else np.nan,
+                "limit_saved": stability(method, gamma, omega).limit if both else np.nan,
             })  # fmt: skip
     record_all(STABILITY_LIMITS, limits)
     radii = []
     for gamma in GAMMAS:
-        radius = spectral_radius(method, gamma, 1.0, STEPS)
+        radius = spectral_radius(repeated, gamma, 1.0, STEPS)
+        saved = spectral_radius(method, gamma, 1.0, STEPS) if both else np.full(len(STEPS), np.nan)
         radii += [
             {
                 "method": method.name,
                 "gamma": gamma,
                 "step": h,
                 "radius": r,
+                "radius_saved": r_saved,
                 "true_radius": true_radius(gamma, 1.0, h),
             }
-            for h, r in zip(STEPS.tolist(), radius.tolist(), strict=True)
+            for h, r, r_saved in zip(STEPS.tolist(), radius.tolist(), saved.tolist(), strict=True)
         ]
     record_all(ONE_STEP, radii)
     errors = []
@@ -215,9 +223,16 @@ def test_linear_stability(cell, record_all):
             h = between / gamma * each
             errors.append({
                 "method": method.name, "gamma": gamma, "damping_per_evaluation": between, "step": h,
-                "error": propagation_error(method, gamma, h), "radius": spectral_radius(method, gamma, 1.0, h),
+                "error": propagation_error(method, gamma, h),
+                "error_saved": propagation_error(method, gamma, h, every_step=True) if both else np.nan,
+                "radius": spectral_radius(repeated, gamma, 1.0, h),
             })  # fmt: skip
     record_all(STRONG_DAMPING, errors)
+
+
+def printed_windows(found):
+    """The windows of instability, "3.134248…3.150828; …"."""
+    return "; ".join(f"{start:.7g}…{end:.7g}" for start, end in found.windows)
 
 
 assert min(TOLERANCES) >= min(RTOLS)

@@ -286,24 +286,26 @@ def flow_matrix(gamma: float, omega: float, t: float) -> np.ndarray:
     return expm(np.array([[0.0, 1.0], [-(omega**2), -gamma]]) * t)
 
 
-def propagation_error(method: Any, gamma: float, h: float) -> float:
-    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M, nothing saved between, with nh = T as near as can be to the time in which a motion falls by e.
+def propagation_error(method: Any, gamma: float, h: float, every_step: bool = False) -> float:
+    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T as near as can be to the time in which a motion falls by e.
 
-    inf where the powers overflow.
+    every_step : whether every step is saved, which is another map for a processed method.
+    inf where M overflows.
     """
     n = max(1, round(1 / slow_rate(gamma) / h))
     exact = flow_matrix(gamma, 1.0, n * h)
     with np.errstate(all="ignore"):
-        power = run_matrix(method, gamma, 1.0, h, n)
-        if not np.isfinite(power).all():
+        run = run_matrix(method, gamma, 1.0, h, n, every_step)
+        if not np.isfinite(run).all():
             return math.inf
-        return float(np.linalg.norm(power - exact, 2) / np.linalg.norm(exact, 2))
+        return float(np.linalg.norm(run - exact, 2) / np.linalg.norm(exact, 2))
 
 
-def run_matrix(method: Any, gamma: float, omega: float, h: float, n: int) -> np.ndarray:
-    """The map (q, p) → (q, p) of n steps with nothing saved between them."""
-    power = np.linalg.matrix_power(step_matrix(kernel(method), gamma, omega, h), n)
-    if not is_processed(method):
-        return power
+def run_matrix(
+    method: Any, gamma: float, omega: float, h: float, n: int, every_step: bool = False
+) -> np.ndarray:
+    """The map (q, p) → (q, p) of n steps of size h, of which the end or every step is saved."""
+    if every_step or not is_processed(method):
+        return np.linalg.matrix_power(step_matrix(method, gamma, omega, h), n)
     before, after = (step_matrix(part, gamma, omega, h) for part in processor(method))
-    return after @ power @ before
+    return after @ np.linalg.matrix_power(step_matrix(kernel(method), gamma, omega, h), n) @ before

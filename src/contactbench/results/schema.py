@@ -214,16 +214,21 @@ STABILITY = Table(
 
 STABILITY_LIMITS = Table(
     "stability_limits",
-    "largest step with a bounded orbit of the oscillator q'' + γq' + ω²q = 0, by bisection",
+    "steps with bounded orbits of the oscillator q'' + γq' + ω²q = 0, from the one-step map",
     {
         "method": "name of the method",
         "gamma": "damping γ",
         "omega": "frequency ω",
-        "limit": "largest step with a bounded orbit: no eigenvalue of the one-step map beyond the unit circle",
+        "limit": "first loss of stability: up to this step no eigenvalue is beyond the unit circle",
+        "windows": "intervals of instability below the last stable step",
+        "last": "the last stable step; islands of stability shorter than a hundredth of the step not counted",
         "theory": "what theory gives, where it does",
         "per_evaluation": "the limit over the evaluations of a step",
+        "limit_kernel": "of a processed method, the limit where only the end is saved: the kernel is repeated",
+        "limit_saved": "the same where every step is saved: kernel and processor are repeated",
     },
-    {"limit": Rule.value},
+    {"limit": Rule.value, "windows": Rule.same, "last": Rule.value, "limit_kernel": Rule.value,
+     "limit_saved": Rule.value},
     key=("method", "gamma", "omega"),
 )
 
@@ -234,10 +239,11 @@ ONE_STEP = Table(
         "method": "name of the method",
         "gamma": "damping γ",
         "step": "step size h",
-        "radius": "largest |eigenvalue| of the one-step map",
+        "radius": "largest |eigenvalue| of the one-step map, of a processed method that of its kernel",
+        "radius_saved": "the same of a processed method where every step is saved",
         "true_radius": "of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped",
     },
-    {"radius": Rule.value},
+    {"radius": Rule.value, "radius_saved": Rule.value},
     key=("method", "gamma", "step"),
 )
 
@@ -267,10 +273,11 @@ STRONG_DAMPING = Table(
         "gamma": "damping γ",
         "damping_per_evaluation": "γh over the evaluations of a step: the damping between two evaluations",
         "step": "step size h",
-        "error": "‖Mⁿ − Φ_T‖₂/‖Φ_T‖₂ over the time T in which the motion falls by e",
-        "radius": "largest |eigenvalue| of the one-step map",
+        "error": "‖M − Φ_T‖₂/‖Φ_T‖₂ of a run M over the time T in which the motion falls by e, the end saved",
+        "error_saved": "the same of a processed method where every step is saved",
+        "radius": "largest |eigenvalue| of the one-step map, of a processed method that of its kernel",
     },
-    {"error": Rule.error},
+    {"error": Rule.error, "error_saved": Rule.error},
     key=("method", "gamma", "damping_per_evaluation"),
 )
 
