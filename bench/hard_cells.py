@@ -43,7 +43,7 @@ DERIVED = ("contact_drift", "distribution_drift")
 #: compiled evaluations that a call back into Python is worth, and right-hand sides of an implicit step
 CALLBACK, IMPLICIT = 200, 20
 #: no derivative of a run that costs more than this, in compiled evaluations: some seconds, with its tangents
-AFFORDABLE = 2e7
+AFFORDABLE = 1e7
 #: of one that costs less than this the fastest of several calls is timed, else the second
 QUICK, CALLS = 1e6, 5
 

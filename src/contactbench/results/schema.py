@@ -247,6 +247,28 @@ ONE_STEP = Table(
     key=("method", "gamma", "step"),
 )
 
+DECAY_LAWS = Table(
+    "decay_laws",
+    "errors and decay laws of every method at equal cost, the largest at five times",
+    {
+        **_COMMON,
+        "cost": "right-hand sides per unit of time asked for",
+        "control": "what was chosen to meet it: step or rtol",
+        "value": "the step or tolerance taken",
+        "solution_error": "max ‖y − y*‖ / max ‖y*‖",
+        "energy_law": "max |H0(y) − H0(y*)| / |H0(y₀)|",
+        "hamiltonian_law": "max |H e^{γt} − H(y₀)| / |H(y₀)|",
+        "momentum_law": "max ‖J e^{γt} − J(y₀)‖ / ‖J(y₀)‖; where a torque acts |J − J*| e^{γt} / max |J* e^{γt}|",
+        "contact_drift": "‖Φ*η − e^{−γt} η‖ / ‖e^{−γt} η‖",
+        "derivative": "how DΦ for the contact drift was obtained, or why it was not",
+        **_COUNTS,
+    },
+    {**_RULES, "value": Rule.value, "derivative": Rule.same,
+     **dict.fromkeys(("solution_error", "energy_law", "hamiltonian_law"), Rule.error),
+     **dict.fromkeys(("momentum_law", "contact_drift"), Rule.structure)},
+    key=("scene", "method", "engine", "cost"),
+)  # fmt: skip
+
 DAMPING_RATES = Table(
     "damping_rates",
     "measured damping rates: the slow rate of the overdamped oscillator, the rate of weak damping",
@@ -363,6 +385,7 @@ TABLES = {
         STABILITY,
         STABILITY_LIMITS,
         ONE_STEP,
+        DECAY_LAWS,
         DAMPING_RATES,
         STRONG_DAMPING,
         GATE_SELFCHECK,
