@@ -247,4 +247,3 @@ def test_linear_stability(cell, record_all):
 def printed_windows(found):
     """The windows of instability, "3.134248…3.150828; …"."""
     return "; ".join(f"{start:.7g}…{end:.7g}" for start, end in found.windows)
-

@@ -35,6 +35,8 @@ def tolerance_at(cost: Callable[[float], float], target: float, rtol_range: tupl
         if abs(found / target - 1) < NEAR:
             break
         low, high = (low, middle) if found < target else (middle, high)
+    if not any(found >= target for found in costs.values()):  # the tightest costs less, or was not tried
+        looked_at(math.log10(rtol_range[0]))
     ended = {rtol: found for rtol, found in costs.items() if 0 < found < math.inf}
     return min(ended or costs, key=lambda rtol: (distance(costs[rtol], target), rtol))
 

@@ -54,7 +54,9 @@ def work(solution):
     evaluations = counts.rhs_equivalents
     if evaluations is None:  # an implicit method that does not say
         evaluations = IMPLICIT * (counts.steps + (counts.rejected or 0))
-    return evaluations * (CALLBACK if "python" in solution.engine and cb.METHODS[solution.method].adaptive else 1)
+    return evaluations * (
+        CALLBACK if "python" in solution.engine and cb.METHODS[solution.method].adaptive else 1
+    )
 
 
 def stability_row(scene, method, engine, kind, value, max_steps):

@@ -10,7 +10,6 @@ import time
 import numpy as np
 
 import contactbench as cb
-
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared
 from contactbench.solution import Counts, Status
 

@@ -9,6 +9,7 @@ import pytest
 
 from contactbench.measure.analysis import cost_at_error, cost_to_reach, paired_ratio, timing
 
+
 def test_cost_at_error_interpolates_inside_and_refuses_outside():
     errors, costs = [1e-2, 1e-4, 1e-6], [1.0, 10.0, 100.0]  # cost = error^{-1/2}/10
     assert cost_at_error(errors, costs, 1e-3) == pytest.approx(10**0.5)

@@ -89,7 +89,9 @@ def test_the_uncertainty_covers_the_truth(power):
     assert missed <= 0.03 * total
 
 
-@pytest.mark.parametrize("name", ["contact-printed", "contact-strang", "contact-rkn6", "contact-o8", "herglotz1"])
+@pytest.mark.parametrize(
+    "name", ["contact-printed", "contact-strang", "contact-rkn6", "contact-o8", "herglotz1"]
+)
 def test_nominal_orders_at_fifty_digits(name):
     method, scene = cb.METHODS[name], cb.SCENES["particle"].with_(t_end=4.0)
     counts = (8, 16, 32, 64, 128)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -150,7 +151,7 @@ def test_without_damping_limit_and_windows_are_roots_of_a_polynomial(method):
     found = stability(method, 0.0, 1.0)
     assert found.limit == pytest.approx(joined[0][1], rel=1e-9)
     assert found.last == pytest.approx(joined[-1][1], rel=1e-9)
-    expected = [(end, start) for (_, end), (start, _) in zip(joined, joined[1:], strict=False)]
+    expected = [(end, start) for (_, end), (start, _) in itertools.pairwise(joined)]
     np.testing.assert_allclose(np.reshape(found.windows, (-1, 2)), np.reshape(expected, (-1, 2)), rtol=1e-7)
 
 
@@ -163,7 +164,9 @@ def test_windows_at_random_damping_are_those_of_long_runs(method):
         found = stability(method, gamma, 1.0)
         borders = np.array([found.limit, *np.ravel(found.windows), found.last])
         reach = 1.5 * found.last if math.isfinite(found.last) else 1.5 * max(found.limit, 10.0)
-        candidates = np.append(rng.uniform(0.02, min(reach, 300.0), 15), np.mean(found.windows or [[1e-2]], axis=1))
+        candidates = np.append(
+            rng.uniform(0.02, min(reach, 300.0), 15), np.mean(found.windows or [[1e-2]], axis=1)
+        )
         for h in candidates:
             if np.abs(borders / h - 1).min() < 1e-3:
                 continue
@@ -193,7 +196,9 @@ def test_a_processed_method_is_repeated_by_its_kernel_or_as_a_whole():
     assert saved.status is cb.Status.diverged
     for n in (1, 2, 7):
         x = method.advance(oscillator(0.5), State((0.6,), (0.8,)), 0.3, n, math)
-        np.testing.assert_allclose(run_matrix(method, 0.5, 1.0, 0.3, n) @ (0.6, 0.8), [*x.q, *x.p], rtol=1e-12)
+        np.testing.assert_allclose(
+            run_matrix(method, 0.5, 1.0, 0.3, n) @ (0.6, 0.8), [*x.q, *x.p], rtol=1e-12
+        )
     assert propagation_error(method, 1.0, 1.0) != propagation_error(method, 1.0, 1.0, every_step=True)
 
 

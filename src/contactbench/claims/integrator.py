@@ -24,8 +24,8 @@ from contactbench.claims.calculus import (
     pullback,
 )
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
-from contactbench.measure.order import fit_order
 from contactbench.measure.laws import LAWS
+from contactbench.measure.order import fit_order
 from contactbench.measure.stability import SLACK, spectral_radius
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step import FixedStep, trajectory

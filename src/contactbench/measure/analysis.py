@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+
 def cost_at_error(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
     """Cost at which the error reaches `target`, by log–log interpolation; nan outside the data.
 

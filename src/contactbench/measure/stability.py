@@ -144,7 +144,8 @@ def stability(method: Any, gamma: float, omega: float) -> Stability:
             return ~(np.abs(invariants(h)) <= 1 + SLACK).all(axis=0)  # nan: overflow
 
     values = invariants(grid)
-    turns = [turning_points(lambda h, i=i: invariants(h)[i], grid, values[i]) for i in range(2)]
+    turns = [turning_points(lambda h: invariants(h)[0], grid, values[0])]
+    turns.append(turning_points(lambda h: invariants(h)[1], grid, values[1]))
     steps = np.unique(np.concatenate([grid, *turns]))
     beyond = unstable(steps)
     if beyond[0]:
@@ -176,9 +177,7 @@ def trace_and_determinant(
     return trace, det if factor is None else factor
 
 
-def turning_points(
-    f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, values: np.ndarray
-) -> np.ndarray:
+def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Extrema of f, one for each point of an increasing grid that both neighbours are above or below."""
     with np.errstate(invalid="ignore"):
         rises = np.sign(np.diff(values))

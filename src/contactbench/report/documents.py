@@ -224,7 +224,9 @@ def convergence_document(frame: pd.DataFrame) -> str:
             if pd.isna(fit["order"]):
                 cells.append("no asymptotic range")
             else:
-                cells.append(f"{with_uncertainty(fit['order'], fit['order_uncertainty'])} ({fit['last_slope']:.3f})")
+                cells.append(
+                    f"{with_uncertainty(fit['order'], fit['order_uncertainty'])} ({fit['last_slope']:.3f})"
+                )
         rows.append([method, int(mine["order_nominal"].iloc[0]), *cells])
     table = markdown(["method", "claimed", *scenes], rows)
     return f"""# Order of convergence

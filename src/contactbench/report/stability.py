@@ -104,9 +104,12 @@ def limits_section(frame: pd.DataFrame) -> Iterator[str]:
             cells.append(f"{limit:.4g}" + ("" if pd.isna(theory) else f" ({theory:.4g})"))
         rows.append([method, *cells])
     yield (
-        "## Stability limits\n\nLargest step with a bounded orbit of q'' + γq' + q = 0, by bisection of the spectral "
-        "radius of the one-step map; in parentheses what theory gives. Divide by the evaluations per step to compare "
-        "costs (`stability_limits.csv`).\n\n" + markdown(["method", *(f"γ = {g:g}" for g in gammas)], rows)
+        "## Stability limits\n\nFirst loss of stability with growing step on q'' + γq' + q = 0, from trace and "
+        "determinant of the one-step map; in parentheses what theory gives. It may be a narrow window, beyond which "
+        "orbits are bounded again (columns `windows` and `last` of `stability_limits.csv`). Of a processed method the "
+        "kernel decides, as where only the end is saved (`limit_saved`: where every step is). Divide by the "
+        "evaluations per step to compare costs.\n\n"
+        + markdown(["method", *(f"γ = {g:g}" for g in gammas)], rows)
     )
     yield "![stability limits over damping](figures/stability_map.svg)"
     yield "![spectral radius of the one-step map](figures/one_step.svg)"

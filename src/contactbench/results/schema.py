@@ -120,8 +120,14 @@ CONVERGENCE = Table(
         "order_nominal": "order the method claims",
         **_COUNTS,
     },
-    {**_RULES, "solution_error": Rule.error, "pairwise_order": Rule.slope, "order": Rule.slope,
-     "last_slope": Rule.slope, "order_nominal": Rule.same},
+    {
+        **_RULES,
+        "solution_error": Rule.error,
+        "pairwise_order": Rule.slope,
+        "order": Rule.slope,
+        "last_slope": Rule.slope,
+        "order_nominal": Rule.same,
+    },
 )
 
 LAWS_TABLE = Table(
@@ -227,8 +233,13 @@ STABILITY_LIMITS = Table(
         "limit_kernel": "of a processed method, the limit where only the end is saved: the kernel is repeated",
         "limit_saved": "the same where every step is saved: kernel and processor are repeated",
     },
-    {"limit": Rule.value, "windows": Rule.same, "last": Rule.value, "limit_kernel": Rule.value,
-     "limit_saved": Rule.value},
+    {
+        "limit": Rule.value,
+        "windows": Rule.same,
+        "last": Rule.value,
+        "limit_kernel": Rule.value,
+        "limit_saved": Rule.value,
+    },
     key=("method", "gamma", "omega"),
 )
 
