@@ -50,11 +50,12 @@ def test_with_the_merged_flow_it_grows_like_twice_the_damping():
     assert stability_limit(cb.METHODS["contact-strang"], 50.0, 1.0) == pytest.approx(100.0, rel=1e-3)
 
 
-def largest(method, gamma, h, steps):
+def largest(method, gamma, h, steps, at_once=50):
+    """The largest |q| or |p| met when one looks every so many steps."""
     scene, x = oscillator(gamma), State((0.6,), (0.8,))
     worst = 0.0
-    for _ in range(steps):
-        x = method.advance(scene, x, h, 1, math)
+    for _ in range(-(-steps // at_once)):
+        x = method.advance(scene, x, h, at_once, math)
         worst = max(worst, abs(x.q[0]), abs(x.p[0]))
         if worst > 1e12:
             break
@@ -245,13 +246,17 @@ def test_a_rate_is_read_off_an_oscillating_energy():
     assert energy_rate(t, energy) == pytest.approx(1e-5, rel=1e-4)
 
 
-@pytest.mark.parametrize("name", ["cvode-adams", "diffrax-dopri8", "contact-adaptive", "contact-strang"])
-def test_weak_damping_is_measured_at_the_same_cost(name):
+@pytest.mark.parametrize(
+    ("name", "off"),
+    [("cvode-adams", 0.3), ("diffrax-dopri8", 0.3), ("contact-adaptive", 1e-4), ("contact-strang", 1e-4)],
+)
+def test_weak_damping_is_measured_at_the_same_cost(name, off):
+    """At eight evaluations a unit of time the dissipation of a peer is a good part of the true one."""
     from hard_cells import COST, weak_row
 
     row = weak_row("weak_damping", name, 1000.0)
     assert row["status"] == "ok"
-    assert row["ratio"] == pytest.approx(1.0, abs=0.1)
+    assert row["ratio"] == pytest.approx(1.0, abs=off)
     assert row["evaluations"] / 1000.0 == pytest.approx(COST, rel=0.1)
 
 
