@@ -61,6 +61,8 @@ def test_convergence(cell, record):
             pairwise_order=fit.pairwise[i],
             in_fit=bool(fit.used[i]),
             order=fit.order,
+            last_slope=fit.last_slope,
+            order_uncertainty=fit.uncertainty,
             order_nominal=method.order,
         )
     assert all(row["status"] == "ok" or row["message"] for row in rows)
