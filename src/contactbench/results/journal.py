@@ -123,11 +123,11 @@ def _fold(folder: Path) -> None:
     for name, new in rows.items():
         merge(TABLES[name], new, results)
     whole = _whole(folder, _done(results, profile) | made)
-    mine = PROFILES[: PROFILES.index(profile) + 1]
+    profiles = PROFILES[: PROFILES.index(profile) + 1]
     for name, known in whole.items():
-        forget(TABLES[name], known, mine, results)
+        forget(TABLES[name], known, profiles, results)
     # rows of a larger profile stay, and with them the run that made them
-    alone = [name for name in whole if read(TABLES[name], results)["profile"].isin(mine).all()]
+    alone = [name for name in whole if read(TABLES[name], results)["profile"].isin(profiles).all()]
     save_run(folder.name, record, [name for name in rows if rows[name]], alone, results)
     _save_done(results, profile, made)
 
