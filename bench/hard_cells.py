@@ -10,7 +10,8 @@ import numpy as np
 
 import contactbench as cb
 from cells import outcome, save_times
-from contactbench.measure.laws import MEANINGFUL, is_contact, laws_of
+from contactbench.measure.deviation import MEANINGFUL
+from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import slow_rate
 from contactbench.truth import blow_up_time, condition_number
 
@@ -34,9 +35,7 @@ def solve(scene, method, **options):
         return cb.solve(scene, method, **options)
 
 
-#: laws that need the derivative of the numerical map, which costs several runs
-DERIVED = ("contact_drift", "distribution_drift")
-#: no derivative where one run takes longer than this, seconds; several calls where it takes less
+#: one call is timed where it takes longer than this, seconds; several where it takes less
 PATIENCE, QUICK = 2.0, 0.2
 
 
@@ -67,14 +66,7 @@ def stability_row(scene, method, engine, kind, value, max_steps):
         return row
     row["time_s"] = min(np.diff(times))
     row["end_error"] = end_error(solution)
-    slow = row["time_s"] > PATIENCE
-    row["derivative"] = solution.sensitivity_source if is_contact(scene) else ""
-    if slow:
-        row["derivative"] = f"not taken: a run takes longer than {PATIENCE:g} s"
-    for law in laws_of(scene):
-        if not (slow and law.name in DERIVED):
-            row[law.name] = law(solution)
-    return row
+    return row | law_columns(solution)
 
 
 def end_error(solution):

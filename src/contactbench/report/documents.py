@@ -233,22 +233,16 @@ points in parentheses). The errors behind it are in `convergence.csv`.
 """
 
 
-LAW_COLUMNS = (
-    "solution_error", "energy_law", "energy_law_relative", "hamiltonian_law", "momentum_law", "momentum_balance",
-    "contact_drift", "distribution_drift", "attitude_drift", "energy_increases",
-)  # fmt: skip
-
-
 def laws_document(frame: pd.DataFrame) -> str:
     meaning = labels("laws")
     parts = [
         "# Decay laws and drifts",
         "Maxima over the saved times of each run. A dash: the law is not defined on the scene, or not measured.",
-        "\n".join(f"- `{name}`: {meaning[name]}" for name in LAW_COLUMNS),
+        "\n".join(f"- `{name}`: {meaning[name]}" for name in laws_shown("laws")),
     ]
     for scene in dict.fromkeys(frame["scene"]):
         part = frame[frame["scene"] == scene]
-        shown = [name for name in LAW_COLUMNS if part[name].notna().any()]
+        shown = [name for name in laws_shown("laws") if part[name].notna().any()]
         rows = []
         for _, row in part.iterrows():
             values = (

@@ -93,16 +93,23 @@ class Table:
 
 
 def _law_columns() -> dict[str, str]:
-    from contactbench.measure.laws import LAWS
+    from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
 
-    return {name: item.definition for name, item in LAWS.items()}
+    return {name: item.definition for name, item in LAWS.items()} | DRIFT_COLUMNS
 
 
 def _law_rules() -> dict[str, Rule]:
     from contactbench.measure.laws import LAWS
 
-    rules = {name: Rule.structure if item.structural else Rule.error for name, item in LAWS.items()}
-    return rules | {"energy_increases": Rule.count}
+    clamped = dict.fromkeys(("contact_drift_clamped", "hamiltonian_law_clamped", "momentum_law_clamped"), Rule.count)
+    return {name: Rule[item.gate] for name, item in LAWS.items()} | clamped | {"derivative": Rule.same}
+
+
+def laws_shown(table: str) -> dict[str, str]:
+    """The laws that the document of a table lists, in order, with their labels."""
+    from contactbench.measure.laws import LAWS
+
+    return {name: item.label for name, item in LAWS.items() if table in item.shown}
 
 
 CONVERGENCE = Table(
@@ -126,9 +133,8 @@ CONVERGENCE = Table(
 LAWS_TABLE = Table(
     "laws",
     "decay laws and drifts over the whole run, maxima over the saved times",
-    {**_COMMON, "saved_times": "number of saved times", **_law_columns(),
-     "derivative": "how DΦ for the contact drift was obtained", **_COUNTS},
-    {**_RULES, "saved_times": Rule.same, "derivative": Rule.same, **_law_rules()},
+    {**_COMMON, "saved_times": "number of saved times", **_law_columns(), **_COUNTS},
+    {**_RULES, "saved_times": Rule.same, **_law_rules()},
 )  # fmt: skip
 
 LAWS_TIME = Table(
@@ -204,7 +210,6 @@ STABILITY = Table(
         "condition_number": "max ‖∂x(t)/∂x(0)‖₂ of the true motion, where stored: what errors grow to",
         "end_error": "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left then",
         **_law_columns(),
-        "derivative": "how DΦ for the contact drift was obtained, or why it was not",
         **_COUNTS,
         "time_s": "fastest of a few calls, 25 saved times; other work may run beside it",
     },

@@ -30,7 +30,7 @@ from contactbench.report.documents import (
     scientific,
 )
 from contactbench.report.markdown import times
-from contactbench.results.schema import SEPARATOR, TABLES, read, replacing
+from contactbench.results.schema import SEPARATOR, TABLES, laws_shown, read, replacing
 
 #: tables with a section of their own; the others are shown as they are
 SECTIONS = ("work_precision", "laws", "convergence", "claims")
@@ -279,7 +279,7 @@ def structure_sheet(laws: pd.DataFrame, convergence: pd.DataFrame) -> Sheet:
 def laws_sheet(laws: pd.DataFrame, scene: str) -> Sheet:
     part = laws[laws["scene"] == scene]
     meaning = report.labels("laws")
-    shown = [name for name in report.LAW_COLUMNS if part[name].notna().any()]
+    shown = [name for name in laws_shown("laws") if part[name].notna().any()]
     rows = []
     for _, row in part.iterrows():
         cells = [number(row[n], count) if n == "energy_increases" else law_cell(row[n]) for n in shown]
@@ -442,7 +442,7 @@ def page(tables: dict[str, pd.DataFrame], runs: dict[str, dict]) -> str:
         chosen=listing("A step chosen from a tolerance", report.chosen(work)),
         error_meaning=meaning["solution_error"],
         laws={s: laws_sheet(laws, s) for s in dict.fromkeys(laws["scene"])},
-        law_meaning={name: report.labels("laws")[name] for name in report.LAW_COLUMNS},
+        law_meaning={name: report.labels("laws")[name] for name in laws_shown("laws")},
         convergence=convergence_sheet(convergence) if len(convergence) else None,
         claims=claims_sheet(claims) if len(claims) else None,
         verdicts=verdicts,
