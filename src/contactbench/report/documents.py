@@ -16,7 +16,7 @@ from contactbench.measure.analysis import cost_to_reach
 from contactbench.report import figures, paper_figures
 from contactbench.report.markdown import DASH, Listing, count, duration, markdown, scientific, times
 from contactbench.report.stability import advice, stability_document
-from contactbench.results.schema import SEPARATOR, TABLES, read, replacing
+from contactbench.results.schema import SEPARATOR, TABLES, laws_shown, read, replacing
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 DECADES = tuple(10.0**-k for k in range(3, 13))
