@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ from contactbench.truth import reference
 LAWS = Registry("law")
 
 
-class Gate(StrEnum):
+class Gate(Enum):
     """How the regression gate compares a law (the rules of results/schema.py have the numbers)."""
 
     error = "error"
@@ -68,8 +68,9 @@ class Law:
     """A measure, and what those who show or compare it must know.
 
     definition : its meaning, a header or axis label; label : a short name, mathtext.  needs : the fields it
-    reads.  gate : how two runs are compared.  shown : the documents that list it.  structural : a contact method keeps it to round-off whatever
-    the step size (see `structural_on`).  compares_decay : with the decay e^{−∫Γ'} of the truth.
+    reads.  gate : how two runs are compared.  shown : the documents that list it.  structural : a contact
+    method keeps it to round-off whatever the step size (see `structural_on`).  compares_decay : it compares
+    with the decay e^{−∫Γ'} of the truth.
     """
 
     name: str

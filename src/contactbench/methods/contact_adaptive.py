@@ -3,7 +3,8 @@
 Any sequence of steps of a contact composition is a product of exact contact flows: J e^{γt} is kept to
 round-off whatever the steps are, and the steps taken, held fixed, are a contact map with the factor e^{−γt}.
 The map from initial data to the state at a time is not: other data mean other steps, and the contact form
-is kept as well as the tolerance allows.  What is chosen here is how long the steps are: h = ε/ρ with a step density ρ that is integrated along,
+is kept as well as the tolerance allows.  What is chosen here is how long the steps are: h = ε/ρ with a step
+density ρ that is integrated along,
 
     ρ_{n+1/2} = ρ_{n−1/2} + ε G(x_n),   G = d ln ω/dt,   ρ_{1/2} = ω(q_0) + ½ ε G(x_0),
 

@@ -156,9 +156,10 @@ class FixedStepRun(Prepared):
             self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
             for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
         ]
-        if None in logs:
+        known = [log for log in logs if log is not None]
+        if len(known) < len(logs):
             return None
-        return np.cumsum([0.0, *logs] if self.saves_start else logs)
+        return np.cumsum([0.0, *known] if self.saves_start else known)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

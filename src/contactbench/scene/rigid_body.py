@@ -212,6 +212,7 @@ class RigidBody(Scene):
 
     def contact_terms(self, x: BodyState, dx: BodyState) -> Any:
         """|ds| + ‖M‖‖ξ‖, ‖ξ‖ = 2‖dR‖."""
+        assert dx.R is not None
         return abs(dx.s) + 2 * norm(x.M) * norm(dx.R)
 
     def hamiltonian_terms(self, x: BodyState) -> Any:
@@ -226,7 +227,7 @@ class RigidBody(Scene):
     def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:
         """M and s along straight lines, R along the group: R exp(amount ξ̂), ξ = 2 Im(R̄ ⊗ dR)."""
         moved = super().displaced(x, v, amount)
-        if x.R is None:
+        if x.R is None or v.R is None:
             return moved
         w, a, b, c = x.R
         half = quaternion_product((w, -a, -b, -c), v.R)[1:]
