@@ -45,9 +45,7 @@ def test_order_on_the_asymptotic_range(method, scene):
         assert method.order > 4 or cb.solve(scene, method.name, step=0.1).status is Status.unsupported
         return
     steps = [scene.t_end / n for n in (10, 20, 40, 80, 160, 320)]
-    errors = [
-        cb.LAWS["solution_error"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps
-    ]
+    errors = [cb.LAWS["solution_error"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps]
     fit = fit_order(steps, errors, floor=1e-12)
     assert abs(fit.order - method.order) < 0.15, (fit.order, errors)
 

@@ -32,7 +32,10 @@ AXIS = "trajectories"
 Measured = Callable[[Scene, Any], Any]
 #: laws of the numerical solution alone, with the quantity that must decay as e^{−γt} and the size of its terms
 DECAYING: dict[str, tuple[Measured, Measured]] = {
-    "hamiltonian_law": (lambda scene, x: (scene.hamiltonian(x),), lambda scene, x: scene.hamiltonian_terms(x)),
+    "hamiltonian_law": (
+        lambda scene, x: (scene.hamiltonian(x),),
+        lambda scene, x: scene.hamiltonian_terms(x),
+    ),
     "momentum_law": (lambda scene, x: scene.momentum(x), lambda scene, x: scene.momentum_terms(x)),
 }
 #: H0(y(T))/H0(y₀) − 1: no law, but how much of the energy is gone

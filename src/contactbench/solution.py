@@ -80,9 +80,11 @@ class Differential(NamedTuple):
         if len(self.estimates) == 1:
             return self.estimates[0]
         gaps = np.abs(np.diff(self.estimates, axis=0)).max(axis=(1, 2))
-        return np.stack(
-            [self.estimates[best, :, :, j] for j, best in enumerate(closest(gaps))], axis=-1
-        )
+        return np.stack([self.estimates[best, :, :, j] for j, best in enumerate(closest(gaps))], axis=-1)
+
+
+#: the error bar of a difference over the smallest disagreement of two estimates, which may be luck
+SAFETY = 2.0
 
 
 def closest(gaps: np.ndarray) -> np.ndarray:

@@ -219,7 +219,12 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
 
 
 def conformal(
-    values: np.ndarray, start: np.ndarray, t: Any, rate: Any, terms: np.ndarray, error: np.ndarray | None = None
+    values: np.ndarray,
+    start: np.ndarray,
+    t: Any,
+    rate: Any,
+    terms: np.ndarray,
+    error: np.ndarray | None = None,
 ) -> Deviation:
     """`conformal_deviation` with its error bar, `error` being that of the values, and where it was clamped."""
     bar = None if error is None else relative(error, start, t, rate, terms)

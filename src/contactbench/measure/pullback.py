@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contactbench.scene import norm
-from contactbench.solution import Differential, Solution, closest
+from contactbench.solution import SAFETY, Differential, Solution, closest
 
 
 class Pullback(NamedTuple):
@@ -28,7 +28,7 @@ def pullback(solution: Solution, differential: Differential) -> Pullback | None:
     """The pull-back by a derivative of the run's map, None where it was not taken.
 
     Of several estimates of the derivative the one is used, for every tangent, that differs least from the
-    next over all saved times; that difference, relative to the largest estimate, is the error bar.
+    next over all saved times, relative to the largest; `SAFETY` times that difference is the error bar.
     """
     if not differential.taken:
         return None
@@ -42,14 +42,14 @@ def pullback(solution: Solution, differential: Differential) -> Pullback | None:
     if len(values) == 1:
         return Pullback(values[0].T, form, np.linalg.norm(terms[0], axis=0), None)
     gaps = np.abs(np.diff(values, axis=0))  # (l - 1, m, k)
-    scale = np.nanmax(np.abs(values), axis=(0, 1)) + np.finfo(float).tiny
+    scale = np.abs(values[-1]).max(axis=0) + np.finfo(float).tiny
     best = closest((gaps / scale).max(axis=2))
     chosen = np.arange(len(best))
     return Pullback(
         values[best, chosen].T,
         form,
         norm(tuple(terms[best, chosen])),
-        norm(tuple(gaps[best, chosen])),
+        SAFETY * norm(tuple(gaps[best, chosen])),
     )
 
 

@@ -7,7 +7,8 @@ Initial data are moved along the scene's tangents (the attitude of a body along 
 increments falling by `RATIO`, and every two neighbouring central differences D give one estimate without
 their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1).  Truncation makes the first of them differ,
 round-off over δ the last; and a choice of steps that jumps between the two sides makes a single one differ.
-How far neighbours disagree is therefore the error bar, and where they agree best is the value.
+Where neighbours agree best is therefore the value, and twice their disagreement the error bar.  Where even the
+last two disagree by a tenth of themselves, the map bends within the smallest increment and no value is given.
 
 Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9 (extrapolation); for the balance of
 truncation and round-off, Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0.
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 RATIO = 4.0
 #: increments, in parts of the size of the field that is moved
 INCREMENTS = tuple(1e-3 / RATIO**k for k in range(6))
+#: disagreement of the last two estimates, relative to their size, beyond which nothing is resolved
+UNRESOLVED = 0.1
 #: no derivative where its runs would cost more right-hand sides than this
 BUDGET = 3_000_000
 
@@ -49,9 +52,10 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome) -> Differential:
     runs = 2 * len(tangents) * len(INCREMENTS)
     counts = out.counts if out.counts.evaluations is not None else run.count(out.counts)
     cost = runs * (counts.rhs_equivalents or 0.0)
+    none = np.empty((0, *out.y.shape, len(tangents)))
     if cost > BUDGET:
         why = f"not taken: {runs} runs would cost {cost:.1e} right-hand sides, more than {BUDGET:.0e}"
-        return Differential(why, out.y, np.empty((0, *out.y.shape, len(tangents))))
+        return Differential(why, out.y, none)
 
     def end(v: object, amount: float) -> np.ndarray:
         return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
@@ -61,4 +65,7 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome) -> Differential:
         for d in INCREMENTS
     ])  # fmt: skip
     better = (RATIO**2 * plain[1:] - plain[:-1]) / (RATIO**2 - 1)
+    gap, size = (np.abs(values).max(axis=(1, 2)) for values in (better[-1] - better[-2], better[-1]))  # (m,)
+    if not np.all(gap < UNRESOLVED * size):
+        return Differential("not taken: differences of the solver do not converge", out.y, none)
     return Differential(f"central differences of the solver, {runs} runs", out.y, np.moveaxis(better, 1, -1))

@@ -101,7 +101,9 @@ def _law_columns() -> dict[str, str]:
 def _law_rules() -> dict[str, Rule]:
     from contactbench.measure.laws import LAWS
 
-    clamped = dict.fromkeys(("contact_drift_clamped", "hamiltonian_law_clamped", "momentum_law_clamped"), Rule.count)
+    clamped = dict.fromkeys(
+        ("contact_drift_clamped", "hamiltonian_law_clamped", "momentum_law_clamped"), Rule.count
+    )
     return {name: Rule[item.gate.value] for name, item in LAWS.items()} | clamped | {"derivative": Rule.same}
 
 
