@@ -169,7 +169,7 @@ def test_a_jump_between_two_increments_is_passed_over(away):
     wrong = np.abs(found.value[0] - np.diag(3 * np.cos(3 * y0))).max(axis=0)
     assert np.all(wrong <= bars)
     assert bars[0] < 1e-6
-    assert np.abs(found.estimates[:, 0, 0, 0] - 3 * math.cos(1.5)).max() > 1e-2  # some saw it
+    assert np.abs(found.estimates[:, 0, 0, 0] - 3 * math.cos(1.5)).max() > 1e-3  # some saw it
 
 
 def test_a_map_that_bends_within_every_increment_has_no_derivative_by_differences():
