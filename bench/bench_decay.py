@@ -14,7 +14,7 @@ import numpy as np
 
 import contactbench as cb
 from cells import cells, outcome, setting
-from contactbench.measure.laws import laws_of
+from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from equal_cost import step_at, tolerance_at
 
@@ -22,7 +22,6 @@ SCENES = ("particle", "central", "rigid_body")
 #: evaluations per unit of time, on the scale of one right-hand side
 COSTS = (30.0, 100.0)
 SAVES = 5
-MEASURES = ("solution_error", "energy_law", "hamiltonian_law", "momentum_law", "contact_drift")
 #: where the momentum is not kept but for its decay, it is compared with the truth's
 IN_PLACE_OF = {"momentum_law": "momentum_balance"}
 
@@ -57,15 +56,15 @@ def value_at(scene, method, target):
 
 
 def laws_row(scene, method, value):
-    """The measures at the saved times, and how the derivative for the contact drift was obtained."""
+    """The laws at the saved times, and how the derivative for the contact drift was obtained."""
     saves = scene.t_end * np.arange(1, SAVES + 1) / SAVES
     solution = cb.solve(scene, method.name, save_at=saves, **setting(method, value))
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}
-    defined = {law.name: law for law in laws_of(scene)}
-    laws = {name: defined.get(name) or defined.get(IN_PLACE_OF.get(name, "")) for name in MEASURES}
-    row = {name: law(solution) for name, law in laws.items() if law is not None}
-    return row | {"derivative": solution.sensitivity_source}
+    columns = law_columns(solution)
+    for law, instead in IN_PLACE_OF.items():
+        columns.setdefault(law, columns.get(instead))
+    return {name: value for name, value in columns.items() if name in DECAY_LAWS.columns}
 
 
 @cells(ladder)

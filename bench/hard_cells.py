@@ -13,7 +13,8 @@ import numpy as np
 
 import contactbench as cb
 from cells import outcome, save_times
-from contactbench.measure.laws import MEANINGFUL, is_contact, laws_of
+from contactbench.measure.deviation import MEANINGFUL
+from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import slow_rate
 from contactbench.results.tables import DAMPING_RATES
 from contactbench.truth import blow_up_time, condition_number
@@ -39,12 +40,8 @@ def solve(scene, method, **options):
         return cb.solve(scene, method, **options)
 
 
-#: laws that need the derivative of the numerical map, which costs several runs
-DERIVED = ("contact_drift", "distribution_drift")
 #: compiled evaluations that a call back into Python is worth, and right-hand sides of an implicit step
 CALLBACK, IMPLICIT = 200, 20
-#: no derivative of a run that costs more than this, in compiled evaluations: some seconds, with its tangents
-AFFORDABLE = 1e7
 #: of one that costs less than this the fastest of several calls is timed, else the second
 QUICK, CALLS = 1e6, 5
 
@@ -78,14 +75,7 @@ def stability_row(scene, method, engine, kind, value, max_steps):
         return row
     row["time_s"] = fastest(run, CALLS if work(solution) < QUICK else 1)
     row["end_error"] = end_error(solution)
-    dear = work(solution) > AFFORDABLE
-    row["derivative"] = solution.sensitivity_source if is_contact(scene) else ""
-    if dear and is_contact(scene):
-        row["derivative"] = "not taken: too many evaluations in one run"
-    for law in laws_of(scene):
-        if not (dear and law.name in DERIVED):
-            row[law.name] = law(solution)
-    return row
+    return row | law_columns(solution)
 
 
 def fastest(run, calls):

@@ -188,6 +188,13 @@ def test_heyoka_is_as_accurate_as_doubles_are(scene, measure):
 
 
 # -- laws where numbers run out --------------------------------------------------------------------
+def assert_finite(solution):
+    """Every law but the one that only contact maps have."""
+    for law in laws_of(solution.scene):
+        own = law.name == "own_factor_drift" and solution.log_factor() is None
+        assert math.isnan(law(solution)) if own else math.isfinite(law(solution)), law.name
+
+
 @pytest.mark.parametrize("method", ["contact-abc", "contact-strang", "contact-rkn6", "rk4"])
 def test_contact_drift_of_the_overdamped_oscillator_means_something(method):
     """e^{−γT} = e^{−5000} of terms of size 10⁻²: round-off is told from a real drift all the same."""
@@ -195,7 +202,7 @@ def test_contact_drift_of_the_overdamped_oscillator_means_something(method):
     assert solution.ok
     drift = cb.LAWS["contact_drift"](solution)
     assert drift < 1e-12 if method != "rk4" else 1e-9 < drift < 1e6
-    assert all(math.isfinite(law(solution)) for law in laws_of(solution.scene))
+    assert_finite(solution)
 
 
 def test_momentum_law_where_strong_damping_cancels_it():
@@ -213,5 +220,4 @@ def test_laws_of_underflow_are_finite(method):
     engine = {"engine": "python"} if method == "rk4" else {}
     solution = cb.solve("underflow", method, save_at=save_times(cb.SCENES["underflow"]), **setting, **engine)
     assert solution.ok
-    for law in laws_of(solution.scene):
-        assert math.isfinite(law(solution)), law.name
+    assert_finite(solution)

@@ -45,9 +45,7 @@ def test_order_on_the_asymptotic_range(method, scene):
         assert method.order > 4 or cb.solve(scene, method.name, step=0.1).status is Status.unsupported
         return
     steps = [scene.t_end / n for n in (10, 20, 40, 80, 160, 320)]
-    errors = [
-        cb.LAWS["solution_error_end"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps
-    ]
+    errors = [cb.LAWS["solution_error"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps]
     fit = fit_order(steps, errors, floor=1e-12)
     assert abs(fit.order - method.order) < 0.15, (fit.order, errors)
 
@@ -70,7 +68,7 @@ def test_solution_approaches_the_reference(method, scene):
 @adaptive
 def test_error_falls_with_the_tolerance(method):
     errors = [
-        cb.LAWS["solution_error_end"](cb.solve(PARTICLE, method.name, rtol=rtol, save_at=[4.0]))
+        cb.LAWS["solution_error"](cb.solve(PARTICLE, method.name, rtol=rtol, save_at=[4.0]))
         for rtol in (1e-4, 1e-7, 1e-10)
     ]
     assert errors[0] > 10 * errors[1] > 100 * errors[2]

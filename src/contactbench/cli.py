@@ -76,8 +76,6 @@ def solve(arguments: argparse.Namespace) -> int:
 
 def summary(solution: Any) -> dict[str, Any]:
     """Final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
-    from contactbench.measure.laws import is_contact
-
     scene, out = solution.scene, {}
     if solution.ok:
         state = scene.unpack(tuple(solution.y[-1].tolist()), solution.carry)
@@ -85,7 +83,7 @@ def summary(solution: Any) -> dict[str, Any]:
         out = {
             "state": dict(zip(solution.labels, solution.y[-1].tolist(), strict=True)),
             "H0": scene.energy(state),
-            "H": scene.hamiltonian(state) if is_contact(scene) else None,
+            "H": scene.hamiltonian(state) if scene.is_contact else None,
             "J": None if momentum is None else list(momentum),
         }
     return {

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.errors import BadInput, finite, positive, unknown_name
-from contactbench.measure.laws import LAWS, conformal_deviation, hamiltonian_terms, momentum_terms
+from contactbench.measure.deviation import conformal_deviation
+from contactbench.measure.laws import LAWS
 from contactbench.methods.base import METHODS, Refused, lookup, prepare
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step import FixedStep, FixedStepRun, rolled
@@ -31,8 +32,11 @@ AXIS = "trajectories"
 Measured = Callable[[Scene, Any], Any]
 #: laws of the numerical solution alone, with the quantity that must decay as e^{−γt} and the size of its terms
 DECAYING: dict[str, tuple[Measured, Measured]] = {
-    "hamiltonian_law": (lambda scene, x: (scene.hamiltonian(x),), hamiltonian_terms),
-    "momentum_law": (lambda scene, x: scene.momentum(x), momentum_terms),
+    "hamiltonian_law": (
+        lambda scene, x: (scene.hamiltonian(x),),
+        lambda scene, x: scene.hamiltonian_terms(x),
+    ),
+    "momentum_law": (lambda scene, x: scene.momentum(x), lambda scene, x: scene.momentum_terms(x)),
 }
 #: H0(y(T))/H0(y₀) − 1: no law, but how much of the energy is gone
 ENERGY = "energy_change"

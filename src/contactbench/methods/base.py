@@ -23,8 +23,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from contactbench.errors import BadInput, Registry, positive
+from contactbench.methods.differences import differences
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Solution, Status, divergence_bound, first_divergence
+from contactbench.solution import Counts, Differential, Solution, Status, divergence_bound, first_divergence
 
 #: saved times when the caller names none: every k-th step with at most this many for fixed steps,
 #: this many equal intervals for adaptive methods
@@ -95,11 +96,11 @@ class Prepared:
         """Run from a packed initial state."""
         raise NotImplementedError
 
-    #: how `sensitivity` differentiates the numerical map; empty: it cannot
+    #: how `sensitivity` differentiates the map of the steps taken; empty: it cannot
     sensitivity_source = ""
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        """(k, d, m): derivative of the saved states along the scene's m tangent vectors at y0."""
+        """(k, d, m): derivative of the saved states along the scene's m tangents at y0, steps held fixed."""
         raise NotImplementedError
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,6 +111,30 @@ class Prepared:
         """
         return y, self.sensitivity(y0)
 
+    @property
+    def steps_follow_state(self) -> bool:
+        """Whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
+        return self.request.step is None
+
+    def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
+        """dΦ of the map its user gets, or with the steps frozen.
+
+        To round-off where the engine can, else by differences of the solver.
+        """
+        if self.sensitivity_source and (frozen or not self.steps_follow_state):
+            states, derivative = self.linearised(y0, out.y)
+            return Differential(self.sensitivity_source, states, derivative[None])
+        if frozen and self.steps_follow_state:
+            return Differential("", out.y, np.empty((0, *out.y.shape, 0)))
+        return differences(self, y0, out)
+
+    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+        """Log of the product of the conformal factors of the contact maps applied, up to each saved time, (k,).
+
+        y : the saved states.  None where a run is no composition of such maps.
+        """
+        return None
+
     def __call__(self, **data: Any) -> Solution:
         r = self.request
         if data:
@@ -119,8 +144,8 @@ class Prepared:
         out = audited(self.integrate(y0), self._end)
         solution = Solution(
             r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
-            out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
-            self.sensitivity_source, r.control, r.value,
+            out.message, out.counts, out.end_time, y0, lambda frozen: self.differential(y0, out, frozen),
+            lambda: self.log_factor(y0, out.y), r.control, r.value,
         )  # fmt: skip
         return solution
 

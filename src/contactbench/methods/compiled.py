@@ -88,14 +88,18 @@ class CompiledRun(Prepared):
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        return self.pushed(y0, self.differentiable, "steps")
+
+    def pushed(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
+        """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
         from contactbench.xla import jax
 
         r = self.request
 
         def push(y0: Any, v: Any, fixed: Any) -> Any:
-            return jax.jvp(lambda y: self.differentiable(y, fixed), (y0,), (v,))[1]
+            return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 
         start = r.scene.unpack(tuple(y0.tolist()), r.carry)
         tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
-        program, _ = self.compiled("sensitivity", push, y0, tangents[0], self.fixed)
+        program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
         return np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)

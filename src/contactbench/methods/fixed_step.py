@@ -68,6 +68,16 @@ class FixedStep:
             return self.factor(scene, h, xp)
         return xp.exp(-scene.conformal_rate * h) if self.contact else None
 
+    def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
+        """Log of the conformal factor of n steps of size h from x; None where the steps are no contact maps.
+
+        nan where the factor is negative, as that of a Herglotz step may be.
+        """
+        factor = self.conformal_factor(scene, h)
+        if factor is None:
+            return None
+        return n * math.log(factor) if factor > 0 else math.nan
+
     def counts(self, scene: Scene, n: int) -> int:
         """Evaluations in n uninterrupted steps."""
         return n * self.evaluations
@@ -145,6 +155,19 @@ class FixedStepRun(Prepared):
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Packed states after each interval of n[k] steps of size h[k]; shape (k, d)."""
         raise NotImplementedError
+
+    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+        """As in `Prepared`: the flows are applied once more, in plain floats, from every saved state."""
+        r = self.request
+        starts = y[:-1] if self.saves_start else np.concatenate([y0[None], y[:-1]])
+        logs = [
+            self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
+            for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
+        ]
+        known = [log for log in logs if log is not None]
+        if len(known) < len(logs):
+            return None
+        return np.cumsum([0.0, *known] if self.saves_start else known)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

@@ -26,7 +26,7 @@ from contactbench.scene import Mechanical, Scene, dot
 #: ``(scene, x) -> rows``: ∂(rhs)/∂(state) in packed order
 Derivative = Callable[[Scene, Any], Any]
 
-SOURCE = "variational equations, same solver and tolerance"
+SOURCE = "variational equations, a run of its own"
 
 
 class Bundle(NamedTuple):

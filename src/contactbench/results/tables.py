@@ -65,7 +65,7 @@ def law_columns() -> dict[str, Column]:
     """A column for each law; how it is gated and where it is shown, the law says."""
     return {
         name: Column(
-            law.definition, "whole" if law.gate == "count" else "number", Rule[law.gate],
+            law.definition, "whole" if law.gate.value == "count" else "number", Rule[law.gate.value],
             label=law.label or name.replace("_", " "), shown=law.shown,
         )
         for name, law in LAWS.items()
