@@ -90,6 +90,18 @@ class Lowering:
             self.changing.discard(loop.target.id)
             self.run(loop.body)
 
+    def _While(self, loop: ast.While) -> None:
+        """``while True:``, left by `break`."""
+        begin, self.after = (self.builder.append_basic_block(name) for name in ("while", "after"))
+        self.builder.branch(begin)
+        self.builder.position_at_end(begin)
+        self.run(loop.body)
+        self.builder.branch(begin)
+        self.builder.position_at_end(self.after)
+
+    def _Break(self, statement: ast.Break) -> None:
+        self.builder.branch(self.after)
+
     def _If(self, choice: ast.If) -> None:
         with self.builder.if_then(self.value(choice.test)):
             self.run(choice.body)
