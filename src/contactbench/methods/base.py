@@ -115,7 +115,7 @@ class Prepared:
         )  # fmt: skip
 
     @cached_property
-    def _asked(self) -> tuple[Any, ...]:
+    def _asked(self) -> tuple[Scene, str, str, str, tuple[str, ...], np.ndarray]:
         """The fields that all solutions of this run have in common."""
         r = self.request
         return r.scene, self.method, r.engine, r.setting, r.carry, r.save_at

@@ -146,7 +146,9 @@ def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str,
     interval = Block(outer)
     inner = Block(interval)
     size = d * (1 + tangent)
-    twin: Any = scene.with_numbers([tape.assign(f"numbers[{i}]", "f", outer) for i in range(len(scene.numbers()))])
+    twin: Any = scene.with_numbers(
+        [tape.assign(f"numbers[{i}]", "f", outer) for i in range(len(scene.numbers()))]
+    )
     epsilon, span, budget = (tape.assign(f"options[{i}]", "f", outer) for i in range(3))
     xp = RecordedNumbers(tape)
 
@@ -385,7 +387,9 @@ class AdaptiveContactMethod(Adaptive):
         try:
             return loops[request.engine](self.name, request)
         except CannotRecord as why:
-            return Refused(self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}")
+            return Refused(
+                self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}"
+            )
 
 
 METHODS.add(AdaptiveContactMethod())

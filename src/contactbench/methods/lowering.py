@@ -17,7 +17,10 @@ from typing import Any, NamedTuple
 #: functions LLVM knows; all others are the C library's
 INTRINSICS = {
     "abs": "llvm.fabs",
-    **{name: f"llvm.{name}" for name in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")},
+    **{
+        name: f"llvm.{name}"
+        for name in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")
+    },
 }
 CONSTANTS = {"inf": float("inf"), "nan": float("nan"), "LARGEST": sys.float_info.max}
 COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -46,8 +49,11 @@ class Lowering:
         self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
         self.values: dict[str, Any] = {}
         self.variables: dict[str, Any] = {}
-        stores = [node.id for node in ast.walk(function) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+        names = (node for node in ast.walk(function) if isinstance(node, ast.Name))
+        stores = [name.id for name in names if isinstance(name.ctx, ast.Store)]
         self.changing = {name for name, times in Counter(stores).items() if times > 1}
+        #: where `break` leads to
+        self.after: Any = None
         self.returned = self.whole(0)
         self.run(function.body)
 
@@ -135,7 +141,9 @@ class Lowering:
             return self.builder.gep(array.first, [self.value(node.slice)], inbounds=True)
         assert isinstance(node.slice, ast.Tuple)
         i, j = map(self.value, node.slice.elts)
-        return self.builder.gep(array.first, [self.builder.add(self.builder.mul(i, array.row), j)], inbounds=True)
+        return self.builder.gep(
+            array.first, [self.builder.add(self.builder.mul(i, array.row), j)], inbounds=True
+        )
 
     def _Subscript(self, node: ast.Subscript) -> Any:
         return self.builder.load(self.element(node))
@@ -220,5 +228,8 @@ def lowered(text: str) -> Any:
 
     # numba reads the number of arguments off the function
     scope = {"typed": typed}
-    exec(f"def {function.name}(typingctx, {', '.join(names)}):\n    return typed(typingctx, {', '.join(names)})", scope)
+    exec(
+        f"def {function.name}(typingctx, {', '.join(names)}):\n    return typed(typingctx, {', '.join(names)})",
+        scope,
+    )
     return intrinsic(scope[function.name])

@@ -132,9 +132,10 @@ class ProgramTape(Tape):
 
     def read(self, x: Any, block: Block, kind: str = "f") -> str:
         text = super().read(x, block, kind)
+        if text.startswith("i0"):  # an argument of both functions
+            return text
         if isinstance(x, Recorded) and x.block is self.root and block.within(self.main):
-            if not text.startswith("i0"):
-                self.exported[text] = x.kind
+            self.exported[text] = x.kind
         return text
 
     def assign(self, text: str, kind: str, block: Block) -> Recorded:
@@ -227,6 +228,8 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
     healthy = [f"abs({x}) <= {'bound' if i < bounded else 'LARGEST'}" for i, x in enumerate(state)]
     run.add(f"    if bad < 0 and not ({' and '.join(healthy)}):", "        bad = j", "return bad")
     return "\n".join(
-        ["def setup(numbers, spans, data, shape, w):", *setup.lines, "", ""]
-        + ["def run(start, w, shape, y):", *run.lines, ""]
+        [
+            *("def setup(numbers, spans, data, shape, w):", *setup.lines, "", ""),
+            *("def run(start, w, shape, y):", *run.lines, ""),
+        ]
     )
