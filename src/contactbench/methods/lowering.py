@@ -233,3 +233,65 @@ def lowered(text: str) -> Any:
         scope,
     )
     return intrinsic(scope[function.name])
+
+
+class Lanes(Lowering):
+    """The same instructions for many states at once: a vector of LLVM's for every number of the state.
+
+    start : (d, n), y : (k, d, n), n a multiple of `lanes`.  part : the first tile of so many states, and the last.
+    """
+
+    def __init__(self, function: ast.FunctionDef, builder: Any, arrays: dict[str, Array], lanes: int) -> None:
+        from llvmlite import ir
+
+        self.lanes, self.wide = lanes, ir.VectorType(ir.DoubleType(), lanes)
+        super().__init__(function, builder, arrays)
+
+    def run(self, body: list[ast.stmt]) -> None:
+        from numba.core.cgutils import for_range_slice
+
+        if hasattr(self, "first"):
+            return super().run(body)
+        part = self.arrays["part"].first
+        tiles = [self.builder.load(self.builder.gep(part, [self.whole(i)])) for i in (0, 1)]
+        with for_range_slice(self.builder, *tiles, self.whole(1), self.whole) as (tile, _):
+            #: the first state of the tile
+            self.first = self.builder.mul(tile, self.whole(self.lanes))
+            super().run(body)
+
+    def element(self, node: ast.Subscript) -> Any:
+        assert isinstance(node.value, ast.Name)
+        name = node.value.id
+        if name not in ("start", "y"):
+            return super().element(node)
+        array = self.arrays[name]
+        where = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        place = self.value(where[-1])
+        if len(where) > 1:  # y[j, i]
+            size = self.arrays["start"].length
+            place = self.builder.add(self.builder.mul(self.value(where[0]), size), place)
+        offset = self.builder.add(self.builder.mul(place, self.arrays["start"].row), self.first)
+        pointer = self.builder.gep(array.first, [offset], inbounds=True)
+        return self.builder.bitcast(pointer, self.wide.as_pointer())
+
+    def _Subscript(self, node: ast.Subscript) -> Any:
+        pointer = self.element(node)
+        return self.builder.load(pointer, align=8)
+
+    def store(self, target: ast.expr, value: Any) -> None:
+        if isinstance(target, ast.Subscript):
+            self.builder.store(self.spread(value), self.element(target), align=8)
+        else:
+            changes = isinstance(target, ast.Name) and target.id in self.changing
+            super().store(target, self.spread(value) if changes and value.type == self.double else value)
+
+    def spread(self, value: Any) -> Any:
+        """A number as a vector of it."""
+        value = super().floating(value)
+        if value.type != self.double:
+            return value
+        from llvmlite import ir
+
+        one = self.builder.insert_element(ir.Constant(self.wide, ir.Undefined), value, ir.IntType(32)(0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), [0] * self.lanes)
+        return self.builder.shuffle_vector(one, ir.Constant(self.wide, ir.Undefined), zeros)
