@@ -106,6 +106,29 @@ def test_every_operation_is_compiled_to_what_it_is():
         np.testing.assert_allclose(y[0], np.array(truth, dtype=float), rtol=4e-16, atol=0)
 
 
+def test_every_operation_is_compiled_for_many_states_side_by_side():
+    """Every lane is the run of its own state."""
+    program = record(every_operation_of_one, 1, 1, 1, 1e6)
+    w, shape = np.empty((1, program.width)), np.append(program.shape, 0)
+    module, lanes = compiled(program.text), 4
+    module.setup(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
+    starts = np.linspace(0.2, 0.4, 3 * lanes)[None]
+    ends = np.full((1, *starts.shape), math.nan)
+    compiled(program.many, lanes).many(starts, w, shape, ends, np.array([1, 3]))
+    alone = np.empty((1, 1))
+    for k in range(lanes, 3 * lanes):
+        module.run(starts[:, k].copy(), w, shape, alone)
+        assert ends[0, 0, k] == pytest.approx(alone[0, 0], rel=4e-15)
+    assert np.isnan(ends[0, 0, :lanes]).all()  # not asked for
+
+
+def every_operation_of_one(*arguments):
+    total = 0.0
+    for k, result in enumerate(every_operation(*arguments)):
+        total = total + result * 1.1**k
+    return [total]
+
+
 def test_equal_operations_are_computed_once_and_constant_ones_before_the_loop():
     def body(x, k):
         return x * k * k + x * k * k
@@ -271,3 +294,28 @@ def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
         [sys.executable, "-c", SECOND], env=os.environ | environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+
+
+# -- ensembles -------------------------------------------------------------------------------------
+@pytest.mark.parametrize("method", ["contact-bm4", "herglotz2", "rk4"])
+@by_name([scene for scene in ALL_SCENES if scene.name in ("particle", "rigid_body", "tilted", "user")])
+def test_an_ensemble_on_jax_is_the_same(method, scene, monkeypatch):
+    """1000 trajectories: several tiles, the last one not full, on as many threads as there are devices."""
+    if cb.METHODS[method].refuses(scene):
+        pytest.skip(cb.METHODS[method].refuses(scene))
+    field = "M" if scene.name in ("rigid_body", "tilted") else "p"
+    rng = np.random.default_rng(3)
+    data = {field: tuple(c + 0.1 * rng.normal(size=1000) for c in getattr(scene, field))}
+    options = {"step": 0.1, "measure_at": [1.0, 2.0], "chunk": 300}
+    ours = cb.ensemble(scene, method, data, **options)
+
+    def refused(*_):
+        raise CannotRecord("for this test")
+
+    monkeypatch.setattr("contactbench.ensembles.loop_of", refused)
+    theirs = cb.ensemble(scene, method, data, **options)
+    for a, b in zip(scene.pack(ours.final), scene.pack(theirs.final), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=2e-14)
+    assert ours.endings == theirs.endings
+    for name, statistic in ours.statistics.items():
+        np.testing.assert_allclose(statistic, theirs.statistics[name], rtol=1e-9, atol=2e-13)

@@ -163,8 +163,9 @@ def members(
         if name not in scene.initial_fields:
             raise unknown_name(f"initial value of scene {scene.name!r}", name, scene.initial_fields)
     columns: dict[str, np.ndarray] = {}
+    carried = {name for name, part in scene.initial(carry)._asdict().items() if part is not None}
     for name in scene.initial_fields:
-        if name in scene.optional and name not in carry:
+        if name not in carried:
             continue
         default = getattr(scene, name)
         value = given.get(name, default)

@@ -257,15 +257,15 @@ class Lanes(Lowering):
         super().__init__(function, builder, arrays)
 
     def run(self, body: list[ast.stmt]) -> None:
-        from numba.core.cgutils import for_range_slice
+        from numba.core.cgutils import for_range
 
         if hasattr(self, "first"):
             return super().run(body)
         part = self.arrays["part"].first
         tiles = [self.builder.load(self.builder.gep(part, [self.whole(i)])) for i in (0, 1)]
-        with for_range_slice(self.builder, *tiles, self.whole(1), self.whole) as (tile, _):
+        with for_range(self.builder, tiles[1], tiles[0]) as turn:
             #: the first state of the tile
-            self.first = self.builder.mul(tile, self.whole(self.lanes))
+            self.first = self.builder.mul(turn.index, self.whole(self.lanes))
             super().run(body)
 
     def element(self, node: ast.Subscript) -> Any:
@@ -295,7 +295,11 @@ class Lanes(Lowering):
 
     def alike(self, *values: Any) -> list[Any]:
         values = [self.floating(value) for value in values]  # type: ignore[assignment]
-        return list(map(self.spread, values)) if any(value.type == self.wide for value in values) else list(values)
+        return (
+            list(map(self.spread, values))
+            if any(value.type == self.wide for value in values)
+            else list(values)
+        )
 
     def chosen(self, condition: Any, a: Any, b: Any) -> Any:
         each = isinstance(condition.type, self.ir.VectorType)
