@@ -1,0 +1,463 @@
+"""Numbers that record what is computed with them, as the source of straight-line scalar code.
+
+A scene, a flow or a step map that is run on recorded numbers leaves the list of its operations behind:
+each becomes one assignment, equal operations become one (common subexpressions), numbers known at
+recording time are folded by Python itself, and what does not change in a loop is computed before it.
+`RecordedNumbers` is the namespace that goes with them, in place of `math` or `jax.numpy`.
+
+The value of a recorded number is not known.  What asks for it, as ``if x > 0`` does, raises
+`CannotRecord`; ``xp.where(x > 0, a, b)`` chooses by value.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from contactbench.numbers.dual import Dual
+
+
+class CannotRecord(TypeError):
+    """What is computed depends on a number that is known only when the recorded program runs."""
+
+
+class Block:
+    """Assignments in their order: a program, or the body of a loop in one.
+
+    depth : how many blocks it is in.  known : the name of every expression assigned so far, by its text.
+    """
+
+    def __init__(self, parent: Block | None = None, indent: int | None = None) -> None:
+        self.parent = parent
+        self.depth: int = parent.depth + 1 if parent else 0
+        self.indent: int = indent if indent is not None else parent.indent + 1 if parent else 1
+        self.lines: list[str] = []
+        self.known: dict[str, str] = {}
+
+    def add(self, *lines: str) -> None:
+        self.lines += ["    " * self.indent + line for line in lines]
+
+    def within(self, other: Block) -> bool:
+        """Whether it is the other block or a part of it."""
+        block: Block | None = self
+        while block is not None and block is not other:
+            block = block.parent
+        return block is other
+
+
+class Tape:
+    """A recording: names of values, and the block that is being written."""
+
+    def __init__(self, sparse: bool = False) -> None:
+        self.root = self.block = Block()
+        self.count = 0
+        #: zeros are zeros whatever they are multiplied with, inf and nan too
+        self.sparse = sparse
+
+    def name(self, kind: str = "f") -> str:
+        self.count += 1
+        return f"{kind}{self.count}"
+
+    def assign(self, text: str, kind: str, block: Block) -> Recorded:
+        """The value of an expression, assigned in a block unless it has been."""
+        if text not in block.known:
+            block.known[text] = self.name(kind)
+            block.add(f"{block.known[text]} = {text}")
+        return Recorded(self, block.known[text], kind, block)
+
+    def operation(self, form: str, kind: str, *operands: Any) -> Recorded:
+        """`form` with its operands filled in, assigned in the outermost block that knows them all."""
+        block = self.root
+        for x in operands:
+            if isinstance(x, Recorded) and x.block.depth > block.depth:
+                block = x.block
+        of = "i" if kind == "i" else "f"
+        return self.assign(form.format(*(self.read(x, block, of) for x in operands)), kind, block)
+
+    def read(self, x: Any, block: Block, kind: str = "f") -> str:
+        """The text of a number where it is used, in a block."""
+        if isinstance(x, Recorded) and not block.within(x.block):
+            raise CannotRecord("vectors of different origin are combined")
+        return text_of(x, kind)
+
+    def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+        """n-fold application, recorded as a loop."""
+        outer = self.block
+        start = leaves(x)
+        kinds = ["i" if isinstance(v, int) else kind_of(v) for v in start]
+        inner = Block(outer)
+        names = [self.name(kind) for kind in kinds]
+        carried = [Recorded(self, name, kind, inner) for name, kind in zip(names, kinds, strict=True)]
+        self.block = inner
+        try:
+            end = leaves(body(rebuilt(x, carried)))
+        finally:
+            self.block = outer
+        if len(end) != len(start):
+            raise CannotRecord("a loop whose body returns a state of another shape")
+        before, after = (
+            [self.read(v, block, kind) for v, kind in zip(values, kinds, strict=True)]
+            for values, block in ((start, outer), (end, inner))
+        )
+        outer.add(*map("{} = {}".format, names, before))
+        outer.add(f"for _ in range({self.read(n, outer, 'i')}):")
+        inner.add(f"{', '.join(names)} = {', '.join(after)}")
+        outer.lines += inner.lines
+        return rebuilt(
+            x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
+        )
+
+
+def leaves(x: Any) -> list[Any]:
+    """The numbers of a nested state, in order."""
+    if x is None:
+        return []
+    if isinstance(x, Dual):
+        return leaves(x.a) + leaves(x.b)
+    if isinstance(x, tuple | list):
+        return [leaf for part in x for leaf in leaves(part)]
+    return [x]
+
+
+def rebuilt(x: Any, values: Sequence[Any]) -> Any:
+    """A nested state like x of other numbers."""
+    supply = iter(values)
+
+    def again(x: Any) -> Any:
+        if x is None:
+            return None
+        if isinstance(x, Dual):
+            return Dual(again(x.a), again(x.b))
+        if isinstance(x, tuple | list):
+            parts = [again(part) for part in x]
+            return type(x)(*parts) if hasattr(x, "_fields") else type(x)(parts)
+        return next(supply)
+
+    return again(x)
+
+
+def kind_of(x: Any) -> str:
+    """f for floating-point numbers, i for whole ones that are recorded, b for truth values."""
+    return x.kind if isinstance(x, Recorded) else "f"
+
+
+def text_of(x: Any, kind: str = "f") -> str:
+    """A number as it is written in the program."""
+    if isinstance(x, Recorded):
+        return x.name
+    if isinstance(x, bool | np.bool_):
+        return str(bool(x))
+    if kind == "i":
+        return str(operator.index(x))
+    try:
+        value = float(x)
+    except (TypeError, ValueError):
+        raise CannotRecord(f"{x!r} of type {type(x).__name__} is not a number") from None
+    if math.isfinite(value):
+        return f"({value!r})" if math.copysign(1.0, value) < 0 else repr(value)
+    return "nan" if math.isnan(value) else "inf" if value > 0 else "(-inf)"
+
+
+def _value_needed(what: str) -> Callable[..., Any]:
+    def refuse(self: Recorded, *_: Any) -> Any:
+        raise CannotRecord(f"{what} a number that is known only when the program runs")
+
+    return refuse
+
+
+class Recorded:
+    """A value of the recorded program, known by its name there."""
+
+    __slots__ = ("block", "kind", "name", "tape")
+
+    def __init__(self, tape: Tape, name: str, kind: str, block: Block) -> None:
+        self.tape, self.name, self.kind, self.block = tape, name, kind, block
+
+    def __repr__(self) -> str:
+        return f"<recorded {self.name}>"
+
+    # -- arithmetic --------------------------------------------------------------------------------
+    def _binary(self, sign: str, a: Any, b: Any, commutes: bool = False) -> Any:
+        if isinstance(a, Dual | np.ndarray) or isinstance(b, Dual | np.ndarray):
+            return NotImplemented
+        if self.tape.sparse and (is_constant(a, 0) or is_constant(b, 0)):
+            if sign == "*" or (sign == "/" and is_constant(a, 0)):
+                return 0.0
+            if sign in "+-":
+                return b if is_constant(a, 0) and sign == "+" else -b if is_constant(a, 0) else a
+        if self.kind == "i" and all(isinstance(x, int) or kind_of(x) == "i" for x in (a, b)):
+            a, b = (int(x) if isinstance(x, int) else x for x in (a, b))
+            return self.tape.operation(f"{{0}} {sign} {{1}}", "i", a, b)
+        if commutes and text_of(b) < text_of(a):
+            a, b = b, a
+        return self.tape.operation(f"{{0}} {sign} {{1}}", "f", a, b)
+
+    def __add__(self, other: Any) -> Any:
+        return self._binary("+", self, other, commutes=True)
+
+    def __sub__(self, other: Any) -> Any:
+        return self if is_constant(other, 0) else self._binary("-", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return self._binary("-", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return self if is_constant(other, 1) else self._binary("*", self, other, commutes=True)
+
+    def __truediv__(self, other: Any) -> Any:
+        return self if is_constant(other, 1) else self._binary("/", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self._binary("/", other, self)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> Any:
+        return self.tape.operation("-{0}", self.kind, self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __abs__(self) -> Any:
+        return self.tape.operation("abs({0})", self.kind, self)
+
+    def __pow__(self, exponent: Any) -> Any:
+        return power(self, exponent)
+
+    def __rpow__(self, base: Any) -> Any:
+        return self.tape.operation("{0} ** {1}", "f", base, self)
+
+    # -- truth values ------------------------------------------------------------------------------
+    def _compare(self, sign: str, other: Any) -> Any:
+        if isinstance(other, Dual):
+            return NotImplemented
+        return self.tape.operation(f"{{0}} {sign} {{1}}", "b", self, other)
+
+    def __eq__(self, other: Any) -> Any:
+        return self._compare("==", other)
+
+    def __ne__(self, other: Any) -> Any:
+        return self._compare("!=", other)
+
+    def __lt__(self, other: Any) -> Any:
+        return self._compare("<", other)
+
+    def __le__(self, other: Any) -> Any:
+        return self._compare("<=", other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self._compare(">", other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self._compare(">=", other)
+
+    def __and__(self, other: Any) -> Any:
+        return self.tape.operation("{0} and {1}", "b", self, other)
+
+    def __or__(self, other: Any) -> Any:
+        return self.tape.operation("{0} or {1}", "b", self, other)
+
+    def __invert__(self) -> Any:
+        return self.tape.operation("not {0}", "b", self)
+
+    __rand__, __ror__ = __and__, __or__
+    __hash__ = None  # type: ignore[assignment]
+
+    # -- what cannot be recorded -------------------------------------------------------------------
+    __bool__ = _value_needed("`if`, `and`, `min` or `max` asks for the truth of")
+    __float__ = _value_needed("a function of `math`, or float(), asks for the value of")
+    __int__ = _value_needed("int() asks for the value of")
+    __index__ = _value_needed("an index or range() asks for the value of")
+    __complex__ = _value_needed("complex arithmetic asks for the value of")
+    __iter__ = _value_needed("a loop asks for the components of")
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise CannotRecord("an array cannot hold a number that is known only when the program runs")
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        """NumPy's functions, so that ``np.sin(q)`` and ``np.float64(2) * q`` in a force are recorded."""
+        name = ufunc.__name__
+        if method != "__call__" or options or any(isinstance(x, np.ndarray) and x.ndim for x in inputs):
+            raise CannotRecord(f"numpy.{name} of arrays cannot be recorded")
+        inputs = tuple(x.item() if isinstance(x, np.generic | np.ndarray) else x for x in inputs)
+        if name in OPERATORS:
+            return OPERATORS[name](*inputs)
+        function = getattr(RecordedNumbers(self.tape), name, None)
+        if function is None:
+            raise CannotRecord(f"numpy.{name} cannot be recorded")
+        return function(*inputs)
+
+
+#: NumPy's names of what Python has operators for
+OPERATORS: dict[str, Callable[..., Any]] = {
+    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
+    "negative": operator.neg, "power": operator.pow, "float_power": operator.pow, "absolute": operator.abs,
+    "equal": operator.eq, "not_equal": operator.ne, "less": operator.lt, "less_equal": operator.le,
+    "greater": operator.gt, "greater_equal": operator.ge,
+    "square": lambda x: x * x, "reciprocal": lambda x: 1 / x,
+}  # fmt: skip
+
+NAMES = re.compile(r"[a-z]+\d+")
+#: longest product a power is written as
+LARGEST_POWER = 16
+
+
+def is_constant(x: Any, value: float) -> bool:
+    """Whether x is this number, known when recording."""
+    return not isinstance(x, Recorded | Dual | np.ndarray) and x == value
+
+
+def power(x: Recorded, exponent: Any) -> Any:
+    """x to a power: products and square roots for multiples of ½, which are faster than the library's pow."""
+    if isinstance(exponent, Recorded) or exponent * 2 != int(exponent * 2) or abs(exponent) > LARGEST_POWER:
+        return x.tape.operation("{0} ** {1}", "f", x, exponent)
+    if exponent < 0:
+        return 1 / power(x, -exponent)
+    whole = int(exponent)
+    result: Any = RecordedNumbers(x.tape).sqrt(x) if exponent != whole else 1.0
+    square: Any = x
+    while whole:
+        if whole & 1:
+            result = square * result
+        whole >>= 1
+        square = square * square if whole else square
+    return result
+
+
+#: functions of one number, by their names in `math`, and what NumPy calls some of them
+FUNCTIONS = (
+    "exp", "expm1", "log", "log1p", "log2", "log10", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh",
+    "asin", "acos", "atan", "asinh", "acosh", "atanh", "floor", "ceil", "erf", "erfc",
+)  # fmt: skip
+ALIASES = {
+    "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arccosh": "acosh",
+    "arctanh": "atanh", "arctan2": "atan2",
+}  # fmt: skip
+#: what the program imports
+PREAMBLE = (
+    f"from math import {', '.join(FUNCTIONS)}, atan2, hypot, inf, nan\n\nLARGEST = {sys.float_info.max!r}\n"
+)
+
+
+class RecordedNumbers:
+    """The number namespace of recorded numbers.  Plain numbers go through `math`."""
+
+    inf, nan, pi, e = math.inf, math.nan, math.pi, math.e
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape = tape
+
+    def __getattr__(self, name: str) -> Any:
+        known = ALIASES.get(name, name)
+        if known not in FUNCTIONS:
+            raise AttributeError(name)
+
+        def function(x: Any) -> Any:
+            if not isinstance(x, Recorded):
+                return getattr(math, known)(x)
+            return self.tape.operation(f"{known}({{0}})", "f", x)
+
+        return function
+
+    def where(self, condition: Any, a: Any, b: Any) -> Any:
+        if not isinstance(condition, Recorded):
+            return a if condition else b
+        return self.tape.operation("{1} if {0} else {2}", "f", condition, a, b)
+
+    def atan2(self, y: Any, x: Any) -> Any:
+        return self.tape.operation("atan2({0}, {1})", "f", y, x)
+
+    arctan2 = atan2
+
+    def hypot(self, x: Any, y: Any) -> Any:
+        return self.tape.operation("hypot({0}, {1})", "f", x, y)
+
+    def abs(self, x: Any) -> Any:
+        return abs(x)
+
+    fabs = absolute = abs
+
+    def maximum(self, a: Any, b: Any) -> Any:
+        return self.where(a >= b, a, b)
+
+    def minimum(self, a: Any, b: Any) -> Any:
+        return self.where(a <= b, a, b)
+
+    def logical_and(self, a: Any, b: Any) -> Any:
+        return a & b
+
+    def logical_or(self, a: Any, b: Any) -> Any:
+        return a | b
+
+    def logical_not(self, a: Any) -> Any:
+        return ~a if isinstance(a, Recorded) else not a
+
+
+class Source(NamedTuple):
+    """A recorded function ``name(y, numbers, out)``.
+
+    text : Python source, to be executed with `PREAMBLE` before it.  y : packed state, `inputs` long;
+    numbers : the scene's `numbers()`, `parameters` long; out : where the `outputs` results are written,
+    a Jacobian row by row.  Each may be anything with an index: an array, or a pointer in compiled code.
+    """
+
+    text: str
+    name: str
+    inputs: int
+    parameters: int
+    outputs: int
+
+
+def source(scene: Any, what: str, carry: Sequence[str]) -> Source:
+    """A scene's right-hand side ("rhs") or its derivative ("jacobian") as source.
+
+    A Jacobian's zeros are taken for zeros wherever they are multiplied with, inf and nan included.
+    The text depends on `scene.structure` and the fields carried only: the scene's numbers are arguments.
+    Raises `CannotRecord` where the scene branches on values, or has no Jacobian.
+    """
+    carry = tuple(carry)
+    d, numbers = len(scene.labels(carry)), len(scene.numbers())
+    tape = Tape(sparse=what == "jacobian")
+    y = [tape.assign(f"y[{i}]", "f", tape.root) for i in range(d)]
+    twin = scene.with_numbers([tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(numbers)])
+    result = recorded(lambda: getattr(twin, what)(scene.unpack(y, carry)))
+    if result is None:
+        raise CannotRecord(f"scene {scene.name!r} has no {what}")
+    flat = scene.pack(result) if what == "rhs" else [entry for row in result for entry in row]
+    tape.root.add(*(f"out[{i}] = {text_of(v)}" for i, v in enumerate(flat)))
+    lines = "\n".join(needed(tape.root.lines))
+    return Source(f"def {what}(y, numbers, out):\n{lines}\n", what, d, numbers, len(flat))
+
+
+def needed(lines: Sequence[str]) -> list[str]:
+    """Straight-line code without what nothing reads."""
+    kept, read = [], {"out"}
+    for line in reversed(lines):
+        target, _, text = line.partition(" = ")
+        if target.strip().partition("[")[0] in read:
+            kept.append(line)
+            read |= {*NAMES.findall(text)}
+    return kept[::-1]
+
+
+def recorded(function: Callable[[], Any]) -> Any:
+    """What a function records; `CannotRecord` for whatever goes wrong in it."""
+    try:
+        return function()
+    except CannotRecord:
+        raise
+    except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise CannotRecord(f"{type(error).__name__}: {error}") from error
+
+
+def executed(text: str) -> dict[str, Any]:
+    """The names that source defines when run by Python itself."""
+    scope: dict[str, Any] = {}
+    exec(PREAMBLE + text, scope)
+    return scope
