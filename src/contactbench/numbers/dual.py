@@ -5,6 +5,7 @@ Components may be any numbers a scene runs on, dual numbers included (nested: se
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 
@@ -49,6 +50,27 @@ class Dual:
 
     __radd__, __rmul__ = __add__, __mul__
 
+    # dual numbers are compared by their values
+    def __eq__(self, other: Any) -> Any:
+        return self.a == value(other)
+
+    def __ne__(self, other: Any) -> Any:
+        return self.a != value(other)
+
+    def __lt__(self, other: Any) -> Any:
+        return self.a < value(other)
+
+    def __le__(self, other: Any) -> Any:
+        return self.a <= value(other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self.a > value(other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self.a >= value(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
 
 def value(x: Any) -> Any:
     """x without its derivative."""
@@ -58,3 +80,63 @@ def value(x: Any) -> Any:
 def slope(x: Any) -> Any:
     """The derivative of x, zero for a plain number."""
     return x.b if isinstance(x, Dual) else 0.0
+
+
+#: derivatives of functions of one number: of (namespace, x, f(x))
+DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
+    "exp": lambda xp, x, f: f,
+    "expm1": lambda xp, x, f: f + 1,
+    "log": lambda xp, x, f: 1 / x,
+    "log1p": lambda xp, x, f: 1 / (1 + x),
+    "sqrt": lambda xp, x, f: 0.5 / f,
+    "sin": lambda xp, x, f: xp.cos(x),
+    "cos": lambda xp, x, f: -xp.sin(x),
+    "tan": lambda xp, x, f: 1 + f * f,
+    "sinh": lambda xp, x, f: xp.cosh(x),
+    "cosh": lambda xp, x, f: xp.sinh(x),
+    "tanh": lambda xp, x, f: 1 - f * f,
+    "atan": lambda xp, x, f: 1 / (1 + x * x),
+    "arctan": lambda xp, x, f: 1 / (1 + x * x),
+    "asin": lambda xp, x, f: 1 / xp.sqrt(1 - x * x),
+    "arcsin": lambda xp, x, f: 1 / xp.sqrt(1 - x * x),
+    "abs": lambda xp, x, f: xp.where(x < 0, -1.0, 1.0),
+}
+
+
+class DualNumbers:
+    """A number namespace for dual numbers of the numbers of another one, `base`."""
+
+    def __init__(self, base: Any) -> None:
+        self.base = base
+
+    def __getattr__(self, name: str) -> Any:
+        function = getattr(self.base, name)
+        if name not in DERIVATIVES:
+            return function
+
+        def lifted(x: Any) -> Any:
+            if not isinstance(x, Dual):
+                return function(x)
+            y = function(x.a)
+            return Dual(y, DERIVATIVES[name](self.base, x.a, y) * x.b)
+
+        return lifted
+
+    def where(self, condition: Any, a: Any, b: Any) -> Any:
+        if not isinstance(a, Dual) and not isinstance(b, Dual):
+            return self.base.where(condition, a, b)
+        values = self.base.where(condition, value(a), value(b))
+        return Dual(values, self.base.where(condition, slope(a), slope(b)))
+
+    def atan2(self, y: Any, x: Any) -> Any:
+        a, b = value(y), value(x)
+        square = a * a + b * b
+        return Dual(self.base.atan2(a, b), (b * slope(y) - a * slope(x)) / square)
+
+    arctan2 = atan2
+
+    def maximum(self, a: Any, b: Any) -> Any:
+        return self.where(a >= b, a, b)
+
+    def minimum(self, a: Any, b: Any) -> Any:
+        return self.where(a <= b, a, b)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import operator
 import re
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -29,17 +30,25 @@ class CannotRecord(TypeError):
 class Block:
     """Assignments in their order: a program, or the body of a loop in one.
 
-    known : the name of every expression assigned so far, by its text.
+    depth : how many blocks it is in.  known : the name of every expression assigned so far, by its text.
     """
 
-    def __init__(self, parent: Block | None = None) -> None:
+    def __init__(self, parent: Block | None = None, indent: int | None = None) -> None:
         self.parent = parent
         self.depth: int = parent.depth + 1 if parent else 0
+        self.indent = (parent.indent + 1 if parent else 1) if indent is None else indent
         self.lines: list[str] = []
         self.known: dict[str, str] = {}
 
     def add(self, *lines: str) -> None:
-        self.lines += ["    " * self.depth + line for line in lines]
+        self.lines += ["    " * self.indent + line for line in lines]
+
+    def within(self, other: Block) -> bool:
+        """Whether it is the other block or a part of it."""
+        block: Block | None = self
+        while block is not None and block is not other:
+            block = block.parent
+        return block is other
 
 
 class Tape:
@@ -55,10 +64,6 @@ class Tape:
         self.count += 1
         return f"{kind}{self.count}"
 
-    def variable(self, name: str, kind: str = "f") -> Recorded:
-        """A value that the program is given."""
-        return Recorded(self, name, kind, self.block)
-
     def assign(self, text: str, kind: str, block: Block) -> Recorded:
         """The value of an expression, assigned in a block unless it has been."""
         if text not in block.known:
@@ -72,7 +77,13 @@ class Tape:
         for x in operands:
             if isinstance(x, Recorded) and x.block.depth > block.depth:
                 block = x.block
-        return self.assign(form.format(*map(text_of, operands)), kind, block)
+        return self.assign(form.format(*(self.read(x, block, "i" if kind == "i" else "f") for x in operands)), kind, block)
+
+    def read(self, x: Any, block: Block, kind: str = "f") -> str:
+        """The text of a number where it is used, in a block."""
+        if isinstance(x, Recorded) and not block.within(x.block):
+            raise CannotRecord("vectors of different origin are combined")
+        return text_of(x, kind)
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
         """n-fold application, recorded as a loop."""
@@ -89,12 +100,13 @@ class Tape:
             self.block = outer
         if len(end) != len(start):
             raise CannotRecord("a loop whose body returns a state of another shape")
-        outer.add(
-            *(f"{name} = {text_of(v, kind)}" for name, v, kind in zip(names, start, kinds, strict=True))
+        before, after = (
+            [self.read(v, block, kind) for v, kind in zip(values, kinds, strict=True)]
+            for values, block in ((start, outer), (end, inner))
         )
-        outer.add(f"for _ in range({text_of(n, 'i')}):")
-        targets, values = ", ".join(names), ", ".join(text_of(v, k) for v, k in zip(end, kinds, strict=True))
-        inner.add(f"{targets} = {values}")
+        outer.add(*map("{} = {}".format, names, before))
+        outer.add(f"for _ in range({self.read(n, outer, 'i')}):")
+        inner.add(f"{', '.join(names)} = {', '.join(after)}")
         outer.lines += inner.lines
         return rebuilt(
             x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
@@ -179,7 +191,8 @@ class Recorded:
             if sign in "+-":
                 return b if is_constant(a, 0) and sign == "+" else -b if is_constant(a, 0) else a
         if self.kind == "i" and all(isinstance(x, int) or kind_of(x) == "i" for x in (a, b)):
-            return self.tape.operation(f"{text_of(a, 'i')} {sign} {text_of(b, 'i')}", "i", a, b)
+            a, b = (int(x) if isinstance(x, int) else x for x in (a, b))
+            return self.tape.operation(f"{{0}} {sign} {{1}}", "i", a, b)
         if commutes and text_of(b) < text_of(a):
             a, b = b, a
         return self.tape.operation(f"{{0}} {sign} {{1}}", "f", a, b)
@@ -326,7 +339,7 @@ ALIASES = {
     "arctanh": "atanh", "arctan2": "atan2",
 }  # fmt: skip
 #: what the program imports
-PREAMBLE = f"from math import {', '.join(FUNCTIONS)}, atan2, hypot, inf, nan\n"
+PREAMBLE = f"from math import {', '.join(FUNCTIONS)}, atan2, hypot, inf, nan\n\nLARGEST = {sys.float_info.max!r}\n"
 
 
 class RecordedNumbers:
@@ -408,7 +421,6 @@ def source(scene: Any, what: str, carry: Sequence[str]) -> Source:
     carry = tuple(carry)
     d, numbers = len(scene.labels(carry)), len(scene.numbers())
     tape = Tape(sparse=what == "jacobian")
-    tape.root.depth = 1
     y = [tape.assign(f"y[{i}]", "f", tape.root) for i in range(d)]
     twin = scene.with_numbers([tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(numbers)])
     result = recorded(lambda: getattr(twin, what)(scene.unpack(y, carry)))

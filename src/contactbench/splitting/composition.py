@@ -305,7 +305,7 @@ def advance_by_the_clock(
     tau = damped_time(gamma, h, xp)
     smallest, middle, largest = scene.by_inertia
     first, *turns = (c for name, c in stages if name == "turn")
-    opening = tau * turn_rate(scene) * number(first, xp)
+    opening = scaled([first], tau * turn_rate(scene), xp)[0]
     turned = scaled(turns, tau * turn_rate(scene), xp)
     topped = scaled((c for name, c in stages if name == "top"), tau * top_rate(scene), xp)
     rounds = len(turns)
