@@ -13,22 +13,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from contactbench.methods.base import stopwatch
+from contactbench.methods.llvm import imported
 from contactbench.numbers.dual import Dual, slope
-from contactbench.numbers.recording import (
-    PREAMBLE,
-    Block,
-    CannotRecord,
-    Tape,
-    executed,
-    recorded,
-    text_of,
-)
+from contactbench.numbers.recording import PREAMBLE, Block, CannotRecord, Tape, recorded, text_of
 from contactbench.scene import Scene
 
 #: places in data: the two counters, then the constants
@@ -44,8 +38,8 @@ class CFunctions:
     constants: Callable[[Sequence[float]], list[float]]
     #: seconds spent recording and compiling
     compile_s: float
-    #: what keeps the machine code alive
-    keep: Any
+    #: the module of the machine code, kept alive
+    module: Any
 
     def data(self, numbers: Sequence[float]) -> np.ndarray:
         """The argument `data` for a scene's numbers."""
@@ -63,16 +57,10 @@ def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
     key = (scene.structure, carry)
     if key not in _compiled:
         elapsed = stopwatch()
-        text = source(scene, carry)
-        addresses, keep = compiled(text)
-        _compiled[key] = CFunctions(
-            addresses.get("rhs", 0), addresses.get("jacobian", 0), _constants(text), elapsed(), keep
-        )
+        m = imported(HEADER + source(scene, carry))
+        jacobian = m.jacobian.address if hasattr(m, "jacobian") else 0
+        _compiled[key] = CFunctions(m.rhs.address, jacobian, m.constants, elapsed(), m)
     return _compiled[key]
-
-
-def _constants(text: str) -> Callable[[Sequence[float]], list[float]]:
-    return executed(text)["constants"]
 
 
 def source(scene: Scene, carry: tuple[str, ...]) -> str:
@@ -81,21 +69,24 @@ def source(scene: Scene, carry: tuple[str, ...]) -> str:
     tape.root.depth = 1
     numbers = [tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(len(scene.numbers()))]
     twin = scene.with_numbers(numbers)
-    bodies = {"rhs": _body(tape, scene, carry, "dy", lambda x: scene.pack(twin.rhs(x)))}
-    try:
-        bodies["jacobian"] = _body(tape, scene, carry, "J", lambda x: by_columns(derivative(twin, x, carry)))
-    except CannotRecord:  # a function without a derivative on dual numbers: the solver takes differences
-        pass
+
+    def slopes(x: Any) -> list[Any]:
+        return scene.pack(twin.rhs(x))
+
+    def columns(x: Any) -> list[Any]:
+        return [entry for column in zip(*derivative(twin, x, carry), strict=True) for entry in column]
+
+    bodies = {"rhs": _body(tape, scene, carry, "dy", slopes)}
+    with suppress(CannotRecord):  # a function that dual numbers do not know: the solver takes differences
+        bodies["jacobian"] = _body(tape, scene, carry, "J", columns)
     known = set(tape.root.known.values())
-    used = [
-        name for name in dict.fromkeys(NAMES.findall("\n".join(sum(bodies.values(), [])))) if name in known
-    ]
+    named = NAMES.findall("\n".join(line for body in bodies.values() for line in body))
+    used = [name for name in dict.fromkeys(named) if name in known]
     places = [f"    {name} = data[{i}]" for i, name in enumerate(used, CONSTANTS)]
     text = ["def constants(numbers):", *tape.root.lines, f"    return [{', '.join(used)}]"]
-    for (name, lines), out, counter in zip(
-        bodies.items(), ("dy", "J"), (RHS_CALLS, JACOBIAN_CALLS), strict=False
-    ):
-        text += [f"def {name}({out}, t, y, data):", f"    data[{counter}] += 1.0", *places, *lines]
+    heads = ("def rhs(dy, t, y, data):", "def jacobian(J, t, y, data):")
+    for calls, (head, body) in enumerate(zip(heads, bodies.values(), strict=False)):
+        text += ["", "@compiled", head, f"    data[{calls}] += 1.0", *places, *body]
     return "\n".join(text) + "\n"
 
 
@@ -119,9 +110,10 @@ def _body(
 
 def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
     """Df at x: the scene's own Jacobian, or its right-hand side on dual numbers."""
-    rows = scene.jacobian(x)
-    if rows is not None:
-        return rows
+    with suppress(NotImplementedError):
+        rows = scene.jacobian(x)
+        if rows is not None:
+            return rows
     y = scene.pack(x)
     columns = []
     for j in range(len(y)):
@@ -130,19 +122,12 @@ def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
     return [list(row) for row in zip(*columns, strict=True)]
 
 
-def by_columns(rows: Sequence[Sequence[Any]]) -> list[Any]:
-    return [entry for column in zip(*rows, strict=True) for entry in column]
+#: contract: a product and a sum become one operation where the processor has it; nothing is reordered
+HEADER = f"""from numba import cfunc, types
 
+{PREAMBLE}
+pointer = types.CPointer(types.float64)
+signature = types.void(pointer, types.float64, pointer, pointer)
+compiled = cfunc(signature, error_model="numpy", fastmath={{"contract"}}, cache=True)
 
-def compiled(text: str) -> tuple[dict[str, int], list[Any]]:
-    """Addresses of the C functions in a source, and what has to be kept."""
-    import numba
-    from numba import types
-
-    pointer = types.CPointer(types.float64)
-    signature = types.void(pointer, types.float64, pointer, pointer)
-    names = executed(PREAMBLE + text)
-    # contract: a product and a sum become one operation where the processor has it; nothing is reordered
-    make = numba.cfunc(signature, error_model="numpy", fastmath={"contract"})
-    keep = [make(names[name]) for name in ("rhs", "jacobian") if name in names]
-    return {f.__name__: f.address for f in keep}, keep
+"""

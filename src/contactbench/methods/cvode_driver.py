@@ -17,8 +17,9 @@ from numba.extending import intrinsic
 from contactbench.methods.c_functions import JACOBIAN_CALLS, RHS_CALLS
 from contactbench.methods.cvode_library import NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
 
-_library = library()
-assert isinstance(_library, Library), _library
+_found = library()
+assert isinstance(_found, Library), _found
+_library: Library = _found
 
 pointer, integer, real = types.intp, types.int32, types.float64
 
@@ -42,7 +43,7 @@ newton_failures_of = _function("CVodeGetNumStepSolveFails", integer, pointer, po
 
 
 @intrinsic
-def call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> Any:
+def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> Any:
     """``function(out, t, y, data)`` of a C function known by its address, all pointers as integers."""
     signature = types.void(pointer, pointer, real, pointer, pointer)
 
@@ -57,6 +58,8 @@ def call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> Any
 
     return signature, generate
 
+
+call: Any = _call  # compiled code calls it without the typing context
 
 _user = types.CPointer(types.intp)
 
@@ -77,7 +80,7 @@ def _jacobian(t, y, dy, J, user, work1, work2, work3):  # type: ignore[no-untype
 RHS, JACOBIAN = _rhs.address, _jacobian.address
 
 
-#: what follows the state in the vector that `to_end` returns, and is all of what `at_times` returns
+#: what both return, followed by the state reached
 FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
 
 
@@ -91,8 +94,9 @@ def restart(memory, vector, y, start, data, end):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True)
-def tell(memory, data, flag, reached, saved, facts):  # type: ignore[no-untyped-def]
-    """How a run ended and what it took, in the order of `FACTS`."""
+def told(memory, y, data, flag, reached, saved):  # type: ignore[no-untyped-def]
+    """How a run ended and what it took, in the order of `FACTS`, and the state reached."""
+    facts = np.empty(7 + len(y))
     count = np.zeros(3, np.int64)
     place = count.ctypes.data
     steps_of(memory, place)
@@ -100,31 +104,30 @@ def tell(memory, data, flag, reached, saved, facts):  # type: ignore[no-untyped-
     newton_failures_of(memory, place + 16)
     facts[0], facts[1], facts[2], facts[3] = flag, reached, saved, count[0]
     facts[4], facts[5], facts[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
+    facts[7:] = y
+    return facts
 
 
 @numba.njit(cache=True)
 def to_end(memory, vector, y, start, data, end, max_steps):  # type: ignore[no-untyped-def]
-    """The state at the end, followed by `FACTS`, in one vector: a call returns one array sooner than two."""
+    """`FACTS` and the state at the end, in one vector: a call returns one array sooner than two."""
     restart(memory, vector, y, start, data, end)
     set_max_steps(memory, max_steps)
     reached = np.zeros(1)
     flag = advance(memory, end, vector, reached.ctypes.data, NORMAL)
-    out = np.empty(len(y) + 7)
-    out[: len(y)] = y
-    tell(memory, data, flag, reached[0], flag >= 0, out[len(y) :])
-    return out
+    return told(memory, y, data, flag, reached[0], flag >= 0)
 
 
 @numba.njit(cache=True)
 def at_times(memory, vector, y, start, data, times, max_steps, out):  # type: ignore[no-untyped-def]
-    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS`.
+    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
 
     One internal step at a time, so that the steps are those of `to_end`: in CVODE's other mode the first
     step depends on the first time asked for.
     """
     end = times[-1]
     restart(memory, vector, y, start, data, end)
-    saved, flag, now, facts = 0, np.int32(TOO_MUCH_WORK), np.zeros(1), np.empty(7)
+    saved, flag, now = 0, np.int32(TOO_MUCH_WORK), np.zeros(1)
     for _ in range(max_steps):
         flag = advance(memory, end, vector, now.ctypes.data, ONE_STEP)
         if flag < 0:
@@ -139,5 +142,4 @@ def at_times(memory, vector, y, start, data, times, max_steps, out):  # type: ig
         if saved == len(times):
             break
         flag = np.int32(TOO_MUCH_WORK)
-    tell(memory, data, flag, now[0], saved, facts)
-    return facts
+    return told(memory, y, data, flag, now[0], saved)

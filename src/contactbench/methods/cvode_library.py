@@ -29,6 +29,10 @@ NORMAL, ONE_STEP = 1, 2
 TOO_MUCH_WORK = -1
 
 
+#: what the library's file may be called
+PATTERNS = ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.dylib")
+
+
 class Unavailable(Exception):
     """Why the library cannot be used."""
 
@@ -41,7 +45,7 @@ def _library_file() -> Path:
     folder = Path(package.origin).parent
     places = (folder.parent / "scikit_sundae.libs", folder / ".dylibs", Path(sys.prefix) / "lib")
     for place in places:
-        for pattern in ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.dylib"):
+        for pattern in PATTERNS:
             for found in sorted(place.glob(pattern)):
                 return found
     raise Unavailable(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
@@ -71,7 +75,7 @@ class Library:
 
     def _declare(self, index: Any) -> None:
         pointer = c_void_p
-        for name, result, *arguments in (
+        functions: tuple[tuple[Any, ...], ...] = (
             ("SUNDIALSGetVersionNumber", c_int, *[POINTER(c_int)] * 3, c_char_p, c_int),
             ("SUNContext_Create", c_int, c_int, POINTER(pointer)),
             ("SUNContext_ClearErrHandlers", c_int, pointer),
@@ -103,7 +107,8 @@ class Library:
             ("CVodeGetNumErrTestFails", c_int, pointer, pointer),
             ("CVodeGetNumStepSolveFails", c_int, pointer, pointer),
             ("CVodeFree", None, POINTER(pointer)),
-        ):
+        )
+        for name, result, *arguments in functions:
             function = getattr(self.handle, name)
             function.restype, function.argtypes = result, arguments
             setattr(self, name, function)
@@ -129,13 +134,13 @@ def library() -> Library | Unavailable:
 class Solver:
     """CVODE's memory for one scene, method and tolerance; freed with the object.
 
-    functions, data : the scene's C functions and their argument; span : the longest run, which bounds the
-    step from above, and ten-to-the-minus-fifteen times which bounds it from below (`shortest`).
+    functions, data : the scene's C functions and their argument; size : of the state; longest, shortest : bounds
+    on the step.
     """
 
     def __init__(
         self, kind: int, functions: CFunctions, data: np.ndarray, size: int, rtol: float, atol: float,
-        span: float, shortest: float,
+        longest: float, shortest: float,
     ) -> None:  # fmt: skip
         from contactbench.methods import cvode_driver
 
@@ -153,17 +158,17 @@ class Solver:
         if not (self.vector and self.memory and matrix and linear):
             raise MemoryError("CVODE could not allocate its memory")
         weakref.finalize(self, _free, lib, self.memory, linear, matrix, self.vector, context)
-        m = self.memory
-        for name, *arguments in (
+        settings: tuple[tuple[Any, ...], ...] = (
             ("CVodeInit", cvode_driver.RHS, 0.0, self.vector),
             ("CVodeSStolerances", rtol, atol),
             ("CVodeSetUserData", self.user.ctypes.data),
             ("CVodeSetLinearSolver", linear, matrix),
             *([("CVodeSetJacFn", cvode_driver.JACOBIAN)] if functions.jacobian else []),
             ("CVodeSetMinStep", shortest),
-            ("CVodeSetMaxStep", span),
-        ):
-            _checked(getattr(lib, name)(m, *arguments), name)
+            ("CVodeSetMaxStep", longest),
+        )
+        for name, *values in settings:
+            _checked(getattr(lib, name)(self.memory, *values), name)
 
 
 def _checked(flag: int, what: str) -> None:

@@ -25,6 +25,8 @@ from contactbench.solution import Counts, Status
 TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
 #: a step this small against the span hardly moves the clock: the solver is at a singularity
 SHORTEST = 1e-15
+#: how many numbers about a run the compiled calls return before the state (cvode_driver.FACTS)
+KNOWN = 7
 
 
 @dataclass
@@ -131,6 +133,8 @@ class CompiledCvodeRun(Prepared):
         from contactbench.methods import cvode_driver
 
         r = self.request
+        assert r.rtol is not None
+        assert r.atol is not None
         functions = c_functions(r.scene, r.carry)
         self.compile_s = functions.compile_s
         self.data = functions.data(r.scene.numbers())
@@ -148,17 +152,17 @@ class CompiledCvodeRun(Prepared):
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         """The solver's own call: a packed state in, the packed state at the end out."""
-        return self._bare(y0)[: self.size]
+        return self._bare(y0)[KNOWN:]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, s, later = self.request, self.solver, self.later
         if len(later) == 1:
-            out = self._bare(y0)
-            rows, facts = out[None, : self.size], out[self.size :]
+            told = self._bare(y0)
+            rows = told[None, KNOWN:]
         else:
             rows = np.empty((len(later), self.size))
-            facts = self.at_times(s.memory, s.vector, s.y, y0, self.data, later, r.max_steps, rows)
-        flag, reached, saved, steps, evaluations, jacobians, rejected = facts.tolist()
+            told = self.at_times(s.memory, s.vector, s.y, y0, self.data, later, r.max_steps, rows)
+        flag, reached, saved, steps, evaluations, jacobians, rejected = told[:KNOWN].tolist()
         if saved < len(later):
             rows = rows[: int(saved)]
         if len(later) < len(r.save_at):
@@ -170,13 +174,17 @@ class CompiledCvodeRun(Prepared):
         status = Status.budget if exhausted else Status.failed
         message = f"max_steps = {r.max_steps} spent" if exhausted else _meaning(int(flag))
         return self.finished(
-            y0, rows, counts, status, f"{message} (t = {reached:.6g})", (reached, s.y.copy())
+            y0, rows, counts, status, f"{message} (t = {reached:.6g})", (reached, told[KNOWN:])
         )
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         carry = self.request.carry
         larger = variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
-        return integrated(CompiledCvodeRun(self.method, larger, self.kind), y0)
+        try:
+            run: Prepared = CompiledCvodeRun(self.method, larger, self.kind)
+        except CannotRecord:  # no derivative on dual numbers: JAX has one
+            run = CvodeRun(self.method, variational(self.request), self.kind)
+        return integrated(run, y0)
 
 
 def _meaning(flag: int) -> str:
