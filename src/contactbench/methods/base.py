@@ -83,6 +83,10 @@ class Prepared:
         """Run from a packed initial state."""
         raise NotImplementedError
 
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
+        return self.integrate(y0).y[-1]
+
     #: how `sensitivity` differentiates the numerical map; empty: it cannot
     sensitivity_source = ""
 
@@ -245,14 +249,13 @@ def prepare(
     save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
         most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
     carry : which of s and R to integrate; by default all the scene has.
-    engine : "jax", "python", … (the method's first by default).
+    engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
+        or a force that branches on values cannot be compiled.
     max_steps : budget; a run that needs more ends with status `budget`.
     Raises `BadInput` for anything it cannot work with.
     """
     scene, chosen = lookup(scene, method)
-    if engine is None:
-        engine = chosen.engines[0]
-    if engine not in chosen.engines:
+    if engine is not None and engine not in chosen.engines:
         raise BadInput(f"engine = {engine!r}: {method} runs on {', '.join(chosen.engines)}")
     if chosen.adaptive:
         if step is not None:
@@ -268,9 +271,16 @@ def prepare(
             step = positive("step", step)
     budget = _budget(chosen, max_steps)
     times = _default_times(scene, step, budget) if save_at is None else _times(save_at)
-    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
-    why = chosen.refuses(scene)
-    return chosen.prepare(request) if why is None else Refused(chosen.name, request, why)
+    engines = chosen.engines if engine is None else (engine,)
+    request = Request(scene, engines[0], scene.carry(carry), times, step, rtol, atol, budget)
+    if (why := chosen.refuses(scene)) is not None:
+        return Refused(chosen.name, request, why)
+    run = first = chosen.prepare(request)
+    for other in engines[1:]:
+        if not isinstance(run, Refused):
+            return run
+        run = chosen.prepare(replace(request, engine=other))
+    return first if isinstance(run, Refused) else run
 
 
 def solve(scene: Scene | str, method: str, **options: Any) -> Solution:

@@ -33,7 +33,7 @@ class ContactMethod(FixedStep):
 
 
 def contact_method(composition: Composition) -> ContactMethod:
-    """The method of a composition, on both engines."""
+    """The method of a composition, on every engine."""
     return ContactMethod(
         name=composition.name,
         order=composition.order,

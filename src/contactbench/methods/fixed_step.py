@@ -1,4 +1,6 @@
-"""Fixed-step methods and the two engines that run them: a compiled JAX loop and plain Python.
+"""Fixed-step methods, and two of the engines that run them: a compiled JAX loop and plain Python.
+
+The third and first, compiled by numba, is in numba_engine.py.
 
 The Python loop is written on the scene's own components, so it also runs on NumPy arrays (an
 ensemble) and on mpmath numbers (`trajectory` with another namespace).
@@ -13,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Outcome, Prepared, Request, steps_in
+from contactbench.methods.base import METHODS, Outcome, Prepared, Refused, Request, steps_in
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.composition import Repeat, repeat
@@ -42,7 +45,7 @@ class FixedStep:
     evaluations: int = 1
     kind: str = "rhs"
     about: str = ""
-    engines: tuple[str, ...] = ("jax", "python")
+    engines: tuple[str, ...] = ("numba", "jax", "python")
     #: declared properties, each tested for every registered method that claims it
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False  # Φ_{−h} ∘ Φ_h = id
@@ -79,12 +82,16 @@ class FixedStep:
         return self.kind
 
     def prepare(self, request: Request) -> Prepared:
+        from contactbench.methods.numba_engine import NumbaLoop
         from contactbench.methods.step_choice import ChosenStep
 
-        run = {"jax": JaxLoop, "python": PythonLoop}[request.engine]
-        if request.step is not None:
-            return run(self.name, request, self)
-        return ChosenStep(self.name, request, self, run)
+        run: type[FixedStepRun] = {"numba": NumbaLoop, "jax": JaxLoop, "python": PythonLoop}[request.engine]
+        try:
+            if request.step is not None:
+                return run(self.name, request, self)
+            return ChosenStep(self.name, request, self, run)
+        except CannotRecord as why:
+            return Refused(self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}")
 
 
 def fixed_step(
@@ -92,7 +99,7 @@ def fixed_step(
 ) -> Callable[[Step], Step]:
     """Decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
 
-    It then runs on both engines and appears in every table, figure and test.  `claims` are the
+    It then runs on every engine and appears in every table, figure and test.  `claims` are the
     properties it declares: kind, contact, symmetric, factor.
     """
 
@@ -105,7 +112,7 @@ def fixed_step(
 
 @dataclass
 class FixedStepRun(Prepared):
-    """What both engines share: the division of the run into intervals of equal steps."""
+    """What the engines share: the division of the run into intervals of equal steps."""
 
     method_: FixedStep
 

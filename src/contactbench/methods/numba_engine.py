@@ -1,0 +1,129 @@
+"""The numba engine of the fixed-step methods: loops recorded from the method, compiled by LLVM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import Outcome, stopwatch
+from contactbench.methods.fixed_step import FixedStep, FixedStepRun
+from contactbench.methods.llvm import compiled
+from contactbench.numbers.dual import Dual, DualNumbers, slope, value
+from contactbench.numbers.program import Program, record
+from contactbench.scene import Scene
+from contactbench.solution import DIVERGENCE, Status
+
+#: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
+AHEAD = 2**22
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A compiled loop of steps, and how long it took to record and compile."""
+
+    program: Program
+    module: Any
+    seconds: float
+
+    def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What depends on the steps only, one row for each (h, n) among the intervals; and which is whose."""
+        spans = np.column_stack([h, n])
+        which = np.zeros(1, dtype=np.int64)
+        if len(n) > 1:
+            spans, which = np.unique(spans, axis=0, return_inverse=True)
+        w = np.empty((len(spans), self.program.width))
+        self.module.setup(numbers, spans, self.program.data, self.program.shape, w)
+        return w, which
+
+
+_loops: dict[Any, Loop] = {}
+
+
+def loop_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+    """The loop of a method on a scene.
+
+    tangent : packed states are followed by a tangent vector, which is carried along.
+    Raises `CannotRecord` where the method or the scene branches on values.
+    """
+    key = (method, scene.structure, carry, tangent)
+    if key not in _loops:
+        elapsed, d = stopwatch(), len(scene.labels(carry))
+
+        def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+            if tangent:
+                y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
+            start = scene.unpack(y, carry)
+            end = scene.pack(method.advance(scene.with_numbers(numbers), start, h, n, xp, repeat))
+            return [*map(value, end), *map(slope, end)] if tangent else end
+
+        program = record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
+        _loops[key] = Loop(program, compiled(program.text), elapsed())
+    return _loops[key]
+
+
+class NumbaLoop(FixedStepRun):
+    """The steps as one compiled loop over all intervals."""
+
+    sensitivity_source = "forward-mode AD through the numerical map"
+
+    def __post_init__(self) -> None:
+        r = self.request
+        self.loop = loop_of(self.method_, r.scene, r.carry)
+        self.compile_s = self.loop.seconds
+        self.numbers = np.array(r.scene.numbers())
+        self.run, self.shape = self.loop.module.run, self.loop.program.shape
+        super().__post_init__()
+
+    def divide(self, step: float) -> None:
+        super().divide(step)
+        self.size = len(self.n), len(self._own_start)
+        if self.short(self.n):
+            self.rows, self.which = self.loop.rows(self.numbers, self.h, self.n)
+
+    def short(self, n: np.ndarray) -> bool:
+        """Whether what depends on the steps is computed ahead of a run."""
+        return len(n) * self.loop.program.width <= AHEAD
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        y = np.empty(self.size)
+        self.run(y0, self.rows, self.which, self.shape, y)
+        return y[-1]
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        if self.saves_start or self.needed > self.request.max_steps or not self.short(self.n):
+            return super().integrate(y0)
+        y = np.empty(self.size)
+        if self.run(y0, self.rows, self.which, self.shape, y) < 0:  # nothing to look for
+            return Outcome(y, self.totals, Status.ok, "", self._end, True)
+        return super().integrate(y0)
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return self.states(self.loop, y0, h, n)
+
+    def states(self, loop: Loop, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Packed states after each interval, by the loop of the states alone or with a tangent."""
+        y = np.empty((len(n), len(y0)))
+        together = max(1, AHEAD // loop.program.width)
+        for first in range(0, len(n), together):
+            part = slice(first, first + together)
+            if loop is self.loop and n is self.n and self.short(n):
+                rows, which = self.rows, self.which
+            else:
+                rows, which = loop.rows(self.numbers, h[part], n[part])
+            loop.module.run(y0, rows, which, loop.program.shape, y[part])
+            y0 = y[part][-1]
+        return y
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        r = self.request
+        loop = loop_of(self.method_, r.scene, r.carry, tangent=True)
+        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
+        tangents = [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
+        d = len(y0)
+        columns = [self.states(loop, np.concatenate([y0, v]), self.h, self.n)[:, d:] for v in tangents]
+        derivative = np.stack(columns, axis=-1)
+        if not self.saves_start:
+            return derivative
+        return np.concatenate([np.array(tangents).T[None], derivative])
