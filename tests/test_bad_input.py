@@ -23,7 +23,7 @@ CASES = [
     (("particle", "cvode-bdf", {}), "rtol is missing"),
     (("particle", "cvode-bdf", {"rtol": 1e-30}), "takes 1e-14 to 0.1"),
     (("particle", "scipy-dop853", {"rtol": -1}), "rtol = -1: must be > 0"),
-    (("particle", "rk4", {"step": 0.1, "engine": "fortran"}), "engine = 'fortran': rk4 runs on jax, python"),
+    (("particle", "rk4", {"step": 0.1, "engine": "fortran"}), "engine = 'fortran': rk4 runs on numba, jax, python"),
     (("particle", "rk4", {"step": 0.1, "save_at": [3.0, 1.0]}), "strictly increasing"),
     (("particle", "rk4", {"step": 0.1, "save_at": [1.0, math.nan]}), "must be finite times"),
     (("particle", "rk4", {"step": 0.1, "save_at": []}), "must be finite times"),

@@ -72,17 +72,19 @@ def test_all_derivatives_agree_at_tight_tolerance(case, independent):
         np.testing.assert_allclose(derivative, expected, rtol=0, atol=AGREE * size, err_msg=method)
 
 
-@pytest.mark.parametrize("method", ["rk4", "contact-strang"])
+@pytest.mark.parametrize("method", ["rk4", "contact-strang", "contact-bm4"])
 @pytest.mark.parametrize("name", SCENES)
-def test_both_engines_give_the_same_derivative(name, method):
+def test_all_engines_give_the_same_derivative(name, method):
+    """By dual numbers in a compiled loop, and by JAX's forward mode."""
     scene = cb.SCENES[name].with_(t_end=2.0)
-    jax, python = (
+    numba, jax, python = (
         cb.solve(scene, method, step=0.1, engine=engine, save_at=[0.0, 1.0, 2.0])
-        for engine in ("jax", "python")
+        for engine in ("numba", "jax", "python")
     )
-    np.testing.assert_array_equal(python.sensitivity, jax.sensitivity)
+    np.testing.assert_array_equal(python.sensitivity, numba.sensitivity)
+    np.testing.assert_allclose(numba.sensitivity, jax.sensitivity, rtol=0, atol=1e-13)
     start = np.array([scene.pack(v) for v in scene.tangents(scene.initial(scene.optional))]).T
-    np.testing.assert_array_equal(python.sensitivity[0], start)
+    np.testing.assert_array_equal(numba.sensitivity[0], start)
 
 
 @pytest.mark.parametrize("method", VARIATIONAL)

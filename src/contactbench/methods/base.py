@@ -109,12 +109,16 @@ class Prepared:
         else:
             y0 = self._own_start
         out = audited(self.integrate(y0), self._end)
-        solution = Solution(
-            r.scene, self.method, r.engine, r.setting, r.carry, r.save_at, out.y, out.status,
-            out.message, out.counts, out.end_time, y0, lambda: self.linearised(y0, out.y),
-            self.sensitivity_source,
+        return Solution(
+            *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0,
+            lambda: self.linearised(y0, out.y), self.sensitivity_source,
         )  # fmt: skip
-        return solution
+
+    @cached_property
+    def _asked(self) -> tuple[Any, ...]:
+        """The fields that all solutions of this run have in common."""
+        r = self.request
+        return r.scene, self.method, r.engine, r.setting, r.carry, r.save_at
 
     def count(self, counts: Counts) -> Counts:
         """What one run costs, from its own counts; may repeat it in a slower mode that tells more."""

@@ -82,6 +82,8 @@ class FixedStep:
         return self.kind
 
     def prepare(self, request: Request) -> Prepared:
+        from jax.errors import JAXTypeError
+
         from contactbench.methods.numba_engine import NumbaLoop
         from contactbench.methods.step_choice import ChosenStep
 
@@ -90,7 +92,8 @@ class FixedStep:
             if request.step is not None:
                 return run(self.name, request, self)
             return ChosenStep(self.name, request, self, run)
-        except CannotRecord as why:
+        except (CannotRecord, JAXTypeError) as error:
+            why = str(error).partition("\n")[0]
             return Refused(self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}")
 
 
@@ -183,10 +186,15 @@ class FixedStepRun(Prepared):
 class PythonLoop(FixedStepRun):
     """Plain Python floats."""
 
-    sensitivity_source = "forward-mode AD through the same steps on jax"
+    sensitivity_source = "forward-mode AD through the same steps, compiled"
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return JaxSteps(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
+        from contactbench.methods.numba_engine import NumbaLoop
+
+        try:
+            return NumbaLoop(self.method, replace(self.request, engine="numba"), self.method_).sensitivity(y0)
+        except CannotRecord:
+            return JaxSteps(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         r = self.request

@@ -28,14 +28,14 @@ class Loop:
     seconds: float
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What depends on the steps only, one row for each (h, n) among the intervals; and which is whose."""
+        """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
         spans = np.column_stack([h, n])
         which = np.zeros(1, dtype=np.int64)
         if len(n) > 1:
             spans, which = np.unique(spans, axis=0, return_inverse=True)
         w = np.empty((len(spans), self.program.width))
         self.module.setup(numbers, spans, self.program.data, self.program.shape, w)
-        return w, which
+        return w, np.concatenate([self.program.shape, which])
 
 
 _loops: dict[Any, Loop] = {}
@@ -73,14 +73,14 @@ class NumbaLoop(FixedStepRun):
         self.loop = loop_of(self.method_, r.scene, r.carry)
         self.compile_s = self.loop.seconds
         self.numbers = np.array(r.scene.numbers())
-        self.run, self.shape = self.loop.module.run, self.loop.program.shape
+        self.run = self.loop.module.run
         super().__post_init__()
 
     def divide(self, step: float) -> None:
         super().divide(step)
         self.size = len(self.n), len(self._own_start)
         if self.short(self.n):
-            self.rows, self.which = self.loop.rows(self.numbers, self.h, self.n)
+            self.rows, self.shape = self.loop.rows(self.numbers, self.h, self.n)
 
     def short(self, n: np.ndarray) -> bool:
         """Whether what depends on the steps is computed ahead of a run."""
@@ -88,14 +88,14 @@ class NumbaLoop(FixedStepRun):
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         y = np.empty(self.size)
-        self.run(y0, self.rows, self.which, self.shape, y)
+        self.run(y0, self.rows, self.shape, y)
         return y[-1]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         if self.saves_start or self.needed > self.request.max_steps or not self.short(self.n):
             return super().integrate(y0)
         y = np.empty(self.size)
-        if self.run(y0, self.rows, self.which, self.shape, y) < 0:  # nothing to look for
+        if self.run(y0, self.rows, self.shape, y) < 0:  # nothing to look for
             return Outcome(y, self.totals, Status.ok, "", self._end, True)
         return super().integrate(y0)
 
@@ -109,10 +109,10 @@ class NumbaLoop(FixedStepRun):
         for first in range(0, len(n), together):
             part = slice(first, first + together)
             if loop is self.loop and n is self.n and self.short(n):
-                rows, which = self.rows, self.which
+                rows, shape = self.rows, self.shape
             else:
-                rows, which = loop.rows(self.numbers, h[part], n[part])
-            loop.module.run(y0, rows, which, loop.program.shape, y[part])
+                rows, shape = loop.rows(self.numbers, h[part], n[part])
+            loop.module.run(y0, rows, shape, y[part])
             y0 = y[part][-1]
         return y
 

@@ -3,7 +3,7 @@
 `record` runs a function of (numbers, h, n, state) on recorded numbers and writes two functions,
 
     setup(numbers, spans, data, shape, w)    row u of w: everything that depends on (h, n) = spans[u] only
-    run(start, w, which, shape, y)           row j of y: the state after the interval with w[which[j]]
+    run(start, w, shape, y)                  row j of y: the state after interval j, from row which[j] of w
 
 `setup` is called once per choice of steps, `run` at every call.  Vectors made by ``xp.asarray``, such as
 the coefficients of a composition, are data of the program and not part of it, as are their lengths and the
@@ -31,7 +31,7 @@ class Program(NamedTuple):
     """A recorded time loop.
 
     text : source of `setup` and `run`, to be compiled after `recording.PREAMBLE`.
-    data : floating-point numbers and shape : whole numbers it is called with.
+    data : floating-point numbers and shape : whole numbers it is called with; `run` takes (*shape, *which).
     width : how long a row of w is.
     """
 
@@ -218,7 +218,7 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
     bound = " + ".join(f"{x} * {x}" for x in state[:bounded])
     run.add(*sizes, *(f"{x} = start[{i}]" for i, x in enumerate(state)))
     run.add(f"size = sqrt({bound})", f"bound = {factor!r} * (size if size != 0.0 else 1.0)", "bad = -1")
-    run.add("for j in range(len(which)):", "    u = which[j]")
+    run.add("for j in range(len(y)):", f"    u = shape[{len(tape.shape)} + j]")
     loads = {"f": "{} = w[u, {}]", "i": "{} = int(w[u, {}])", "b": "{} = w[u, {}] != 0.0"}
     run.add(*("    " + loads[kind].format(name, i) for i, (name, kind) in enumerate(tape.exported.items())))
     run.lines += tape.main.lines
@@ -228,5 +228,5 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
     run.add(f"    if bad < 0 and not ({' and '.join(healthy)}):", "        bad = j", "return bad")
     return "\n".join(
         ["def setup(numbers, spans, data, shape, w):", *setup.lines, "", ""]
-        + ["def run(start, w, which, shape, y):", *run.lines, ""]
+        + ["def run(start, w, shape, y):", *run.lines, ""]
     )

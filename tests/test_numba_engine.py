@@ -1,0 +1,268 @@
+"""Recorded numbers, recorded programs, and the compiled loops made of them."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from cases import ALL_SCENES, REPOSITORY, USER, by_name, random_state
+from mpmath import mp
+
+import contactbench as cb
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.llvm import compiled
+from contactbench.methods.numba_engine import loop_of
+from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
+from contactbench.numbers.program import record
+from contactbench.numbers.recording import ALIASES, FUNCTIONS, CannotRecord, executed, source
+from contactbench.solution import Status
+
+FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
+CASES = [
+    pytest.param(method, scene, id=f"{method.name}-{scene.name}")
+    for method in FIXED
+    for scene in ALL_SCENES
+    if not method.refuses(scene)
+]
+PARTICLE = cb.SCENES["particle"]
+
+
+# -- sources ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize("what", ["rhs", "jacobian"])
+@by_name([scene for scene in ALL_SCENES if scene is not USER])
+def test_source_computes_what_the_scene_does(scene, what):
+    """To the last bit: the operations are the same, in the same order."""
+    for carry in {scene.carry(()), scene.carry()}:
+        function = source(scene, what, carry)
+        x = random_state(scene, carry=carry)
+        out = [math.nan] * function.outputs
+        executed(function.text)[what](scene.pack(x), scene.numbers(), out)
+        result = getattr(scene, what)(x)
+        expected = scene.pack(result) if what == "rhs" else [entry for row in result for entry in row]
+        assert out == expected
+        moved = [1.01 * number for number in scene.numbers()]
+        executed(function.text)[what](scene.pack(x), moved, out)
+        assert out != expected  # the scene's numbers are arguments
+
+
+def test_a_scene_without_hessian_has_no_jacobian():
+    with pytest.raises(CannotRecord, match="'user' has no jacobian"):
+        source(USER, "jacobian", ())
+
+
+# -- programs --------------------------------------------------------------------------------------
+#: arguments at which every function is defined
+INSIDE = 0.3
+
+
+def every_operation(numbers, h, n, y, xp, repeat):
+    """One result for every function and operator."""
+    x, big = y[0], 1 / y[0]
+    results = [getattr(xp, name)(big if name == "acosh" else x) for name in (*FUNCTIONS, *ALIASES) if name not in SPECIAL]
+    results += [xp.arccosh(big), xp.atan2(x, -big), xp.arctan2(x, big), xp.hypot(x, big)]
+    results += [x**k for k in (-3, -1.5, -0.5, 0.5, 1, 2, 2.5, 7, 0.3)] + [2.0**x, abs(-x), -x, +x]
+    results += [1 - x, x - 1, 2 / x, x / 2, x * big - 0 * x, np.sin(x), np.float64(3) * x, np.square(x)]
+    condition = (x < 1) & ~(x >= big) | (x == 7)
+    results += [xp.where(condition, x, big), xp.where(x != x, 0.0, 1.0), xp.where(True, x, big)]
+    results += [xp.maximum(x, big), xp.minimum(x, 0.1), xp.where((x <= 0.3) & (x > 0.2), 1.0, 0.0)]
+    results += [repeat(n, lambda v: v * h + numbers[0], x), repeat(3, lambda v: (v[0] + v[1], v[1] + 1), (x, 0))[0]]
+    column = xp.multiply.outer(xp.asarray([1.0, 2.0, 5.0]), h)
+    summed = repeat(3, lambda v: (v[0] + xp.exp(column)[v[1]], v[1] + 1), (x, 0))[0]
+    return [*results, summed, column[-1] * x, column[xp.asarray([2, 1])][1] * x]
+
+
+SPECIAL = ("arccosh", "arctan2")
+
+
+class Plain:
+    """The same namespace for floats."""
+
+    inf, asarray, where = math.inf, staticmethod(np.asarray), staticmethod(lambda c, a, b: a if c else b)
+    maximum, minimum, multiply = max, min, np.multiply
+
+    def __getattr__(self, name):
+        return np.exp if name == "exp" else getattr(math, ALIASES.get(name, name))
+
+
+def test_every_operation_is_compiled_to_what_it_is():
+    def repeat(n, body, x):
+        for _ in range(n):
+            x = body(x)
+        return x
+
+    numbers, h, n = [0.7], 0.25, 4
+    truth = every_operation(numbers, h, n, [np.float64(INSIDE)], Plain(), repeat)
+    padded = lambda *a: every_operation(*a)  # noqa: E731
+    d = len(truth)
+    program = record(padded, 1, d, 1, 1e6)
+    w, y = np.empty((1, program.width)), np.empty((1, d))
+    start, shape = np.full(d, INSIDE), np.append(program.shape, 0)
+    for module in (compiled(program.text).__dict__, executed(program.text)):
+        y[:] = math.nan
+        module["setup"](np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)
+        assert module["run"](start, w, shape, y) == -1
+        np.testing.assert_allclose(y[0], np.array(truth, dtype=float), rtol=4e-16, atol=0)
+
+
+def test_equal_operations_are_computed_once_and_constant_ones_before_the_loop():
+    def body(x, k):
+        return x * k * k + x * k * k
+
+    def advance(numbers, h, n, y, xp, repeat):
+        return [repeat(n, lambda x: body(x, numbers[0] * h), y[0])]
+
+    text = record(advance, 1, 1, 1, 1e6).text
+    assert text.count(" * ") == 1 + 2 + 2  # k in setup; x·k and its product with k in the loop; the size at the start
+    loop = text[text.index("for _ in") :]
+    assert "numbers" not in loop
+
+
+@pytest.mark.parametrize("name", DERIVATIVES)
+def test_derivatives_of_functions(name, mp50):
+    class Numbers:
+        abs, arctan, arcsin = staticmethod(abs), staticmethod(mp.atan), staticmethod(mp.asin)
+
+        def __getattr__(self, name):
+            return getattr(mp, name)
+
+        def where(self, condition, a, b):
+            return a if condition else b
+
+    x, v = mp.mpf("0.3"), mp.mpf("1.7")
+    function = getattr(Numbers(), name)
+    lifted = getattr(DualNumbers(Numbers()), name)(Dual(x, v))
+    assert lifted.a == function(x)
+    assert abs(lifted.b - v * mp.diff(function, x)) < mp.mpf(10) ** -30
+
+
+# -- the engine ------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("method", "scene"), CASES)
+def test_the_compiled_loop_is_the_same_map(method, scene):
+    """As plain Python, to round-off: uneven saved times, other initial data, every field carried or none."""
+    times = [0.0, 0.5, 0.75, 2.0]
+    for carry in {scene.carry(()), scene.carry()}:
+        options = {"step": 0.06, "save_at": times, "carry": carry}
+        run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
+        for data in ({}, {"s": 0.4} if "s" in carry else {}):
+            ours, theirs = run(**data), plain(**data)
+            assert (ours.status, ours.counts) == (Status.ok, theirs.counts)
+            np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=2e-14 * np.abs(theirs.y).max())
+
+
+@pytest.mark.parametrize(("method", "scene"), CASES)
+def test_the_tangent_loop_carries_the_derivative(method, scene):
+    """Against central differences of the compiled loop itself."""
+    run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])
+    assert run.request.engine == "numba"
+    derivative, y0 = run.sensitivity(run._own_start), run._own_start
+    start = scene.unpack(tuple(y0.tolist()), scene.carry())
+    step = 1e-5
+    for j, tangent in enumerate(scene.tangents(start)):
+        v = step * np.array(scene.pack(tangent))
+        ahead, behind = run.integrate(y0 + v).y, run.integrate(y0 - v).y
+        size = max(1.0, np.abs(derivative).max())
+        difference = (ahead - behind) / (2 * step)  # truncation h², a third derivative of up to 1e3 for kepler
+        np.testing.assert_allclose(derivative[:, :, j], difference, rtol=0, atol=2e-7 * size)
+
+
+@pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
+def test_the_bare_call_is_the_same_run(method):
+    run = cb.prepare(PARTICLE, method.name, step=0.1, save_at=[2.0])
+    y0 = run._own_start
+    np.testing.assert_array_equal(run.bare(y0), run().y[-1])
+    assert not np.array_equal(run.bare(y0 + 0.1), run.bare(y0))
+
+
+def test_one_program_serves_all_compositions_parameters_and_steps():
+    def module(method, scene=PARTICLE):
+        return loop_of(cb.METHODS[method], scene, ("s",)).module
+
+    assert module("contact-bm4") is module("contact-rkn6") is module("contact-o8")
+    assert module("contact-rkn6", PARTICLE.with_(gamma=0.3, coupling=0.2, mass=2.0)) is module("contact-rkn6")
+    ends = {m: cb.solve(PARTICLE, m, step=0.5).y[-1] for m in ("contact-bm4", "contact-rkn6")}
+    assert not np.array_equal(*ends.values())
+
+
+def test_very_many_different_steps_are_taken_in_parts(monkeypatch):
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.01, 0.1, 100))
+    options = {"step": 0.03, "save_at": times}
+    whole = cb.solve(PARTICLE, "contact-bm6", **options).y
+    monkeypatch.setattr("contactbench.methods.numba_engine.AHEAD", 2000)
+    np.testing.assert_array_equal(cb.solve(PARTICLE, "contact-bm6", **options).y, whole)
+
+
+# -- what cannot be recorded -----------------------------------------------------------------------
+def registered(step):
+    cb.fixed_step("of-mine", order=1)(step)
+    return cb.METHODS["of-mine"]
+
+
+@pytest.fixture
+def branching():
+    def step(scene, x, h, xp):
+        return cb.shifted(x, h if x.q[0] > 0 else h * 1.0, scene.rhs(x))
+
+    yield registered(step)
+    del cb.METHODS["of-mine"]
+
+
+def test_a_step_map_that_branches_on_values_is_unsupported_and_says_why(branching):
+    for engine in ("numba", "jax"):
+        solution = cb.solve(PARTICLE, "of-mine", step=0.1, engine=engine)
+        assert solution.status is Status.unsupported
+        assert "of-mine on 'particle' cannot be compiled: " in solution.message
+    assert "`if`" in cb.solve(PARTICLE, "of-mine", step=0.1, engine="numba").message
+    solution = cb.solve(PARTICLE, "of-mine", step=0.1)  # the engine that can is chosen
+    assert (solution.status, solution.engine) == (Status.ok, "python")
+
+
+@pytest.mark.parametrize(
+    ("step", "why"),
+    [
+        (lambda x: math.sin(x), r"a function of `math`"),
+        (lambda x: [1, 2, 3][x], r"an index"),
+        (lambda x: max(x, 0.0), r"`min` or `max`"),
+        (lambda x: np.array([x]) * 2, r"array"),
+        (lambda x: x + "text", r"'text'"),
+    ],
+)
+def test_what_cannot_be_recorded_says_so(step, why):
+    with pytest.raises(CannotRecord, match=why):
+        record(lambda numbers, h, n, y, xp, repeat: [step(y[0])], 1, 1, 1, 1e6)
+
+
+# -- the cache -------------------------------------------------------------------------------------
+SECOND = """
+import contactbench as cb, sys
+assert "numba" not in sys.modules
+run = cb.prepare("central", "contact-bm4", step=0.1)
+print(sum(run.run.stats.cache_hits.values()), run().y[-1].tolist())
+"""
+
+
+def test_a_second_process_compiles_nothing(tmp_path):
+    environment = {"CONTACTBENCH_CACHE": str(tmp_path), "PYTHONPATH": str(REPOSITORY / "src")}
+    import os
+
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", SECOND], env=os.environ | environment, capture_output=True, text=True, check=True
+        ).stdout.split(" ", 1)
+        for _ in range(2)
+    ]
+    assert [hits for hits, _ in said] == ["0", "1"]
+    assert said[0][1] == said[1][1]
+    assert len(list(tmp_path.glob("programs/*.py"))) == 1
+
+
+def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
+    (tmp_path / "file").write_text("")
+    environment = {"CONTACTBENCH_CACHE": str(tmp_path / "file"), "PYTHONPATH": str(REPOSITORY / "src")}
+    import os
+
+    done = subprocess.run(
+        [sys.executable, "-c", SECOND], env=os.environ | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
