@@ -267,6 +267,7 @@ def counted_scene(calls):
 
     def counting(q, **parameters):
         calls[0] += 1
+        assert q[0] < math.inf  # asks for the value: it cannot be recorded and is called every time
         return gradient(q, **parameters)
 
     return PARTICLE._replaced(gradient=counting)

@@ -66,7 +66,6 @@ def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
 def source(scene: Scene, carry: tuple[str, ...]) -> str:
     """Python source of `constants(numbers)`, `rhs(dy, t, y, data)` and, where it exists, `jacobian`."""
     tape = Tape()
-    tape.root.depth = 1
     numbers = [tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(len(scene.numbers()))]
     twin = scene.with_numbers(numbers)
 
@@ -98,14 +97,10 @@ def _body(
     tape: Tape, scene: Scene, carry: tuple[str, ...], out: str, function: Callable[[Any], list[Any]]
 ) -> list[str]:
     """The lines of a function of the state, less what depends on the scene's numbers alone."""
-    block = Block(tape.root)
-    tape.block = block
+    block = tape.block = Block(tape.root, indent=1)
     y = [tape.assign(f"y[{i}]", "f", block) for i in range(len(scene.labels(carry)))]
     values = recorded(lambda: function(scene.unpack(y, carry)))
-    indent = "    " * (block.depth - tape.root.depth)
-    return [line.removeprefix(indent) for line in block.lines] + [
-        f"    {out}[{i}] = {text_of(v)}" for i, v in enumerate(values)
-    ]
+    return block.lines + [f"    {out}[{i}] = {text_of(v)}" for i, v in enumerate(values)]
 
 
 def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:

@@ -26,7 +26,10 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tup
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
     variables = variables if isinstance(variables, list) else [variables]
     slopes = scene.pack(scene.rhs(scene.unpack(variables, carry)))
-    return [(v, heyoka.expression(s) if isinstance(s, float) else s) for v, s in zip(variables, slopes, strict=True)]
+    return [
+        (v, heyoka.expression(s) if isinstance(s, float) else s)
+        for v, s in zip(variables, slopes, strict=True)
+    ]
 
 
 def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:

@@ -27,9 +27,17 @@ class ScipyRun(Prepared):
         super().__post_init__()
         r = self.request
         rhs = flat_rhs(r.scene, r.carry)
-        self.f = lambda t, y: list(rhs(y.tolist()))
+        self.f = lambda t, y: rhs(y.tolist())
         jacobian = flat_jacobian(r.scene, r.carry) if self.stiff else None
         self.jac = None if jacobian is None else (lambda t, y: np.array(jacobian(y.tolist())))
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        r = self.request
+        options: dict[str, Any] = {} if self.jac is None else {"jac": self.jac}
+        solver = self.solver(self.f, 0.0, y0, float(r.save_at[-1]), rtol=r.rtol, atol=r.atol, **options)
+        while solver.status == "running":
+            solver.step()
+        return solver.y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

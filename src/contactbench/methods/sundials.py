@@ -41,13 +41,18 @@ class CvodeRun(Prepared):
         rhs, jacobian = flat_rhs(r.scene, r.carry), flat_jacobian(r.scene, r.carry)
 
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
-            yp[:] = list(rhs(y.tolist()))
+            yp[:] = rhs(y.tolist())
 
         def jac(t: float, y: np.ndarray, yp: np.ndarray, J: np.ndarray) -> None:
             assert jacobian is not None
             J[:, :] = jacobian(y.tolist())
 
         self.f, self.jac = f, None if jacobian is None else jac
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        solver, end = self._solver(self.f), float(self.request.save_at[-1])
+        solver.init_step(0.0, y0)
+        return solver.step(end, tstop=end).y
 
     def _solver(self, f: Any) -> Any:
         from sksundae.cvode import CVODE
