@@ -11,7 +11,10 @@ import contactbench as cb
 from cases import TILTED, USER
 
 SCENES = ("particle", "rigid_body")
-VARIATIONAL = ("scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "heyoka-taylor")
+VARIATIONAL = (
+    "scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853", "cyrk-vern8", "cyrk-tsit5",
+    "cyrk-lsoda", "cyrk-radau", "heyoka-taylor",
+)  # fmt: skip
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
 #: contact drift over rtol, at most: what a tolerance per step grows to over the run (T = 20; the
 #: worst seen is 370, cvode-bdf at 1e-10), with a factor 10 in hand
