@@ -307,13 +307,14 @@ def test_ten_thousand_calls_take_no_memory(method, engine):
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="needs /proc")
 @peers
 def test_a_prepared_run_gives_its_memory_back(method, engine):
-    for n in (100, 1000):
+    """A vector of CVODE's, the smallest thing it makes, would be 200 bytes every time; measured: none."""
+    for n in (200, 2000):
         gc.collect()
         before = resident()
         for _ in range(n):
             cb.prepare(PARTICLE, method, rtol=1e-4, save_at=[0.1], engine=engine)()
         gc.collect()
-    assert resident() - before < 2**20
+    assert resident() - before < 2**17
 
 
 @peers
