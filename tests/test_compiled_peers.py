@@ -115,7 +115,7 @@ def test_cyrk_is_as_accurate_as_scipy(cyrk, scipy, rtol, scene):
     assert 0.5 < errors[0] / errors[1] < 2
     assert ours.counts.steps == theirs.counts.steps
     if cyrk == "cyrk-dop853":
-        assert ours.counts.evaluations == theirs.counts.evaluations
+        assert ours.counts == theirs.counts
 
 
 @peers
@@ -189,6 +189,18 @@ def test_rejected_steps_are_found_where_there_must_be_some(method, engine):
             assert 0 < rejected < run().counts.steps
 
 
+@by_name([PARTICLE, cb.SCENES["kepler_drag"].with_(t_end=10.0)])
+def test_scipy_evaluations_are_those_of_its_attempts_and_interpolants(scene):
+    """The rejected steps do not depend on what is saved, and the division leaves no rest."""
+    found = set()
+    for times in ([scene.t_end], np.linspace(0, scene.t_end, 40), np.linspace(0, scene.t_end, 400)):
+        counts = cb.solve(scene, "scipy-dop853", rtol=1e-6, save_at=times).counts
+        found.add((counts.steps, counts.rejected))
+        if len(times) == 1:
+            assert counts.evaluations - 2 == 12 * (counts.steps + counts.rejected)
+    assert len(found) == 1
+
+
 def test_callback_cvode_counts_no_interpolation_as_a_step():
     """After an interpolation CVODE returns to where it was without a step."""
     few, many = (
@@ -242,6 +254,7 @@ def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
     if method in CVODE:
         assert "c+python" in solution.message
         assert cb.solve(scene, method, rtol=1e-6, engine="c+python").ok
+        assert cb.solve(scene, method, rtol=1e-6).engine == "c+python"  # what can run it is the default
 
 
 @pytest.fixture
