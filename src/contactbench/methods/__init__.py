@@ -1,5 +1,7 @@
 """The methods.  Each module registers its own; to add one, write a module and import it here."""
 
+# ruff: noqa: F401, I001 (imported to be registered, in table order)
+
 from contactbench.methods import (
     contact,
     contact_adaptive,
@@ -10,7 +12,7 @@ from contactbench.methods import (
     cyrk,
     diffrax,
     heyoka,
-)  # noqa: F401, I001 (table order)
+)
 from contactbench.methods.base import METHODS, prepare, solve
 from contactbench.methods.fixed_step import fixed_step
 
