@@ -81,9 +81,7 @@ def heyoka(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) ->
     from contactbench.methods.heyoka import taylor_system
 
     width = heyoka.recommended_simd_size()
-    numbers = np.repeat(np.array(scene.numbers())[:, None], width, axis=1)
-    system = taylor_system(scene, (), heyoka)
-    ta = heyoka.taylor_adaptive_batch(system, np.zeros((len(y0), width)), pars=numbers, tol=value)
+    ta = heyoka.taylor_adaptive_batch(taylor_system(scene, (), heyoka), np.zeros((len(y0), width)), tol=value)
     filled = np.pad(y0, ((0, 0), (0, -y0.shape[1] % width)), mode="edge")
     most = [0]
 

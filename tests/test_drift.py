@@ -21,7 +21,10 @@ from contactbench.solution import SAFETY, Counts, Status
 
 SCENES = ("particle", "rigid_body")
 CENTRAL = cb.SCENES["central"]
-VARIATIONAL = ("scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "heyoka-taylor")
+VARIATIONAL = (
+    "scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853", "cyrk-vern8", "cyrk-tsit5",
+    "cyrk-lsoda", "cyrk-radau", "heyoka-taylor",
+)  # fmt: skip
 DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
 FIXED = [name for name, method in cb.METHODS.items() if not method.adaptive]

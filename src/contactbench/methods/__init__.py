@@ -1,6 +1,18 @@
 """The methods.  Each module registers its own; to add one, write a module and import it here."""
 
-from contactbench.methods import contact, contact_adaptive, rk4, herglotz, scipy, sundials, diffrax, heyoka  # noqa: F401, I001 (table order)
+# ruff: noqa: F401, I001 (imported to be registered, in table order)
+
+from contactbench.methods import (
+    contact,
+    contact_adaptive,
+    rk4,
+    herglotz,
+    scipy,
+    sundials,
+    cyrk,
+    diffrax,
+    heyoka,
+)
 from contactbench.methods.base import METHODS, prepare, solve
 from contactbench.methods.fixed_step import fixed_step
 

@@ -59,9 +59,10 @@ class DiffraxRun(CompiledRun):
         r = self.request
         scene = r.scene.with_numbers(list(numbers))
 
-        # Measured: tuples of scalars run faster through the explicit stages, one array through the
-        # linear algebra of the implicit ones (and compiles in half the time).
-        as_array = self.method_.stiff
+        # Measured: one array through the linear algebra of the implicit methods (and it compiles in half the
+        # time), and through explicit stages where there are more than three components, 1.1 to 1.4 times as
+        # fast; a tuple of scalars for two components, 1.1 times as fast; equal for three.
+        as_array = self.method_.stiff or len(self._own_start) > 3
 
         def field(t: Any, x: Any, args: Any) -> Any:
             if counted:
@@ -99,6 +100,9 @@ class DiffraxRun(CompiledRun):
             end = packed(solution.ys)
             return end, info, end[0]
         return packed(solution.ys[1]), info, packed(solution.ys[0])[0]
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return np.asarray(self.program(self.placed(y0), self.fixed))[-len(y0) :]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

@@ -1,13 +1,15 @@
 """heyoka's adaptive Taylor method, compiled by LLVM: the strongest non-stiff peer that pip installs.
 
 Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
-Parameters are runtime parameters; the Taylor order follows from the tolerance, so every tolerance
-is a program of its own.
+The scene's numbers are written into the program as constants: measured, 6 to 22 % faster than heyoka's
+runtime parameters on every standard scene.  The Taylor order follows from the tolerance.  So every
+tolerance and every set of numbers is a program of its own.
 """
 
 from __future__ import annotations
 
 import importlib.util
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,12 +22,14 @@ from contactbench.solution import Counts, Status
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
-    """The scene's equations as heyoka expressions, its numbers as runtime parameters par[i]."""
+    """The scene's equations as heyoka expressions, its numbers as constants."""
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
     variables = variables if isinstance(variables, list) else [variables]
-    symbolic = scene.with_numbers([heyoka.par[i] for i in range(len(scene.numbers()))])
-    slopes = scene.pack(symbolic.rhs(scene.unpack(variables, carry)))
-    return list(zip(variables, slopes, strict=True))
+    slopes = scene.pack(scene.rhs(scene.unpack(variables, carry)))
+    return [
+        (v, heyoka.expression(s) if isinstance(s, float) else s)
+        for v, s in zip(variables, slopes, strict=True)
+    ]
 
 
 def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
@@ -40,7 +44,7 @@ def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
 UNROLLED = 20
 
-#: one integrator per structure and tolerance: state, time and parameters are set at every call
+#: one program per structure, numbers and tolerance; a run has a copy of its own, with a state of its own
 _integrators: dict[Any, tuple[Any, float]] = {}
 
 
@@ -53,23 +57,30 @@ class TaylorRun(Prepared):
 
         super().__post_init__()
         r = self.request
-        key = (r.scene.structure, r.carry, r.rtol)
+        key = (r.scene.structure, tuple(r.scene.numbers()), r.carry, r.rtol)
         if key not in _integrators:
             elapsed = stopwatch()
             integrator = heyoka.taylor_adaptive(
-                taylor_system(r.scene, r.carry, heyoka), self._own_start, pars=r.scene.numbers(), tol=r.rtol,
+                taylor_system(r.scene, r.carry, heyoka), self._own_start, tol=r.rtol,
                 compact_mode=len(self._own_start) > UNROLLED,
             )  # fmt: skip
             _integrators[key] = integrator, elapsed()
-        self.integrator, self.compile_s = _integrators[key]
-        self.numbers = np.array(r.scene.numbers())
+        program, self.compile_s = _integrators[key]
+        self.integrator = copy(program)
         self.outcomes = heyoka.taylor_outcome
+        self.end = float(r.save_at[-1])
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        ta = self.integrator
+        ta.time = 0.0
+        ta.state[:] = y0
+        ta.propagate_until(self.end, max_steps=self.request.max_steps)
+        return ta.state.copy()
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, ta = self.request, self.integrator
         ta.time = 0.0
         ta.state[:] = y0
-        ta.pars[:] = self.numbers
         if len(r.save_at) == 1:
             outcome, _, _, steps, *_ = ta.propagate_until(float(r.save_at[0]), max_steps=r.max_steps)
             y = ta.state.copy()[None]

@@ -15,11 +15,16 @@ from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
 from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
 
+#: evaluations DOP853 adds for the interpolant of a step
+INTERPOLANT = 3
+
 
 @dataclass
 class ScipyRun(Prepared):
     solver: Any
     stiff: bool
+    #: evaluations of an attempted step; None where that varies
+    stages: int | None
 
     sensitivity_source = SOURCE
 
@@ -27,9 +32,17 @@ class ScipyRun(Prepared):
         super().__post_init__()
         r = self.request
         rhs = flat_rhs(r.scene, r.carry)
-        self.f = lambda t, y: list(rhs(y.tolist()))
+        self.f = lambda t, y: rhs(y.tolist())
         jacobian = flat_jacobian(r.scene, r.carry) if self.stiff else None
         self.jac = None if jacobian is None else (lambda t, y: np.array(jacobian(y.tolist())))
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        r = self.request
+        options: dict[str, Any] = {} if self.jac is None else {"jac": self.jac}
+        solver = self.solver(self.f, 0.0, y0, float(r.save_at[-1]), rtol=r.rtol, atol=r.atol, **options)
+        while solver.status == "running":
+            solver.step()
+        return solver.y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
@@ -45,7 +58,7 @@ class ScipyRun(Prepared):
 
         times = r.save_at
         rows = [y0] if times[0] == 0 else []
-        solver, steps, status, message = None, 0, Status.ok, ""
+        solver, steps, interpolated, status, message = None, 0, 0, Status.ok, ""
         try:
             solver = self.solver(f, 0.0, y0, float(times[-1]), **options)
             while len(rows) < len(times):
@@ -59,6 +72,7 @@ class ScipyRun(Prepared):
                     break
                 due = int(np.searchsorted(times, solver.t, side="right"))
                 if due > len(rows):
+                    interpolated += int(times[len(rows)] < solver.t)
                     rows.extend(self._dense(solver, times[len(rows) : due]))
         except (OverflowError, ZeroDivisionError, ValueError, np.linalg.LinAlgError) as error:
             reached = 0.0 if solver is None else solver.t
@@ -66,12 +80,20 @@ class ScipyRun(Prepared):
         if solver is None:  # the right-hand side failed at the initial state
             return self.finished(y0, np.empty((0, len(y0))), Counts(0, calls[0], 0, None), status, message)
         evaluations = calls[0] or solver.nfev
-        counts = Counts(steps, evaluations, solver.njev, None)
+        counts = Counts(steps, evaluations, solver.njev, self._rejected(steps, evaluations, interpolated))
         stopped = (float(solver.t), np.array(solver.y))
         return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message, stopped)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return integrated(ScipyRun(self.method, variational(self.request), self.solver, self.stiff), y0)
+        return integrated(
+            ScipyRun(self.method, variational(self.request), self.solver, self.stiff, self.stages), y0
+        )
+
+    def _rejected(self, steps: int, evaluations: int, interpolated: int) -> int | None:
+        """Attempts less steps, from the evaluations: two before the first step, then so many an attempt."""
+        if self.stages is None:
+            return None
+        return (evaluations - 2 - INTERPOLANT * interpolated) // self.stages - steps
 
     @staticmethod
     def _dense(solver: Any, times: np.ndarray) -> list[np.ndarray]:
@@ -87,6 +109,7 @@ class ScipyMethod(Adaptive):
     solver: str
     order: int
     stiff: bool = False
+    stages: int | None = None
     about: str = ""
     engines: tuple[str, ...] = ("python",)
     rtol_range: tuple[float, float] = (1e-13, 1e-1)  # SciPy clamps anything below 100 ε
@@ -94,8 +117,10 @@ class ScipyMethod(Adaptive):
     def prepare(self, request: Request) -> Prepared:
         import scipy.integrate
 
-        return ScipyRun(self.name, request, getattr(scipy.integrate, self.solver), self.stiff)
+        return ScipyRun(self.name, request, getattr(scipy.integrate, self.solver), self.stiff, self.stages)
 
 
-METHODS.add(ScipyMethod("scipy-dop853", "DOP853", 8, about="explicit Runge–Kutta 8(5,3), Python callbacks"))
-METHODS.add(ScipyMethod("scipy-radau", "Radau", 5, True, about="implicit Radau IIA, analytic Jacobian"))
+METHODS.add(
+    ScipyMethod("scipy-dop853", "DOP853", 8, stages=12, about="explicit Runge–Kutta 8(5,3), Python callbacks")
+)
+METHODS.add(ScipyMethod("scipy-radau", "Radau", 5, stiff=True, about="implicit Radau IIA, analytic Jacobian"))

@@ -1,6 +1,8 @@
-"""SUNDIALS CVODE through scikit-sundae: variable-order Adams (non-stiff) and BDF (stiff).
+"""SUNDIALS CVODE: variable-order Adams (non-stiff) and BDF (stiff).
 
 Hindmarsh et al., ACM Trans. Math. Softw. 31, 363 (2005), doi:10.1145/1089014.1089020.
+Engine "c": the C library that scikit-sundae's wheel ships, with the scene as C functions
+(cvode_library.py, c_functions.py).  Engine "c+python": scikit-sundae as it is, calling back into Python.
 CVODE stops after 500 steps by default and says so only in its result: the budget is set from
 `max_steps` and the result's status is read.
 """
@@ -12,14 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
+from contactbench.methods.c_functions import c_functions, derivative
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
-from contactbench.methods.variational import SOURCE, integrated
+from contactbench.methods.cvode_library import ADAMS, BDF, Library, Solver, library
+from contactbench.methods.variational import SOURCE, integrated, variational_request
+from contactbench.numbers.recording import CannotRecord
 from contactbench.solution import Counts, Status
 
 TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
 #: a step this small against the span hardly moves the clock: the solver is at a singularity
 SHORTEST = 1e-15
+#: how many numbers about a run the compiled calls return before the state (cvode_driver.FACTS)
+KNOWN = 7
 
 
 @dataclass
@@ -34,13 +41,18 @@ class CvodeRun(Prepared):
         rhs, jacobian = flat_rhs(r.scene, r.carry), flat_jacobian(r.scene, r.carry)
 
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
-            yp[:] = list(rhs(y.tolist()))
+            yp[:] = rhs(y.tolist())
 
         def jac(t: float, y: np.ndarray, yp: np.ndarray, J: np.ndarray) -> None:
             assert jacobian is not None
             J[:, :] = jacobian(y.tolist())
 
         self.f, self.jac = f, None if jacobian is None else jac
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        solver, end = self._solver(self.f), float(self.request.save_at[-1])
+        solver.init_step(0.0, y0)
+        return solver.step(end, tstop=end).y
 
     def _solver(self, f: Any) -> Any:
         from sksundae.cvode import CVODE
@@ -88,13 +100,14 @@ class CvodeRun(Prepared):
     def _step_by_step(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
         """One internal step at a time, so that steps are counted; saved times are interpolated."""
         times, budget = self.request.save_at, self.request.max_steps
-        rows, steps, end = ([y0] if times[0] == 0 else []), 0, float(times[-1])
+        rows, steps, reached, end = ([y0] if times[0] == 0 else []), 0, 0.0, float(times[-1])
         result = solver.init_step(0.0, y0)
         while len(rows) < len(times) and steps < budget:
             result = solver.step(end, method="onestep", tstop=end)
             if not result.success:
                 break
-            steps += 1
+            # after an interpolation CVODE first returns to where it was, without a step
+            steps += float(result.t) > reached
             reached = float(result.t)
             while len(rows) < len(times) and times[len(rows)] <= reached:
                 at = float(times[len(rows)])
@@ -112,6 +125,79 @@ class CvodeRun(Prepared):
         return counts
 
 
+@dataclass
+class CompiledCvodeRun(Prepared):
+    """The C library, its memory made once for all calls."""
+
+    kind: str
+
+    sensitivity_source = SOURCE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from contactbench.methods import cvode_driver
+
+        r = self.request
+        assert r.rtol is not None
+        assert r.atol is not None
+        functions = c_functions(r.scene, r.carry)
+        self.compile_s = functions.compile_s
+        self.data = functions.data(r.scene.numbers())
+        self.size, self.end = len(self._own_start), float(r.save_at[-1])
+        self.solver = Solver(
+            {"Adams": ADAMS, "BDF": BDF}[self.kind], functions, self.data, self.size, r.rtol, r.atol, self.end,
+            SHORTEST * self.end,
+        )  # fmt: skip
+        self.to_end, self.at_times = cvode_driver.to_end, cvode_driver.at_times
+        self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
+
+    def _bare(self, y0: np.ndarray) -> np.ndarray:
+        s = self.solver
+        return self.to_end(s.memory, s.vector, s.y, y0, self.data, self.end, self.request.max_steps)
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        """The solver's own call: a packed state in, the packed state at the end out."""
+        return self._bare(y0)[KNOWN:]
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, s, later = self.request, self.solver, self.later
+        if len(later) == 1:
+            told = self._bare(y0)
+            rows = told[None, KNOWN:]
+        else:
+            rows = np.empty((len(later), self.size))
+            told = self.at_times(s.memory, s.vector, s.y, y0, self.data, later, r.max_steps, rows)
+        flag, reached, saved, steps, evaluations, jacobians, rejected = told[:KNOWN].tolist()
+        if saved < len(later):
+            rows = rows[: int(saved)]
+        if len(later) < len(r.save_at):
+            rows = np.concatenate([y0[None], rows])
+        counts = Counts(int(steps), int(evaluations), int(jacobians), int(rejected))
+        if flag >= 0:
+            return self.finished(y0, rows, counts)
+        exhausted = flag == TOO_MUCH_WORK
+        status = Status.budget if exhausted else Status.failed
+        message = f"max_steps = {r.max_steps} spent" if exhausted else _meaning(int(flag))
+        return self.finished(
+            y0, rows, counts, status, f"{message} (t = {reached:.6g})", (reached, told[KNOWN:])
+        )
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        carry = self.request.carry
+        larger = variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
+        try:
+            run: Prepared = CompiledCvodeRun(self.method, larger, self.kind)
+        except CannotRecord:  # no derivative on dual numbers: JAX has one
+            run = CvodeRun(self.method, variational(self.request), self.kind)
+        return integrated(run, y0)
+
+
+def _meaning(flag: int) -> str:
+    from sksundae._cy_cvode import CVMESSAGES
+
+    return str(CVMESSAGES.get(flag, f"CVODE returned {flag}"))
+
+
 @dataclass(frozen=True)
 class CvodeMethod(Adaptive):
     name: str
@@ -119,11 +205,19 @@ class CvodeMethod(Adaptive):
     about: str
     stiff: bool = False
     order: int | None = None
-    engines: tuple[str, ...] = ("c+python",)
+    engines: tuple[str, ...] = ("c", "c+python")
     rtol_range: tuple[float, float] = (1e-14, 1e-1)
 
     def prepare(self, request: Request) -> Prepared:
-        return CvodeRun(self.name, request, self.kind)
+        if request.engine == "c+python":
+            return CvodeRun(self.name, request, self.kind)
+        found = library()
+        if not isinstance(found, Library):
+            return Refused(self.name, request, f"{found}; engine 'c+python' does without")
+        try:
+            return CompiledCvodeRun(self.name, request, self.kind)
+        except CannotRecord as why:
+            return Refused(self.name, request, f"{why}; engine 'c+python' calls the scene as it is")
 
 
 METHODS.add(

@@ -87,14 +87,16 @@ class Variational(Scene):
         )
         return Bundle(self.base.rhs(z.x), tuple(pushed))
 
-    def jacobian(self, z: Bundle) -> np.ndarray:
+    def jacobian(self, z: Bundle) -> list[list[Any]]:
         """diag(Df, …, Df), for the implicit solvers.
 
         What is left out, the coupling D²f(y) v_j of the tangents to the state, is strictly block
         triangular: Newton's iteration converges all the same, the tangents one iteration after the
         state, and the convergence test of the solver sees both.
         """
-        return np.kron(np.eye(1 + self.count), np.array(self.derivative(self.base, z.x), dtype=float))
+        rows, copies = self.derivative(self.base, z.x), 1 + self.count
+        zeros = [0.0] * len(rows)
+        return [[*zeros * j, *row, *zeros * (copies - 1 - j)] for j in range(copies) for row in rows]
 
 
 def numerical_derivative(scene: Scene, carry: tuple[str, ...]) -> Derivative:

@@ -1,0 +1,128 @@
+"""A scene's right-hand side and Jacobian as C functions, for solvers written in C and C++.
+
+    void rhs     (double *dy, double t, const double *y, double *data)
+    void jacobian(double *J,  double t, const double *y, double *data)     J column by column, as LAPACK has it
+
+data = (calls of rhs, calls of jacobian, constants…): the functions count their own calls.  The constants are
+what the scene's numbers give before a state is known (1/m, γ/2, …), computed once; so one compiled function
+serves every scene of the same structure.  The source is recorded from the scene (numbers/recording.py) and
+compiled by numba.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.base import stopwatch
+from contactbench.methods.llvm import imported
+from contactbench.numbers.dual import Dual, slope
+from contactbench.numbers.recording import PREAMBLE, Block, CannotRecord, Tape, recorded, text_of
+from contactbench.scene import Scene
+
+#: places in data: the two counters, then the constants
+RHS_CALLS, JACOBIAN_CALLS, CONSTANTS = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class CFunctions:
+    """Addresses of the two functions (jacobian 0 where it cannot be had), and how to make their data."""
+
+    rhs: int
+    jacobian: int
+    constants: Callable[[Sequence[float]], list[float]]
+    #: seconds spent recording and compiling
+    compile_s: float
+    #: the module of the machine code, kept alive
+    module: Any
+
+    def data(self, numbers: Sequence[float]) -> np.ndarray:
+        """The argument `data` for a scene's numbers."""
+        return np.array([0.0] * CONSTANTS + self.constants(numbers))
+
+
+_compiled: dict[Any, CFunctions] = {}
+
+
+def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
+    """The C functions of a scene, compiled once for its structure and the fields carried.
+
+    Raises `CannotRecord` where the right-hand side branches on values.
+    """
+    key = (scene.structure, carry)
+    if key not in _compiled:
+        elapsed = stopwatch()
+        m = imported(HEADER + source(scene, carry))
+        jacobian = m.jacobian.address if hasattr(m, "jacobian") else 0
+        _compiled[key] = CFunctions(m.rhs.address, jacobian, m.constants, elapsed(), m)
+    return _compiled[key]
+
+
+def source(scene: Scene, carry: tuple[str, ...]) -> str:
+    """Python source of `constants(numbers)`, `rhs(dy, t, y, data)` and, where it exists, `jacobian`."""
+    tape = Tape()
+    numbers = [tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(len(scene.numbers()))]
+    twin = scene.with_numbers(numbers)
+
+    def slopes(x: Any) -> list[Any]:
+        return scene.pack(twin.rhs(x))
+
+    def columns(x: Any) -> list[Any]:
+        return [entry for column in zip(*derivative(twin, x, carry), strict=True) for entry in column]
+
+    bodies = {"rhs": _body(tape, scene, carry, "dy", slopes)}
+    with suppress(CannotRecord):  # a function that dual numbers do not know: the solver takes differences
+        bodies["jacobian"] = _body(tape, scene, carry, "J", columns)
+    known = set(tape.root.known.values())
+    named = NAMES.findall("\n".join(line for body in bodies.values() for line in body))
+    used = [name for name in dict.fromkeys(named) if name in known]
+    places = [f"    {name} = data[{i}]" for i, name in enumerate(used, CONSTANTS)]
+    text = ["def constants(numbers):", *tape.root.lines, f"    return [{', '.join(used)}]"]
+    heads = ("def rhs(dy, t, y, data):", "def jacobian(J, t, y, data):")
+    for calls, (head, body) in enumerate(zip(heads, bodies.values(), strict=False)):
+        text += ["", "@compiled", head, f"    data[{calls}] += 1.0", *places, *body]
+    return "\n".join(text) + "\n"
+
+
+#: what a tape calls its values
+NAMES = re.compile(r"\b[fib]\d+\b")
+
+
+def _body(
+    tape: Tape, scene: Scene, carry: tuple[str, ...], out: str, function: Callable[[Any], list[Any]]
+) -> list[str]:
+    """The lines of a function of the state, less what depends on the scene's numbers alone."""
+    block = tape.block = Block(tape.root, indent=1)
+    y = [tape.assign(f"y[{i}]", "f", block) for i in range(len(scene.labels(carry)))]
+    values = recorded(lambda: function(scene.unpack(y, carry)))
+    return block.lines + [f"    {out}[{i}] = {text_of(v)}" for i, v in enumerate(values)]
+
+
+def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
+    """Df at x: the scene's own Jacobian, or its right-hand side on dual numbers."""
+    with suppress(NotImplementedError):
+        rows = scene.jacobian(x)
+        if rows is not None:
+            return rows
+    y = scene.pack(x)
+    columns = []
+    for j in range(len(y)):
+        moved = [Dual(c, 1.0 if i == j else 0.0) for i, c in enumerate(y)]
+        columns.append([slope(c) for c in scene.pack(scene.rhs(scene.unpack(moved, carry)))])
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+#: contract: a product and a sum become one operation where the processor has it; nothing is reordered
+HEADER = f"""from numba import cfunc, types
+
+{PREAMBLE}
+pointer = types.CPointer(types.float64)
+signature = types.void(pointer, types.float64, pointer, pointer)
+compiled = cfunc(signature, error_model="numpy", fastmath={{"contract"}}, cache=True)
+
+"""

@@ -1,0 +1,145 @@
+"""Compiled code between CVODE's C library and a scene's C functions.  Importing it loads both numba and the library.
+
+`to_end` is the bare call: a state in, the state at the end out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from contactbench.methods.c_functions import JACOBIAN_CALLS, RHS_CALLS
+from contactbench.methods.cvode_library import NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
+
+_found = library()
+assert isinstance(_found, Library), _found
+_library: Library = _found
+
+pointer, integer, real = types.intp, types.int32, types.float64
+
+
+def _function(name: str, result: Any, *arguments: Any) -> Any:
+    """A function of the library that compiled code can call."""
+    llvmlite.binding.add_symbol(name, _library.address(name))
+    return types.ExternalFunction(name, result(*arguments))
+
+
+array_of = _function("N_VGetArrayPointer", pointer, pointer)
+entries_of = _function("SUNDenseMatrix_Data", pointer, pointer)
+reinitialise = _function("CVodeReInit", integer, pointer, real, pointer)
+set_stop_time = _function("CVodeSetStopTime", integer, pointer, real)
+set_max_steps = _function("CVodeSetMaxNumSteps", integer, pointer, types.long_)
+advance = _function("CVode", integer, pointer, real, pointer, pointer, integer)
+interpolate = _function("CVodeGetDky", integer, pointer, real, integer, pointer)
+steps_of = _function("CVodeGetNumSteps", integer, pointer, pointer)
+error_failures_of = _function("CVodeGetNumErrTestFails", integer, pointer, pointer)
+newton_failures_of = _function("CVodeGetNumStepSolveFails", integer, pointer, pointer)
+
+
+@intrinsic
+def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> Any:
+    """``function(out, t, y, data)`` of a C function known by its address, all pointers as integers."""
+    signature = types.void(pointer, pointer, real, pointer, pointer)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        function, out, t, y, data = arguments
+        place = ir.PointerType(ir.DoubleType())
+        kind = ir.FunctionType(ir.VoidType(), [place, ir.DoubleType(), place, place])
+        target = builder.inttoptr(function, ir.PointerType(kind))
+        out, y, data = (builder.inttoptr(p, place) for p in (out, y, data))
+        builder.call(target, [out, t, y, data])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+call: Any = _call  # compiled code calls it without the typing context
+
+_user = types.CPointer(types.intp)
+
+
+@numba.cfunc(integer(real, pointer, pointer, _user), cache=True)
+def _rhs(t, y, dy, user):  # type: ignore[no-untyped-def]
+    call(user[0], array_of(dy), t, array_of(y), user[2])
+    return np.int32(0)
+
+
+@numba.cfunc(integer(real, pointer, pointer, pointer, _user, pointer, pointer, pointer), cache=True)
+def _jacobian(t, y, dy, J, user, work1, work2, work3):  # type: ignore[no-untyped-def]
+    call(user[1], entries_of(J), t, array_of(y), user[2])
+    return np.int32(0)
+
+
+#: what CVodeInit and CVodeSetJacFn are given
+RHS, JACOBIAN = _rhs.address, _jacobian.address
+
+
+#: what both return, followed by the state reached
+FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
+
+
+@numba.njit(cache=True)
+def restart(memory, vector, y, start, data, end):  # type: ignore[no-untyped-def]
+    """Back to t = 0 and a state; the calls counted from zero."""
+    y[:] = start
+    data[RHS_CALLS] = data[JACOBIAN_CALLS] = 0.0
+    reinitialise(memory, 0.0, vector)
+    set_stop_time(memory, end)
+
+
+@numba.njit(cache=True)
+def told(memory, y, data, flag, reached, saved):  # type: ignore[no-untyped-def]
+    """How a run ended and what it took, in the order of `FACTS`, and the state reached."""
+    facts = np.empty(7 + len(y))
+    count = np.zeros(3, np.int64)
+    place = count.ctypes.data
+    steps_of(memory, place)
+    error_failures_of(memory, place + 8)
+    newton_failures_of(memory, place + 16)
+    facts[0], facts[1], facts[2], facts[3] = flag, reached, saved, count[0]
+    facts[4], facts[5], facts[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
+    facts[7:] = y
+    return facts
+
+
+@numba.njit(cache=True)
+def to_end(memory, vector, y, start, data, end, max_steps):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state at the end, in one vector: a call returns one array sooner than two."""
+    restart(memory, vector, y, start, data, end)
+    set_max_steps(memory, max_steps)
+    reached = np.zeros(1)
+    flag = advance(memory, end, vector, reached.ctypes.data, NORMAL)
+    return told(memory, y, data, flag, reached[0], flag >= 0)
+
+
+@numba.njit(cache=True)
+def at_times(memory, vector, y, start, data, times, max_steps, out):  # type: ignore[no-untyped-def]
+    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
+
+    One internal step at a time, so that the steps are those of `to_end`: in CVODE's other mode the first
+    step depends on the first time asked for.
+    """
+    end = times[-1]
+    restart(memory, vector, y, start, data, end)
+    saved, flag, now = 0, np.int32(TOO_MUCH_WORK), np.zeros(1)
+    for _ in range(max_steps):
+        flag = advance(memory, end, vector, now.ctypes.data, ONE_STEP)
+        if flag < 0:
+            break
+        there = y.copy()
+        while saved < len(times) and times[saved] <= now[0]:
+            if times[saved] < now[0]:
+                interpolate(memory, times[saved], 0, vector)
+            out[saved] = y
+            y[:] = there
+            saved += 1
+        if saved == len(times):
+            break
+        flag = np.int32(TOO_MUCH_WORK)
+    return told(memory, y, data, flag, now[0], saved)

@@ -1,0 +1,145 @@
+"""CyRK's solvers, C++ throughout: DOP853, Verner 8(7), Tsitouras 5(4), Radau IIA, LSODA.
+
+Renaud, https://github.com/jrenaud90/CyRK, doi:10.5281/zenodo.7093266.  Methods: Hairer, Nørsett, Wanner, Solving
+ODEs I, §II.5 (DOP853) and II, §IV.8 (Radau); Verner, Numer. Algorithms 53, 383 (2010),
+doi:10.1007/s11075-009-9290-3; Tsitouras, Comput. Math. Appl. 62, 770 (2011), doi:10.1016/j.camwa.2011.06.002;
+Petzold, SIAM J. Sci. Stat. Comput. 4, 136 (1983), doi:10.1137/0904010 (LSODA).
+
+The scene is a C function (c_functions.py).  CyRK's documented `nbsolve2_ivp` costs 5 µs a call from compiled
+code and a hundred more from Python, nearly all of it for boxing its arguments and its result; so it is
+called from compiled code, through the C entry it wraps (cyrk_driver.py).  That entry takes no
+Jacobian: Radau and LSODA difference the right-hand side, and the calls they make for it are counted.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+
+import numpy as np
+
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
+from contactbench.methods.c_functions import c_functions, derivative
+from contactbench.methods.variational import SOURCE, integrated, variational_request
+from contactbench.numbers.recording import CannotRecord
+from contactbench.scene import Scene
+from contactbench.solution import Counts, Status
+
+#: CyRK's status codes
+SUCCESS, TOO_MANY_STEPS = 1, (-52, -53)
+#: evaluations before the first step: at the initial state, and to choose the step
+BEFORE = 2
+#: how many numbers about a run the compiled calls return before the state (cyrk_driver.FACTS)
+KNOWN = 5
+
+
+@dataclass
+class CyrkRun(Prepared):
+    solver: str
+    #: evaluations of an attempted step, whether accepted or not; None where that varies
+    stages: int | None
+
+    sensitivity_source = SOURCE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from contactbench.methods import cyrk_driver
+
+        r = self.request
+        functions = c_functions(r.scene, r.carry)
+        self.compile_s, self.rhs = functions.compile_s, functions.rhs
+        self.data = functions.data(r.scene.numbers())
+        self.number, self.message = cyrk_driver.number(self.solver), cyrk_driver.message
+        self.to_end, self.at_times = cyrk_driver.to_end, cyrk_driver.at_times
+        self.end, self.size = float(r.save_at[-1]), len(self._own_start)
+        self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
+
+    def _bare(self, y0: np.ndarray) -> np.ndarray:
+        r = self.request
+        return self.to_end(self.rhs, self.number, y0, self.data, self.end, r.rtol, r.atol, r.max_steps)
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        """The solver's own call: a packed state in, the packed state at the end out."""
+        return self._bare(y0)[KNOWN:]
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, later = self.request, self.later
+        final_only = len(later) == 1
+        if final_only:
+            told = self._bare(y0)
+            rows = told[None, KNOWN:]
+        else:
+            rows = np.empty((len(later), self.size))
+            told = self.at_times(
+                self.rhs, self.number, y0, self.data, later, r.rtol, r.atol, r.max_steps, rows
+            )
+        status, reached, saved, steps, evaluations = told[:KNOWN].tolist()
+        exhausted = status in TOO_MANY_STEPS
+        if status != SUCCESS and not exhausted:
+            steps -= 1  # CyRK counts the step that failed
+        if saved < len(later):
+            rows = rows[: int(saved)]
+        if len(later) < len(r.save_at):
+            rows = np.concatenate([y0[None], rows])
+        rejected = None
+        if final_only and self.stages:
+            rejected = (int(evaluations) - BEFORE) // self.stages - int(steps)
+        counts = Counts(int(steps), int(evaluations), 0, rejected)
+        if status == SUCCESS:
+            return self.finished(y0, rows, counts)
+        message = f"max_steps = {r.max_steps} spent" if exhausted else self.message(int(status))
+        return self.finished(
+            y0, rows, counts, Status.budget if exhausted else Status.failed, f"{message} (t = {reached:.6g})",
+            (reached, told[KNOWN:]),
+        )  # fmt: skip
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        carry = self.request.carry
+        larger = variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
+        return integrated(CyrkRun(self.method, larger, self.solver, self.stages), y0)
+
+    def count(self, counts: Counts) -> Counts:
+        """With the rejected steps of a run to the last time, where no interpolation asks for evaluations."""
+        if counts.rejected is None and self.stages:
+            status, _, _, steps, evaluations = self._bare(self._own_start)[:KNOWN].tolist()
+            if status == SUCCESS:
+                return counts._replace(rejected=(int(evaluations) - BEFORE) // self.stages - int(steps))
+        return counts
+
+
+@dataclass(frozen=True)
+class CyrkMethod(Adaptive):
+    name: str
+    solver: str
+    order: int | None
+    about: str
+    stages: int | None = None
+    stiff: bool = False
+    engines: tuple[str, ...] = ("c++",)
+    rtol_range: tuple[float, float] = (1e-13, 1e-1)  # CyRK clamps anything below 100 ε
+
+    def refuses(self, scene: Scene) -> str | None:
+        if importlib.util.find_spec("CyRK") is None:
+            return "CyRK is not installed (pip install contactbench[bench])"
+        return None
+
+    def prepare(self, request: Request) -> Prepared:
+        from contactbench.methods.cyrk_interface import why_not
+
+        why = why_not()
+        if why:
+            return Refused(self.name, request, why)
+        try:
+            return CyrkRun(self.name, request, self.solver, self.stages)
+        except CannotRecord as reason:
+            return Refused(self.name, request, str(reason))
+
+
+for _method in (
+    CyrkMethod("cyrk-dop853", "DOP853", 8, "explicit Runge–Kutta 8(5,3), C++", stages=12),
+    CyrkMethod("cyrk-vern8", "Vern8", 8, "Verner's explicit Runge–Kutta 8(7), C++", stages=13),
+    CyrkMethod("cyrk-tsit5", "Tsit5", 5, "Tsitouras' explicit Runge–Kutta 5(4), C++", stages=6),
+    CyrkMethod("cyrk-lsoda", "LSODA", None, "Adams or BDF, chosen as it goes (ODEPACK), C++"),
+    CyrkMethod("cyrk-radau", "RADAU", 5, "implicit Radau IIA, Jacobian by differences, C++", stiff=True),
+):
+    METHODS.add(_method)

@@ -1,0 +1,376 @@
+"""CVODE's C library and CyRK's C++ solvers, run without Python between them and the scene."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import threading
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import ALL_SCENES, USER, by_name, random_state
+from contactbench.methods import c_functions, cvode_library, cyrk_interface
+from contactbench.methods.engines import CALLBACKS, COMPILED, ENGINES
+from contactbench.solution import Status
+
+PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
+BODY = cb.SCENES["rigid_body"].with_(
+    inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=4.0
+)
+ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0)
+CVODE = ("cvode-adams", "cvode-bdf")
+CYRK = tuple(name for name in cb.METHODS if name.startswith("cyrk-"))
+PEERS = [(name, "c") for name in CVODE] + [(name, "c++") for name in CYRK]
+
+peers = pytest.mark.parametrize(("method", "engine"), PEERS, ids=[name for name, _ in PEERS])
+C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def test_every_engine_says_what_kind_it_is():
+    used = {engine for method in cb.METHODS.values() for engine in method.engines}
+    assert used <= set(ENGINES)
+    assert set(COMPILED) | set(CALLBACKS) == set(ENGINES)
+    assert set(ENGINES.values()) == {"compiled", "callbacks"}
+
+
+# -- the scene as C functions ----------------------------------------------------------------------
+def called(scene, x, carry):
+    """What the C functions make of a state, and how often they say they were called."""
+    functions = c_functions.c_functions(scene, carry)
+    y = np.array(scene.pack(x))
+    data, slopes, matrix = functions.data(scene.numbers()), np.empty(len(y)), np.empty((len(y), len(y)))
+    for address, out in ((functions.rhs, slopes), (functions.jacobian, matrix)):
+        C_FUNCTION(address)(out.ctypes.data, 0.0, y.ctypes.data, data.ctypes.data)
+    return slopes, matrix.T, data[:2].tolist()
+
+
+@by_name([*ALL_SCENES, ANISOTROPIC])
+@pytest.mark.parametrize("fields", ["all", "none"])
+def test_c_functions_are_the_scene(scene, fields):
+    """To a few units in the last place: a product and a sum may be one operation."""
+    carry = scene.carry(None if fields == "all" else ())
+    for seed in range(3):
+        x = random_state(scene, seed, carry)
+        slopes, matrix, calls = called(scene, x, carry)
+        expected = np.array(scene.pack(scene.rhs(x)))
+        np.testing.assert_allclose(slopes, expected, rtol=1e-13, atol=1e-14 * np.abs(expected).max())
+        rows = np.array(c_functions.derivative(scene, x, carry))
+        np.testing.assert_allclose(matrix, rows, rtol=1e-13, atol=1e-14 * np.abs(rows).max())
+        assert calls == [1.0, 1.0]
+
+
+def test_a_force_without_a_hessian_has_an_exact_jacobian():
+    x = random_state(USER, 4)
+    with_hessian = USER.with_(
+        hessian=lambda q: ((1.0, q[2] / 4, q[1] / 4), (q[2] / 4, 2.0, q[0] / 4), (q[1] / 4, q[0] / 4, 2.0))
+    )
+    _, matrix, _ = called(USER, x, ("s",))
+    np.testing.assert_allclose(matrix, np.array(with_hessian.jacobian(x)), rtol=0, atol=1e-14)
+    counts = cb.solve(USER, "cvode-bdf", rtol=1e-8, engine="c").counts
+    assert counts.jacobians > 0
+    # nothing is spent on differences: every evaluation is a step's
+    assert counts.evaluations < 2 * (counts.steps + counts.rejected)
+
+
+def test_other_numbers_take_the_same_machine_code():
+    first = c_functions.c_functions(PARTICLE, ("s",))
+    other = PARTICLE.with_(gamma=0.7, mass=3.0, coupling=-0.2)
+    assert c_functions.c_functions(other, ("s",)) is first
+    x = random_state(other, 1)
+    np.testing.assert_allclose(called(other, x, ("s",))[0], other.pack(other.rhs(x)), rtol=1e-13)
+
+
+def test_what_the_numbers_alone_decide_is_not_computed_at_every_call():
+    """No division is left in the right-hand side: 1/m is among the constants."""
+    text = c_functions.source(PARTICLE, ())
+    rhs = text[text.index("def rhs") : text.index("def jacobian")]
+    assert " / " not in rhs
+    assert "1.0 / " in text[: text.index("def rhs")]
+
+
+# -- the same solver, with and without Python ------------------------------------------------------
+@pytest.mark.parametrize("method", CVODE)
+@pytest.mark.parametrize("rtol", [1e-4, 1e-7, 1e-10])
+@by_name([PARTICLE, BODY, ANISOTROPIC])
+def test_cvode_in_c_is_cvode_with_callbacks(method, rtol, scene):
+    """The same steps with other rounding errors: the same counts, and states as near as their conditioning."""
+    for times in ([4.0], np.linspace(0, 4, 33)):
+        c, python = (cb.prepare(scene, method, rtol=rtol, save_at=times, engine=e) for e in ("c", "c+python"))
+        ours, theirs = c(), python()
+        np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=1e-11)
+        counts = python.count(theirs.counts)
+        assert ours.counts[:3] == counts[:3]
+
+
+@pytest.mark.parametrize(("cyrk", "scipy"), [("cyrk-dop853", "scipy-dop853"), ("cyrk-radau", "scipy-radau")])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-8])
+@by_name([PARTICLE, BODY])
+def test_cyrk_is_as_accurate_as_scipy(cyrk, scipy, rtol, scene):
+    """Two programs of one method: errors within a factor of two, and DOP853 even in the same steps."""
+    ours, theirs = (cb.solve(scene, name, rtol=rtol, save_at=[4.0]) for name in (cyrk, scipy))
+    errors = [cb.LAWS["solution_error_end"](run) for run in (ours, theirs)]
+    assert 0.5 < errors[0] / errors[1] < 2
+    assert ours.counts.steps == theirs.counts.steps
+    if cyrk == "cyrk-dop853":
+        assert ours.counts == theirs.counts
+
+
+@peers
+@by_name([PARTICLE, BODY, ANISOTROPIC])
+def test_saved_states_are_as_accurate_as_the_last(method, engine, scene):
+    """At 97 times, most of them between steps: the interpolation must not show."""
+    rtol = 1e-8
+    run = cb.prepare(scene, method, rtol=rtol, save_at=np.linspace(0, 4, 97), engine=engine)
+    solution = run()
+    assert solution.ok
+    assert cb.LAWS["solution_error"](solution) < 300 * rtol
+    np.testing.assert_array_equal(solution.y[0], scene.pack(scene.initial(scene.optional)))
+
+
+@peers
+def test_steps_do_not_depend_on_what_is_saved(method, engine):
+    """And the last state is the solver's own, the same to the bit."""
+    runs = [
+        cb.solve(PARTICLE, method, rtol=1e-7, engine=engine, save_at=times)
+        for times in ([4.0], [0.0, 4.0], [1e-3, 4.0], np.linspace(0, 4, 50))
+    ]
+    assert len({run.counts.steps for run in runs}) == 1
+    for run in runs[1:]:
+        np.testing.assert_array_equal(run.y[-1], runs[0].y[-1])
+
+
+@peers
+def test_the_bare_call_is_the_run(method, engine):
+    run = cb.prepare(PARTICLE, method, rtol=1e-7, save_at=[4.0], engine=engine)
+    other = np.array([0.2, 0.1, 0.3, -0.4, 0.0])
+    for start in (run._own_start, other, run._own_start):
+        before = start.copy()
+        end = run.bare(start)
+        np.testing.assert_array_equal(end, run.integrate(start).y[-1])
+        np.testing.assert_array_equal(start, before)
+    first, second = run.bare(other), run.bare(run._own_start)
+    assert not np.shares_memory(first, second)
+
+
+# -- counts ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("method", CVODE)
+def test_cvode_counts_as_many_calls_as_the_c_functions(method):
+    run = cb.prepare(PARTICLE, method, rtol=1e-9, engine="c", save_at=[4.0])
+    counts = run().counts
+    lib, number = cvode_library.library(), ctypes.c_long()
+    for name, found in (("NumRhsEvals", counts.evaluations), ("NumJacEvals", counts.jacobians),
+                        ("NumSteps", counts.steps)):  # fmt: skip
+        getattr(lib, f"CVodeGet{name}")(run.solver.memory, ctypes.byref(number))
+        assert number.value == found > 0
+
+
+@pytest.mark.parametrize("name", [n for n in CYRK if cb.METHODS[n].stages])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+def test_explicit_methods_spend_their_stages_on_every_attempt(name, rtol):
+    """Two evaluations before the first step, then so many an attempted step: a wrong number leaves a rest."""
+    for scene in (PARTICLE, cb.SCENES["kepler_drag"].with_(t_end=10.0)):
+        counts = cb.solve(scene, name, rtol=rtol, save_at=[scene.t_end]).counts
+        assert counts.evaluations - 2 == cb.METHODS[name].stages * (counts.steps + counts.rejected)
+
+
+@peers
+def test_rejected_steps_are_found_where_there_must_be_some(method, engine):
+    """Pericentre after pericentre of an eccentric orbit."""
+    scene = cb.SCENES["kepler_drag"].with_(t_end=20.0)
+    for times in ([20.0], None):
+        run = cb.prepare(scene, method, rtol=1e-6, save_at=times, engine=engine)
+        rejected = run.count(run().counts).rejected
+        if method in ("cyrk-lsoda", "cyrk-radau"):
+            assert rejected is None  # CyRK does not say, and the evaluations do not tell
+        else:
+            assert 0 < rejected < run().counts.steps
+
+
+@by_name([PARTICLE, cb.SCENES["kepler_drag"].with_(t_end=10.0)])
+def test_scipy_evaluations_are_those_of_its_attempts_and_interpolants(scene):
+    """The rejected steps do not depend on what is saved, and the division leaves no rest."""
+    found = set()
+    for times in ([scene.t_end], np.linspace(0, scene.t_end, 40), np.linspace(0, scene.t_end, 400)):
+        counts = cb.solve(scene, "scipy-dop853", rtol=1e-6, save_at=times).counts
+        found.add((counts.steps, counts.rejected))
+        if len(times) == 1:
+            assert counts.evaluations - 2 == 12 * (counts.steps + counts.rejected)
+    assert len(found) == 1
+
+
+def test_callback_cvode_counts_no_interpolation_as_a_step():
+    """After an interpolation CVODE returns to where it was without a step."""
+    few, many = (
+        cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c+python", save_at=np.linspace(0, 4, k)).counts
+        for k in (3, 400)
+    )
+    assert few.steps == many.steps
+
+
+# -- ways to end -----------------------------------------------------------------------------------
+@peers
+def test_a_budget_is_for_the_whole_run(method, engine):
+    """Enough for the whole run and no more; one step less is not."""
+    for times in ([4.0], np.linspace(0, 4, 9)):
+        options = {"rtol": 1e-6, "save_at": times, "engine": engine}
+        steps = cb.solve(PARTICLE, method, **options).counts.steps
+        assert cb.solve(PARTICLE, method, max_steps=steps, **options).ok
+        short = cb.solve(PARTICLE, method, max_steps=steps - 1, **options)
+        assert short.status is Status.budget
+        assert str(steps - 1) in short.message
+        assert short.counts.steps == steps - 1
+        assert 0 < short.end_time < 4
+        assert np.isnan(short.y[-1]).all()
+
+
+@peers
+def test_a_run_that_failed_leaves_the_next_one_as_it_was(method, engine):
+    scene = cb.SCENES["escape"]
+    run = cb.prepare(scene, method, rtol=1e-6, save_at=[scene.t_end], engine=engine)
+    assert run().status is Status.diverged
+    calm = {"q": (1.0, 0.5), "p": (0.0, 0.3)}
+    fresh = cb.prepare(scene, method, rtol=1e-6, save_at=[scene.t_end], engine=engine)(**calm)
+    assert fresh.ok
+    np.testing.assert_array_equal(run(**calm).y, fresh.y)
+    assert run().status is Status.diverged
+
+
+def branching(q):
+    return (q[0] if q[0] > 0 else 2 * q[0],)
+
+
+@peers
+def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
+    scene = cb.Mechanical(
+        name="kink", potential=lambda q: q[0] * q[0] / 2, gradient=branching, gamma=0.1, q=(1.0,), p=(0.0,),
+        t_end=2.0,
+    )  # fmt: skip
+    solution = cb.solve(scene, method, rtol=1e-6, engine=engine)
+    assert solution.status is Status.unsupported
+    assert "known only when the program runs" in solution.message
+    if method in CVODE:
+        assert "c+python" in solution.message
+        assert cb.solve(scene, method, rtol=1e-6, engine="c+python").ok
+        assert cb.solve(scene, method, rtol=1e-6).engine == "c+python"  # what can run it is the default
+
+
+@pytest.fixture
+def searched_anew():
+    """The libraries are looked for once in a process; here again, and once more afterwards."""
+    for lookup in (cvode_library.library, cyrk_interface.why_not):
+        lookup.cache_clear()
+    yield
+    for lookup in (cvode_library.library, cyrk_interface.why_not):
+        lookup.cache_clear()
+
+
+@pytest.mark.usefixtures("searched_anew")
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("MAJOR", 99, "its C interface is known for version 99 only"),
+        ("find_spec", lambda name: None, "scikit-sundae is not installed"),
+        ("PATTERNS", ("no such library",), "CVODE library is not in"),
+    ],
+    ids=["another version", "not installed", "no library"],
+)
+def test_without_its_library_cvode_in_c_is_unsupported(monkeypatch, name, value, reason):
+    monkeypatch.setattr(cvode_library, name, value)
+    solution = cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c")
+    assert solution.status is Status.unsupported
+    assert reason in solution.message
+    assert cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c+python").ok
+
+
+@pytest.mark.usefixtures("searched_anew")
+def test_a_cyrk_with_another_interface_is_unsupported(monkeypatch):
+    from CyRK.nb import numba_solver
+
+    monkeypatch.setattr(numba_solver, "solve_func_sig", ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p))
+    solution = cb.solve(PARTICLE, "cyrk-dop853", rtol=1e-6)
+    assert solution.status is Status.unsupported
+    assert "another C interface" in solution.message
+
+
+# -- memory and threads ----------------------------------------------------------------------------
+def resident() -> int:
+    """Bytes of memory this process has in use."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="needs /proc")
+@peers
+def test_ten_thousand_calls_take_no_memory(method, engine):
+    """What one call leaves behind would be 10 kB times as many; measured: none."""
+    brief = {"rtol": 1e-4, "engine": engine}
+    runs = [cb.prepare(PARTICLE, method, save_at=times, **brief) for times in ([0.1], [0.0, 0.05, 0.1])]
+    start = runs[0]._own_start
+    for n in (500, 10_000):
+        before = resident()
+        for _ in range(n // 2):
+            for run in runs:
+                run.integrate(start)
+    assert resident() - before < 2**20
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="needs /proc")
+@peers
+def test_a_prepared_run_gives_its_memory_back(method, engine):
+    """A vector of CVODE's, the smallest thing it makes, would be 200 bytes every time; measured: none."""
+    for n in (200, 2000):
+        gc.collect()
+        before = resident()
+        for _ in range(n):
+            cb.prepare(PARTICLE, method, rtol=1e-4, save_at=[0.1], engine=engine)()
+        gc.collect()
+    assert resident() - before < 2**17
+
+
+@peers
+@pytest.mark.parametrize("shared", [False, True], ids=["own run", "one run for all"])
+def test_threads_do_not_disturb_one_another(method, engine, shared):
+    starts = [np.array([0.2 + 0.1 * k, 0.1, 0.3, -0.4, 0.0]) for k in range(4)]
+
+    def prepared():
+        return cb.prepare(PARTICLE, method, rtol=1e-6, save_at=[0.0, 0.7, 4.0], engine=engine)
+
+    one = prepared()
+    expected = [one.integrate(y) for y in starts]
+    runs = [one if shared else prepared() for _ in starts]
+    found: list[list[bool]] = [[] for _ in starts]
+
+    def work(k: int) -> None:
+        for _ in range(200):
+            out = runs[k].integrate(starts[k])
+            found[k].append(np.array_equal(out.y, expected[k].y) and out.counts == expected[k].counts)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(len(same) == 200 and all(same) for same in found)
+
+
+# -- the derivative --------------------------------------------------------------------------------
+@peers
+def test_contact_drift_is_as_small_as_the_tolerance(method, engine):
+    drifts = [
+        cb.LAWS["contact_drift"](cb.solve(PARTICLE, method, rtol=rtol, engine=engine))
+        for rtol in (1e-5, 1e-9)
+    ]
+    assert drifts[1] < 1e-6
+    assert drifts[0] > 20 * drifts[1]
+
+
+@pytest.mark.parametrize("method", CVODE)
+def test_contact_drift_in_c_is_that_with_callbacks(method):
+    drifts = [
+        cb.LAWS["contact_drift"](cb.solve(PARTICLE, method, rtol=1e-7, engine=engine))
+        for engine in ("c", "c+python")
+    ]
+    assert drifts[0] == pytest.approx(drifts[1], rel=1e-3)
