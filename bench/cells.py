@@ -73,9 +73,22 @@ def setting(method: Any, value: float) -> dict[str, float]:
     return {"rtol": value} if method.adaptive else {"step": value}
 
 
-def engines() -> list[tuple[str, str]]:
-    """Every (method, engine)."""
-    return [(name, engine) for name, method in METHODS.items() for engine in method.engines]
+#: where an engine that is nobody's first choice is timed too
+CROSS_CHECKED = "particle"
+
+
+def engines(scene: Scene) -> list[tuple[str, str]]:
+    """Every (method, engine) to be timed on a scene.
+
+    A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
+    numba) on one scene only.
+    """
+    return [
+        (name, engine)
+        for name, method in METHODS.items()
+        for engine in method.engines
+        if engine == method.engines[0] or "python" in engine or scene.name == CROSS_CHECKED
+    ]
 
 
 #: right-hand sides an adaptive method spends per step, where its step budget limits the run

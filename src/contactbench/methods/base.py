@@ -96,6 +96,11 @@ class Prepared:
         """Run from a packed initial state."""
         raise NotImplementedError
 
+    @property
+    def start(self) -> np.ndarray:
+        """The scene's own initial state, packed."""
+        return self._own_start
+
     def bare(self, y0: np.ndarray) -> np.ndarray:
         """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
         return self.integrate(y0).y[-1]

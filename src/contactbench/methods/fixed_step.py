@@ -337,6 +337,9 @@ class JaxLoop(JaxSteps):
         super().__post_init__()
         self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
 
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return np.asarray(self.program(self.placed(y0), self.fixed))[len(self.n) - 1]
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         fixed = self.fixed if n is self.n else self.spans(h, n)
         return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]

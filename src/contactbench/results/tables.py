@@ -169,6 +169,7 @@ WORK_PRECISION = table(
         "compile_s": seconds("trace and compile, once per scene structure (once per tolerance for heyoka)"),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
+        "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
     },
 )
 
