@@ -5,7 +5,7 @@ from __future__ import annotations
 from cells import cells
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES, rows
-from contactbench.results.schema import CLAIMS_TABLE, PAPER_FIGURES
+from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 
 
 def some(names, profile):

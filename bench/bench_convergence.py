@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import contactbench as cb
-from cells import cells, outcome, save_times, scenes, setting, steps
-from contactbench.measure.analysis import fit_order
+from cells import cells, controlled, outcome, save_times, scenes, setting, steps
+from contactbench.measure.order import fit_order
 from contactbench.measure.precision import error_at
-from contactbench.results.schema import CONVERGENCE
+from contactbench.results.tables import CONVERGENCE
 
 POINTS = 9
 #: below this, relative to the solution, an error is round-off
@@ -38,7 +38,7 @@ def at_fifty_digits(scene, method):
     for n in EXTENDED_STEPS:
         h = EXTENDED_TIME / n
         row = {
-            "scene": scene.name, "method": method.name, "engine": "mpmath", "setting": f"step={h:.6g}",
+            "scene": scene.name, "method": method.name, "engine": "mpmath", **controlled("step", h),
             "status": "ok", "message": "", "steps": n, "evaluations": method.counts(scene, n),
             "evaluation_kind": method.kind_on(scene), "jacobians": 0,
         }  # fmt: skip
@@ -61,8 +61,8 @@ def test_convergence(cell, record):
             pairwise_order=fit.pairwise[i],
             in_fit=bool(fit.used[i]),
             order=fit.order,
-            order_low=fit.low,
-            order_high=fit.high,
+            last_slope=fit.last_slope,
+            order_uncertainty=fit.uncertainty,
             order_nominal=method.order,
         )
     assert all(row["status"] == "ok" or row["message"] for row in rows)

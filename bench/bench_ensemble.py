@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import cells, timed
-from contactbench.results.schema import ENSEMBLE_TABLE
+from cells import cells, controlled, family
+from clock import VISITS
+from contactbench.results.tables import ENSEMBLE_TABLE
 from limit import KERNELS, SHAPES
 from peers import prepared
 
@@ -41,6 +42,11 @@ PEERS = [
 ]  # fmt: skip
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
 OURS = "contact-rkn6"
+#: (method, variant, value) of the smoke profile
+SMOKE = {
+    (OURS, "", 0.1), (OURS, "", 0.4), ("limit-c", f"{OURS} plain", 0.1),
+    ("diffrax-dopri8", "shared", 1e-6), ("heyoka-taylor", "batch", 1e-6),
+}  # fmt: skip
 
 
 def usable_cores():
@@ -59,25 +65,23 @@ def core_counts():
 
 
 def ladder(profile):
-    """(track, scene, method, engine, setting, trajectories, cores)."""
+    """(question, scene, method, engine, variant, control, value, trajectories, cores)."""
     smoke, rows = profile.points == 1, []
     for method in KERNELS:
-        rows.append(("arithmetic", "particle_long", method, "jax", "step=0.1", 1024, 1))
+        rows.append(("arithmetic", "particle_long", method, "jax", "", "step", 0.1, 1024, 1))
         rows += [
-            ("arithmetic", "particle_long", "limit-c", "c", f"{method} {shape} step=0.1", 1024, 1)
+            ("arithmetic", "particle_long", "limit-c", "c", f"{method} {shape}", "step", 0.1, 1024, 1)
             for shape in SHAPES
         ]
     for method, steps in STEPS.items():
-        rows += [("error", "particle", method, "jax", f"step={h:g}", 4096, 1) for h in steps]
-    for method, engine, shape in PEERS:
-        rows += [("error", "particle", method, engine, f"{shape} rtol={rtol:g}", 4096, 1) for rtol in RTOLS]
+        rows += [("error", "particle", method, "jax", "", "step", h, 4096, 1) for h in steps]
+    for method, engine, variant in PEERS:
+        rows += [("error", "particle", method, engine, variant, "rtol", rtol, 4096, 1) for rtol in RTOLS]
     if smoke:  # one kernel, one setting of three methods; how many cores there are is the machine's affair
-        wanted = (OURS, "limit-c", "diffrax-dopri8", "heyoka-taylor")
-        settings = ("step=0.1", f"{OURS} plain step=0.1", "step=0.4", "shared rtol=1e-06", "batch rtol=1e-06")
-        return [row for row in rows if row[2] in wanted and row[4] in settings]
+        return [row for row in rows if (row[2], row[4], row[6]) in SMOKE]
     sizes = [10**k for k in range(3, 8 if profile.name == "full" else 7)]
-    rows += [("size", "particle", OURS, "jax", "step=0.4", n, 1) for n in sizes]
-    rows += [("cores", "particle", OURS, "jax", "step=0.1", 200_000, k) for k in core_counts()]
+    rows += [("size", "particle", OURS, "jax", "", "step", 0.4, n, 1) for n in sizes]
+    rows += [("cores", "particle", OURS, "jax", "", "step", 0.1, 200_000, k) for k in core_counts()]
     return rows
 
 
@@ -99,36 +103,44 @@ def error(scene, y):
     return np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / np.linalg.norm(exact, axis=0).max()
 
 
-def row_of(cell, timing):
-    """The row of a cell; `timing` turns a run into the time columns."""
-    track, name, method, engine, setting, n, cores = cell
-    scene, (shape, _, value) = cb.SCENES[name], setting.rpartition(" ")
+def prepared_row(cell):
+    """The row of a cell without its times, and what is to be timed, if it can be run."""
+    question, name, method, engine, variant, control, value, n, cores = cell
+    scene = cb.SCENES[name]
     row = {
-        "track": track, "scene": name, "method": method, "engine": engine, "setting": setting,
-        "trajectories": n, "cores": cores,
+        "question": question, "scene": name, "method": method,
+        "family": family(cb.METHODS[method]) if method in cb.METHODS else "limit",
+        "engine": engine, **controlled(control, value, variant), "trajectories": n, "cores": cores,
     }  # fmt: skip
-    made = prepared(scene, method, engine, shape, float(value.partition("=")[2]), initial(scene, n))
+    made = prepared(scene, method, engine, variant, value, initial(scene, n))
     if isinstance(made, str):
-        return row | {"status": "unsupported", "message": made}
+        return row | {"status": "unsupported", "message": made}, None
     run, costs = made
     start = perf_counter()
     y = run()
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
-    if track != "arithmetic":
+    if question != "arithmetic":
         row["solution_error"] = error(scene, y)
-    row |= timing(run)
-    return row | dict(zip(("steps", "evaluations", "evaluation_kind"), costs(), strict=True))
+    return row | dict(zip(("steps", "evaluations", "evaluation_kind"), costs(), strict=True)), run
 
 
-@cells(ladder)
-def test_ensemble(cell, profile, record, benchmark):
-    if cell[-1] == 1:
-        record(ENSEMBLE_TABLE, **row_of(cell, lambda run: timed(run, profile, benchmark, cell[0])))
-        return
+def on_cores(cell):
+    """The same in a process of its own on several cores, and seconds per call, one number a round."""
     cores = usable_cores()[-cell[-1] :]
     done = subprocess.run(
         [sys.executable, Path(__file__).with_name("on_cores.py"), json.dumps([cores, cell])],
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
-    record(ENSEMBLE_TABLE, **json.loads(done.stdout.splitlines()[-1]))
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@cells(ladder, visits=VISITS)
+def test_ensemble(cell, record, clock):
+    if cell[-1] == 1:
+        row, run = clock.prepared(lambda: prepared_row(cell))
+        record(ENSEMBLE_TABLE, **row, **clock.columns(run, cell[1]))
+    else:
+        row, samples = on_cores(cell)
+        first = clock.prepared(lambda: row)
+        record(ENSEMBLE_TABLE, **first, **clock.add(samples, iterations=1))

@@ -6,17 +6,8 @@ import numpy as np
 
 import contactbench as cb
 from cells import cells, outcome, save_times, scenes, setting, step_budget, steps
-from contactbench.measure.laws import (
-    contact_deviation,
-    energies,
-    hamiltonian_deviation,
-    has_momentum_law,
-    is_contact,
-    laws_of,
-    momentum_deviation,
-    relative_deviation,
-)
-from contactbench.results.schema import LAWS_TABLE, LAWS_TIME
+from contactbench.measure.laws import LAWS, energies, row
+from contactbench.results.tables import COMMON, LAWS_TABLE, LAWS_TIME
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -35,14 +26,7 @@ def test_laws(cell, profile, record):
         solution = cb.solve(
             scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)
         )
-        row = {law.name: law(solution) for law in laws_of(scene)}
-        record(
-            LAWS_TABLE,
-            **outcome(solution),
-            saved_times=len(solution.t),
-            derivative=solution.sensitivity_source if is_contact(scene) and solution.ok else "",
-            **row,
-        )
+        record(LAWS_TABLE, **outcome(solution), saved_times=len(solution.t), **row(solution))
         if value == shown and solution.ok:
             for moment in along_time(solution):
                 record(LAWS_TIME, **moment)
@@ -50,16 +34,20 @@ def test_laws(cell, profile, record):
 
 def along_time(solution):
     """Rows of the time table."""
-    scene, nothing = solution.scene, np.full(len(solution.t), np.nan)
-    energy, true_energy, _ = energies(solution)
+
+    def deviation(name):
+        law = LAWS[name]
+        found = law.along(solution) if law.applies(solution.scene) else np.nan
+        return getattr(found, "size", np.full(len(solution.t), np.nan))
+
     columns = {
         "t": solution.t,
-        "energy": energy,
-        "energy_deviation": relative_deviation(energy, true_energy),
-        "hamiltonian_deviation": hamiltonian_deviation(solution) if is_contact(scene) else nothing,
-        "momentum_deviation": momentum_deviation(solution) if has_momentum_law(scene) else nothing,
-        "contact_deviation": contact_deviation(solution) if is_contact(scene) else nothing,
+        "energy": energies(solution)[0],
+        "energy_deviation": deviation("energy_law_relative"),
+        "hamiltonian_deviation": deviation("hamiltonian_law"),
+        "momentum_deviation": deviation("momentum_law"),
+        "contact_deviation": deviation("contact_drift"),
     }
-    key = {k: outcome(solution)[k] for k in ("scene", "method", "engine", "setting", "status", "message")}
+    key = {name: value for name, value in outcome(solution).items() if name in COMMON}
     for values in zip(*columns.values(), strict=True):
         yield {**key, **dict(zip(columns, map(float, values), strict=True))}

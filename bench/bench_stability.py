@@ -1,7 +1,9 @@
 """Where do integrators break, and how?  One cell: a method on a hard scene, or a question of stability.
 
-Solvers run in worker processes, each call with a time limit, and a step and evaluation budget: a crash,
-a hang or a result that is no number is a row and stops nothing.
+Solvers run in worker processes, each call with a budget of steps, counted from evaluations: a crash, a hang
+or a result that is no number is a row and stops nothing.  The budget ends a run within seconds; the limit
+on time is many times longer and there for a solver that hangs, so that no row depends on how fast or how
+busy the machine is.
 """
 
 from __future__ import annotations
@@ -10,24 +12,26 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import RTOLS, SAVES, cells, step_budget
+from cells import SAVES, cells, controlled, step_budget
 from contactbench.measure.isolation import Died, TimedOut, Workers
 from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
+    is_processed,
+    kernel,
     propagation_error,
     spectral_radius,
-    stability_limit,
+    stability,
     true_radius,
 )
-from contactbench.results.schema import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
+from contactbench.results.tables import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.scenes import hard_scenes
 from hard_cells import SolverError, overdamped_row, stability_row, weak_row
 
-#: seconds per call, compilation included
-LIMIT = 60.0
-#: time per evaluation at the coarsest setting; the ladder divides it by four, twice.  A step is as many
-#: times longer as it has evaluations, so that one rung costs every fixed-step method the same.
+#: seconds after which a call hangs; the dearest, over 10⁵ units of time, takes about twenty
+LIMIT = 900.0
+#: time per evaluation at the coarsest setting.  A step is as many times longer as it has evaluations, so that
+#: one rung costs every fixed-step method the same.
 COARSEST = {
     "overdamped": 0.5, "critical": 0.2, "weak_damping": 0.25, "weak_damping_particle": 0.25,
     "stiff_spring": 0.0025, "tumbling": 0.25, "needle": 0.0125, "singular_damping_1": 0.2,
@@ -35,8 +39,11 @@ COARSEST = {
     "kepler_drag": 0.008, "antidamping": 0.2, "underflow": 0.1, "large_step": 2.1,
 }  # fmt: skip
 #: rungs where a factor of four would miss the point: γh = 25, 5, 1; both sides of the stability limit
-RUNGS = {"overdamped": (1.0, 0.2, 0.04), "large_step": (1.0, 2 / 3, 0.25)}
-TOLERANCES = (1e-4, 1e-7, 1e-10)
+RUNGS = {"overdamped": (1.0, 0.2, 0.04, 0.01), "large_step": (1.0, 2 / 3, 0.25, 1 / 16)}
+#: elsewhere, by four: the finest reaches the errors of tight tolerances, with one rung more for low orders
+BY_FOUR, LOW_ORDER = (1.0, 1 / 4, 1 / 16, 1 / 64), 2
+#: and each method's own finest tolerance
+TOLERANCES = (1e-4, 1e-7, 1e-10, 1e-13)
 #: the scene of the smoke profile; nothing ends ok on it, so no derivative is compiled
 SMOKE = "escape"
 CREEP_RTOLS = (1e-3, 1e-6, 1e-9)
@@ -51,13 +58,17 @@ def brief(profile):
 def settings(scene, method):
     """(kind, value) of each rung of a method's ladder."""
     if method.adaptive:
-        values = [("rtol", max(rtol, method.rtol_range[0])) for rtol in TOLERANCES]
+        finest = method.rtol_range[0]
+        values = [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
     elif method.refuses(scene):
         values = [("step", COARSEST.get(scene.name, scene.t_end / 100))]
     else:
         each = method.per_step(scene) / (2 if method.kind_on(scene) == "rotation" else 1)
         coarsest = COARSEST.get(scene.name, scene.t_end / 400)
-        steps = (coarsest * part * each for part in RUNGS.get(scene.name, (1.0, 0.25, 0.0625)))
+        rungs = RUNGS.get(scene.name, BY_FOUR)
+        if method.order <= LOW_ORDER:
+            rungs = (*rungs, rungs[-1] / 4)
+        steps = (coarsest * part * each for part in rungs)
         longest = scene.t_end / SAVES  # no step straddles a saved time
         values = [("step", step) for step in dict.fromkeys(min(step, longest) for step in steps)]
     return values
@@ -86,7 +97,7 @@ def calls(cell, profile):
     scene = cb.SCENES[which]
     budget = budget_of(profile, scene, method)
     for kind, value in settings(scene, method):
-        row = key | {"scene": which, "setting": printed(kind, value)}
+        row = key | {"scene": which, **controlled(kind, value)}
         yield row, stability_row, (which, method.name, engine, kind, value, budget)
 
 
@@ -101,17 +112,13 @@ def rate_calls(cell, profile):
         budget = budget_of(profile, scene, method)
         for kind, value in values:
             row = key | {
-                "experiment": "overdamped", "scene": which, "setting": printed(kind, value), "t_end": scene.t_end,
+                "experiment": "overdamped", "scene": which, **controlled(kind, value), "t_end": scene.t_end,
             }  # fmt: skip
             yield row, overdamped_row, (method.name, kind, value, budget)
         return
     name, _, span = which.partition(" ")
-    row = key | {"experiment": "weak", "scene": name, "setting": "step=nan", "t_end": float(span)}
+    row = key | {"experiment": "weak", "scene": name, "setting": "", "t_end": float(span)}
     yield row, weak_row, (name, method.name, float(span))
-
-
-def printed(kind, value):
-    return f"step={value:.6g}" if kind == "step" else f"rtol={value:.3g}"
 
 
 def budget_of(profile, scene, method):
@@ -130,20 +137,25 @@ def worker():
         yield workers
 
 
-def answers(promised):
-    """The row of each call; how it ended where there is none."""
-    for row, future in promised:
-        try:
-            yield future.result()
-        except TimedOut as error:
-            yield row | {"status": "timeout", "message": str(error)}
-        except (Died, SolverError) as error:  # anything else is a fault of ours, and fails the cell
-            yield row | {"message": " ".join(str(error).split())[:200]}
-
-
 def rows_of(calls, worker):
-    made = [(row, worker.submit(LIMIT, function, *arguments)) for row, function, arguments in calls]
-    return list(answers(made))
+    """The row of each call, coarse to fine; how it ended where there is none.
+
+    Where a tolerance spent the budget a tighter one would spend it too, and is not run.
+    """
+    rows, spent = [], ""
+    for row, function, arguments in calls:
+        if spent:
+            rows.append(row | {"status": "budget", "message": f"not run: {spent} spent the budget"})
+            continue
+        try:
+            rows.append(worker.submit(LIMIT, function, *arguments).result())
+        except TimedOut as error:
+            rows.append(row | {"status": "timeout", "message": str(error)})
+        except (Died, SolverError) as error:  # anything else is a fault of ours, and fails the cell
+            rows.append(row | {"message": " ".join(str(error).split())[:200]})
+        if rows[-1]["status"] == "budget" and row["setting"].startswith("rtol="):
+            spent = row["setting"]
+    return rows
 
 
 def family(cell):
@@ -186,27 +198,33 @@ def linear(profile):
 def test_linear_stability(cell, record_all):
     method = cb.METHODS[cell[0]]
     theory, each = THEORY.get(method.name), method.per_step(cb.SCENES["oscillator"])
+    repeated, both = kernel(method), is_processed(method)
     limits = []
     for gamma in GAMMAS:
         for omega in OMEGAS:
-            limit = stability_limit(method, gamma, omega)
+            found = stability(repeated, gamma, omega)
             limits.append({
-                "method": method.name, "gamma": gamma, "omega": omega, "limit": limit,
-                "theory": theory(gamma, omega) if theory else np.nan, "per_evaluation": limit / each,
+                "method": method.name, "gamma": gamma, "omega": omega, "limit": found.limit,
+                "windows": printed_windows(found), "last": found.last,
+                "theory": theory(gamma, omega) if theory else np.nan, "per_evaluation": found.limit / each,
+                "limit_kernel": found.limit if both else np.nan,
+                "limit_saved": stability(method, gamma, omega).limit if both else np.nan,
             })  # fmt: skip
     record_all(STABILITY_LIMITS, limits)
     radii = []
     for gamma in GAMMAS:
-        radius = spectral_radius(method, gamma, 1.0, STEPS)
+        radius = spectral_radius(repeated, gamma, 1.0, STEPS)
+        saved = spectral_radius(method, gamma, 1.0, STEPS) if both else np.full(len(STEPS), np.nan)
         radii += [
             {
                 "method": method.name,
                 "gamma": gamma,
                 "step": h,
                 "radius": r,
+                "radius_saved": r_saved,
                 "true_radius": true_radius(gamma, 1.0, h),
             }
-            for h, r in zip(STEPS.tolist(), radius.tolist(), strict=True)
+            for h, r, r_saved in zip(STEPS.tolist(), radius.tolist(), saved.tolist(), strict=True)
         ]
     record_all(ONE_STEP, radii)
     errors = []
@@ -215,9 +233,13 @@ def test_linear_stability(cell, record_all):
             h = between / gamma * each
             errors.append({
                 "method": method.name, "gamma": gamma, "damping_per_evaluation": between, "step": h,
-                "error": propagation_error(method, gamma, h), "radius": spectral_radius(method, gamma, 1.0, h),
+                "error": propagation_error(method, gamma, h),
+                "error_saved": propagation_error(method, gamma, h, every_step=True) if both else np.nan,
+                "radius": spectral_radius(repeated, gamma, 1.0, h),
             })  # fmt: skip
     record_all(STRONG_DAMPING, errors)
 
 
-assert min(TOLERANCES) >= min(RTOLS)
+def printed_windows(found):
+    """The windows of instability, "3.134248…3.150828; …"."""
+    return "; ".join(f"{start:.7g}…{end:.7g}" for start, end in found.windows)

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import RTOLS, cells, engines, outcome, step_budget, timed, work_ladder
+from cells import RTOLS, cells, controlled, engines, outcome, step_budget, work_ladder
+from clock import VISITS
 from contactbench.measure.laws import absolute_error
-from contactbench.results.schema import WORK_PRECISION
+from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import standard_scenes
 from limit import KERNELS, kernel
 
@@ -31,27 +32,29 @@ LOOSEST = 1e-1
 
 
 def ladder(profile):
+    """(scene, method, engine, control, value)."""
     rows = []
     for scene in standard_scenes():
         for name, engine in engines():
             method = cb.METHODS[name]
-            kind = "rtol" if method.adaptive else "step"
             if method.adaptive:
                 values = profile.choose([rtol for rtol in RTOLS if rtol >= method.rtol_range[0]])
                 if profile.points > 1 and method.rtol_range[1] >= LOOSEST:
                     values = [LOOSEST, *values]
             else:
                 values = profile.choose(work_ladder(scene, method.order))
-            rows += [(scene.name, name, engine, f"{kind}={value:.6g}") for value in values]
+            control = "rtol" if method.adaptive else "step"
+            rows += [(scene.name, name, engine, control, value) for value in values]
+    engine = cb.METHODS[CHOSEN].engines[0]
     for scene in CHOSEN_ON:
-        rows += [(scene, CHOSEN, "jax", f"rtol={rtol:.6g}") for rtol in profile.choose(CHOSEN_RTOLS)]
+        rows += [(scene, CHOSEN, engine, "rtol", rtol) for rtol in profile.choose(CHOSEN_RTOLS)]
     return rows
 
 
 def limits(profile):
-    """The C loops, on the finest and the middle step of the ladder."""
+    """(scene, method, step): the C loops, on the finest and the middle step of the ladder."""
     return [
-        (scene, method, f"{work_ladder(cb.SCENES[scene], cb.METHODS[method].order)[k]:.6g}")
+        (scene, method, work_ladder(cb.SCENES[scene], cb.METHODS[method].order)[k])
         for scene in ("particle", "particle_long")
         for method in KERNELS
         for k in ((-1, -3) if profile.points > 1 else (-3,))
@@ -69,15 +72,12 @@ def error(solutions):
     return max(error[-1] for error, _ in pairs) / max(size for _, size in pairs)
 
 
-@cells(ladder)
-def test_work_precision(cell, profile, record, benchmark):
-    scene, method, engine = cb.SCENES[cell[0]], cb.METHODS[cell[1]], cell[2]
-    kind, _, value = cell[3].partition("=")
-    value = float(value)
-    if kind == "step":
-        value = exact_step(work_ladder(scene, method.order), value)
+def prepared(cell, profile):
+    """The row of a cell without its times, and what is to be timed: a run, or nothing where it does not end ok."""
+    scene, method, engine, control, value = cell
+    scene, method = cb.SCENES[scene], cb.METHODS[method]
     options = {
-        kind: value,
+        control: value,
         "engine": engine,
         "carry": carried(scene),
         "max_steps": step_budget(profile, scene, method, engine),
@@ -85,51 +85,53 @@ def test_work_precision(cell, profile, record, benchmark):
     run = cb.prepare(scene, method.name, save_at=[scene.t_end], **options)
     start = perf_counter()
     solution = run()
-    first = perf_counter() - start
     row = {
-        "track": "adaptive" if method.adaptive else "fixed" if kind == "step" else "chosen",
         "carried": " ".join(
             [*scene.initial_fields[: 1 if "M" in scene.initial_fields else 2], *carried(scene)]
         ),
         "compile_s": run.compile_s,
-        "first_call_s": first,
+        "first_call_s": perf_counter() - start,
     }
+    variant = "chosen" if control == "rtol" and not method.adaptive else ""
     if not solution.ok:
-        record(WORK_PRECISION, **outcome(solution), **row)
-        return
+        return outcome(solution, variant=variant) | row, None
     earlier = [scene.t_end * k / ENDS for k in range(1, ENDS)]
     shorter = [cb.solve(scene, method.name, save_at=[t], **options) for t in earlier]
     row["solution_error"] = error([*shorter, solution])
-    counts = outcome(solution, run.count(solution.counts))
-    record(WORK_PRECISION, **counts, **row, **timed(run, profile, benchmark, scene.name))
+    return outcome(solution, run.count(solution.counts), variant) | row, run
 
 
-@cells(limits)
-def test_limit(cell, profile, record, benchmark):
-    """The same arithmetic as a C loop: what a compiled kernel is compared with."""
-    scene, method = cb.SCENES[cell[0]], cell[1]
-    step = exact_step(work_ladder(scene, cb.METHODS[method].order), float(cell[2]))
+@cells(ladder, visits=VISITS)
+def test_work_precision(cell, profile, record, clock):
+    row, run = clock.prepared(lambda: prepared(cell, profile))
+    record(WORK_PRECISION, **row, **clock.columns(run, cell[0]))
+
+
+def prepared_limit(cell):
+    """The same for a C loop."""
+    name, method, step = cell
+    scene = cb.SCENES[name]
     row = {
-        "scene": scene.name, "method": "limit-c", "engine": "c", "setting": f"{method} step={cell[2]}",
-        "track": "limit", "carried": "q p", "jacobians": 0, "evaluation_kind": "gradient",
+        "scene": name, "method": "limit-c", "family": "limit", "engine": "c", **controlled("step", step, method),
+        "carried": "q p", "jacobians": 0, "evaluation_kind": "gradient",
     }  # fmt: skip
     made = kernel(method, scene, step)
     if isinstance(made, str):
-        record(WORK_PRECISION, **row, status="unsupported", message=made)
-        return
+        return row | {"status": "unsupported", "message": made}, None
     run, evaluations = made
     start = perf_counter()
     end = run()
     first = perf_counter() - start
     truth = cb.reference(scene, [scene.t_end], ()).y[0]
-    record(
-        WORK_PRECISION, **row, status="ok", message="", steps=round(scene.t_end / step),
-        evaluations=evaluations, rhs_equivalents=float(evaluations), compile_s=0.0, first_call_s=first,
-        solution_error=float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p])),
-        **timed(run, profile, benchmark, scene.name),
-    )  # fmt: skip
+    return row | {
+        "status": "ok", "message": "", "steps": round(scene.t_end / step), "evaluations": evaluations,
+        "rhs_equivalents": float(evaluations), "compile_s": 0.0, "first_call_s": first,
+        "solution_error": float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p])),
+    }, run  # fmt: skip
 
 
-def exact_step(ladder, printed):
-    """The step of the ladder that was printed with six digits."""
-    return min(ladder, key=lambda h: abs(h - printed))
+@cells(limits, visits=VISITS)
+def test_limit(cell, record, clock):
+    """The same arithmetic as a C loop: what a compiled kernel is compared with."""
+    row, run = clock.prepared(lambda: prepared_limit(cell))
+    record(WORK_PRECISION, **row, **clock.columns(run, cell[0]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -20,18 +19,19 @@ COARSEST = 0.8
 #: scenes of the experiments other than work–precision in the smoke profile
 SMOKE = ("particle",)
 RTOLS = [10.0**-k for k in range(3, 14)]
-ROUND_SECONDS = 1e-3
-MOST_ROUNDS = 40
 
 
-def cells(ladder: Any, group: Callable[[tuple], str] | None = None) -> Callable[..., Any]:
+def cells(ladder: Any, group: Callable[[tuple], str] | None = None, visits: int = 1) -> Callable[..., Any]:
     """Attach to a test the function that lists its cells for a profile.
 
     group : names the cells that one process should run; by default those of one scene and method.
+    visits : how often a run that is timed comes to a cell, at places of its own in the shuffled order.
+    The tables a test writes are written by no other file: when all cells of a file are done, rows of its
+    tables that none of them has made are removed.
     """
 
     def attach(test: Any) -> Any:
-        test.cells, test.group = ladder, group or (lambda cell: "-".join(cell[:2]))
+        test.cells, test.group, test.visits = ladder, group or (lambda cell: "-".join(cell[:2])), visits
         return test
 
     return attach
@@ -100,14 +100,28 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
     return evaluations // per_step if per_step else None
 
 
-def outcome(solution: Solution, counts: Counts | None = None) -> dict[str, Any]:
+def family(method: Any) -> str:
+    """What a method is compared as; a plug-in that does not say is an established one."""
+    return getattr(method, "family", "established")
+
+
+def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
+    """The columns that say what was set: control, value, variant, and all of them printed."""
+    printed = f"{control}={value:.6g}"
+    return {
+        "control": control, "value": value, "variant": variant, "setting": f"{variant} {printed}".strip(),
+    }  # fmt: skip
+
+
+def outcome(solution: Solution, counts: Counts | None = None, variant: str = "") -> dict[str, Any]:
     """The columns every row has: key, status, counts."""
     counts = counts or solution.counts
     return {
         "scene": solution.scene.name,
         "method": solution.method,
+        "family": family(METHODS[solution.method]),
         "engine": solution.engine,
-        "setting": solution.setting,
+        **controlled(solution.control, solution.value, variant),
         "status": str(solution.status),
         "message": solution.message,
         "steps": counts.steps,
@@ -116,24 +130,3 @@ def outcome(solution: Solution, counts: Counts | None = None) -> dict[str, Any]:
         "rhs_equivalents": counts.rhs_equivalents,
         "jacobians": counts.jacobians,
     }
-
-
-def timed(run, profile, benchmark, group):
-    """The time columns: rounds of about a millisecond, as many as the profile fills, after a warm-up.
-
-    None with --benchmark-disable: a run for accuracy alone, on all cores, has no times.
-    """
-    if benchmark.disabled:
-        return {}
-    start = perf_counter()
-    run()
-    once = perf_counter() - start
-    iterations = max(1, round(ROUND_SECONDS / once))
-    rounds = min(MOST_ROUNDS, max(profile.rounds, round(profile.seconds / (iterations * once))))
-    benchmark.group = group
-    benchmark.pedantic(run, rounds=rounds, iterations=iterations)
-    stats = benchmark.stats.stats
-    return {
-        "time_min_s": stats.min, "time_median_s": stats.median, "time_iqr_s": stats.iqr,
-        "rounds": stats.rounds, "iterations": iterations,
-    }  # fmt: skip

@@ -12,28 +12,34 @@ from typing import Any
 # One thread for every engine; read when the libraries are first imported.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-import jax
 import pytest
 
+from cells import family
+from clock import Cell, Clock
 from contactbench.errors import BadInput
-from contactbench.results import journal
-from contactbench.results import schema as table
+from contactbench.methods import METHODS
+from contactbench.results import journal, provenance
+from contactbench.results.schema import PROFILES as NAMES
+from contactbench.results.schema import TABLES
+from contactbench.results.store import OldTable, read
+from contactbench.xla import jax
 
 SHUFFLE_SEED = 20
 REPOSITORY = Path(__file__).resolve().parents[1]
+#: what the first visits to timed cells leave to the second
+VISITED = pytest.StashKey[dict[Any, Cell]]()
 
 
 @dataclass(frozen=True)
 class Profile:
     """How much of each experiment is run.
 
-    points : settings per method; rounds, seconds : at least so many timed rounds, filling about so
-    many seconds; callback_evaluations : budget of one run of a solver that calls back into Python.
+    points : settings per method; seconds : what the timed rounds of a cell fill, about;
+    callback_evaluations : budget of one run of a solver that calls back into Python.
     """
 
     name: str
     points: int
-    rounds: int
     seconds: float
     callback_evaluations: int
 
@@ -49,9 +55,9 @@ class Profile:
 
 
 PROFILES = {
-    "smoke": Profile("smoke", 1, 5, 0.0, 40_000),  # the budget of standard: the same rows, the same ends
-    "standard": Profile("standard", 6, 5, 0.02, 40_000),
-    "full": Profile("full", 99, 15, 0.3, 1_000_000),
+    "smoke": Profile("smoke", 1, 0.0, 40_000),  # the budget of standard: the same rows, the same ends
+    "standard": Profile("standard", 6, 0.02, 40_000),
+    "full": Profile("full", 99, 0.3, 1_000_000),
 }
 
 
@@ -67,9 +73,10 @@ def pytest_configure(config: pytest.Config) -> None:
     config.profile = PROFILES[config.getoption("--profile")]
     worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
     config.controls = worker is None
+    config.stash[VISITED] = {}
     if worker or not config.getoption("numprocesses", None):
         pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
-    run_id = worker["run_id"] if worker else table.new_run_id()
+    run_id = worker["run_id"] if worker else provenance.new_run_id()
     config.journal = journal.Journal(config.getoption("--results").resolve(), run_id)
 
 
@@ -90,8 +97,20 @@ def pin_to_one_core(which: int) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """An experiment declares its cells as a function ``cells(profile)`` beside the test."""
     if "cell" in metafunc.fixturenames:
-        cells = metafunc.function.cells(metafunc.config.profile)
-        metafunc.parametrize("cell", cells, ids=["-".join(map(str, c)) for c in cells])
+        cells = visits(metafunc.function, metafunc.config)
+        metafunc.parametrize("cell", list(cells.values()), ids=list(cells))
+
+
+def visits(test: Any, config: pytest.Config) -> dict[str, tuple]:
+    """The cells of a test by the names of their visits: a second visit only where there is a clock."""
+    clock = config.pluginmanager.hasplugin("benchmark") and not config.getoption("benchmark_disable")
+    again = ["-again"] if test.visits > 1 and clock else []
+    named = {"-".join(map(word, cell)): cell for cell in test.cells(config.profile)}
+    return {name + suffix: cell for suffix in ("", *again) for name, cell in named.items()}
+
+
+def word(part: Any) -> str:
+    return f"{part:.6g}" if isinstance(part, float) else str(part)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -102,7 +121,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """
     random.Random(SHUFFLE_SEED).shuffle(items)
     items.sort(key=lambda item: item.path.name)
-    for item in items:
+    for item in items if config.pluginmanager.hasplugin("xdist") else ():
         cell = item.callspec.params["cell"]
         if isinstance(cell, tuple):  # not so where a profile has no cells for a test
             item.add_marker(pytest.mark.xdist_group(item.function.group(cell)))
@@ -115,10 +134,14 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if config.getoption("collectonly"):
         return
     results, name = config.journal.results, config.profile.name
+    if not selection(config):
+        config.journal.expect(
+            cell for module in {item.module for item in items} for cell in all_of(module, config)
+        )
     if not config.getoption("--resume"):
-        journal.begin_anew(results, name, map(_identity, items))
+        journal.begin_anew(results, name, map(_identity, items), selection(config))
         return
-    done = journal.done(results, name)
+    done = journal.done(results, name, selection(config))
     config.hook.pytest_deselected(items=[item for item in items if _identity(item) in done])
     items[:] = [item for item in items if _identity(item) not in done]
 
@@ -127,18 +150,44 @@ def _identity(item: pytest.Item) -> journal.Cell:
     return (item.path.name, item.name)
 
 
+def all_of(module: Any, config: pytest.Config) -> list[journal.Cell]:
+    """The identities of all cells of an experiment, as pytest names them."""
+    tests = [test for test in vars(module).values() if hasattr(test, "cells")]
+    file = Path(module.__file__).name
+    return [(file, f"{test.__name__}[{name}]") for test in tests for name in visits(test, config)]
+
+
+def selection(config: pytest.Config) -> str:
+    """Which part of the experiments was asked for, empty for all of them: the rows of the rest are kept.
+
+    Marks do not count: a run is made in two goes, what is timed by itself.
+    """
+    narrowed = [argument for argument in config.args if "::" in argument or argument.endswith(".py")]
+    return " ".join([*narrowed, config.getoption("keyword")]).strip()
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not config.controls or config.getoption("collectonly"):
         return
     results = config.journal.results
     try:
-        for each in table.TABLES.values():  # refused now rather than after ten minutes
-            table.read(each, results)
+        for each in TABLES.values():  # refused now rather than after ten minutes
+            readable(each, config)
         journal.fold_dead_runs(results)
-        config.journal.open(table.environment(config.profile.name, SHUFFLE_SEED))
+        config.journal.open(provenance.environment(config.profile.name, SHUFFLE_SEED))
     except BadInput as error:
         raise pytest.UsageError(str(error)) from None
+
+
+def readable(table: Any, config: pytest.Config) -> None:
+    """Refuse files that are no tables, and, before a part of them is run, tables of another version: a whole
+    run replaces those."""
+    try:
+        read(table, config.journal.results)
+    except OldTable:
+        if selection(config):
+            raise
 
 
 @pytest.hookimpl(wrapper=True)
@@ -155,20 +204,33 @@ def pytest_runtest_call(item: pytest.Item) -> Any:
 def smallest_profile(request: pytest.FixtureRequest) -> str:
     """The smallest profile that has the cell of a test; the rows of a cell are the same in all."""
     cell, cells = request.node.callspec.params["cell"], request.function.cells
-    return next(name for name in table.PROFILES if cell in cells(PROFILES[name]))
+    return next(name for name in NAMES if cell in cells(PROFILES[name]))
 
 
 @pytest.fixture
 def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
     """``record_all(table, rows)`` adds many rows at once."""
     profile = smallest_profile(request)
-    return lambda which, rows: request.node.rows.extend((which, {**row, "profile": profile}) for row in rows)
+
+    def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
+        if "family" in which.columns and row["method"] in METHODS:
+            row = {"family": family(METHODS[row["method"]]), **row}
+        return {**row, "profile": profile}
+
+    return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
 
 
 @pytest.fixture
 def record(record_all: Callable[..., None]) -> Callable[..., None]:
     """``record(table, **row)`` adds a row to a result table."""
     return lambda which, **row: record_all(which, [row])
+
+
+@pytest.fixture
+def clock(request: pytest.FixtureRequest, profile: Profile, benchmark: Any) -> Clock:
+    """The clock of a timed cell, at one of its visits."""
+    key = (request.node.originalname, request.node.callspec.params["cell"])
+    return Clock(request.config.stash[VISITED], key, profile, benchmark)
 
 
 @pytest.fixture
@@ -181,11 +243,22 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     if not config.controls or not config.journal.alive.is_locked:
         return
     config.journal.close()
-    if config.getoption("--report"):
-        from contactbench.report import page
-        from contactbench.report.documents import report
-
-        report(config.journal.results)
-        page.write(config.journal.results)
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
         session.exitstatus = pytest.ExitCode.OK
+    if config.getoption("--report"):
+        try:
+            write_report(config.journal.results)
+        except BadInput as error:  # a table that this run did not make is of another version
+            config.get_terminal_writer().line(f"\nno report: {error}", red=True)
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def write_report(results: Path) -> None:
+    """Documents, figures and page; and the README's computed part, where the tables are those beside it."""
+    from contactbench.report import write
+    from contactbench.scenes import SCENES
+
+    write.report(results, {"methods": METHODS, "scenes": SCENES})
+    readme = REPOSITORY / "README.md"
+    if results == REPOSITORY / "results" and readme.exists():
+        write.into_readme(readme, results)

@@ -30,16 +30,10 @@ from typing import Any
 
 from contactbench.gate.accuracy import accuracy as gate
 from contactbench.gate.accuracy import speed
-from contactbench.results.schema import (
-    GATE_SELFCHECK,
-    TABLES,
-    Rule,
-    environment,
-    merge,
-    new_run_id,
-    read,
-    save_environment,
-)
+from contactbench.results.provenance import environment, new_run_id, save_run
+from contactbench.results.schema import TABLES, Rule
+from contactbench.results.store import merge, read
+from contactbench.results.tables import GATE_SELFCHECK
 from contactbench.splitting.tables import COMPOSITIONS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,7 +50,7 @@ SLOWED = ("contact-strang", "contact-rkn6", "rk4")
 SLOWDOWNS = (1.3, 1.5, 2.0)
 
 PACKAGE = Path("src/contactbench")
-COMPOSITION, FIXED_STEP = PACKAGE / "composition.py", PACKAGE / "methods" / "fixed_step.py"
+COMPOSITION, FIXED_STEP = PACKAGE / "splitting" / "tables.py", PACKAGE / "methods" / "fixed_step.py"
 
 
 # -- patches ---------------------------------------------------------------------------------------
@@ -149,7 +143,7 @@ FAULTS = tuple(
         ),
         (
             "a drift that is no longer round-off: damping stronger by 1e-9",
-            (PACKAGE / "flows.py", "(-gamma * h), -xp.expm1(", "(-gamma * h), -(1 + 1e-9) * xp.expm1("),
+            (PACKAGE / "splitting" / "flows.py", "(-gamma * h), -xp.expm1(", "(-gamma * h), -(1 + 1e-9) * xp.expm1("),
             "contact-strang", "contact_drift",
         ),
     )
@@ -272,7 +266,7 @@ def halves(runs: int) -> tuple[tuple[str, int], ...]:
 def other_rounding(results: Path) -> Row:
     """The two engines of a method: the same map with other rounding errors, as on another processor."""
     work = read(TABLES["work_precision"], results)
-    work = work[(work["track"] == "fixed") & (work["status"] == "ok")]
+    work = work[(work["control"] == "step") & (work["status"] == "ok")]
     compiled, plain = (work[work["engine"] == engine] for engine in ("jax", "python"))
     pairs = compiled.merge(plain, on=["scene", "method", "setting"], suffixes=("", " after"))
     start = perf_counter()
@@ -380,8 +374,10 @@ def main() -> None:
             "gate_selfcheck: the sources have local changes; faults are planted in HEAD, so commit first"
         )
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))  # worktrees are removed on the way out
-    run_id = new_run_id()
-    save_environment(run_id, environment("gate_selfcheck", 0), arguments.results)
+    save_run(
+        new_run_id(), environment("gate_selfcheck", 0), [GATE_SELFCHECK.name], [GATE_SELFCHECK.name],
+        arguments.results,
+    )  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="contactbench-selfcheck-") as folder:
         scratch, rows = Path(folder), []
         if arguments.only != "speed":
@@ -389,7 +385,7 @@ def main() -> None:
         if arguments.only != "accuracy":
             rows.append(speed_rows(arguments.runs, arguments.results, scratch))
         for row in (row for part in rows for row in part):
-            merge(GATE_SELFCHECK, [{**row, "run_id": run_id}], arguments.results)
+            merge(GATE_SELFCHECK, [row], arguments.results)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""What the stability experiment runs in its worker processes: one row of a table per call."""
+"""What the stability experiment runs in its worker processes: one row of a table per call.
+
+What is run, and what a row says, follows from evaluations counted; the clock is read for `time_s` alone.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,12 @@ import numpy as np
 
 import contactbench as cb
 from cells import outcome, save_times
-from contactbench.measure.laws import MEANINGFUL, is_contact, laws_of
+from contactbench.measure.deviation import MEANINGFUL
+from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import slow_rate
-from contactbench.truth.reference import blow_up_time, condition_number
+from contactbench.results.tables import DAMPING_RATES
+from contactbench.truth import blow_up_time, condition_number
+from equal_cost import tolerance_at
 
 
 class SolverError(Exception):
@@ -34,10 +40,21 @@ def solve(scene, method, **options):
         return cb.solve(scene, method, **options)
 
 
-#: laws that need the derivative of the numerical map, which costs several runs
-DERIVED = ("contact_drift", "distribution_drift")
-#: no derivative where one run takes longer than this, seconds; several calls where it takes less
-PATIENCE, QUICK = 2.0, 0.2
+#: compiled evaluations that a call back into Python is worth, and right-hand sides of an implicit step
+CALLBACK, IMPLICIT = 200, 20
+#: of one that costs less than this the fastest of several calls is timed, else the second
+QUICK, CALLS = 1e6, 5
+
+
+def work(solution):
+    """What a run cost, in compiled evaluations: of its counts alone."""
+    counts = solution.counts
+    evaluations = counts.rhs_equivalents
+    if evaluations is None:  # an implicit method that does not say
+        evaluations = IMPLICIT * (counts.steps + (counts.rejected or 0))
+    return evaluations * (
+        CALLBACK if "python" in solution.engine and cb.METHODS[solution.method].adaptive else 1
+    )
 
 
 def stability_row(scene, method, engine, kind, value, max_steps):
@@ -47,16 +64,7 @@ def stability_row(scene, method, engine, kind, value, max_steps):
         run = cb.prepare(
             scene, method, engine=engine, save_at=save_times(scene), max_steps=max_steps, **{kind: value}
         )
-        times = [perf_counter()]
         solution = run()
-        times.append(perf_counter())
-        while (
-            solution.ok
-            and len(times) < (6 if times[-1] - times[-2] < QUICK else 3)
-            and times[1] - times[0] < PATIENCE
-        ):
-            run()  # the second call may be much shorter: the first imports and allocates
-            times.append(perf_counter())
     found = blow_up_time(scene) if solution.status is not cb.Status.unsupported else None
     row = outcome(solution) | {
         "end_time": solution.end_time,
@@ -65,16 +73,20 @@ def stability_row(scene, method, engine, kind, value, max_steps):
     }
     if not solution.ok:
         return row
-    row["time_s"] = min(np.diff(times))
+    row["time_s"] = fastest(run, CALLS if work(solution) < QUICK else 1)
     row["end_error"] = end_error(solution)
-    slow = row["time_s"] > PATIENCE
-    row["derivative"] = solution.sensitivity_source if is_contact(scene) else ""
-    if slow:
-        row["derivative"] = f"not taken: a run takes longer than {PATIENCE:g} s"
-    for law in laws_of(scene):
-        if not (slow and law.name in DERIVED):
-            row[law.name] = law(solution)
-    return row
+    return row | law_columns(solution)
+
+
+def fastest(run, calls):
+    """Seconds of the fastest of so many calls after the first, which imports and allocates."""
+    times = []
+    with blamed_on_solver():
+        for _ in range(calls):
+            start = perf_counter()
+            run()
+            times.append(perf_counter() - start)
+    return min(times)
 
 
 def end_error(solution):
@@ -102,8 +114,8 @@ def overdamped_row(method, kind, value, max_steps):
 
 def rate_row(experiment, solution, t_end, true_rate):
     common = outcome(solution)
-    keep = ("scene", "method", "engine", "setting", "status", "message", "evaluations")
-    return {k: common[k] for k in keep} | {"experiment": experiment, "t_end": t_end, "true_rate": true_rate}
+    keep = {name: value for name, value in common.items() if name in DAMPING_RATES.columns}
+    return keep | {"experiment": experiment, "t_end": t_end, "true_rate": true_rate}
 
 
 def rates(rate, true_rate):
@@ -112,29 +124,56 @@ def rates(rate, true_rate):
 
 
 # -- weak damping ----------------------------------------------------------------------------------
-#: evaluations per unit of time, for every method alike
-COST = 8.0
-PILOT = 200.0
-SAMPLES, WINDOW = 1000, 0.2
+#: evaluations per unit of time, for every method alike; adaptive ones are matched over a shorter span
+COST, PILOT = 8.0, 200.0
+#: times at which H0 is looked at, of a method and of the truth alike.  They are close enough together for
+#: the oscillation of H0 not to be mistaken for a slow one, which on the 200 times of the frozen references it is
+SAMPLES, FROZEN = 1000, 200
+#: how far the truth, integrated from one frozen time to the next, may be from it
+GAP = 1e-12
 
 
 def energy_rate(t, energy):
-    """The mean rate at which log H0 falls, from its averages over the first and the last fifth.
+    """The mean rate at which log H0 falls: its slope by least squares, weighted by a bump over the span.
 
-    The averages are weighted by a bump, which damps the oscillation of H0 within a window faster than
-    any power of its length (Das, Saiki, Sander, Yorke, Nonlinearity 30, 4111 (2017),
-    doi:10.1088/1361-6544/aa84c2).
+    The weight is flat at both ends with all its derivatives, so that what an oscillation of H0 adds to the
+    slope falls faster than any power of the number of its periods (Das, Saiki, Sander, Yorke, Nonlinearity
+    30, 4111 (2017), doi:10.1088/1361-6544/aa84c2).
     """
-    n = round(len(t) * WINDOW)
+    n = len(t)
     u = np.arange(1, n + 1) / (n + 1)
     weight = np.exp(-1 / (u * (1 - u)))
-    log = np.log(energy)
-    means = [
-        np.average(np.array([t, log])[:, part], axis=1, weights=weight)
-        for part in (slice(n), slice(-n, None))
-    ]
-    (t0, log0), (t1, log1) = means
-    return (log0 - log1) / (t1 - t0)
+    lever = weight * (t - np.average(t, weights=weight))
+    return float(-(lever @ np.log(energy)) / (lever @ t))
+
+
+def carried(state):
+    """The fields a state has, by name."""
+    return {name: value for name, value in state._asdict().items() if value is not None}
+
+
+def truth_at(scene, times):
+    """The true (q, p) at equidistant times up to t_end, a multiple of the frozen ones, as states.
+
+    Between frozen times by Taylor series in double precision, afresh from each frozen state, and checked
+    against the next.  Raises `AssertionError` where they do not meet.
+    """
+    if scene.exact is not None:
+        return cb.reference(scene, times, ()).states()
+    between = len(times) // FROZEN
+    frozen = cb.reference(scene, times[between - 1 :: between], ())
+    starts = np.vstack([scene.pack(scene.initial(())), frozen.y[:-1]])
+    run = cb.prepare(scene, "heyoka-taylor", rtol=2.3e-16, save_at=times[:between], carry=())
+    pieces = np.array([run(**carried(scene.unpack(tuple(y), ()))).y for y in starts])
+    assert np.abs(pieces[:, -1] - frozen.y).max() < GAP
+    pieces[:, -1] = frozen.y
+    return scene.unpack(tuple(np.concatenate(pieces).T), ())
+
+
+def against_truth(scene, t, states):
+    """Rate of H0 of the states at times t, true rate, their ratio and its error, both sampled alike."""
+    true_rate = energy_rate(t, scene.energy(truth_at(scene, t)))
+    return {"true_rate": true_rate} | rates(energy_rate(t, scene.energy(states)), true_rate)
 
 
 def weak_row(scene, method, t_end):
@@ -142,40 +181,35 @@ def weak_row(scene, method, t_end):
     scene = cb.SCENES[scene].with_(t_end=t_end)
     chosen = cb.METHODS[method]
     if chosen.refuses(scene) is not None:
-        return rate_row("weak", solve(scene, method, **first(chosen, scene)), t_end, math.nan)
-    options = {"rtol": matching_tolerance(scene, chosen)} if chosen.adaptive else first(chosen, scene)
-    solution = solve(scene, method, save_at=t_end * np.arange(1, SAMPLES + 1) / SAMPLES, carry=(), **options)
-    grid = t_end * np.arange(1, 201) / 200
-    truth = cb.reference(scene, grid, ())
-    true_rate = energy_rate(grid, scene.energy(truth.states()))
-    row = rate_row("weak", solution, t_end, true_rate)
-    if solution.ok:
-        row |= rates(energy_rate(solution.t, scene.energy(solution.states())), true_rate)
-    return row
+        setting = {"rtol": chosen.rtol_range[1]} if chosen.adaptive else {"step": 1 / COST}
+        return rate_row("weak", solve(scene, method, **setting), t_end, math.nan)
+    times = t_end * np.arange(1, SAMPLES + 1) / SAMPLES
+    if chosen.adaptive:
+        setting = {"rtol": tolerance_at(pilot_cost(scene, method), COST * PILOT, chosen.rtol_range)}
+    else:  # whole steps between samples
+        setting = {"step": times[0] / max(1, round(times[0] * COST / chosen.per_step(scene)))}
+    solution = solve(scene, method, save_at=times, carry=(), **setting)
+    row = rate_row("weak", solution, t_end, math.nan)
+    if not solution.ok:
+        return row
+    if "python" not in solution.engine:  # the cost without what it takes to save
+        row["evaluations"] = solve(scene, method, save_at=times[-1:], carry=(), **setting).counts.evaluations
+    return row | against_truth(scene, times, solution.states())
 
 
-def first(method, scene):
-    """The step that costs COST, or any tolerance where the method refuses the scene."""
-    if method.adaptive:
-        return {"rtol": 1e-3}
-    return {"step": (1 if method.refuses(scene) else method.per_step(scene)) / COST}
+def pilot_cost(scene, method):
+    """The function tolerance → evaluations over the pilot span, as `tolerance_at` wants it."""
 
-
-def matching_tolerance(scene, method):
-    """The whole power of ten at which an adaptive method costs about COST, by bisection on short runs."""
-
-    def cost(k):
+    def cost(rtol):
         with blamed_on_solver():
-            run = cb.prepare(scene, method.name, rtol=10.0**-k, save_at=[PILOT], carry=())
-            solution = run()
-        return run.count(solution.counts).rhs_equivalents / PILOT if solution.ok else math.inf
+            run = cb.prepare(scene, method, rtol=rtol, save_at=[PILOT], carry=())
+            return evaluations_of(run, run())
 
-    low, high = 1, min(13, math.floor(-math.log10(method.rtol_range[0])))
-    costs = {}
-    while high - low > 1:
-        middle = (low + high) // 2
-        costs[middle] = cost(middle)
-        low, high = (middle, high) if costs[middle] < COST else (low, middle)
-    for k in (low, high):
-        costs.setdefault(k, cost(k))
-    return 10.0 ** -min((low, high), key=lambda k: abs(math.log(costs[k] / COST)))
+    return cost
+
+
+def evaluations_of(run, solution):
+    """Right-hand sides of a run; 0 where it came to a bad end, inf where it spent its budget."""
+    if solution.ok:
+        return run.count(solution.counts).rhs_equivalents
+    return math.inf if solution.status is cb.Status.budget else 0.0

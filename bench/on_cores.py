@@ -1,4 +1,4 @@
-"""Run one ensemble cell on several cores and print its row: ``python on_cores.py '[[cores], [cell]]'``."""
+"""Run one ensemble cell on several cores and print its row and times: ``python on_cores.py '[[cores], [cell]]'``."""
 
 from __future__ import annotations
 
@@ -12,26 +12,22 @@ os.sched_setaffinity(0, CORES)  # before contactbench is imported: it takes a de
 import gc
 from time import perf_counter
 
-import numpy as np
+from bench_ensemble import prepared_row
 
-from bench_ensemble import row_of
+#: of one visit (clock.py)
+ROUNDS = 5
 
-ROUNDS = 9
 
-
-def timing(run):
-    """The time columns, as pytest-benchmark has them for one core."""
+def seconds(run):
+    """Seconds per call, one number a round; the first call has warmed up."""
     gc.disable()
-    seconds = []
-    for _ in range(ROUNDS + 1):  # the first warms up
+    samples = []
+    for _ in range(ROUNDS):
         start = perf_counter()
         run()
-        seconds.append(perf_counter() - start)
-    low, median, high = np.percentile(seconds[1:], (25, 50, 75)).tolist()
-    return {
-        "time_min_s": min(seconds[1:]), "time_median_s": median, "time_iqr_s": high - low,
-        "rounds": ROUNDS, "iterations": 1,
-    }  # fmt: skip
+        samples.append(perf_counter() - start)
+    return samples
 
 
-print(json.dumps(row_of(CELL, timing), default=float))
+row, run = prepared_row(CELL)
+print(json.dumps([row, seconds(run)], default=float))

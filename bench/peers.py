@@ -38,8 +38,8 @@ def contact(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -
 @cache
 def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
     import diffrax
-    import jax
-    import jax.numpy as jnp
+
+    from contactbench.xla import jax, jnp
 
     scene = cb.SCENES[scene_name]
     solver = getattr(diffrax, SOLVERS[name][0])()

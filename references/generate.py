@@ -32,12 +32,12 @@ import heyoka
 import mpmath
 import numpy as np
 
+from contactbench import truth
 from contactbench.scene import RigidBody, Scene, dot
 from contactbench.scenes import SCENES
 from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
-from contactbench.truth import reference as truth
 
 FOLDER = Path(__file__).resolve().parent
 BITS = (200, 260)

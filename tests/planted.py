@@ -1,13 +1,15 @@
-"""Solvers that misbehave, for the stability experiment to survive."""
+"""Solvers that misbehave, for the stability experiment to survive, and one that is exact."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
 
 import numpy as np
 
+import contactbench as cb
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared
 from contactbench.solution import Counts, Status
 
@@ -53,3 +55,26 @@ def row(method):
             METHODS.add(Planted(name))
     rtol, engine = ("rtol", 1e-6), METHODS[method].engines[0]
     return stability_row("critical", method, engine, *rtol, 10_000)
+
+
+class Exact(Prepared):
+    def integrate(self, y0):
+        r = self.request
+        evaluations = round(8 * r.save_at[-1])
+        y = cb.reference(r.scene, r.save_at, r.carry).y
+        return Outcome(y, Counts(evaluations, evaluations), Status.ok, "", float(r.save_at[-1]))
+
+
+class Truth(Planted):
+    def prepare(self, request):
+        return Exact(self.name, request)
+
+
+@contextlib.contextmanager
+def plant_truth():
+    """The name of a registered method whose solutions are the truth, at eight evaluations a unit of time."""
+    METHODS.add(Truth("planted-truth"))
+    try:
+        yield "planted-truth"
+    finally:
+        del METHODS["planted-truth"]

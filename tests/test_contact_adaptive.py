@@ -66,8 +66,8 @@ def test_saving_does_not_disturb_the_steps():
 def test_contact_structure_of_the_steps_taken():
     scene = cb.SCENES["central"]
     solution = cb.solve(scene, NAME, rtol=1e-3, save_at=[10.0, 20.0])
-    assert cb.LAWS["contact_drift"](solution) < 1e-12
-    assert "frozen" in solution.sensitivity_source
+    assert cb.LAWS["contact_drift_frozen"](solution) < 1e-12
+    assert "frozen" in solution.frozen_differential.source
 
 
 def test_a_step_with_its_density_undoes_itself(mp50):

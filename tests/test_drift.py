@@ -1,21 +1,33 @@
-"""The derivative of every numerical map, and the contact drift computed from it."""
+"""The derivative of every numerical map, with the choice of steps and without, and the contact drift of it."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import TILTED, USER
+from cases import ALL_SCENES, TILTED, USER, by_name, random_state
+from contactbench.measure.laws import row
+from contactbench.measure.pullback import pullback
+from contactbench.measure.round_off import round_off_bound
+from contactbench.methods import differences as by_differences
+from contactbench.methods.base import Outcome
+from contactbench.methods.differences import INCREMENTS, differences
+from contactbench.solution import SAFETY, Counts, Status
 
 SCENES = ("particle", "rigid_body")
+CENTRAL = cb.SCENES["central"]
+DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 VARIATIONAL = (
     "scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853", "cyrk-vern8", "cyrk-tsit5",
     "cyrk-lsoda", "cyrk-radau", "heyoka-taylor",
 )  # fmt: skip
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
+FIXED = [name for name, method in cb.METHODS.items() if not method.adaptive]
 #: contact drift over rtol, at most: what a tolerance per step grows to over the run (T = 20; the
 #: worst seen is 370, cvode-bdf at 1e-10), with a factor 10 in hand
 GROWTH = 5e3
@@ -27,19 +39,207 @@ def saved(scene, count=5):
     return scene.t_end * np.arange(1, count + 1) / count
 
 
+def drift(solution, name="contact_drift"):
+    return cb.LAWS[name](solution)
+
+
+# -- the map a user gets, and the map of the steps taken -------------------------------------------
+@pytest.mark.parametrize(("rtol", "true"), [(1e-2, 1.35e-5), (1e-4, 1.2e-7), (1e-6, 1.2e-9)])
+def test_the_map_with_adaptive_steps_is_no_contact_map_and_the_steps_frozen_are(rtol, true):
+    """Figures of an independent check, by differences of the solver on `central`."""
+    solution = cb.solve(CENTRAL, "contact-adaptive", rtol=rtol, save_at=[20.0])
+    assert true / 2 < drift(solution) < 2 * true
+    assert drift(solution, "contact_drift_frozen") < 1e-13
+    assert drift(solution, "distribution_drift_frozen") < 1e-13
+    assert "choice" in solution.differential.source
+    assert "frozen" in solution.frozen_differential.source
+
+
+def test_the_actual_map_of_heyoka_drifts_forty_times_more_than_its_variational_run():
+    """Figures of an independent check, `central` at rtol 10⁻⁶, at the end."""
+    solution = cb.solve(CENTRAL, "heyoka-taylor", rtol=1e-6, save_at=[20.0])
+    assert drift(solution) == pytest.approx(3.0e-6, rel=0.1)
+    assert drift(solution, "contact_drift_frozen") == pytest.approx(7.4e-8, rel=0.1)
+    assert cb.LAWS["contact_drift"].measured(solution).uncertainty < 1e-8
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4])
+@pytest.mark.parametrize("scene", [CENTRAL, cb.SCENES["particle"], USER], ids=lambda s: s.name)
+def test_derivative_through_the_choice_of_steps_agrees_with_differences(scene, rtol):
+    run = cb.prepare(scene, "contact-adaptive", rtol=rtol, save_at=saved(scene))
+    solution = run()
+    exact, found = pullback(solution, solution.differential), differenced(run)
+    assert np.all(np.linalg.norm(found.values - exact.values, axis=1) <= found.uncertainty.max())
+    frozen = pullback(solution, solution.frozen_differential)
+    assert np.abs(frozen.values - exact.values).max() > 1e-7 * rtol  # and it is another derivative
+
+
+@pytest.mark.parametrize("engine", ["jax", "python"])
+def test_both_engines_of_the_adaptive_contact_method_have_both_drifts(engine):
+    solution = cb.solve(CENTRAL, "contact-adaptive", rtol=1e-4, save_at=[20.0], engine=engine)
+    assert drift(solution) == pytest.approx(1.16e-7, rel=0.1)
+    assert drift(solution, "contact_drift_frozen") < 1e-13
+
+
+@pytest.mark.parametrize("method", FIXED)
+def test_fixed_steps_have_one_derivative(method):
+    solution = cb.solve(CENTRAL, method, step=0.1, save_at=saved(CENTRAL))
+    np.testing.assert_array_equal(solution.differential.value, solution.frozen_differential.value)
+    assert len(solution.differential.estimates) == 1  # AD, no differences
+    assert drift(solution) == drift(solution, "contact_drift_frozen")
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "rk4"])
+def test_a_step_chosen_from_a_tolerance_is_a_fixed_step(method):
+    """The state decides on a whole number of steps: differences see the map of those steps."""
+    run = cb.prepare(CENTRAL, method, rtol=1e-4, save_at=saved(CENTRAL))
+    solution = run()
+    np.testing.assert_array_equal(solution.differential.value, solution.frozen_differential.value)
+    exact, found = pullback(solution, solution.differential), differenced(run)
+    assert np.linalg.norm(found.values - exact.values, axis=1).max() <= found.uncertainty.max()
+
+
+@pytest.mark.parametrize("method", ["scipy-dop853", "cvode-bdf", "heyoka-taylor", *DIFFRAX])
+def test_where_the_solver_chooses_the_steps_both_drifts_are_told_and_differ(method):
+    solution = cb.solve(CENTRAL, method, rtol=1e-6, save_at=saved(CENTRAL))
+    columns = row(solution)
+    assert "central differences" in columns["derivative"]
+    assert "steps frozen" in columns["derivative"]
+    assert columns["contact_drift"] > 1.5 * columns["contact_drift_frozen"] > 0
+    assert 0 < columns["contact_drift_uncertainty"] < columns["contact_drift"] / 2
+
+
+# -- differences of the solver ---------------------------------------------------------------------
+def differenced(run):
+    """The pull-back by differences, whatever the engine could do instead."""
+    y0 = run._own_start
+    return pullback(run(), differences(run, y0, run.integrate(y0)))
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "rk4"])
+@by_name(ALL_SCENES)
+def test_error_bar_of_differences_covers_their_distance_to_the_exact_derivative(scene, method):
+    """Bodies included; the derivative itself where the scene is no contact system."""
+    scene = scene.with_(t_end=min(scene.t_end, 20.0))
+    # near-collisions of an orbit that is not resolved make its map bend within any increment
+    run = cb.prepare(
+        scene, method, step=scene.t_end / (8000 if scene.name == "kepler_drag" else 400), save_at=saved(scene)
+    )
+    solution = run()
+    assert solution.ok
+    exact = solution.differential
+    found = differences(run, run._own_start, run.integrate(run._own_start))
+    bars = SAFETY * np.abs(np.diff(found.estimates, axis=0)).max(axis=(1, 2)).min(axis=0)
+    wrong = np.abs(found.value - exact.value).max(axis=(0, 1))
+    assert np.all(wrong <= bars)
+    assert np.all(bars < 1e-5 * np.abs(exact.value).max())
+    if scene.is_contact:
+        mine, theirs = pullback(solution, exact), pullback(solution, found)
+        assert np.linalg.norm(mine.values - theirs.values, axis=1).max() <= theirs.uncertainty.max()
+
+
+@by_name(ALL_SCENES)
+def test_a_displaced_state_leaves_along_its_tangent_and_stays_a_state(scene):
+    x = random_state(scene, 7)
+    for v in scene.tangents(x):
+        ahead, behind = (np.array(scene.pack(scene.displaced(x, v, d))) for d in (1e-5, -1e-5))
+        np.testing.assert_allclose((ahead - behind) / 2e-5, scene.pack(v), atol=1e-10)
+        if "R" in scene.optional:
+            turned = scene.displaced(x, v, 0.7).R
+            assert math.hypot(*turned) == pytest.approx(1, abs=1e-15)
+
+
+@dataclasses.dataclass
+class Stepped:
+    """A map with a jump, as a changed decision on a step makes one."""
+
+    request: object
+    jump_at: float
+    height: float
+
+    def integrate(self, y0):
+        y = np.sin(3 * y0) + self.height * (y0 > self.jump_at)
+        return Outcome(y[None], Counts(1, 1), Status.ok, "", 1.0)
+
+
+@pytest.mark.parametrize("away", [3e-4, 3e-5, -2e-5])
+def test_a_jump_between_two_increments_is_passed_over(away):
+    request = cb.prepare("oscillator", "rk4", step=0.1).request
+    y0 = np.array([0.5, 0.2, 0.4])
+    run = Stepped(request, 0.5 + away, 1e-4)
+    found = differences(run, y0, run.integrate(y0))
+    bars = SAFETY * np.abs(np.diff(found.estimates, axis=0)).max(axis=(1, 2)).min(axis=0)
+    wrong = np.abs(found.value[0] - np.diag(3 * np.cos(3 * y0))).max(axis=0)
+    assert np.all(wrong <= bars)
+    assert bars[0] < 1e-6
+    assert np.abs(found.estimates[:, 0, 0, 0] - 3 * math.cos(1.5)).max() > 1e-3  # some saw it
+
+
+def test_a_map_that_bends_within_every_increment_has_no_derivative_by_differences():
+    """A derivative of 10¹⁰, as the map of a near-collision that was not resolved has it."""
+    run = cb.prepare(cb.SCENES["kepler_drag"].with_(t_end=20.0), "rk4", step=0.05, save_at=[16.0, 20.0])
+    found = differences(run, run._own_start, run.integrate(run._own_start))
+    assert not found.taken
+    assert "do not converge" in found.source
+    assert np.abs(run().sensitivity).max() > 1e9
+    with pytest.raises(cb.BadInput, match="do not converge"):
+        found.value  # noqa: B018
+
+
+def test_increments_fall_and_reach_from_truncation_to_round_off():
+    assert all(fine < coarse for coarse, fine in pairwise(INCREMENTS))
+    assert INCREMENTS[0] > 1e-4 > 1e-5 > INCREMENTS[-1]
+
+
+def test_a_drift_below_its_error_bar_is_given_as_an_upper_bound():
+    solution = cb.solve(CENTRAL, "heyoka-taylor", rtol=1e-15, save_at=saved(CENTRAL))
+    measured = cb.LAWS["contact_drift"].measured(solution)
+    assert measured.bound
+    assert measured.uncertainty < measured.value <= 2 * measured.uncertainty < 1e-8
+    assert "upper bounds: contact_drift, distribution_drift" in row(solution)["derivative"]
+    rough = cb.LAWS["contact_drift"].measured(cb.solve(CENTRAL, "heyoka-taylor", rtol=1e-6))
+    assert not rough.bound
+
+
+def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
+    """Counted in evaluations, so that no clock decides."""
+    solution = cb.solve(CENTRAL, "scipy-dop853", rtol=1e-4, save_at=[20.0])
+    cost = 60 * solution.counts.evaluations
+    monkeypatch.setattr(by_differences, "BUDGET", cost - 1)
+    columns = row(solution)
+    assert math.isnan(columns["contact_drift"])
+    assert columns["derivative"].startswith("not taken: 60 runs would cost")
+    assert "contact_drift_uncertainty" not in columns
+    monkeypatch.setattr(by_differences, "BUDGET", cost)
+    assert row(cb.solve(CENTRAL, "scipy-dop853", rtol=1e-4, save_at=[20.0]))["contact_drift"] > 0
+
+
+# -- variational runs ------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", VARIATIONAL)
 @pytest.mark.parametrize("name", SCENES)
-def test_contact_drift_falls_with_the_tolerance(name, method):
+def test_frozen_drift_falls_with_the_tolerance(name, method):
     scene = cb.SCENES[name]
     drifts = []
     for rtol in RTOLS:
         solution = cb.solve(scene, method, rtol=rtol, save_at=saved(scene))
-        assert "variational" in solution.sensitivity_source
-        drifts.append(cb.LAWS["contact_drift"](solution))
-    for rtol, drift in zip(RTOLS, drifts, strict=True):
-        assert 0 < drift < GROWTH * rtol
+        assert "variational" in solution.frozen_differential.source
+        drifts.append(drift(solution, "contact_drift_frozen"))
+    for rtol, value in zip(RTOLS, drifts, strict=True):
+        assert 0 < value < GROWTH * rtol
     for coarse, fine in pairwise(drifts):
         assert fine < coarse / 5  # two decades of tolerance
+
+
+@pytest.mark.parametrize("method", VARIATIONAL)
+@pytest.mark.parametrize("name", SCENES)
+def test_the_drift_of_the_map_falls_with_the_tolerance(name, method):
+    scene = cb.SCENES[name]
+    coarse, fine = (
+        cb.LAWS["contact_drift"].measured(cb.solve(scene, method, rtol=rtol, save_at=saved(scene)))
+        for rtol in (1e-4, 1e-8)
+    )
+    assert 0 < fine.value < coarse.value / 25  # four decades of tolerance
+    assert coarse.uncertainty < coarse.value
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +248,7 @@ def independent():
 
     def compute(scene):
         solution = cb.solve(scene, "rk4", step=scene.t_end / 8000, save_at=saved(scene))
-        assert "AD" in solution.sensitivity_source
+        assert "AD" in solution.differential.source
         return solution.y, solution.sensitivity
 
     return compute
@@ -68,11 +268,10 @@ def test_all_derivatives_agree_at_tight_tolerance(case, independent):
     y, expected = independent(scene)
     assert expected.shape == (5, y.shape[1], len(scene.tangents(scene.initial(scene.optional))))
     for method in (*VARIATIONAL, "diffrax-dopri8"):
-        solution = cb.solve(scene, method, rtol=1e-11, save_at=saved(scene))
-        states, derivative = solution.linearised
+        found = cb.solve(scene, method, rtol=1e-11, save_at=saved(scene)).frozen_differential
         size = np.abs(expected).max()
-        np.testing.assert_allclose(states, y, rtol=0, atol=AGREE, err_msg=method)
-        np.testing.assert_allclose(derivative, expected, rtol=0, atol=AGREE * size, err_msg=method)
+        np.testing.assert_allclose(found.states, y, rtol=0, atol=AGREE, err_msg=method)
+        np.testing.assert_allclose(found.value, expected, rtol=0, atol=AGREE * size, err_msg=method)
 
 
 @pytest.mark.parametrize("method", ["rk4", "contact-strang", "contact-bm4"])
@@ -95,8 +294,10 @@ def test_the_derivative_starts_with_the_tangents_when_the_start_is_saved(method)
     scene = cb.SCENES["rigid_body"].with_(t_end=1.0)
     solution = cb.solve(scene, method, rtol=1e-6, save_at=[0.0, 1.0])
     start = np.array([scene.pack(v) for v in scene.tangents(solution.start())]).T
-    np.testing.assert_array_equal(solution.sensitivity[0], start)
-    assert np.abs(solution.sensitivity[1] - start).max() > 0.1
+    frozen = solution.frozen_differential.value
+    np.testing.assert_array_equal(frozen[0], start)
+    np.testing.assert_allclose(solution.sensitivity[0], start, atol=1e-9)  # by differences
+    assert np.abs(frozen[1] - start).max() > 0.1
 
 
 @pytest.mark.parametrize("method", VARIATIONAL)
@@ -107,8 +308,9 @@ def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
     here = run(q=(0.4, -0.7))
     step = 1e-4  # central differences: truncation 1e-8, solver error 1e-10/1e-4
     ahead, behind = (run(q=(0.4 + d, -0.7)).y[0] for d in (step, -step))
-    np.testing.assert_allclose(here.sensitivity[0, :, 0], (ahead - behind) / (2 * step), rtol=0, atol=1e-5)
-    assert np.abs(here.sensitivity - run().sensitivity).max() > 0.05
+    for derivative in (here.sensitivity, here.frozen_differential.value):
+        np.testing.assert_allclose(derivative[0, :, 0], (ahead - behind) / (2 * step), rtol=0, atol=1e-5)
+        assert np.abs(derivative - run().sensitivity).max() > 0.05
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -120,3 +322,44 @@ def test_matrix_product_and_plain_components_push_the_same_tangents(name):
     y = np.random.default_rng(41).normal(size=len(scene.labels(carry))).tolist()
     by_components = scene.pack(scene.rhs(scene.unpack(y, carry)))
     np.testing.assert_allclose(list(flat_rhs(scene, carry)(y)), by_components, rtol=1e-14, atol=1e-14)
+
+
+# -- round-off -------------------------------------------------------------------------------------
+ILL_CONDITIONED = [
+    (scene, method, step)
+    for scene, steps in (
+        ("kepler_drag", (0.05, 0.01)),
+        ("tumbling", (0.1,)),
+        ("weak_damping_particle", (0.25,)),
+    )
+    for method in ("contact-strang", "contact-bm4", "contact-rkn8")
+    for step in steps
+    if cb.METHODS[method].refuses(cb.SCENES[scene]) is None
+]
+
+
+def bounded(scene, method, step):
+    """Row of the laws, and the bound that its own numbers give."""
+    solution = cb.solve(scene, method, step=step, save_at=saved(cb.SCENES[scene], 25))
+    columns = row(solution)
+    return columns, round_off_bound(columns["map_growth"], solution.counts.evaluations)
+
+
+@pytest.mark.parametrize(("scene", "method", "step"), ILL_CONDITIONED)
+def test_contact_methods_keep_the_contact_form_to_round_off_times_the_growth_of_the_map(scene, method, step):
+    columns, bound = bounded(scene, method, step)
+    for law in ("contact_drift", "distribution_drift", "own_factor_drift"):
+        assert columns[law] < bound, law
+
+
+@pytest.mark.parametrize("scene", ["tumbling", "weak_damping_particle"])
+def test_another_method_exceeds_the_bound_of_round_off(scene):
+    columns, bound = bounded(scene, "rk4", 0.25)
+    assert columns["contact_drift"] > 10 * bound
+
+
+def test_the_bound_takes_columns_and_is_never_below_a_rounding_per_evaluation():
+    eps = np.finfo(float).eps
+    np.testing.assert_allclose(
+        round_off_bound(np.array([0.1, 1e6]), np.array([10, 10])), [10 * eps, 1e7 * eps]
+    )

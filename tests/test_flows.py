@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import heyoka
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
@@ -15,6 +13,7 @@ from mpmath import mp
 import contactbench as cb
 from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from contactbench.splitting.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation, spin
+from contactbench.xla import jax, jnp
 
 BITS = 180
 DIGITS = mp.mpf(10) ** -45

@@ -21,20 +21,19 @@ from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import speed
 from contactbench.gate.accuracy import DECADES, accuracy
-from contactbench.measure.analysis import PairedRatio
-from contactbench.report.documents import gate_document
-from contactbench.results import schema as table
-from contactbench.results.schema import (
+from contactbench.report import gate_selfcheck as room
+from contactbench.report import markdown
+from contactbench.results.schema import PROFILES, TABLES, Rule
+from contactbench.results.statistics import PairedRatio
+from contactbench.results.store import merge, read
+from contactbench.results.tables import (
     CLAIMS_TABLE,
     CONVERGENCE,
     GATE_SELFCHECK,
     LAWS_TABLE,
     STABILITY,
     STABILITY_LIMITS,
-    TABLES,
     WORK_PRECISION,
-    Rule,
-    merge,
 )
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -43,9 +42,11 @@ RUN = {"profile": "smoke", "cpu": "a", "python": "3.13", "packages": {"jax": "1"
 
 
 def row(method="rk4", setting="step=0.1", profile="smoke", **more):
+    control, _, value = setting.partition("=")
     return {
-        "scene": "particle", "method": method, "engine": "jax", "setting": setting, "status": "ok",
-        "message": "", "run_id": "one", "profile": profile, "steps": 200, "evaluations": 800,
+        "scene": "particle", "method": method, "engine": "jax", "setting": setting, "control": control,
+        "value": float(value), "status": "ok", "family": "established",
+        "message": "", "profile": profile, "steps": 200, "evaluations": 800,
         "evaluation_kind": "rhs", "rhs_equivalents": 800.0, "jacobians": 0, **more,
     }  # fmt: skip
 
@@ -65,13 +66,13 @@ ROWS = (
         ),
     ]),
     (WORK_PRECISION, [
-        row(track="fixed", carried="q p", solution_error=1e-6, time_median_s=1e-4),
-        row("cvode-adams", "rtol=1e-06", track="adaptive", carried="q p", solution_error=2e-5, time_median_s=1e-3),
-        row(setting="step=0.01", profile="standard", track="fixed", carried="q p", solution_error=1e-10),
-        row("cvode-bdf", "rtol=1e-12", track="adaptive", status="budget", message="too many"),
+        row(carried="q p", solution_error=1e-6, time_median_s=1e-4),
+        row("cvode-adams", "rtol=1e-06", carried="q p", solution_error=2e-5, time_median_s=1e-3),
+        row(setting="step=0.01", profile="standard", carried="q p", solution_error=1e-10),
+        row("cvode-bdf", "rtol=1e-12", status="budget", message="too many"),
     ]),
     (CLAIMS_TABLE, [{"id": "C01", "scene": "particle", "method": "any", "verdict": "holds", "status": "ok",
-                    "measured": 1e-16, "run_id": "one", "profile": "smoke"}]),
+                    "measured": 1e-16, "profile": "smoke"}]),
 )  # fmt: skip
 
 
@@ -81,7 +82,7 @@ def folder(path, change=lambda which, row: row, run=RUN, keep=lambda row: True):
         changed = [change(which, dict(row)) for row in rows]
         merge(which, [row for row in changed if row is not None and keep(row)], path)
     path.mkdir(exist_ok=True)
-    (path / "environment.json").write_text(json.dumps({"one": run}))
+    (path / "environment.json").write_text(json.dumps({"runs": [run]}))
     return path
 
 
@@ -127,6 +128,7 @@ FAULTS = {
     "status": (setting(WORK_PRECISION, "rk4", status="diverged", solution_error=math.nan), "rk4", "status"),
     "a refusal that ends well": (setting(WORK_PRECISION, "cvode-bdf", status="ok"), "cvode-bdf", "status"),
     "order claimed": (setting(CONVERGENCE, "contact-o8", order_nominal=6), "contact-o8", "order_nominal"),
+    "family": (setting(LAWS_TABLE, "rk4", family="contact"), "rk4", "family"),
     "verdict of a claim": (setting(CLAIMS_TABLE, "any", verdict="refuted"), "any", "verdict"),
     "dropped method": (
         lambda t, r: None if r["method"] == "contact-o8" else r, "contact-o8", "row of convergence",
@@ -176,7 +178,7 @@ def test_errors_at_round_off_may_move(tmp_path):
 
 
 def test_an_ill_conditioned_motion_has_a_higher_floor_and_a_limit_may_move_by_a_hundredth(tmp_path):
-    limit = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "run_id": "one", "profile": "smoke"}
+    limit = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "profile": "smoke"}
 
     def made(name, error, largest):
         path = folder(tmp_path / name)
@@ -223,13 +225,32 @@ def test_new_rows_and_other_machines_are_noted_not_judged(baseline, tmp_path):
     assert set(verdict.notes) == {"1 rows have no baseline yet", "processor: baseline a, fresh b"}
 
 
+def test_a_column_that_the_baseline_lacks_is_not_judged_and_one_that_is_lost_is(tmp_path):
+    """A law that is new, in a table from before it."""
+    new = setting(LAWS_TABLE, "rk4", momentum_balance=1e-3)
+    assert not judged(folder(tmp_path / "before"), new, tmp_path).red
+    had = folder(tmp_path / "had", new)
+    lines = accuracy(had, folder(tmp_path / "lost")).lines
+    assert {(line.method, line.measure) for line in lines if line.red} == {("rk4", "momentum_balance")}
+
+
+def test_tables_of_another_version_are_named_and_what_to_do(baseline, tmp_path, capsys):
+    fresh = folder(tmp_path / "fresh")
+    path = LAWS_TABLE.path(baseline)
+    path.write_text(path.read_text().replace(",3,smoke", ",2,smoke"))
+    status, text = outcome(capsys, "--only", "accuracy", "--baseline", baseline, "--fresh", fresh)
+    assert status == 2
+    assert f"{path}: schema 2, this version reads 3; run the benchmark (tox -e bench)" in text
+    assert text.count("\n") == 1
+
+
 def test_every_table_says_what_is_compared():
     for item in TABLES.values():
         assert item.rules or item is GATE_SELFCHECK, item.name
         assert set(item.rules) <= set(item.columns), item.name
         assert not set(item.rules) & set(item.key), item.name
-    for name in (column for item in TABLES.values() for column in item.columns if column.endswith("_s")):
-        assert not any(name in item.rules for item in TABLES.values())  # no absolute time is ever judged
+        assert not set(item.rules) & set(item.timed), item.name  # no absolute time is ever judged
+        assert {name for name in item.columns if name.endswith("_s")} <= set(item.timed), item.name
     assert LAWS_TABLE.rules["momentum_law"] is Rule.structure
     assert LAWS_TABLE.rules["solution_error"] is Rule.error
     assert pytest.approx(2, abs=0.01) == 10**DECADES
@@ -307,7 +328,7 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
     conftest = module_from_spec(spec)
     sys.modules[spec.name] = conftest
     spec.loader.exec_module(conftest)
-    assert tuple(conftest.PROFILES) == table.PROFILES
+    assert tuple(conftest.PROFILES) == PROFILES
     tests = [f for f in vars(import_module(experiment)).values() if hasattr(f, "cells")]
     assert tests
     for test in tests:
@@ -319,7 +340,7 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
 def test_a_wrong_coefficient_is_found_in_real_runs(copy, tmp_path):
     few = ("--profile", "smoke", "-k", "convergence and particle and not long and contact-strang")
     pytest_run(copy, "--results", tmp_path / "before", *few)
-    with patched(copy / "src" / "contactbench" / "composition.py", '("drift_damp", ONE), ("kick", HALF)),',
+    with patched(copy / "src" / "contactbench" / "splitting" / "tables.py", '("drift_damp", ONE), ("kick", HALF)),',
                  '("drift_damp", ONE * Fraction(1001, 1000)), ("kick", HALF)),'):  # fmt: skip
         pytest_run(copy, "--results", tmp_path / "after", *few)
     verdict = accuracy(tmp_path / "before", tmp_path / "after")
@@ -352,21 +373,23 @@ def test_the_workload_is_the_finest_setting_that_is_short(baseline):
     merge(
         WORK_PRECISION,
         [
-            row(setting=f"step={h}", track="fixed", carried="M R", time_median_s=time, scene="rigid_body")
+            row(setting=f"step={h}", carried="M R", time_median_s=time, scene="rigid_body")
             for h, time in ((0.2, 1e-5), (0.1, 2e-3), (0.05, 5e-3))
         ]
-        + [row("scipy-radau", "rtol=0.001", track="adaptive", carried="q p", time_median_s=5e-3)],
+        + [row("scipy-radau", "rtol=0.001", carried="q p", time_median_s=5e-3)]
+        + [row("limit-c", family="limit", variant="contact-strang", carried="q p", time_median_s=1e-5)]
+        + [row("contact-rkn6", "rtol=0.001", variant="chosen", carried="q p", time_median_s=1e-5)],
         baseline,
     )
-    cells = speed.workload(table.read(WORK_PRECISION, baseline))
+    cells = speed.workload(read(WORK_PRECISION, baseline))
     assert [(c.scene, c.method, c.setting, c.carry) for c in cells] == [
         ("particle", "rk4", "step=0.1", ()),
         ("particle", "cvode-adams", "rtol=1e-06", ()),
         ("rigid_body", "rk4", "step=0.1", ("R",)),
-    ]  # neither the run out of budget nor the long one
+    ]  # neither the run out of budget nor the long one, no C loop and no chosen step
 
 
-CELLS = [speed.Cell("particle", "contact-strang", "python", "step=0.1", ())]
+CELLS = [speed.Cell("particle", "contact-strang", "python", "step", 0.1, ())]
 
 
 @contextmanager
@@ -446,7 +469,7 @@ def test_the_working_tree_of_a_killed_gate_is_removed_by_the_next_and_a_living_o
 
 
 def test_a_cell_one_side_cannot_run_is_reported_and_a_broken_tree_is_not_compared(copy, tmp_path):
-    cells = [*CELLS, speed.Cell("particle", "no-such-method", "jax", "step=0.1", ())]
+    cells = [*CELLS, speed.Cell("particle", "no-such-method", "jax", "step", 0.1, ())]
     ratios, refused = speed.paired_times([sys.executable] * 2, [copy] * 2, cells, rounds=2, seed=0)
     assert set(ratios) == {0}
     assert "base: UnknownName" in refused[1]
@@ -531,7 +554,10 @@ def test_its_document_counts_alarms_and_faults():
         ),
         gate_selfcheck.outcome("accuracy", "a fault", "idle", "all", [(True, "a|b"), (True, "c")], 2.0),
     ]
-    text = gate_document(pd.DataFrame(rows))
+    tables = {"gate_selfcheck": pd.DataFrame(rows)}
+    text = markdown.parts(room.sections(tables))
+    (finding,) = room.findings(tables)
+    assert "1 false alarms in 2 judgements of identical code; 2 of 2 planted faults found" in finding.sentence
     assert "1 false alarms in 2 judgements; 2 of 2 planted faults found" in text
     assert "cried wolf" in text
     assert "a\\|b" in text

@@ -14,17 +14,20 @@ import pytest
 import contactbench as cb
 from cases import bench, finished
 from contactbench.results.journal import FOLDER, Journal, begin_anew, done, entries, fold_dead_runs
-from contactbench.results.schema import CONVERGENCE, LAWS_TABLE, TABLES, WORK_PRECISION, read
+from contactbench.results.provenance import runs
+from contactbench.results.schema import TABLES
+from contactbench.results.store import read
+from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 
 RECORD = {"profile": "smoke"}
 SMALL = "particle and not long and not limit and (strang or cvode-adams)"
-CELLS = 6
+CELLS = 9  # six, and the three that are timed a second time
 
 
 def row(method="rk4", setting="step=0.1", **more):
     return {
         "scene": "particle", "method": method, "engine": "jax", "setting": setting, "status": "ok",
-        "message": "", **more,
+        "message": "", "profile": "smoke", **more,
     }  # fmt: skip
 
 
@@ -35,7 +38,8 @@ def test_a_run_ends_in_the_tables(tmp_path):
     journal.append([(CONVERGENCE, row("contact-abc", status="failed"))])  # the cell itself failed
     journal.close()
     assert list(read(CONVERGENCE, tmp_path)["method"]) == ["contact-abc", "rk4"]
-    assert set(read(LAWS_TABLE, tmp_path)["run_id"]) == {"one"}
+    ((run),) = runs(tmp_path)
+    assert (run["run"], run["tables"]) == ("one", {"convergence": "part", "laws": "part"})
     assert done(tmp_path, "smoke") == {("bench.py", "a")}
     assert done(tmp_path, "standard") == set()
     begin_anew(tmp_path, "smoke", [("bench.py", "a")])
@@ -73,9 +77,9 @@ def test_a_living_run_is_left_alone(tmp_path):
 KILLED_WHILE_FOLDING = """
 import os, sys
 from pathlib import Path
-from contactbench.results import journal, schema as table
+from contactbench.results import journal, provenance, store, tables
 from contactbench.results.journal import Journal
-replacing, calls = table.replacing, []
+replacing, calls = store.replacing, []
 def dying(path):
     calls.append(path)
     if len(calls) > int(sys.argv[2]):
@@ -84,23 +88,26 @@ def dying(path):
 run = Journal(Path(sys.argv[1]), "killed")
 run.open({"profile": "smoke"})
 row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
-three = [(t, row) for t in (table.CONVERGENCE, table.LAWS_TABLE, table.WORK_PRECISION)]
-run.append([*three, (table.LAWS_TIME, {**row, "t": 1.0})], ("bench.py", "a"))
-table.replacing = journal.replacing = dying
+three = [(t, row) for t in (tables.CONVERGENCE, tables.LAWS_TABLE)]
+timed = (tables.WORK_PRECISION, {**row, "time_median_s": 1.0})
+run.append([*three, (tables.LAWS_TIME, {**row, "t": 1.0}), timed], ("bench.py", "a"))
+store.replacing = journal.replacing = provenance.replacing = dying
 run.close()
 """
 
 
-@pytest.mark.parametrize("writes", [0, 1, 3, 4, 5, 6])
+@pytest.mark.parametrize("writes", [0, 1, 3, 4, 5, 6, 7])
 def test_a_kill_while_folding_loses_nothing(tmp_path, writes):
-    """Four tables, the environment and the list of what is done: killed before any of them is written."""
+    """Five files of four tables, the environment and the list of what is done: killed before any is written."""
     child = subprocess.run(
         [sys.executable, "-c", KILLED_WHILE_FOLDING, str(tmp_path), str(writes)], timeout=60
     )
-    assert child.returncode == (9 if writes < 6 else 0)
+    assert child.returncode == (9 if writes < 7 else 0)
     fold_dead_runs(tmp_path)
     for table in (CONVERGENCE, LAWS_TABLE, WORK_PRECISION):
-        assert list(read(table, tmp_path)["run_id"]) == ["killed"]
+        assert list(read(table, tmp_path)["method"]) == ["rk4"]
+    assert list(read(WORK_PRECISION, tmp_path)["time_median_s"]) == [1.0]
+    assert [run["run"] for run in runs(tmp_path)] == ["killed"]
     assert done(tmp_path, "smoke") == {("bench.py", "a")}
     assert not [path for path in (tmp_path / FOLDER).iterdir() if path.is_dir()]
 
@@ -124,7 +131,7 @@ def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
     for name, one in [pair for entry in kept for pair in entry["rows"]]:  # made before the kill, kept after
         frame = read(TABLES[name], tmp_path)
         mine = frame[(frame["method"] == one["method"]) & (frame["setting"] == one["setting"])]
-        assert one["run_id"] in set(mine["run_id"])
+        assert len(mine)
     assert len(read(WORK_PRECISION, tmp_path)) == 3
     assert set(read(LAWS_TABLE, tmp_path)["method"]) == {"contact-strang", "cvode-adams"}
 
@@ -134,10 +141,7 @@ def test_workers_resume_what_is_left(tmp_path):
     workers = ("-m", "not timed", "-n", "2", "--dist", "loadgroup", "-p", "no:benchmark")
     finished(bench(tmp_path, f"{SMALL} and strang", *workers))
     assert "1 passed" in finished(bench(tmp_path, SMALL, "--resume", *workers))
-    runs = read(LAWS_TABLE, tmp_path).groupby("method")["run_id"].unique()
-    assert set(runs.index) == {"contact-strang", "cvode-adams"}
-    assert all(len(ids) == 1 for ids in runs)
-    assert runs.iloc[0][0] != runs.iloc[1][0]
+    assert set(read(LAWS_TABLE, tmp_path)["method"]) == {"contact-strang", "cvode-adams"}
 
 
 def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
@@ -146,7 +150,51 @@ def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
         finished(process)
     work = read(WORK_PRECISION, tmp_path)
     assert set(work["method"]) == {"contact-strang", "cvode-adams"}
-    assert work["run_id"].nunique() == 2
+
+
+def expected_run(tmp_path, made, expected, **record):
+    """A run that makes some cells of an experiment, each with a row of a method of its name."""
+    journal = Journal(tmp_path, f"of-{'-'.join(made)}")
+    journal.open({**RECORD, **record})
+    for name in made:
+        journal.append([(CONVERGENCE, row(name))], ("bench.py", name))
+    if expected:
+        journal.expect([("bench.py", name) for name in expected])
+    journal.close()
+    return list(read(CONVERGENCE, tmp_path)["method"])
+
+
+def test_a_whole_run_removes_rows_whose_benchmark_no_longer_exists(tmp_path):
+    assert expected_run(tmp_path, ["a", "gone"], ["a", "gone"]) == ["a", "gone"]
+    begin_anew(tmp_path, "smoke", [("bench.py", "a"), ("bench.py", "b")])
+    assert expected_run(tmp_path, ["b"], None) == ["a", "b", "gone"]  # a part keeps the rest
+    assert expected_run(tmp_path, [], ["a", "b"]) == ["a", "b", "gone"]  # a has not been done again
+    assert expected_run(tmp_path, ["a"], ["a", "b"]) == ["a", "b"]  # resumed: now all are done
+    assert runs(tmp_path)[-1]["tables"] == {"convergence": "whole"}
+
+
+def test_the_run_behind_rows_of_a_larger_profile_stays_on_record(tmp_path):
+    large = Journal(tmp_path, "large")
+    large.open({"profile": "standard"})
+    large.append([(CONVERGENCE, row("a")), (CONVERGENCE, row("b", profile="standard"))], ("bench.py", "a"))
+    large.expect([("bench.py", "a")])
+    large.close()
+    assert expected_run(tmp_path, ["a"], ["a"]) == ["a", "b"]
+    assert {run["run"]: run["tables"]["convergence"] for run in runs(tmp_path)} == {
+        "large": "whole",
+        "of-a": "part",
+    }
+
+
+def test_a_rerun_changes_what_the_clock_says_and_nothing_else(tmp_path):
+    """Two runs on one machine: the same bytes in every table but those of times."""
+    few = "particle and not long and not limit and strang and (laws or work_precision or convergence)"
+    finished(bench(tmp_path, few))
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
+    finished(bench(tmp_path, few))
+    after = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
+    assert {"convergence.csv", "laws.csv", "laws_time.csv", "work_precision.csv"} < set(before) == set(after)
+    assert {name for name in before if before[name] != after[name]} == {"work_precision_times.csv"}
 
 
 @pytest.mark.parametrize("content", ["a,b\n1,2\n", "not a table"])

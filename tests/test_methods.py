@@ -9,11 +9,11 @@ import pytest
 
 import contactbench as cb
 from cases import USER, by_name
-from contactbench.measure.analysis import fit_order
+from contactbench.measure.order import fit_order
 from contactbench.methods.base import steps_in
-from contactbench.methods.fixed_step import trajectory
+from contactbench.methods.fixed_step import FixedStep, trajectory
 from contactbench.solution import Status
-from contactbench.truth.reference import blow_up_time
+from contactbench.truth import blow_up_time
 
 FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
 ADAPTIVE = [m for m in cb.METHODS.values() if m.adaptive]
@@ -45,9 +45,7 @@ def test_order_on_the_asymptotic_range(method, scene):
         assert method.order > 4 or cb.solve(scene, method.name, step=0.1).status is Status.unsupported
         return
     steps = [scene.t_end / n for n in (10, 20, 40, 80, 160, 320)]
-    errors = [
-        cb.LAWS["solution_error_end"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps
-    ]
+    errors = [cb.LAWS["solution_error"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps]
     fit = fit_order(steps, errors, floor=1e-12)
     assert abs(fit.order - method.order) < 0.15, (fit.order, errors)
 
@@ -70,7 +68,7 @@ def test_solution_approaches_the_reference(method, scene):
 @adaptive
 def test_error_falls_with_the_tolerance(method):
     errors = [
-        cb.LAWS["solution_error_end"](cb.solve(PARTICLE, method.name, rtol=rtol, save_at=[4.0]))
+        cb.LAWS["solution_error"](cb.solve(PARTICLE, method.name, rtol=rtol, save_at=[4.0]))
         for rtol in (1e-4, 1e-7, 1e-10)
     ]
     assert errors[0] > 10 * errors[1] > 100 * errors[2]
@@ -197,6 +195,52 @@ def test_a_span_that_is_a_multiple_up_to_round_off_is_not_cut_finer():
     assert steps_in(2000.0, 0.01) == 200_000
     assert steps_in(20.0, 0.3) == 67
     assert steps_in(1e-3, 5.0) == 1
+
+
+def grids(step):
+    """Times at multiples of a step, as users write them."""
+    n = 20_000
+    k = np.arange(1, n)
+    return {
+        "multiples": k * step,
+        "arange": np.arange(step, n * step, step),
+        "linspace": np.linspace(0, n * step, n + 1)[1:],
+        "sums": np.cumsum(np.full(n, step)),
+        "late": 1e6 * step + k * step,
+        "very late": 1e9 * step + k * step,
+        "every third": 3 * k * step,
+    }
+
+
+def divided(times, step):
+    """Steps of each interval between the times, the way to the first of them left out."""
+    spans = zip(np.diff(times).tolist(), times[1:].tolist(), strict=True)
+    return np.array([steps_in(span, step, until) for span, until in spans])
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
+def test_times_at_multiples_of_the_step_are_reached_in_whole_steps(step):
+    for name, times in grids(step).items():
+        assert (divided(times, step) == (3 if name == "every third" else 1)).all(), name
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
+def test_an_interval_that_is_longer_than_the_step_is_divided(step):
+    """By a part in 10⁹, where times that late resolve it."""
+    for name, times in grids(step).items():
+        if name in ("late", "very late"):  # 4 ulp(t)/h is 10⁻⁹ at t = 10⁶ h
+            continue
+        assert (divided(times, step * (1 - 1e-9)) == (4 if name == "every third" else 2)).all(), name
+    late = grids(step)["late"]
+    assert (divided(late, step * (1 - 1e-8)) == 2).all()
+
+
+@pytest.mark.parametrize("engine", ["jax", "python"])
+def test_saved_times_do_not_make_steps(engine):
+    times = np.arange(1, 50_000) * 0.001
+    run = cb.prepare("particle", "contact-strang", step=0.001, save_at=times, engine=engine, carry=())
+    assert run.needed == 49_999
+    assert (run.n == 1).all()
 
 
 def test_default_saves_are_bounded():
@@ -352,3 +396,19 @@ def test_a_users_own_method_and_scene_run_everywhere():
             cb.fixed_step("midpoint-of-mine", order=2)(midpoint)
     finally:
         del cb.METHODS["midpoint-of-mine"]
+
+
+@pytest.mark.parametrize("name", cb.METHODS)
+def test_every_method_says_what_it_is_compared_as(name):
+    method = cb.METHODS[name]
+    assert method.family in ("contact", "variational", "established")
+    if getattr(method, "contact", False):  # exact contact maps with the true factor are ours
+        assert method.family == "contact"
+    if getattr(method, "factor", None) is not None:  # and with a factor of their own, the variational ones
+        assert method.family == "variational"
+
+
+def test_a_method_of_a_user_is_an_established_one_unless_it_says():
+    step = cb.METHODS["rk4"].step
+    assert FixedStep("mine", 4, step).family == "established"
+    assert FixedStep("mine", 4, step, family="contact").family == "contact"

@@ -13,8 +13,7 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench import plugins
-from contactbench.report import figures, page
-from contactbench.report.documents import report
+from contactbench.report import write
 from contactbench.results.schema import WORK_PRECISION, merge, read
 
 MINE = ("my-method", "my-scene")
@@ -64,13 +63,12 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
 
 def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
     assert not set(MINE) & {*cb.METHODS, *cb.SCENES}
-    written = {path.name for path in [*report(results), page.write(results)]}
+    written = {path.name for path in write.report(results, {})}
     assert "work_precision_my-scene.svg" in written
     for name in ("README.md", "work_precision.md", "convergence.md", "report.html"):
         assert "my-method" in (results / name).read_text()
     assert "## my-scene" in (results / "work_precision.md").read_text()
     assert "my-method" in (results / "figures" / "work_precision_particle.svg").read_text()
-    assert 'title="error 1e-03"' in (results / "report.html").read_text()
 
 
 def test_the_tests_take_it_in(example):
@@ -221,14 +219,6 @@ def test_entry_points_are_loaded_and_a_broken_one_is_a_warning(tmp_path):
 
 
 # -- tables and figures know nobody by name --------------------------------------------------------
-def test_methods_of_no_registry_look_different_and_keep_their_look():
-    names = [f"unheard-of-{i}" for i in range(5)]
-    looks = [(figures.style(name)["color"], figures.style(name)["marker"]) for name in names]
-    assert len(set(looks)) == len(looks)
-    assert not set(looks) & set(figures.STYLES.values())
-    assert [(figures.style(n)["color"], figures.style(n)["marker"]) for n in names] == looks
-
-
 def test_rows_of_unknown_names_come_last_and_stay_together(tmp_path):
     def row(scene, method, step):
         return {"scene": scene, "method": method, "engine": "jax", "setting": f"step={step}", "status": "ok"}

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import random_state
-from contactbench.measure.laws import decay_rate, laws_of, pullbacks
+from contactbench.measure.laws import decay_rate, laws_of
+from contactbench.measure.pullback import pullback
+from contactbench.methods.base import METHODS
+from contactbench.splitting import flows
+from contactbench.xla import jax, jnp
 
 SCENE = cb.SCENES["quadratic_damping"]
 TIMES = SCENE.t_end * np.arange(1, 26) / 25
@@ -84,11 +86,45 @@ def test_contact_methods_are_contact_maps_whose_factor_has_the_order_of_the_meth
 def test_the_factor_of_a_contact_method_is_the_ratio_by_which_its_momentum_decays():
     """Φ*η = (J(Φ)/J) η exactly: damping multiplies p, hence J and η, and nothing else touches either."""
     solution = solve("contact-abc", step=0.2)
-    pulled, form, _ = pullbacks(solution)
+    pulled, form, *_ = pullback(solution, solution.differential)
     ratio = SCENE.momentum(solution.states())[0] / SCENE.momentum(solution.start())[0]
     np.testing.assert_allclose(
         pulled / ratio[:, None], np.tile(form, (25, 1)), rtol=0, atol=1e-12
     )  # measured 2e-15
+
+
+CONTACT = [
+    name for name, method in METHODS.items()
+    if getattr(method, "contact", False) and method.refuses(SCENE) is None
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("method", CONTACT)
+@pytest.mark.parametrize("engine", ["jax", "python"])
+def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
+    """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
+    for scene in (SCENE, SCENE.with_(gamma=0.2)):
+        solution = cb.solve(scene, method, step=0.4, save_at=[0.0, *TIMES], engine=engine)
+        assert cb.LAWS["own_factor_drift"](solution) < 1e-12
+        assert cb.LAWS["contact_drift"](solution) > 1e-9
+
+
+def test_the_factor_is_compared_with_the_derivative_of_the_map(monkeypatch):
+    """A formula for the factor that is wrong, D instead of D², shows; so would a flow that is."""
+    solution = solve("contact-abc", step=0.2)
+    right = flows.MECHANICAL["damp"]
+
+    def wrong(scene, x, h, xp):
+        return right.log_factor(scene, x, h, xp) / 2
+
+    monkeypatch.setitem(flows.MECHANICAL, "damp", right._replace(log_factor=wrong))
+    assert cb.LAWS["own_factor_drift"](solution) > 0.1
+
+
+@pytest.mark.parametrize("method", ["rk4", "scipy-dop853"])
+def test_a_method_that_is_no_composition_of_contact_maps_has_no_factor_of_its_own(method):
+    setting = {"rtol": 1e-4} if cb.METHODS[method].adaptive else {"step": 0.1}
+    assert math.isnan(cb.LAWS["own_factor_drift"](solve(method, **setting)))
 
 
 @pytest.mark.parametrize("method", ["contact-rkn6", "herglotz1", "herglotz2"])

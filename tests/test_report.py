@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
+import sys
 
 import pandas as pd
 import pytest
@@ -11,20 +13,29 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench.gate.accuracy import accuracy
-from contactbench.report import figures
-from contactbench.report.documents import (
-    README_PART,
-    decades,
-    duration,
-    equal_error,
-    into_readme,
-    losses,
-    report,
-    winners,
+from contactbench.report import glossary, markdown, write
+from contactbench.report.model import (
+    ROOMS,
+    Cell,
+    Figure,
+    Finding,
+    Head,
+    Mark,
+    Section,
+    Text,
+    View,
+    figures,
+    number,
+    rooms,
+    slug,
+    word,
 )
-from contactbench.report.stability import advice, error_and_cost, stability_document, strong_section, usable
-from contactbench.results.schema import CONVERGENCE, STABILITY, TABLES, WORK_PRECISION, read
+from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.results.schema import TABLES
+from contactbench.results.store import read
+from contactbench.results.tables import CONVERGENCE, WORK_PRECISION
 from contactbench.scenes import hard_scenes, standard_scenes
+from frames import frames, row
 
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
 
@@ -60,108 +71,158 @@ def test_a_second_partial_run_leaves_the_other_rows_and_the_gate_sees_no_differe
     assert len(after) == len(before)
     same = after["method"] != "rk4"
     pd.testing.assert_frame_equal(after[same], before[same])
-    assert set(after[~same]["run_id"]).isdisjoint(set(before[~same]["run_id"]))
     verdict = accuracy(tmp_path / "before", results)
     assert not verdict.red, verdict.as_markdown()
     assert verdict.lines == ()
 
 
+REGISTRIES = {"methods": cb.METHODS, "scenes": cb.SCENES}
+
+
 def test_report_writes_documents_and_figures_from_the_tables(results):
-    written = {path.name for path in report(results)}
-    assert {"README.md", "convergence.md", "work_precision.md"} <= written
+    written = {path.name for path in write.report(results, REGISTRIES)}
+    assert {"README.md", "convergence.md", "work_precision.md", "glossary.md", "report.html"} <= written
     text = (results / "README.md").read_text()
     assert "contact-strang" in text
-    assert "nan" not in text
+    for path in results.glob("*.md"):
+        assert not re.search(r"\bnan\b", path.read_text()), path
     for path in (results / "figures").glob("*.svg"):
         assert "<svg" in path.read_text()
-    again = {path: path.read_bytes() for path in results.rglob("*.svg")}
-    report(results)
+    again = {path: path.read_bytes() for path in (*results.rglob("*.svg"), *results.glob("*.md"))}
+    write.report(results, REGISTRIES)
     assert {path: path.read_bytes() for path in again} == again  # equal tables give equal files
 
 
-def table(errors, times, method="rk4", engine="jax"):
-    return pd.DataFrame({
-        "scene": "s", "method": method, "engine": engine, "status": "ok", "solution_error": errors,
-        "time_median_s": times, "rhs_equivalents": times, "track": "fixed",
-    })  # fmt: skip
+def test_the_report_needs_no_solver():
+    """Its modules import neither JAX nor a peer."""
+    code = (
+        "import sys; import contactbench.report.write; "
+        "print(sorted({'jax', 'diffrax', 'sksundae', 'heyoka'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
-def test_equal_error_and_winners_name_the_faster_one():
-    work = pd.concat([
-        table([1e-2, 1e-8], [1e-3, 1e-1], "slow"),
-        table([1e-2, 1e-4], [1e-4, 1e-3], "fast"),
-    ])  # fmt: skip
-    frame = equal_error(work, "s", "time_median_s").set_index("method")
-    assert frame.loc["slow", 1e-3] > frame.loc["fast", 1e-3]
-    assert pd.isna(frame.loc["fast", 1e-6])  # outside its data
-    text = winners(work, "time_median_s", duration, ("jax",))
-    assert "**fast**" in text
-    assert "**slow**" in text  # the only one at 1e-6: a peer that wins is named
+# -- rooms -----------------------------------------------------------------------------------------
+SOME = {
+    "work_precision": [
+        row("particle", m, e, solution_error=e, time_median_s=1e-3, time_min_s=1e-3, rhs_equivalents=100.0)
+        for m in ("contact-a", "rk4") for e in (1e-2, 1e-5)
+    ],
+    "laws": [row("central", "contact-a", 0.1, solution_error=1e-3, contact_drift=1e-15, momentum_law=1e-15)],
+    "convergence": [row("particle", "contact-a", 0.1, solution_error=1e-3, order=2.0, order_nominal=2, step=0.1)],
+    "stability": [row("critical", "rk4", 0.1, solution_error=1e-3, rhs_equivalents=10.0)],
+    "ensemble": [
+        row("particle", "rk4", 0.1, question="error", solution_error=1e-3, trajectories=10, cores=1, evaluations=10,
+            time_median_s=1.0, time_min_s=1.0)
+    ],
+    "claims": [{"id": "C01", "where": "§2", "claim": "all is well", "verdict": "holds", "status": "ok",
+        "measured": 1.0}],
+    "gate_selfcheck": [{"part": "speed", "planted": "nothing", "condition": "idle", "wanted": "none", "runs": 3,
+        "red": 0}],
+}  # fmt: skip
 
 
-def test_losses_name_the_peer_that_wins_and_by_how_much():
-    work = pd.concat([
-        table([1e-2, 1e-6], [1e-3, 1e-1], "contact-strang"),
-        table([1e-2, 1e-6], [1e-4, 1e-2], "rk4"),
-    ])  # fmt: skip
-    assert "rk4 ×10" in losses(work).markdown()
-    assert "**100 µs (×0.10)**" not in decades(
-        work, "s", "time_median_s", duration
-    )  # 1e-2 is no decade of it
-    assert "**316 µs (×0.10)**" in decades(work, "s", "time_median_s", duration)
-    ahead = work.assign(method=work["method"].map({"contact-strang": "rk4", "rk4": "contact-strang"}))
-    assert not losses(ahead).rows
+def parts_in(items):
+    for item in items:
+        yield item
+        if isinstance(item, Section):
+            yield from parts_in(item.parts)
 
 
-def hard_rows(method, errors, times, **more):
-    return pd.DataFrame({
-        "scene": "kepler_drag", "method": method, "engine": "jax", "setting": "x", "status": "ok", "message": "",
-        "solution_error": errors, "time_s": times, "rhs_equivalents": times, "end_error": errors,
-        "condition_number": float("nan"), "momentum_law": more.get("law", 1e-3),
-        "contact_drift": more.get("law", 1e-3),
-    }).reindex(columns=list(STABILITY.columns))  # fmt: skip
+@pytest.mark.parametrize("name", ROOMS)
+def test_a_room_speaks_from_its_own_table_alone_and_is_silent_without(name):
+    assert not ROOMS[name].speaks(frames())
+    first = ROOMS[name].tables[0]
+    alone = frames(**{first: SOME[first]})
+    assert ROOMS[name] in rooms(alone)
+    text = markdown.document(ROOMS[name], ROOMS[name].sections(alone), tuple(ROOMS[name].findings(alone)))
+    assert text.startswith(f"# {ROOMS[name].title}\n")
+    assert not re.search(r"\bnan\b", text)
 
 
-def test_the_advice_names_peers_that_win_and_who_keeps_the_laws():
-    hard = pd.concat([
-        hard_rows("contact-adaptive", [1e-4, 1e-8], [3e-4, 9e-4], law=1e-15),
-        hard_rows("heyoka-taylor", [1e-4, 1e-8], [1e-4, 3e-4]),
-    ])  # fmt: skip
-    empty = {name: pd.DataFrame(columns=list(t.columns)) for name, t in TABLES.items()}
-    text = advice(empty | {"stability": hard})
-    (kepler,) = (line for line in text.splitlines() if "kepler_drag" in line)
-    assert "**heyoka-taylor**" in kepler  # a peer that wins is named, ours beside it
-    assert "contact-adaptive" in kepler
-    (laws,) = (line for line in text.splitlines() if "J and η" in line)
-    assert "**contact-adaptive**" in laws
-    assert "heyoka-taylor 1.0e-03" in laws
-    assert advice(empty) == ""
+def test_names_of_views_and_figures_are_unique_but_for_a_figure_shown_twice():
+    everything = frames(**SOME)
+    found = [part for room in rooms(everything) for part in parts_in(room.sections(everything))]
+    views = [part.name for part in found if isinstance(part, View)]
+    assert len(views) == len(set(views)), sorted(v for v in views if views.count(v) > 1)
+    drawn = {}
+    for figure in (part for part in found if isinstance(part, Figure)):
+        assert drawn.setdefault(figure.name, figure) == figure
 
 
-def test_stability_document_is_written_from_its_tables_alone():
-    """Each section from a few rows; a method that diverged, one that is unsupported."""
-    empty = {name: pd.DataFrame(columns=list(t.columns)) for name, t in TABLES.items()}
-    hard = pd.concat([
-        hard_rows("contact-rkn6", [1e-4, 1e-8], [1.0, 2.0]), hard_rows("rk4", [1e-2, float("nan")], [1.0, 2.0]),
-    ])  # fmt: skip
-    hard.loc[hard["solution_error"].isna(), ["status", "message"]] = ["diverged", "left"]
-    grid = [1e-3, 1e-2, 1e-1, 1.0]
-    strong = pd.DataFrame({
-        "method": ["contact-strang"] * 4 + ["contact-rkn6"] * 4, "gamma": 1.0, "damping_per_evaluation": grid * 2,
-        "step": 1.0, "error": [1e-6, 1e-4, 1e-2, 1e-1, 1e-9, 1e-7, 1.0, float("inf")], "radius": 1.0,
-    })  # fmt: skip
-    text = stability_document(empty | {"stability": hard, "strong_damping": strong})
-    assert "1e-02 / diverged" in text
-    assert any(line.startswith("| contact-rkn6 ") and "0.01" in line for line in text.splitlines())
-    assert usable(strong, "contact-rkn6", 1.0) == 1e-2
-    assert "nan" not in text
+def test_every_table_is_read_by_a_room_and_every_room_reads_tables():
+    read_ = {name for room in ROOMS.values() for name in room.tables}
+    assert read_ == set(TABLES)
 
 
-def test_every_method_has_its_own_look():
-    import contactbench as cb
+def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit():
+    everything = frames(**SOME)
+    text = markdown.document(ROOMS["headline"], ROOMS["headline"].sections(everything))
+    lines = [line for line in text.splitlines() if line]
+    documents = [room.file for room in rooms(everything) if room.name != "headline"]
+    assert len(documents) == 7
+    for line, name in zip(lines[1:], documents, strict=False):
+        assert f"[{name}]({name})" in line
+    assert "dimensionless" in text
+    assert text.count("Where the contact methods lose") == 1
+    others = (r for r in rooms(everything) if r.name != "headline")
+    assert not any(
+        "## Where the contact methods lose" in markdown.parts(r.sections(everything)) for r in others
+    )
 
-    looks = [(figures.style(m)["color"], figures.style(m)["marker"]) for m in cb.METHODS]
-    assert len(set(looks)) == len(looks)
+
+def test_raw_rows_are_left_to_their_csv():
+    rows = [row("central", f"m{i}", 0.1, solution_error=1e-3, contact_drift=1e-4) for i in range(300)]
+    text = markdown.document(ROOMS["laws"], ROOMS["laws"].sections(frames(laws=rows)))
+    assert "In [laws.csv](laws.csv)" in text
+    assert text.count("| m7 ") == 2  # one line for each of the two laws
+
+
+def test_the_glossary_has_every_method_scene_and_column():
+    text = markdown.parts(glossary.sections(REGISTRIES))
+    for name in (*cb.METHODS, *cb.SCENES):
+        assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
+    for table in TABLES.values():
+        assert all(f"`{column}`" in text for column in table.columns)
+
+
+# -- markdown --------------------------------------------------------------------------------------
+def test_marks_are_seen_and_a_bar_does_not_break_a_table():
+    cells = (
+        word("a|b", Mark.best), word("c", Mark.tie), word("d", Mark.exception), word("e", Mark.bound), word("f",
+        link="x.md"),
+    )  # fmt: skip
+    heads = tuple(Head(str(i), words=True) for i in range(5))
+    text = markdown.parts([View("v", "Title", "What it means.", heads, (cells,))])
+    assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "d !", "e", "[f](x.md) |"]
+    assert text.startswith("## Title\n\nWhat it means.\n\n| 0 ")
+    assert "None." in markdown.parts([View("v", "Title", "", heads, ())])
+
+
+def test_a_wide_table_is_split_at_its_groups():
+    heads = (Head("method", words=True), *(Head(f"{k}", group=f"scene {s}") for s in range(5) for k in "abc"))
+    rows = (tuple(Cell(str(i)) for i in range(len(heads))),)
+    text = markdown.parts([View("v", "Title", "", heads, rows)])
+    tables = text.split("\n\n")[1:]
+    assert len(tables) == 2
+    assert all(t.startswith("| method | scene") for t in tables)
+    assert "scene 4: c" in tables[1]
+
+
+def test_a_view_with_a_row_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="do not have 2 cells"):
+        View("v", "t", "", (Head("a"), Head("b")), ((Cell("x"),),))
+
+
+def test_sections_nest_and_findings_name_their_exceptions():
+    finding = Finding("f", "Law", "It is kept.", "3 runs", ("not on `x`",))
+    room = ROOMS["laws"]
+    text = markdown.document(
+        room, [Section("One", (Section("Two", (Text("said", ("a", "b")),)),))], [finding]
+    )
+    assert "- **Law.** It is kept. Exceptions: not on `x`. *(3 runs.)*" in text
+    assert text.index("## One") < text.index("### Two") < text.index("said\n\n- a\n- b")
 
 
 @pytest.mark.parametrize(
@@ -171,43 +232,58 @@ def test_durations_are_readable(seconds, text):
     assert duration(seconds) == text
 
 
-def test_numbers_in_the_readme_are_those_of_the_results(tmp_path):
-    """What `contactbench report --readme README.md` writes is what is there, and no number stands elsewhere."""
-    copy = tmp_path / "README.md"
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [(1.254, "×1.25"), (9.994, "×9.99"), (12.6, "×13"), (3123.0, "×3100"), (float("nan"), "—")],
+)
+def test_ratios_are_readable(ratio, text):
+    assert times(ratio) == text
+
+
+def test_numbers_and_lists_are_readable():
+    assert count(1234.0) == "1234"
+    assert count(26104.4) == "26\u202f104"
+    assert power(1e-12) == "10⁻¹²"
+    assert names(["a"]) == "a"
+    assert names(["a", "b", "c"]) == "a, b and c"
+    assert names(["a", "b", "c"], 2) == "a, b and 1 more"
+    assert number(float("inf"), str).text == "∞"
+    assert number(float("inf"), str).value > number(1e300, str).value
+    assert number(float("nan"), str).text == "—"
+    assert slug("C01 · holds, corrected") == "c01--holds-corrected"
+    assert list(figures([])) == []
+
+
+# -- the project's README --------------------------------------------------------------------------
+def test_no_measured_number_stands_outside_the_computed_part_of_the_readme():
     text = (REPOSITORY / "README.md").read_text()
-    copy.write_text(text)
-    into_readme(copy, REPOSITORY / "results")
-    assert copy.read_text() == text
-    begin, end = README_PART
+    begin, end = write.README_PART
     prose = text.partition(begin)[0] + text.partition(end)[2]
     prose = re.sub(r"```.*?```", "", prose, flags=re.S)
     measured = re.findall(
         r"\d(?:\.\d+)?e-\d+|\d+(?:\.\d+)? ?[µmn]s\b|×\s?\d+(?:\.\d+)?\b|\d+(?:\.\d+)?×", prose
     )
     assert not measured
-    assert re.search(r"(\d+)\s+checkable claims", prose)[1] == str(
-        len(read(TABLES["claims"], REPOSITORY / "results"))
-    )
     words = {7: "seven", 16: "sixteen"}
     assert f"on {words[len(standard_scenes())]} scenes" in prose
     assert f"on {words[len(hard_scenes())]} hard scenes" in prose
 
 
+def test_the_computed_part_replaces_what_stands_between_the_marks(tmp_path, results):
+    readme = tmp_path / "README.md"
+    begin, end = write.README_PART
+    readme.write_text(f"before\n{begin}old\n{end}after\n")
+    write.into_readme(readme, results)
+    text = readme.read_text()
+    assert text.startswith(f"before\n{begin}")
+    assert text.endswith(f"{end}after\n")
+    assert "old" not in text
+    assert "dimensionless" in text
+    write.into_readme(readme, results)
+    assert readme.read_text() == text
+
+
 def test_a_readme_without_its_marks_is_refused(tmp_path):
     (tmp_path / "README.md").write_text("nothing")
     with pytest.raises(cb.BadInput, match="once each"):
-        into_readme(tmp_path / "README.md", REPOSITORY / "results")
-
-
-def test_a_cost_that_is_not_known_is_a_dash():
-    row = {"status": "ok", "rate_error": 0.5, "evaluations": 80_000}
-    frame = pd.DataFrame([row, row | {"evaluations": None}]).astype({"evaluations": "Int64"})
-    assert error_and_cost(frame[:1]) == "5.0e-01 (8e+04)"
-    assert error_and_cost(frame[1:]) == "5.0e-01 (—)"
-
-
-def test_strong_damping_is_left_out_of_a_partial_run_without_strang():
-    frame = pd.DataFrame(
-        {"method": ["contact-o8"], "gamma": [5.0], "damping_per_evaluation": [1.0], "error": [0.1]}
-    )
-    assert list(strong_section(frame)) == []
+        write.into_readme(tmp_path / "README.md", tmp_path)

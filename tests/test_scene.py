@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import heyoka
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from mpmath import mp
@@ -12,6 +10,7 @@ from mpmath import mp
 import contactbench as cb
 from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
 from contactbench.scene import rotation_matrix
+from contactbench.xla import jax, jnp
 
 MECHANICAL = [s for s in ALL_SCENES if isinstance(s, cb.Mechanical)]
 BODIES = [s for s in ALL_SCENES if isinstance(s, cb.RigidBody)]

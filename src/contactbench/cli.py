@@ -76,8 +76,6 @@ def solve(arguments: argparse.Namespace) -> int:
 
 def summary(solution: Any) -> dict[str, Any]:
     """Final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
-    from contactbench.measure.laws import is_contact
-
     scene, out = solution.scene, {}
     if solution.ok:
         state = scene.unpack(tuple(solution.y[-1].tolist()), solution.carry)
@@ -85,7 +83,7 @@ def summary(solution: Any) -> dict[str, Any]:
         out = {
             "state": dict(zip(solution.labels, solution.y[-1].tolist(), strict=True)),
             "H0": scene.energy(state),
-            "H": scene.hamiltonian(state) if is_contact(scene) else None,
+            "H": scene.hamiltonian(state) if scene.is_contact else None,
             "J": None if momentum is None else list(momentum),
         }
     return {
@@ -132,19 +130,23 @@ def readable(row: dict[str, Any]) -> str:
 
 
 def report(arguments: argparse.Namespace) -> int:
-    """Write markdown, figures and the page from the CSV tables."""
-    from contactbench.report import page
-    from contactbench.report.documents import into_readme
-    from contactbench.report.documents import report as write
+    """Write markdown, figures and the page from the CSV tables, or say which are not what the tables say."""
+    import contactbench as cb
+    from contactbench.report import check, write
 
+    registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
     if not list(arguments.results.glob("*.csv")):
         raise BadInput(
             f"--results {arguments.results}: no tables there; run the benchmark first (tox -e bench)"
         )
-    for path in [*write(arguments.results), page.write(arguments.results)]:
+    if arguments.check:
+        found = check.differing(arguments.results, arguments.readme, registries)
+        print("\n".join(found) or "Documents, figures and tables agree.")
+        return 1 if found else 0
+    for path in write.report(arguments.results, registries):
         print(path)
     if arguments.readme:
-        into_readme(arguments.readme, arguments.results)
+        write.into_readme(arguments.readme, arguments.results)
         print(arguments.readme)
     return 0
 
@@ -165,7 +167,7 @@ def gate(arguments: argparse.Namespace) -> int:
 
 def references(_: argparse.Namespace) -> int:
     """Print the stored references, their digits and their digests."""
-    from contactbench.truth.reference import frozen_folder, manifest
+    from contactbench.truth import frozen_folder, manifest
 
     folder = frozen_folder()
     if folder is None:
@@ -267,11 +269,16 @@ Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input
         """examples:
   contactbench report
   contactbench report --results /tmp/mine
+  contactbench report --check --readme README.md
 
 Nothing is solved: every number is read from the tables.  report.html is one page that needs no network.""",
     )  # fmt: skip
     write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
     write.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
+    write.add_argument(
+        "--check", action="store_true",
+        help="write nothing; name each file that is not what the tables give, exit status 1 if there is one",
+    )  # fmt: skip
 
     check = command(
         "gate", gate, "has anything become less accurate, more costly or slower?",

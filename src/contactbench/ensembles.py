@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.errors import BadInput, finite, positive, unknown_name
-from contactbench.measure.laws import LAWS, conformal_deviation, hamiltonian_terms, momentum_terms
+from contactbench.measure.deviation import conformal_deviation
+from contactbench.measure.laws import LAWS
 from contactbench.methods.base import METHODS, Refused, lookup, prepare
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step import FixedStep, FixedStepRun, rolled
@@ -31,8 +32,11 @@ AXIS = "trajectories"
 Measured = Callable[[Scene, Any], Any]
 #: laws of the numerical solution alone, with the quantity that must decay as e^{−γt} and the size of its terms
 DECAYING: dict[str, tuple[Measured, Measured]] = {
-    "hamiltonian_law": (lambda scene, x: (scene.hamiltonian(x),), hamiltonian_terms),
-    "momentum_law": (lambda scene, x: scene.momentum(x), momentum_terms),
+    "hamiltonian_law": (
+        lambda scene, x: (scene.hamiltonian(x),),
+        lambda scene, x: scene.hamiltonian_terms(x),
+    ),
+    "momentum_law": (lambda scene, x: scene.momentum(x), lambda scene, x: scene.momentum_terms(x)),
 }
 #: H0(y(T))/H0(y₀) − 1: no law, but how much of the energy is gone
 ENERGY = "energy_change"
@@ -233,8 +237,9 @@ def integrated(
     run: FixedStepRun, names: list[str], y0: np.ndarray, own: dict[int, np.ndarray], chunk: int | None
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Final states (d, m), measures (·, m) and end times (m,) of one chunk after the other."""
-    import jax
     from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+    from contactbench.xla import jax
 
     mesh = Mesh(np.array(jax.local_devices()), (AXIS,))
     platform = mesh.devices.flat[0].platform
@@ -275,8 +280,7 @@ def integrated(
 
 def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile: int) -> Callable[..., Any]:
     """What one device does: its part of a chunk, tile by tile."""
-    import jax.numpy as jnp
-    from jax import lax
+    from contactbench.xla import jnp, lax
 
     base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
 
@@ -334,8 +338,9 @@ def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
 
 def overall(names: list[str], rows: list[np.ndarray]) -> tuple[dict[str, Statistic], dict[Status, int]]:
     """Statistics and endings from the rows of all chunks of all processes."""
-    import jax
     from jax.experimental import multihost_utils
+
+    from contactbench.xla import jax
 
     def joined(rows: Any) -> np.ndarray:
         rows, split = np.asarray(rows), 2 + len(names)

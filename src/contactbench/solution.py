@@ -53,6 +53,45 @@ class Counts(NamedTuple):
         return self.evaluations / 2 if self.kind == "rotation" else float(self.evaluations)
 
 
+class Differential(NamedTuple):
+    """The derivative of the saved states of a numerical map along the m tangents at the start.
+
+    source : how it was obtained, or why it was not.  states : (k, d), where it is taken.  estimates :
+    (l, k, d, m): a single one where it is computed to round-off; several by differences, whose
+    disagreement is their error; none where it was not taken.
+    """
+
+    source: str
+    states: np.ndarray
+    estimates: np.ndarray
+
+    @property
+    def taken(self) -> bool:
+        return len(self.estimates) > 0
+
+    @property
+    def value(self) -> np.ndarray:
+        """One estimate (k, d, m); of several, for every tangent the first of the two that agree best.
+
+        Raises `BadInput` where the derivative was not taken.
+        """
+        if not self.taken:
+            raise BadInput(f"no derivative of the numerical map: {self.source}")
+        if len(self.estimates) == 1:
+            return self.estimates[0]
+        gaps = np.abs(np.diff(self.estimates, axis=0)).max(axis=(1, 2))
+        return np.stack([self.estimates[best, :, :, j] for j, best in enumerate(closest(gaps))], axis=-1)
+
+
+#: the error bar of a difference over the smallest disagreement of two estimates, which may be luck
+SAFETY = 2.0
+
+
+def closest(gaps: np.ndarray) -> np.ndarray:
+    """For every tangent (l, m) the estimate that differs least from the next; nan is far."""
+    return np.argmin(np.where(np.isnan(gaps), np.inf, gaps), axis=0)
+
+
 @dataclass
 class Solution:
     """Saved states of one run.
@@ -75,33 +114,40 @@ class Solution:
     end_time: float = float("nan")
     #: the initial state y was integrated from, packed
     y0: np.ndarray | None = None
-    #: () -> states (k, d) and their derivative (k, d, m) along the m tangents of the initial state
-    differentiate: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None
-    #: how it is obtained, for the tables; empty where it is not available
-    sensitivity_source: str = ""
+    #: differentiate(frozen): of the map its user gets, or with the steps taken here held fixed
+    differentiate: Callable[[bool], Differential] | None = None
+    #: () -> log of the product of the conformal factors of the contact maps applied, (k,); None: no such maps
+    log_factor: Callable[[], np.ndarray | None] = lambda: None
+    #: what was set, "step" or "rtol", and its value
+    control: str = ""
+    value: float = float("nan")
 
     @property
     def ok(self) -> bool:
         return self.status is Status.ok
 
+    @cached_property
+    def differential(self) -> Differential:
+        """dΦ of the numerical map its user gets; where the state decides on the steps, this included."""
+        return self._differentiated(frozen=False)
+
+    @cached_property
+    def frozen_differential(self) -> Differential:
+        """dΦ with the steps held fixed, as AD with the choice of steps left out gives it."""
+        return self._differentiated(frozen=True)
+
+    def _differentiated(self, frozen: bool) -> Differential:
+        if self.differentiate is None:
+            raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
+        return self.differentiate(frozen)
+
     @property
     def sensitivity(self) -> np.ndarray:
         """Derivative of the saved states along the scene's m tangents at the start, (k, d, m).
 
-        Raises `BadInput` where the method does not provide it.
+        Raises `BadInput` where there is none.
         """
-        return self.linearised[1]
-
-    @cached_property
-    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
-        """`sensitivity`, and the states (k, d) at which it is the derivative.
-
-        These are `y`, or, where the solver integrated the variational equations in a run of its
-        own, the states of that run, which differ from y by as much as the tolerance allows.
-        """
-        if self.differentiate is None or not self.sensitivity_source:
-            raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
-        return self.differentiate()
+        return self.differential.value
 
     @property
     def labels(self) -> list[str]:

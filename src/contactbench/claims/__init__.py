@@ -3,7 +3,14 @@
 Each module registers its own; the registry is in the order of the ids.
 """
 
-from contactbench.claims import experiment, geometry, integrator, rigid_body, symmetry  # noqa: F401
+from contactbench.claims import (  # noqa: F401
+    body_stability,
+    experiment,
+    geometry,
+    integrator,
+    rigid_body,
+    symmetry,
+)
 from contactbench.claims.ledger import CLAIMS, Claim, Correction, Evidence, Measurement, Verdict, verdict
 
 for _name in sorted(CLAIMS):

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from contactbench.scene import BodyState, Mechanical, RigidBody, State, quaternion_product
 from contactbench.scenes import SCENES
+from contactbench.xla import jax, jnp
 
 Field = Callable[[Any], Any]
 
@@ -89,14 +88,14 @@ def reeb(form: Field, y: Any) -> Any:
 
 
 def contact_field(form: Field, hamiltonian: Callable[[Any], Any], y: Any) -> Any:
-    """X_H solved from its definition ι_X dα = dH − R(H) α, ι_X α = −H  (eq. contact-vector-field)."""
+    """X_H solved from its definition ι_X dα = dH − R(H) α, ι_X α = −H  (§2.3, eq. (11))."""
     slope, covector = jax.grad(hamiltonian)(y), form(y)
     right = jnp.append(slope - (slope @ reeb(form, y)) * covector, -hamiltonian(y))
     return jnp.linalg.lstsq(jnp.vstack([exterior(form, y).T, covector]), right)[0]
 
 
 def contact_equations(hamiltonian: Callable[[Any], Any]) -> Field:
-    """X_H by the paper's coordinate formula (eq. canonical-contact-equations)."""
+    """X_H by the paper's coordinate formula (§2.3, eq. (23))."""
 
     def field(y: Any) -> Any:
         n = (len(y) - 1) // 2

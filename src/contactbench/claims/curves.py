@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.claims.body_stability import SPECTRUM, direction_growths
 from contactbench.claims.experiment import NOMINAL
-from contactbench.claims.integrator import (
+from contactbench.claims.linearisation import INERTIA, body, border, criterion, growths, momentum_rate
+from contactbench.claims.orders import (
     ABC,
     ENERGY_LADDER,
     PAPER_STEP,
@@ -24,10 +26,9 @@ from contactbench.claims.integrator import (
     energy_errors,
     slope,
 )
-from contactbench.claims.rigid_body import SPECTRUM, coupling, growth, growths, momentum_rate, with_damping
 from contactbench.methods import solve
 from contactbench.scenes import SCENES
-from contactbench.truth.reference import reference
+from contactbench.truth import reference
 
 Row = tuple[str, str, str, float, float, float]
 FIGURES: dict[str, Callable[[], Iterator[Row]]] = {}
@@ -113,10 +114,11 @@ def paper_4() -> Iterator[Row]:
 def paper_5() -> Iterator[Row]:
     """Directions of the momentum: the flow of M/‖M‖, and its six equilibria with their stability."""
     scene = SCENES["rigid_body"]
+    of_direction = direction_growths(scene)
     for axis in range(3):
         for sign in (1.0, -1.0):
             e = sign * np.eye(3)[axis]
-            rate = growth(scene, e) + scene.gamma  # of the direction: ‖M‖ itself decays with γ
+            rate = of_direction[axis]  # the same for e and −e: γ is isotropic
             kind = "unstable" if rate > 1e-9 else "stable"
             yield from curve("sphere", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, *[[c] for c in e])
             residual = float(np.linalg.norm(momentum_rate(scene)(e)))
@@ -174,19 +176,39 @@ def paper_8() -> Iterator[Row]:
             yield from curve("bounded", label, kind, run.t, energy / energy[0] - 1)
 
 
+#: largest damping rate shown for each axis: far enough for a full D to destabilise the outer two
+REACH = (3.0, 1.0, 1.0)
+
+
 @figure
 def paper_stability() -> Iterator[Row]:
-    """Growth rate across each axis in ker D over the transverse damping rates; the border d₁d₃ = ab."""
+    """Growth rate at M* = e_i in ker D, I = (1, 2, 3), over two slices of the symmetric D ≥ 0.
+
+    Panel "axis i, diagonal": over the two rates of a diagonal D.  Panel "axis i, full": equal rates d on
+    the diagonal and −d ≤ d_jk ≤ d beside it.  The border is det = 0 of `linearisation.criterion`.
+    """
     for axis in range(3):
         e = np.eye(3)[axis]
-        across = [i for i in range(3) if i != axis]
-        grid = [(a, b) for a in np.linspace(0, 0.6, 21) for b in np.linspace(0, 0.6, 21)]
-        scenes = [
-            with_damping(*(0.0 if i == axis else pair[across.index(i)] for i in range(3))) for pair in grid
+        j, k = sorted({0, 1, 2} - {axis})
+        sides = np.linspace(0, 0.6, 21)
+        pairs = [(a, b, np.diag(a * np.eye(3)[j] + b * np.eye(3)[k])) for a in sides for b in sides]
+        off = np.outer(np.eye(3)[j], np.eye(3)[k])
+        rates = np.linspace(0, REACH[axis], 41)
+        beside = [
+            (d, c, np.diag(d * (1 - e)) + np.clip(c, -d, d) * (off + off.T))
+            for d in rates
+            for c in np.linspace(-REACH[axis], REACH[axis], 81)
+            if abs(c) <= d * (1 + 1e-12)
         ]
-        for (a, b), rate in zip(grid, growths(scenes, [e] * len(grid)), strict=True):
-            kind = "unstable" if rate > SPECTRUM else "stable" if rate < -SPECTRUM else "neutral"
-            yield (f"axis {axis + 1}", "growth rate", kind, a, b, rate)
-    ab = coupling((1.0, 2.0, 3.0), 1.0)
+        for panel, grid in ((f"axis {axis + 1}, diagonal", pairs), (f"axis {axis + 1}, full", beside)):
+            scenes = [body(D) for _, _, D in grid]
+            for (x, y, _), rate in zip(grid, growths(scenes, [e] * len(grid)), strict=True):
+                kind = "unstable" if rate > SPECTRUM else "stable" if rate < -SPECTRUM else "neutral"
+                yield (panel, "growth rate", kind, x, y, rate)
+        d = np.linspace(0, REACH[axis], 601)
+        for name, c in zip(("lower", "upper"), border(INERTIA, axis, 1.0, d), strict=True):
+            inside = np.abs(c) <= d
+            yield from curve(f"axis {axis + 1}, full", f"det = 0, {name}", "criterion", d[inside], c[inside])
+    ab = -criterion(np.zeros((3, 3)), np.eye(3)[1])[1]  # det = d₁d₃ − ab there
     d = np.linspace(ab / 0.6, 0.6, 61)
-    yield from curve("axis 2", "d₁d₃ = ab", "criterion", d, ab / d)
+    yield from curve("axis 2, diagonal", "det = 0", "criterion", d, ab / d)

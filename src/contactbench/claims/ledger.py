@@ -6,6 +6,7 @@ A claim is a function that measures and returns `Evidence`.  The verdict is comp
 
 from __future__ import annotations
 
+import inspect
 import math
 import operator
 from collections.abc import Callable, Sequence
@@ -109,9 +110,10 @@ def shown(measurements: Sequence[Measurement]) -> Measurement | None:
 class Claim:
     """One claim of the paper.
 
-    name : its id.  where : equation labels or figure.  says : the claim in our words.  scene, method :
-    what it is measured on.  kind, correction : how and in which words it is corrected.  figures : the
-    paper's figures redrawn for it.  measure : ``() -> Evidence``.
+    name : its id.  where : section and equation or figure of the paper, numbered as it is printed.
+    says : the claim in our words.  scene, method : what it is measured on.  kind, correction : how and
+    in which words it is corrected.  figures : the paper's figures redrawn for it.  measure :
+    ``(**parameters) -> Evidence``; every parameter has a default, which is what the table shows.
     """
 
     name: str
@@ -119,13 +121,21 @@ class Claim:
     says: str
     scene: str
     method: str
-    measure: Callable[[], Evidence]
+    measure: Callable[..., Evidence]
     kind: Correction | None = None
     correction: str = ""
     figures: tuple[str, ...] = ()
 
-    def row(self) -> dict[str, Any]:
-        """The claim's row of the table, measured now; an exception becomes a row without a verdict."""
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What may be varied (seed, damping, inertia, …), with the values the table is measured at."""
+        return {name: p.default for name, p in inspect.signature(self.measure).parameters.items()}
+
+    def row(self, **parameters: Any) -> dict[str, Any]:
+        """The claim's row of the table, measured now; an exception becomes a row without a verdict.
+
+        parameters : values other than the defaults, see `parameters`.
+        """
         row: dict[str, Any] = {
             "id": self.name,
             "where": self.where,
@@ -136,7 +146,7 @@ class Claim:
             "figures": " ".join(self.figures),
         }
         try:
-            evidence = self.measure()
+            evidence = self.measure(**parameters)
         except Exception as error:
             return {**row, "status": "failed", "message": f"{type(error).__name__}: {error}"}
         if not all(math.isfinite(m.value) for m in evidence):
@@ -179,10 +189,10 @@ def claim(
     kind: Correction | None = None,
     correction: str = "",
     figures: tuple[str, ...] = (),
-) -> Callable[[Callable[[], Evidence]], Claim]:
+) -> Callable[[Callable[..., Evidence]], Claim]:
     """Decorator that registers a measuring function as the claim `name`."""
 
-    def register(measure: Callable[[], Evidence]) -> Claim:
+    def register(measure: Callable[..., Evidence]) -> Claim:
         return CLAIMS.add(Claim(name, where, says, scene, method, measure, kind, correction, figures))
 
     return register

@@ -1,7 +1,7 @@
 """The regression gate: what moved between a fresh run and the committed tables, and what got slower.
 
 Accuracy reads two folders of tables and nothing else.  How far a column may move is its rule
-(`table.Rule`); which rows a fresh run must have, the committed rows say themselves (column
+(`schema.Rule`); which rows a fresh run must have, the committed rows say themselves (column
 `profile`), so that one that is no longer made is noticed.  A new table is gated by its rules.
 Speed is in speed.py.
 """
@@ -24,8 +24,12 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.gate import speed
-from contactbench.report.documents import DASH, ROUND_OFF, markdown
-from contactbench.results.schema import PROFILES, TABLES, Rule, Table, read
+from contactbench.report.markdown import grid
+from contactbench.report.model import DASH
+from contactbench.results import provenance
+from contactbench.results.round_off import floor
+from contactbench.results.schema import PROFILES, TABLES, Rule, Table
+from contactbench.results.store import read
 
 #: how far an error may move, in decades: a factor of two
 DECADES = 0.3
@@ -97,29 +101,13 @@ class Verdict:
         ]  # fmt: skip
         head = ["scene", "method", "measure", "engine", "setting", "before", "after", "change", "verdict"]
         parts = [title, "\n".join(f"- {sentence}" for sentence in self.compared)]
-        parts += [markdown(head, rows)] if rows else ["Nothing moved."]
+        parts += [grid(head, rows)] if rows else ["Nothing moved."]
         parts += [f"{unlisted} more moved within their limits."] if unlisted else []
         parts += ["\n".join(f"- {note}" for note in sorted(self.notes))] if self.notes else []
         return "\n\n".join(parts) + "\n"
 
 
 # -- rules -----------------------------------------------------------------------------------------
-def round_off(rows: pd.DataFrame) -> np.ndarray:
-    """Below what an error, relative to the size of its quantity, is round-off.
-
-    100 ε, and √n ε for n evaluations, whose rounding errors walk at random; times the condition number
-    of the motion, where the table has one.  The references' 40 digits are beyond that; they are the
-    limit of rows at 50 digits, ten times their uncertainty.
-    """
-
-    def numbers(column: str) -> pd.Series:
-        return pd.to_numeric(rows.get(column, pd.Series(0.0, rows.index))).astype(float).fillna(0.0)
-
-    floor = np.finfo(float).eps * np.maximum(100.0, np.sqrt(numbers("evaluations")))
-    floor *= np.maximum(1.0, numbers("condition_number"))
-    return np.where(rows.get("engine", "") == "mpmath", 1e-39, floor)
-
-
 def decades(before: np.ndarray, after: np.ndarray, floor: np.ndarray | float) -> np.ndarray:
     """|log10(after/before)| in parts of what is allowed, neither taken below the floor."""
     with np.errstate(invalid="ignore"):
@@ -129,7 +117,7 @@ def decades(before: np.ndarray, after: np.ndarray, floor: np.ndarray | float) ->
 
 def counts(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
     """How far counts moved in parts of what is allowed."""
-    chosen = rows["setting"].str.contains("rtol=").to_numpy()
+    chosen = (rows["control"] == "rtol").to_numpy()
     allowed = np.where(chosen, np.maximum(1.0, SHARE * before), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(before == after, 0.0, np.abs(after - before) / allowed)
@@ -141,19 +129,12 @@ def values(before: np.ndarray, after: np.ndarray) -> np.ndarray:
         return np.where(before == after, 0.0, np.abs(after / before - 1) / VALUE)
 
 
-def in_range(rows: pd.DataFrame) -> np.ndarray:
-    """Rows in the asymptotic range their order was fitted on."""
-    return (rows["in_fit"].astype(str) == "True").to_numpy()
-
-
 MOVED: dict[Rule, Callable[[np.ndarray, np.ndarray, pd.DataFrame], np.ndarray]] = {
-    Rule.error: lambda before, after, rows: decades(before, after, round_off(rows)),
-    Rule.structure: lambda before, after, rows: decades(
-        before, after, np.maximum(round_off(rows), ROUND_OFF)
-    ),
+    Rule.error: lambda before, after, rows: decades(before, after, floor(Rule.error, rows)),
+    Rule.structure: lambda before, after, rows: decades(before, after, floor(Rule.structure, rows)),
     Rule.count: counts,
     Rule.value: lambda before, after, rows: values(before, after),
-    Rule.slope: lambda before, after, rows: np.where(in_range(rows), np.abs(after - before) / SLOPE, 0.0),
+    Rule.slope: lambda before, after, rows: np.where(rows["in_fit"], np.abs(after - before) / SLOPE, 0.0),
 }
 
 
@@ -207,6 +188,16 @@ def gathered(lines: Iterable[tuple[float, Line]]) -> list[Line]:
     return [line for _, line in worst.values()]
 
 
+def judged(table: Table, before: pd.DataFrame) -> dict[str, Rule]:
+    """The rules of the columns that the baseline has: one without a value in any row is new."""
+    blank = {name for name in table.rules if name in before and is_blank(before[name]).all()}
+    return {name: rule for name, rule in table.rules.items() if name not in {*blank, *table.key}}
+
+
+def is_blank(values: pd.Series) -> pd.Series:
+    return values.isna() | (values == "")
+
+
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> list[Line]:
     """What is missing from `after` or moved; `before` has only rows that are expected."""
     if before.empty:
@@ -219,7 +210,7 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> list[Lin
         found.append((math.inf, replace(what, **subject(table, row))))
     both = both[both["_merge"] == "both"].reset_index(drop=True)
     same_end = (both["status"] == both["status after"]).to_numpy() if "status" in table.columns else True
-    for name, rule in table.rules.items():
+    for name, rule in judged(table, both).items():
         distance = moved(rule, both[name], both[f"{name} after"], both)
         if name != "status":  # the numbers of a run that ended otherwise say nothing more
             distance = np.where(same_end, distance, 0.0)
@@ -232,18 +223,11 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame) -> list[Lin
     return gathered(found)
 
 
-def runs(results: Path) -> dict[str, Any]:
+def runs(results: Path) -> list[dict[str, Any]]:
     """The benchmark runs behind the tables of a folder.  Raises `BadInput` where there are none."""
-    path = results / "environment.json"
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        found = {name: run for name, run in found.items() if run["profile"] in PROFILES}
-    except FileNotFoundError:
-        raise BadInput(f"{path}: missing; the folder holds no finished benchmark run") from None
-    except (OSError, ValueError, TypeError, AttributeError, KeyError):
-        found = {}
+    found = [run for run in provenance.runs(results) if run["profile"] in PROFILES]
     if not found:
-        raise BadInput(f"{path}: not the record of a benchmark run; restore it")
+        raise BadInput(f"{results / 'environment.json'}: missing; the folder holds no finished benchmark run")
     return found
 
 
@@ -253,7 +237,7 @@ def accuracy(baseline: Path, fresh: Path) -> Verdict:
     Raises `BadInput` for folders that hold no finished run, and for foreign or corrupted tables.
     """
     made_before, made_now = runs(baseline), runs(fresh)
-    rank = max(PROFILES.index(run["profile"]) for run in made_now.values())
+    rank = max(PROFILES.index(run["profile"]) for run in made_now)
     lines: list[Line] = []
     expected_rows = new_rows = 0
     for table in TABLES.values():
@@ -270,11 +254,11 @@ def accuracy(baseline: Path, fresh: Path) -> Verdict:
     return Verdict(tuple(lines), (sentence,), (*new, *surroundings(made_before, made_now)))
 
 
-def surroundings(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+def surroundings(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> list[str]:
     """In what two sets of runs differ that can move numbers."""
 
-    def said(runs: dict[str, Any], of: Callable[[Any], str]) -> str:
-        return ", ".join(sorted({of(run) for run in runs.values()}))
+    def said(runs: list[dict[str, Any]], of: Callable[[Any], str]) -> str:
+        return ", ".join(sorted({of(run) for run in runs}))
 
     def packages(run: Any) -> str:
         return " ".join(f"{k} {v}" for k, v in sorted(run.get("packages", {}).items()) if k != "contactbench")

@@ -28,7 +28,7 @@ import pandas as pd
 from filelock import FileLock, Timeout
 
 from contactbench.errors import BadInput
-from contactbench.measure.analysis import PairedRatio, paired_ratio, timing
+from contactbench.results.statistics import PairedRatio, paired_ratio, timing
 
 LIMIT = 1.25
 ROUNDS = 15
@@ -47,12 +47,16 @@ class Cell:
     scene: str
     method: str
     engine: str
-    setting: str
+    control: str
+    value: float
     carry: tuple[str, ...]
 
+    @property
+    def setting(self) -> str:
+        return f"{self.control}={self.value:.6g}"
+
     def request(self) -> dict[str, Any]:
-        kind, _, value = self.setting.partition("=")
-        return {**asdict(self), "kind": kind, "value": float(value)}
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -67,12 +71,14 @@ class Comparison:
 
 def workload(work: pd.DataFrame, scenes: Sequence[str] = SCENES) -> list[Cell]:
     """A cell for every method and engine of the work–precision table, at a setting that is worth timing."""
-    timed = work[work["track"].isin(["fixed", "adaptive"]) & (work["time_median_s"] <= LONGEST)]
+    timed = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= LONGEST)]
     slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
     cells = []
     for _, row in slowest.sort_index()[lambda rows: rows["scene"].isin(scenes)].iterrows():
-        carry = tuple(field for field in ("s", "R") if field in str(row["carried"]).split())
-        cells.append(Cell(row["scene"], row["method"], row["engine"], row["setting"], carry))
+        carry = tuple(field for field in ("s", "R") if field in row["carried"].split())
+        cells.append(
+            Cell(row["scene"], row["method"], row["engine"], row["control"], float(row["value"]), carry)
+        )
     return cells
 
 

@@ -31,7 +31,7 @@ def prepared(cell: dict[str, Any]) -> tuple[Callable[[], Any], int]:
     """A warm prepared call, and how many of it fill a repeat."""
     import contactbench as cb
 
-    scene, options = cb.SCENES[cell["scene"]], {cell["kind"]: cell["value"]}
+    scene, options = cb.SCENES[cell["scene"]], {cell["control"]: cell["value"]}
     run = cb.prepare(
         scene, cell["method"], engine=cell["engine"], carry=cell["carry"], save_at=[scene.t_end], **options
     )

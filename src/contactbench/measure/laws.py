@@ -1,16 +1,12 @@
 """What is measured along a trajectory: solution error, decay laws, drifts.
 
 Every law is a named object ``law(solution) -> float``, the maximum over the saved times unless it
-says otherwise, and nan where the run did not end `ok`.  To add one, decorate a function with `law`.
+says otherwise, and nan where the run did not end `ok`.  To add one, decorate a function with `law`; what
+tables, documents and the regression gate need to know of it stands in the decorator.
 
-Quantities that decay are compared on the scale of their decay, and in a form that stays finite when
-e^{−γt} underflows: a saved value whose true size is below the smallest normal number divided by the
-machine precision carries no relative information and must merely be as small.
-
-H, J and Φ*η are differences of larger terms: T, V and Γ; the products of q and p; ∂s and p·∂q.  Strong
-damping makes the terms cancel to e^{−γt} of their size, below any round-off, and an unstable motion makes
-the derivatives grow.  A deviation is therefore measured against the true size of the quantity, but not
-against less than `ATTAINABLE` of the terms it is the difference of: round-off of the terms stays round-off.
+The contact form is kept or not by the map from initial data to states that a user gets.  Where a method
+chooses its steps from the state, that map is not the one with the steps held fixed; both are measured, the
+second as `…_frozen`.
 """
 
 from __future__ import annotations
@@ -18,42 +14,97 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput, Registry
-from contactbench.scene import Mechanical, RigidBody, Scene, rotation_matrix
-from contactbench.solution import Solution
-from contactbench.truth.reference import reference
+from contactbench.measure.deviation import (
+    ATTAINABLE,
+    MEANINGFUL,
+    Deviation,
+    clamped,
+    conformal_deviation,
+    relative,
+    relative_deviation,
+)
+from contactbench.measure.pullback import Pullback, growth, pullback
+from contactbench.scene import Scene, rotation_matrix
+from contactbench.solution import Differential, Solution
+from contactbench.truth import reference
 
 LAWS = Registry("law")
 
-#: below this a float64 has lost relative precision to gradual underflow
-MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
-#: part of the cancelling terms below which a quantity is not resolved: round-off of a few ε stays below 10⁻¹²
-ATTAINABLE = 1e-3
+
+class Gate(Enum):
+    """How the regression gate compares a law (the rules of results/schema.py have the numbers)."""
+
+    error = "error"
+    structure = "structure"  # an error; where it is round-off it must stay round-off
+    count = "count"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a law gives: its value, the error bar where there is one, and at how many saved times it was
+    taken against its terms instead of its own size (None where it has no such limit).
+
+    A drift smaller than its error bar is not known; `value` is then the sum of both, an upper bound.
+    """
+
+    value: float
+    uncertainty: float | None = None
+    clamped: int | None = None
+
+    @property
+    def bound(self) -> bool:
+        """Whether the value is an upper bound."""
+        return self.uncertainty is not None and self.value <= 2 * self.uncertainty
 
 
 @dataclass(frozen=True)
 class Law:
-    """A measure: `definition` is its label in tables and figures, `needs` the fields it reads."""
+    """A measure, and what those who show or compare it must know.
+
+    definition : its meaning, a header or axis label; label : a short name, mathtext.  needs : the fields it
+    reads.  gate : how two runs are compared.  shown : the documents that list it.  structural : a contact
+    method keeps it to round-off whatever the step size (see `structural_on`).  compares_decay : it compares
+    with the decay e^{−∫Γ'} of the truth.
+    """
 
     name: str
     definition: str
-    measure: Callable[[Solution], float]
-    needs: tuple[str, ...]
-    applies: Callable[[Scene], bool]
-    #: whether a contact method keeps it to round-off whatever the step size (see `structural_on`)
+    label: str
+    measure: Callable[[Solution], Deviation | float]
+    needs: tuple[str, ...] = ()
+    applies: Callable[[Scene], bool] = lambda scene: True
+    gate: Gate = Gate.error
+    shown: tuple[str, ...] = ("laws",)
     structural: bool = False
-    #: whether it compares with the decay e^{−∫Γ'} of the truth
     compares_decay: bool = False
 
     def __call__(self, solution: Solution) -> float:
-        """The measure; nan unless the run ended `ok`.
+        """The measure; nan unless the run ended `ok` and the law is defined for its method.
 
         Raises `BadInput` when the scene has no such law or the run did not carry what it needs.
         """
+        return self.measured(solution).value
+
+    def measured(self, solution: Solution) -> Measured:
+        """The measure with its error bar; raises as the call does."""
+        found = self.along(solution)
+        if not isinstance(found, Deviation):
+            return Measured(found)
+        value = float(found.size.max())
+        marked = None if found.clamped is None else int(found.clamped.sum())
+        if found.uncertainty is None:
+            return Measured(value, None, marked)
+        uncertainty = float(found.uncertainty.max())
+        return Measured(value if value > uncertainty else value + uncertainty, uncertainty, marked)
+
+    def along(self, solution: Solution) -> Deviation | float:
+        """The deviation at every saved time, where the law is a maximum over them; raises as the call does."""
         if not self.applies(solution.scene):
             raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
         missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
@@ -66,7 +117,7 @@ class Law:
 
         Where Γ'(s) changes, the factor of a contact map follows the numerical s and has its error.
         """
-        return self.structural and not (self.compares_decay and scene.conformal_rate is None)
+        return self.structural and not (self.compares_decay and scene.rate_changes)
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
         """The optional fields it reads on this scene."""
@@ -74,18 +125,12 @@ class Law:
 
 
 def law(
-    definition: str,
-    needs: tuple[str, ...] = (),
-    applies: Callable[[Scene], bool] = lambda scene: True,
-    structural: bool = False,
-    compares_decay: bool = False,
-) -> Callable[[Callable[[Solution], float]], Law]:
-    """Decorator that registers a measure under its function's name."""
+    definition: str, label: str, **properties: Any
+) -> Callable[[Callable[[Solution], Deviation | float]], Law]:
+    """Decorator that registers a measure under its function's name; `properties` are fields of `Law`."""
 
-    def register(measure: Callable[[Solution], float]) -> Law:
-        return LAWS.add(
-            Law(measure.__name__, definition, measure, needs, applies, structural, compares_decay)
-        )
+    def register(measure: Callable[[Solution], Deviation | float]) -> Law:
+        return LAWS.add(Law(measure.__name__, definition, label, measure, **properties))
 
     return register
 
@@ -93,29 +138,6 @@ def law(
 def laws_of(scene: Scene) -> list[Law]:
     """The laws that are defined for a scene, in table order."""
     return [item for item in LAWS.values() if item.applies(scene)]
-
-
-# -- what applies where ----------------------------------------------------------------------------
-def is_contact(scene: Scene) -> bool:
-    """The exact flow is a conformal contact map: φ_t*η = e^{−∫Γ'(s)dt} η."""
-    return scene.conformal_rate is not None or has_changing_rate(scene)
-
-
-def has_changing_rate(scene: Scene) -> bool:
-    """Γ'(s) is not constant."""
-    return isinstance(scene, Mechanical) and scene.nonlinear_damping
-
-
-def has_momentum_law(scene: Scene) -> bool:
-    return is_contact(scene) and bool(getattr(scene, "has_momentum_law", False))
-
-
-def has_torque(scene: Scene) -> bool:
-    return isinstance(scene, Mechanical) and len(scene.q) == 2 and not scene.rotation_invariant
-
-
-def is_body(scene: Scene) -> bool:
-    return isinstance(scene, RigidBody)
 
 
 # -- comparisons with the truth --------------------------------------------------------------------
@@ -147,16 +169,10 @@ def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
     return np.linalg.norm(numerical - exact, axis=1), float(np.linalg.norm(exact, axis=1).max())
 
 
-@law("max ‖y − y*‖ / max ‖y*‖")
+@law("max ‖y − y*‖ / max ‖y*‖", "solution error", shown=("laws", "stability"))
 def solution_error(solution: Solution) -> float:
     error, size = absolute_error(solution)
     return float(error.max() / size)
-
-
-@law("‖y(T) − y*(T)‖ / max ‖y*‖")
-def solution_error_end(solution: Solution) -> float:
-    error, size = absolute_error(solution)
-    return float(error[-1] / size)
 
 
 def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray, float]:
@@ -166,23 +182,16 @@ def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray, float]:
     return scene.energy(solution.states()), scene.energy(exact), float(scene.energy(solution.start()))
 
 
-@law("max |H0(y) − H0(y*)| / |H0(y₀)|")
+@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=("laws", "stability"))
 def energy_law(solution: Solution) -> float:
     numerical, exact, start = energies(solution)
     return float(np.abs(numerical - exact).max() / abs(start))
 
 
-@law("max |H0(y) / H0(y*) − 1|")
-def energy_law_relative(solution: Solution) -> float:
+@law("max |H0(y) / H0(y*) − 1|", "H0 law, relative")
+def energy_law_relative(solution: Solution) -> Deviation:
     numerical, exact, _ = energies(solution)
-    return float(relative_deviation(numerical, exact).max())
-
-
-def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """|numerical/exact − 1| where the exact value is meaningful, the excess over that range where not."""
-    meaningful = np.abs(exact) > MEANINGFUL
-    ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
-    return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))
+    return Deviation(relative_deviation(numerical, exact))
 
 
 #: what ∫Γ' means in the definitions of the laws
@@ -209,86 +218,52 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     return np.divide(-np.log(ratio), solution.t, out=np.zeros(len(ratio)), where=solution.t > 0)
 
 
-def scaled(values: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
-    """values · e^{γt}, in two halves so that neither factor overflows before the product would."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
-        half = half[..., None] if values.ndim > half.ndim else half
-        return values * half * half
-
-
-def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any = 0.0, xp: Any = np) -> Any:
-    """‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time.
-
-    values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are.
-    Where the denominator is below the meaningful range, the deviation is how far the value exceeds that
-    range (0 when it has underflowed as it should).  For an ensemble k counts its members, and t, γ and
-    start may differ from one to the next.
-    """
-    norm = xp.linalg.norm(start, axis=-1)
-    norm = xp.where(norm > 0, norm, 1.0)
-    true_log = xp.log(norm) - gamma * t
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        # where the true size rules, values are scaled up rather than the start down: it may underflow
-        deviation = xp.linalg.norm(scaled(values, t, gamma, xp) - start, axis=-1) / norm
-        attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
-        resolved = xp.log(attainable) <= true_log
-        true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
-        unresolved = xp.linalg.norm(values - true, axis=-1) / attainable
-    excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
-    meaningful = xp.where(resolved, true_log > math.log(MEANINGFUL), attainable > MEANINGFUL)
-    return xp.where(meaningful, xp.where(resolved, deviation, unresolved), excess)
-
-
-def size(part: Any) -> Any:
-    """‖·‖ of a tuple of components, each a number or an array over time."""
-    return sum(c * c for c in part) ** 0.5
-
-
-def hamiltonian_terms(scene: Scene, states: Any) -> Any:
-    """The size of the terms of H."""
-    kinetic = scene.kinetic(states.p) if isinstance(scene, Mechanical) else scene.energy(states)
-    return abs(kinetic) + abs(scene.hamiltonian(states) - kinetic)
-
-
-def momentum_terms(scene: Scene, states: Any) -> Any:
-    """The size of the terms of J."""
-    return size(states.q) * size(states.p) if isinstance(scene, Mechanical) else size(states.M)
-
-
-def hamiltonian_deviation(solution: Solution) -> np.ndarray:
-    scene, states = solution.scene, solution.states()
-    value = scene.hamiltonian(states)
-    start = np.array([scene.hamiltonian(solution.start())])
-    terms = hamiltonian_terms(scene, states)
-    return conformal_deviation(value[:, None], start, solution.t, decay_rate(solution), terms)
-
-
-@law(f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", needs=("s",), applies=is_contact, compares_decay=True)
-def hamiltonian_law(solution: Solution) -> float:
-    return float(hamiltonian_deviation(solution).max())
-
-
-def momentum_deviation(solution: Solution) -> np.ndarray:
-    scene, states = solution.scene, solution.states()
-    value = np.array(scene.momentum(states)).T
-    start = np.array(scene.momentum(solution.start()))
-    terms = momentum_terms(scene, states)
-    return conformal_deviation(value, start, solution.t, decay_rate(solution), terms)
+def conformal(
+    values: np.ndarray,
+    start: np.ndarray,
+    t: Any,
+    rate: Any,
+    terms: np.ndarray,
+    error: np.ndarray | None = None,
+) -> Deviation:
+    """`conformal_deviation` with its error bar, `error` being that of the values, and where it was clamped."""
+    bar = None if error is None else relative(error, start, t, rate, terms)
+    size = conformal_deviation(values, start, t, rate, terms)
+    return Deviation(size, bar, clamped(start, t, rate, terms) & (t > 0))
 
 
 @law(
-    f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}",
-    needs=("R",), applies=has_momentum_law, structural=True, compares_decay=True,
+    f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", "H law",
+    needs=("s",), applies=lambda scene: scene.is_contact, compares_decay=True, shown=("laws", "stability"),
 )  # fmt: skip
-def momentum_law(solution: Solution) -> float:
-    return float(momentum_deviation(solution).max())
+def hamiltonian_law(solution: Solution) -> Deviation:
+    scene, states = solution.scene, solution.states()
+    value, terms = scene.hamiltonian(states), scene.hamiltonian_terms(states)
+    start = np.array([scene.hamiltonian(solution.start())])
+    return conformal(value[:, None], start, solution.t, decay_rate(solution), terms)
+
+
+def momentum_deviation(solution: Solution) -> Deviation:
+    """That of J from J(y₀) e^{−∫Γ'}, whether or not the scene has that law."""
+    scene, states = solution.scene, solution.states()
+    value, terms = np.array(scene.momentum(states)).T, scene.momentum_terms(states)
+    start = np.array(scene.momentum(solution.start()))
+    return conformal(value, start, solution.t, decay_rate(solution), terms)
 
 
 @law(
-    "max |J − J*| e^{γt} / max |J* e^{γt}|, J* of the truth: J' = −γJ − ∂V/∂θ",
-    applies=lambda scene: scene.conformal_rate is not None and has_torque(scene),
-)
+    f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}", "J law",
+    needs=("R",), applies=lambda scene: scene.is_contact and scene.has_momentum_law,
+    gate=Gate.structure, structural=True, compares_decay=True, shown=("laws", "stability"),
+)  # fmt: skip
+def momentum_law(solution: Solution) -> Deviation:
+    return momentum_deviation(solution)
+
+
+@law(
+    "max |J − J*| e^{γt} / max |J* e^{γt}|, J* of the truth: J' = −γJ − ∂V/∂θ", "J balance",
+    applies=lambda scene: scene.has_torque,
+)  # fmt: skip
 def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
     weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
@@ -300,55 +275,89 @@ def momentum_balance(solution: Solution) -> float:
 
 
 # -- contact structure -----------------------------------------------------------------------------
-def pullbacks(solution: Solution) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """η(Φ)·DΦ at every saved time, shape (k, m), and η at the start, shape (m,), on the tangents.
-
-    Also ‖|∂s| + |p·∂q|‖ (with ‖p‖‖∂q‖ for the last) at every time, shape (k,): the terms of η(Φ)·DΦ.
-    """
-    scene, carry, start = solution.scene, solution.carry, solution.start()
-    form = np.array([float(scene.contact_form(start, v)) for v in scene.tangents(start)])
-    y, derivative = solution.linearised  # (k, d), (k, d, m)
-    here = scene.unpack(tuple(y.T), carry)
-    pushed = [scene.unpack(tuple(derivative[:, :, j].T), carry) for j in range(derivative.shape[2])]
-    pulled = np.array([scene.contact_form(here, v) for v in pushed]).T
-    if isinstance(scene, Mechanical):
-        terms = [np.abs(v.s) + size(here.p) * size(v.q) for v in pushed]
-    else:  # ‖ξ‖ = 2‖dR‖
-        terms = [np.abs(v.s) + 2 * size(here.M) * size(v.R) for v in pushed]
-    return pulled, form, size(terms)
+#: what the laws of Φ*η have in common
+CONTACT: dict[str, Any] = {
+    "needs": ("R", "s"), "applies": lambda scene: scene.is_contact, "gate": Gate.structure, "structural": True,
+}  # fmt: skip
+FROZEN = "the steps taken held fixed"
 
 
-def contact_deviation(solution: Solution) -> np.ndarray:
-    pulled, form, terms = pullbacks(solution)
-    return conformal_deviation(pulled, form, solution.t, decay_rate(solution), terms)
+def contact_deviation(solution: Solution, pulled: Pullback | None) -> Deviation | float:
+    """That of Φ*η from e^{−∫Γ'} η."""
+    if pulled is None:
+        return math.nan
+    values, form, terms, error = pulled
+    return conformal(values, form, solution.t, decay_rate(solution), terms, error)
+
+
+def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
+    """The part of Φ*η across η, over the whole."""
+    if pulled is None:
+        return math.nan
+    unit = pulled.form / np.linalg.norm(pulled.form)
+    whole, attainable = np.linalg.norm(pulled.values, axis=1), ATTAINABLE * pulled.terms
+    length = np.maximum(whole, attainable)
+    meaningful = length > MEANINGFUL
+    length = np.where(meaningful, length, math.inf)
+    values = pulled.values / length[:, None]
+    across = np.linalg.norm(values - (values @ unit)[:, None] * unit, axis=1)
+    error = None if pulled.uncertainty is None else pulled.uncertainty / length
+    return Deviation(across, error, attainable > whole)
 
 
 @law(
-    f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}",
-    needs=("R", "s"), applies=is_contact, structural=True, compares_decay=True,
+    f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}", "contact drift",
+    compares_decay=True, shown=("laws", "stability"), **CONTACT,
 )  # fmt: skip
-def contact_drift(solution: Solution) -> float:
-    return float(contact_deviation(solution).max())
+def contact_drift(solution: Solution) -> Deviation | float:
+    return contact_deviation(solution, pullback(solution, solution.differential))
 
 
-@law("sine of the angle between Φ*η and η", needs=("R", "s"), applies=is_contact, structural=True)
-def distribution_drift(solution: Solution) -> float:
-    pulled, form, terms = pullbacks(solution)
-    unit = form / np.linalg.norm(form)
-    length = np.maximum(np.linalg.norm(pulled, axis=1), ATTAINABLE * terms)
-    pulled = pulled / np.where(length > 0, length, 1.0)[:, None]
-    across = pulled - (pulled @ unit)[:, None] * unit  # the part of Φ*η that is not along η
-    return float(np.linalg.norm(across, axis=1)[length > MEANINGFUL].max(initial=0.0))
+@law("sine of the angle between Φ*η and η", "ker η drift", **CONTACT)
+def distribution_drift(solution: Solution) -> Deviation | float:
+    return distribution_deviation(pullback(solution, solution.differential))
 
 
-@law("max ‖RᵀR − 1‖_F", needs=("R",), applies=is_body, structural=True)
+@law(
+    f"contact_drift with {FROZEN}", "contact drift, steps frozen",
+    compares_decay=True, **CONTACT,
+)  # fmt: skip
+def contact_drift_frozen(solution: Solution) -> Deviation | float:
+    return contact_deviation(solution, pullback(solution, solution.frozen_differential))
+
+
+@law(f"distribution_drift with {FROZEN}", "ker η drift, steps frozen", **CONTACT)
+def distribution_drift_frozen(solution: Solution) -> Deviation | float:
+    return distribution_deviation(pullback(solution, solution.frozen_differential))
+
+
+@law(
+    "‖Φ*η − cη‖ / |c|‖η‖, c the product of the conformal factors of the contact maps applied, each taken "
+    "from its formula at the numerical state; blank for a method that is no composition of such maps",
+    "drift from its own factor", **CONTACT,
+)  # fmt: skip
+def own_factor_drift(solution: Solution) -> Deviation | float:
+    log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
+    if log_factor is None or pulled is None:
+        return math.nan
+    values, form, terms, error = pulled
+    return conformal(values, form, 1.0, -log_factor, terms, error)
+
+
+@law(
+    "max ‖RᵀR − 1‖_F", "attitude drift", needs=("R",), applies=lambda scene: "R" in scene.optional,
+    gate=Gate.structure, structural=True,
+)  # fmt: skip
 def attitude_drift(solution: Solution) -> float:
     R = solution.R
     assert R is not None
     return float(np.linalg.norm(np.swapaxes(R, 1, 2) @ R - np.eye(3), axis=(1, 2)).max())
 
 
-@law("saved steps on which H0 grows although γ > 0", applies=lambda scene: not may_gain_energy(scene))
+@law(
+    "saved steps on which H0 grows although γ > 0", "H0 grows",
+    applies=lambda scene: not scene.may_gain_energy, gate=Gate.count,
+)  # fmt: skip
 def energy_increases(solution: Solution) -> float:
     energy = solution.scene.energy(solution.states())
     energy = np.concatenate([[solution.scene.energy(solution.start())], energy])
@@ -356,8 +365,46 @@ def energy_increases(solution: Solution) -> float:
     return float(np.count_nonzero(grows))
 
 
-def may_gain_energy(scene: Scene) -> bool:
-    """H0 need not decay: no damping, negative damping, or damping whose sign follows s."""
-    if isinstance(scene, Mechanical):
-        return scene.nonlinear_damping or scene.gamma <= 0
-    return isinstance(scene, RigidBody) and scene.isotropic and (scene.gamma or 0) <= 0
+# -- all of them, as a row -------------------------------------------------------------------------
+#: what a row has beside the laws, with its meaning
+DRIFT_COLUMNS = {
+    "contact_drift_uncertainty": "error bar of contact_drift where the derivative is by differences; a "
+    "drift below its error bar is given as their sum, an upper bound",
+    "contact_drift_clamped": "saved times at which contact_drift is relative to a thousandth of the terms "
+    "that cancel instead of to e^{−∫Γ'}‖η‖",
+    "hamiltonian_law_clamped": "the same for hamiltonian_law",
+    "momentum_law_clamped": "the same for momentum_law",
+    "map_growth": "max ‖DΦ(t)‖₂ of the numerical map over the saved times: what round-off grows to",
+    "derivative": "how DΦ was obtained, or why it was not",
+}
+
+
+def row(solution: Solution) -> dict[str, Any]:
+    """Every law the scene has, and `DRIFT_COLUMNS`, of one run; blank (left out) where not defined."""
+    if not solution.ok:
+        return {}
+    scene = solution.scene
+    found = {item.name: item.measured(solution) for item in laws_of(scene)}
+    columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
+    for name, measured in found.items():
+        if measured.clamped is not None and f"{name}_clamped" in DRIFT_COLUMNS:
+            columns[f"{name}_clamped"] = measured.clamped
+    if not scene.is_contact:
+        return columns
+    drift = found["contact_drift"]
+    if drift.uncertainty is not None:
+        columns["contact_drift_uncertainty"] = drift.uncertainty
+    if solution.differential.taken:
+        columns["map_growth"] = growth(solution.differential)
+    bounds = [name for name, measured in found.items() if measured.bound]
+    return columns | {"derivative": said(solution.differential, solution.frozen_differential, bounds)}
+
+
+def said(true: Differential, frozen: Differential, bounds: list[str]) -> str:
+    """How the derivatives were obtained, in words."""
+    parts = [true.source]
+    if frozen.taken and frozen.source != true.source:
+        parts.append(f"steps frozen: {frozen.source}")
+    if bounds:
+        parts.append(f"upper bounds: {', '.join(bounds)}")
+    return "; ".join(parts)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from contactbench.scene import Scene
-from contactbench.truth.reference import decimal_context, reference, with_decimals
+from contactbench.truth import decimal_context, reference, with_decimals
 
 DIGITS = 50
 #: a map is differentiated by central differences of step 10^{-50} at 150 digits: truncation and

@@ -2,12 +2,17 @@
 
 q'' + γ q' + ω² q = 0.  Its eigenvalues decide everything: a spectral radius above one means unbounded
 orbits, and beside e^{−γh/2} it tells numerical damping from antidamping.  No long orbit is needed.
+
+Of a processed method, π χⁿ π*, the kernel χ is what is repeated and decides where only the end is saved;
+π χ π* is repeated where every step is saved.  `kernel` gives the former, the method itself is the latter.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,10 +22,15 @@ from contactbench.methods import METHODS
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
 
-#: an eigenvalue this close to the unit circle counts as on it: square root of round-off
-SLACK = 1e-7
-#: step sizes ωh looked at for the limit, 1 % apart
-SHORTEST, LONGEST, SCANNED = 1e-3, 1e3, 1400
+#: |tr/(1 + det)| and |det| may pass one by this much, which is round-off: no orbit then grows by more than
+#: 1.4·10⁻⁶ a step
+SLACK = 1e-12
+#: step sizes ωh between which borders of stability are looked for, a quarter of a per cent apart
+SHORTEST, LONGEST, SCANNED = 1e-3, 1e3, 5600
+#: intervals of bounded orbits shorter than this part of the step are of no use to anybody
+ISLAND = 0.01
+#: brackets shrink to so many parts in one look; an extremum takes so many looks, a border more
+PARTS, ZOOMS, CLOSE = 8, 11, 17
 #: plain elementwise functions: a vector of step sizes is then a scalar like any other
 ELEMENTWISE = SimpleNamespace(exp=np.exp, expm1=np.expm1, sin=np.sin, cos=np.cos, where=np.where, inf=np.inf)
 
@@ -35,16 +45,33 @@ def fixed_step_methods() -> list[Any]:
     return [m for m in METHODS.values() if not m.adaptive and m.refuses(SCENES["oscillator"]) is None]
 
 
+def kernel(method: Any) -> Any:
+    """The method that is repeated between saved times: without the processor, where it has one."""
+    if not is_processed(method):
+        return method
+    return replace(method, composition=replace(method.composition, processor=()))
+
+
+def is_processed(method: Any) -> bool:
+    """Whether a run is π χⁿ π*."""
+    return bool(getattr(getattr(method, "composition", None), "processor", ()))
+
+
+def processor(method: Any) -> tuple[Any, Any]:
+    """π and π* of a processed method, each as a method whose one step it is."""
+    before = method.composition.processor
+    one = replace(method.composition, processor=(), stages=before)
+    return replace(method, composition=one), replace(method, composition=replace(one, stages=before[::-1]))
+
+
 def step_matrix(method: Any, gamma: float, omega: float, h: Any) -> np.ndarray:
-    """The map (q, p) → (q, p) of one step of size h: (2, 2), or (k, 2, 2) for k step sizes."""
+    """The map (q, p) → (q, p) of one step of size h: (2, 2), or (…, 2, 2) for an array of step sizes."""
     scene, steps = oscillator(gamma, omega), np.asarray(h, dtype=float)
-    columns = []
+    q, p = (np.multiply.outer(unit, np.ones_like(steps)) for unit in np.eye(2))  # both unit vectors at once
     with np.errstate(all="ignore"):  # e^{γ|a|h} of a negative substep may overflow: unstable, then
-        for q, p in ((1.0, 0.0), (0.0, 1.0)):
-            x = method.advance(scene, State((q,), (p,)), steps, 1, ELEMENTWISE)
-            columns.append([*x.q, *x.p])
-    entries = [np.broadcast_to(c, steps.shape) for column in columns for c in column]
-    return np.moveaxis(np.array(entries).reshape(2, 2, *steps.shape), (0, 1), (-1, -2))
+        x = method.advance(scene, State((q,), (p,)), steps, 1, ELEMENTWISE)
+    entries = [np.broadcast_to(row, q.shape) for row in (*x.q, *x.p)]
+    return np.moveaxis(np.array(entries), (0, 1), (-2, -1))
 
 
 def eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,27 +108,101 @@ def slow_rate(gamma: float, omega: float = 1.0) -> float:
     return omega**2 / (gamma / 2 + math.sqrt(gamma**2 / 4 - omega**2))
 
 
-def stability_limit(method: Any, gamma: float, omega: float) -> float:
-    """The step up to which orbits stay bounded: where an eigenvalue first leaves the unit circle.
+# -- where orbits stay bounded ----------------------------------------------------------------------
+@dataclass(frozen=True)
+class Stability:
+    """Steps with bounded orbits: up to `limit`, and beyond it up to `last` but for `windows`.
 
-    Steps are scanned 1 % apart up to ωh = 10³ and the border found is bisected: a window of instability
-    narrower than that is passed over.  inf when none is found.
+    limit : the first loss of stability.  windows : intervals of unbounded orbits below `last`, the largest
+    of all steps with bounded orbits.  Both are inf where there is none up to ωh = 10³.
     """
-    steps = np.geomspace(SHORTEST, LONGEST, SCANNED) / omega
-    beyond = spectral_radius(method, gamma, omega, steps) > 1 + SLACK
-    if not beyond.any():
-        return math.inf
-    first = int(np.argmax(beyond))
-    if first == 0:
-        return 0.0
-    low, high = steps[first - 1], steps[first]
-    while high - low > 1e-12 * high:
-        middle = (low + high) / 2
-        if spectral_radius(method, gamma, omega, middle) > 1 + SLACK:
-            high = middle
-        else:
-            low = middle
-    return float(low)
+
+    limit: float
+    windows: tuple[tuple[float, float], ...]
+    last: float
+
+
+def stability(method: Any, gamma: float, omega: float) -> Stability:
+    """The borders of stability of the map that is one step of `method`, from its trace and determinant.
+
+    Both eigenvalues are in the unit disc where |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in
+    which s passes ±1 and returns may be of any width, so that no grid of steps can be trusted to meet
+    it; but s turns around inside.  The grid need only separate the extrema of s and of det.  These are
+    located, and every border between neighbours of grid and extrema is then bracketed.  What passes one
+    by less than 10⁻¹² is no window, such as a double root of s = ±1; an interval of stability of less than
+    a per cent of the step does not end one.
+    """
+    grid = np.geomspace(SHORTEST, LONGEST, SCANNED) / omega
+
+    def invariants(h: np.ndarray) -> np.ndarray:
+        trace, det = trace_and_determinant(method, gamma, omega, h)
+        with np.errstate(all="ignore"):
+            return np.array([trace / (1 + det), det])
+
+    def unstable(h: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            return ~(np.abs(invariants(h)) <= 1 + SLACK).all(axis=0)  # nan: overflow
+
+    values = invariants(grid)
+    turns = [turning_points(lambda h: invariants(h)[0], grid, values[0])]
+    turns.append(turning_points(lambda h: invariants(h)[1], grid, values[1]))
+    steps = np.unique(np.concatenate([grid, *turns]))
+    beyond = unstable(steps)
+    if beyond[0]:
+        return Stability(0.0, (), 0.0)
+    changes = np.flatnonzero(beyond[1:] != beyond[:-1])
+    borders = bracketed(unstable, steps[changes], steps[changes + 1], beyond[changes]).tolist()
+    lost, found = borders[::2], borders[1::2]
+    ends = [*lost[1:], math.inf][: len(found)]
+    usable = [(start, end) for start, end in zip(found, ends, strict=True) if end - start > ISLAND * start]
+    stable = [(0.0, lost[0] if lost else math.inf), *usable]
+    windows = tuple((end, start) for (_, end), (start, _) in itertools.pairwise(stable))
+    return Stability(stable[0][1], windows, stable[-1][1])
+
+
+def stability_limit(method: Any, gamma: float, omega: float) -> float:
+    """The step up to which orbits stay bounded, the first loss of stability; see `stability`."""
+    return stability(method, gamma, omega).limit
+
+
+def trace_and_determinant(
+    method: Any, gamma: float, omega: float, h: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of one step; the determinant of a conformal contact map is its factor, without cancellation."""
+    matrix = step_matrix(method, gamma, omega, h)
+    with np.errstate(all="ignore"):
+        trace = matrix[..., 0, 0] + matrix[..., 1, 1]
+        det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+        factor = method.conformal_factor(oscillator(gamma, omega), h, ELEMENTWISE)
+    return trace, det if factor is None else factor
+
+
+def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Extrema of f, one for each point of an increasing grid that both neighbours are above or below."""
+    with np.errstate(invalid="ignore"):
+        rises = np.sign(np.diff(values))
+        inner = np.flatnonzero(rises[1:] * rises[:-1] < 0) + 1
+    low, high, sense = grid[inner - 1], grid[inner + 1], rises[inner - 1]
+    for _ in range(ZOOMS):
+        inside = np.linspace(low, high, PARTS + 1)
+        best = np.argmax(sense * f(inside), axis=0)
+        columns = np.arange(len(low))
+        low, high = inside[np.maximum(best - 1, 0), columns], inside[np.minimum(best + 1, PARTS), columns]
+    return (low + high) / 2
+
+
+def bracketed(
+    truth: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, at_low: np.ndarray
+) -> np.ndarray:
+    """Where a truth value first changes between low and high, to round-off."""
+    columns = np.arange(len(low))
+    for _ in range(CLOSE):
+        inside = np.linspace(low, high, PARTS + 1)
+        changed = truth(inside) != at_low
+        changed[-1] = True
+        first = np.argmax(changed, axis=0)
+        low, high = inside[first - 1, columns], inside[first, columns]
+    return (low + high) / 2
 
 
 def slow_rate_ratio(method: Any, gamma: float, h: float) -> float:
@@ -184,15 +285,26 @@ def flow_matrix(gamma: float, omega: float, t: float) -> np.ndarray:
     return expm(np.array([[0.0, 1.0], [-(omega**2), -gamma]]) * t)
 
 
-def propagation_error(method: Any, gamma: float, h: float) -> float:
-    """‖Mⁿ − Φ_T‖₂/‖Φ_T‖₂ with nh = T as near as can be to the time in which a motion falls by e.
+def propagation_error(method: Any, gamma: float, h: float, every_step: bool = False) -> float:
+    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T as near as can be to the time in which a motion falls by e.
 
-    inf where the powers overflow.
+    every_step : whether every step is saved, which is another map for a processed method.
+    inf where M overflows.
     """
     n = max(1, round(1 / slow_rate(gamma) / h))
     exact = flow_matrix(gamma, 1.0, n * h)
     with np.errstate(all="ignore"):
-        power = np.linalg.matrix_power(step_matrix(method, gamma, 1.0, h), n)
-        if not np.isfinite(power).all():
+        run = run_matrix(method, gamma, 1.0, h, n, every_step)
+        if not np.isfinite(run).all():
             return math.inf
-        return float(np.linalg.norm(power - exact, 2) / np.linalg.norm(exact, 2))
+        return float(np.linalg.norm(run - exact, 2) / np.linalg.norm(exact, 2))
+
+
+def run_matrix(
+    method: Any, gamma: float, omega: float, h: float, n: int, every_step: bool = False
+) -> np.ndarray:
+    """The map (q, p) → (q, p) of n steps of size h, of which the end or every step is saved."""
+    if every_step or not is_processed(method):
+        return np.linalg.matrix_power(step_matrix(method, gamma, omega, h), n)
+    before, after = (step_matrix(part, gamma, omega, h) for part in processor(method))
+    return after @ np.linalg.matrix_power(step_matrix(kernel(method), gamma, omega, h), n) @ before

@@ -1,7 +1,7 @@
 """The contract of a method, and the registry.
 
 A method is an object with a `name`, its `engines` (the first is the default), `adaptive`, `order`,
-a one-line `about`, and
+a one-line `about`, a `family` (contact, variational or established, which it is where a method does not say), and
 
     refuses(scene) -> str | None          why the scene is out of reach, or None
     prepare(Request) -> Prepared          compile once; the result is called many times
@@ -23,8 +23,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from contactbench.errors import BadInput, Registry, positive
+from contactbench.methods.differences import differences
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Solution, Status, divergence_bound, first_divergence
+from contactbench.solution import Counts, Differential, Solution, Status, divergence_bound, first_divergence
 
 #: saved times when the caller names none: every k-th step with at most this many for fixed steps,
 #: this many equal intervals for adaptive methods
@@ -64,10 +65,22 @@ class Request:
     atol: float | None = None
     max_steps: int = DEFAULT_MAX_STEPS
 
+    @property
+    def control(self) -> str:
+        """What is set: "step" or "rtol"."""
+        return "rtol" if self.step is None else "step"
+
+    @property
+    def value(self) -> float:
+        """To what it is set."""
+        value = self.rtol if self.step is None else self.step
+        assert value is not None  # `prepare` sees to it
+        return value
+
     @cached_property
     def setting(self) -> str:
         """The setting as it is keyed in tables."""
-        return f"step={self.step:.6g}" if self.step is not None else f"rtol={self.rtol:.3g}"
+        return f"{self.control}={self.value:.6g}"
 
 
 @dataclass
@@ -87,11 +100,11 @@ class Prepared:
         """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
         return self.integrate(y0).y[-1]
 
-    #: how `sensitivity` differentiates the numerical map; empty: it cannot
+    #: how `sensitivity` differentiates the map of the steps taken; empty: it cannot
     sensitivity_source = ""
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        """(k, d, m): derivative of the saved states along the scene's m tangent vectors at y0."""
+        """(k, d, m): derivative of the saved states along the scene's m tangents at y0, steps held fixed."""
         raise NotImplementedError
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -102,6 +115,30 @@ class Prepared:
         """
         return y, self.sensitivity(y0)
 
+    @property
+    def steps_follow_state(self) -> bool:
+        """Whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
+        return self.request.step is None
+
+    def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
+        """dΦ of the map its user gets, or with the steps frozen.
+
+        To round-off where the engine can, else by differences of the solver.
+        """
+        if self.sensitivity_source and (frozen or not self.steps_follow_state):
+            states, derivative = self.linearised(y0, out.y)
+            return Differential(self.sensitivity_source, states, derivative[None])
+        if frozen and self.steps_follow_state:
+            return Differential("", out.y, np.empty((0, *out.y.shape, 0)))
+        return differences(self, y0, out)
+
+    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+        """Log of the product of the conformal factors of the contact maps applied, up to each saved time, (k,).
+
+        y : the saved states.  None where a run is no composition of such maps.
+        """
+        return None
+
     def __call__(self, **data: Any) -> Solution:
         r = self.request
         if data:
@@ -111,7 +148,8 @@ class Prepared:
         out = audited(self.integrate(y0), self._end)
         return Solution(
             *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0,
-            lambda: self.linearised(y0, out.y), self.sensitivity_source,
+            lambda frozen: self.differential(y0, out, frozen), lambda: self.log_factor(y0, out.y),
+            r.control, r.value,
         )  # fmt: skip
 
     @cached_property
@@ -216,6 +254,7 @@ class Adaptive:
     """Base of the solvers that choose their own steps from rtol."""
 
     adaptive = True
+    family = "established"
 
     def refuses(self, scene: Scene) -> str | None:
         return None
@@ -335,9 +374,19 @@ def _times(save_at: Any) -> np.ndarray:
     return times
 
 
-def steps_in(span: float, step: float) -> int:
-    """The fewest equal steps that cover `span` without exceeding `step` (up to round-off)."""
-    return max(1, math.ceil(span / step * (1 - 1e-12)))
+#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
+#: rounded, as a product or a sum of two, and so may be the spacing of the grid
+GRID_ULPS = 4
+
+
+def steps_in(span: float, step: float, until: float | None = None) -> int:
+    """The fewest equal steps that cover `span` without exceeding `step` (up to round-off).
+
+    until : the time at which the interval ends, by default `span`.  The difference of two saved times has
+    their round-off, which for short intervals late in a run is far above that of the interval itself.
+    """
+    round_off = GRID_ULPS * math.ulp(span if until is None else until)
+    return max(1, math.ceil((span * (1 - 1e-12) - round_off) / step))
 
 
 def stopwatch() -> Any:

@@ -18,7 +18,7 @@ class XlaNumbers:
     """`jax.numpy`, and `settle`: a state that must be computed once, whoever reads it."""
 
     def __getattr__(self, name: str) -> Any:
-        import jax
+        from contactbench.xla import jax
 
         return jax.lax.optimization_barrier if name == "settle" else getattr(jax.numpy, name)
 
@@ -53,7 +53,7 @@ class CompiledRun(Prepared):
     @staticmethod
     def flat(function: Callable[..., tuple[Any, Any, Any]]) -> Callable[..., Any]:
         """A function that returns saved states, facts about the run, and its last state, all in one vector."""
-        import jax.numpy as jnp
+        from contactbench.xla import jnp
 
         return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
 
@@ -68,7 +68,7 @@ class CompiledRun(Prepared):
 
     @cached_property
     def _own_start_placed(self) -> Any:
-        import jax
+        from contactbench.xla import jax
 
         return jax.device_put(self._own_start)
 
@@ -78,7 +78,7 @@ class CompiledRun(Prepared):
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to trace and compile."""
-        import jax
+        from contactbench.xla import jax
 
         r = self.request
         key = (purpose, r.scene.structure, r.carry, *self.key())
@@ -88,14 +88,18 @@ class CompiledRun(Prepared):
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        import jax
+        return self.pushed(y0, self.differentiable, "steps")
+
+    def pushed(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
+        """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
+        from contactbench.xla import jax
 
         r = self.request
 
         def push(y0: Any, v: Any, fixed: Any) -> Any:
-            return jax.jvp(lambda y: self.differentiable(y, fixed), (y0,), (v,))[1]
+            return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 
         start = r.scene.unpack(tuple(y0.tolist()), r.carry)
         tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
-        program, _ = self.compiled("sensitivity", push, y0, tangents[0], self.fixed)
+        program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
         return np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)

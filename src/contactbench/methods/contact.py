@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Mechanical, Scene
-from contactbench.splitting.composition import Composition, Repeat, advance, plan, refusal, repeat
+from contactbench.splitting.composition import (
+    Composition,
+    Repeat,
+    advance,
+    log_factor,
+    plan,
+    refusal,
+    repeat,
+)
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -25,6 +34,11 @@ class ContactMethod(FixedStep):
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         return advance(self.composition, scene, x, h, n, xp, repeat)
 
+    def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
+        if not scene.rate_changes:  # the coefficients of every composition add up to one
+            return super().log_factor(scene, x, h, n)
+        return log_factor(self.composition, scene, x, h, n, math)
+
     def counts(self, scene: Scene, n: int) -> int:
         return plan(self.composition, scene).count(flows_of(scene), self.kind_on(scene), n)
 
@@ -39,6 +53,7 @@ def contact_method(composition: Composition) -> ContactMethod:
         order=composition.order,
         step=lambda scene, x, h, xp: advance(composition, scene, x, h, 1, xp),
         kind="gradient",
+        family="contact",
         about=composition.source,
         contact=True,
         symmetric=composition.palindromic,

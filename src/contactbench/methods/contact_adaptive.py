@@ -1,8 +1,10 @@
 """A contact method whose steps follow the motion: `contact-rkn6` with reversible step density control.
 
-Any sequence of steps of a contact composition is a product of exact contact flows, so that J e^{γt} and
-the conformal factor e^{−γt} of the steps taken are kept to round-off whatever the steps are.  What is
-chosen here is how long they are: h = ε/ρ with a step density ρ that is integrated along,
+Any sequence of steps of a contact composition is a product of exact contact flows: J e^{γt} is kept to
+round-off whatever the steps are, and the steps taken, held fixed, are a contact map with the factor e^{−γt}.
+The map from initial data to the state at a time is not: other data mean other steps, and the contact form
+is kept as well as the tolerance allows.  What is chosen here is how long the steps are: h = ε/ρ with a step
+density ρ that is integrated along,
 
     ρ_{n+1/2} = ρ_{n−1/2} + ε G(x_n),   G = d ln ω/dt,   ρ_{1/2} = ω(q_0) + ½ ε G(x_0),
 
@@ -20,6 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +31,7 @@ from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Requ
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.numbers.dual import Dual, slope, value
 from contactbench.scene import Mechanical, Scene, Vector
-from contactbench.solution import DIVERGENCE, Counts, Status, divergence_bound
+from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
 from contactbench.splitting.composition import Composition, advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import BM6, RKN6
@@ -104,6 +107,18 @@ class AdaptiveContactRun(Prepared):
         self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
         self.epsilon, self.span = AIM * r.rtol ** (1 / self.composition.order), float(r.save_at[-1])
 
+    #: how `sensitivity` with frozen=False differentiates
+    map_source = ""
+
+    def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
+        """As in `Prepared`; with frozen=False through the density too, which is differentiable where the
+        number of steps does not change."""
+        raise NotImplementedError
+
+    def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
+        source = self.sensitivity_source if frozen else self.map_source
+        return Differential(source, out.y, self.sensitivity(y0, frozen)[None])
+
     def ended(
         self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: np.ndarray, density: float
     ) -> Outcome:
@@ -128,9 +143,10 @@ class AdaptivePythonLoop(AdaptiveContactRun):
     """Plain Python floats."""
 
     sensitivity_source = "forward-mode AD, accepted steps frozen, on jax"
+    map_source = "forward-mode AD through the steps and their choice, on jax"
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0)
+    def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
+        return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0, frozen)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, epsilon, span = self.request, self.epsilon, self.span
@@ -166,9 +182,10 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
     """A while loop over the steps inside a scan over the saved times."""
 
     sensitivity_source = "forward-mode AD, accepted steps frozen"
+    map_source = "forward-mode AD through the steps and their choice"
 
     def __post_init__(self) -> None:
-        import jax
+        from contactbench.xla import jax
 
         super().__post_init__()
         r = self.request
@@ -184,9 +201,14 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
 
-    def _solve(self, y0: Any, fixed: Any) -> Any:
-        import jax.numpy as jnp
-        from jax import lax
+    def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
+        return self.pushed(y0, partial(self._states, frozen), "frozen" if frozen else "map")
+
+    def _states(self, frozen: bool, y0: Any, fixed: Any) -> Any:
+        return self._solve(y0, fixed, frozen)[0]
+
+    def _solve(self, y0: Any, fixed: Any, frozen: bool = True) -> Any:
+        from contactbench.xla import jnp, lax
 
         r, xp = self.request, ScalarNumbers()
         numbers, options, times = self.apart(fixed)
@@ -197,7 +219,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         bound = self._motion * DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
 
         def pace(x: Any) -> Any:
-            return lax.stop_gradient(x)  # the sequence of steps is what it is: see `sensitivity_source`
+            return lax.stop_gradient(x) if frozen else x
 
         def due(carried: Any, until: Any) -> Any:
             _x, time, density, _steps = carried
@@ -234,6 +256,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
 
 @dataclass(frozen=True)
 class AdaptiveContactMethod(Adaptive):
+    family = "contact"
     name: str = "contact-adaptive"
     order: int | None = 6
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"

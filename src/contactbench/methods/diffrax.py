@@ -34,7 +34,7 @@ class DiffraxRun(CompiledRun):
     sensitivity_source = "forward-mode AD, accepted steps frozen"
 
     def __post_init__(self) -> None:
-        import jax
+        from contactbench.xla import jax
 
         super().__post_init__()
         r = self.request
@@ -52,8 +52,8 @@ class DiffraxRun(CompiledRun):
 
     def _solve(self, y0: Any, fixed: Any, counted: bool = False) -> Any:
         import diffrax
-        import jax
-        import jax.numpy as jnp
+
+        from contactbench.xla import jax, jnp
 
         numbers, tolerances, times = self.apart(fixed)
         r = self.request
@@ -128,7 +128,7 @@ class DiffraxRun(CompiledRun):
 
         The implicit method needs it: diffrax does not report its Newton iterations.
         """
-        import jax
+        from contactbench.xla import jax
 
         arguments = (self._own_start, self.fixed)
         program, _ = self.compiled("count", partial(self._solve, counted=True), *arguments)

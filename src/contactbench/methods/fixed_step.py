@@ -46,6 +46,8 @@ class FixedStep:
     kind: str = "rhs"
     about: str = ""
     engines: tuple[str, ...] = ("numba", "jax", "python")
+    #: what it is compared as: contact, variational (from a discrete action) or established
+    family: str = "established"
     #: declared properties, each tested for every registered method that claims it
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False  # Φ_{−h} ∘ Φ_h = id
@@ -68,6 +70,16 @@ class FixedStep:
         if self.factor is not None:
             return self.factor(scene, h, xp)
         return xp.exp(-scene.conformal_rate * h) if self.contact else None
+
+    def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
+        """Log of the conformal factor of n steps of size h from x; None where the steps are no contact maps.
+
+        nan where the factor is negative, as that of a Herglotz step may be.
+        """
+        factor = self.conformal_factor(scene, h)
+        if factor is None:
+            return None
+        return n * math.log(factor) if factor > 0 else math.nan
 
     def counts(self, scene: Scene, n: int) -> int:
         """Evaluations in n uninterrupted steps."""
@@ -103,7 +115,7 @@ def fixed_step(
     """Decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
 
     It then runs on every engine and appears in every table, figure and test.  `claims` are the
-    properties it declares: kind, contact, symmetric, factor.
+    properties it declares: kind, family, contact, symmetric, factor.
     """
 
     def register(step: Step) -> Step:
@@ -124,13 +136,14 @@ class FixedStepRun(Prepared):
         r = self.request
         self.saves_start = r.save_at[0] == 0
         self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
+        self.ends = r.save_at[1:] if self.saves_start else r.save_at
         self.first_step, self.each_step = self.method_.counts(r.scene, 1), self.method_.per_step(r.scene)
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
     def divide(self, step: float) -> None:
         """Divide every interval into the fewest equal steps not longer than `step`."""
-        self.n = np.array([steps_in(span, step) for span in self.marks], dtype=np.int64)
+        self.n = self.division(step)
         self.h = self.marks / self.n
         self.totals, self.needed = self.cost(self.n), int(self.n.sum())
 
@@ -142,11 +155,29 @@ class FixedStepRun(Prepared):
 
     def steps_at(self, step: float) -> int:
         """How many steps a division by `step` makes."""
-        return sum(steps_in(span, step) for span in self.marks)
+        return int(self.division(step).sum())
+
+    def division(self, step: float) -> np.ndarray:
+        """Steps in each interval when divided by `step`."""
+        spans = zip(self.marks.tolist(), self.ends.tolist(), strict=True)
+        return np.array([steps_in(span, step, until) for span, until in spans], dtype=np.int64)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Packed states after each interval of n[k] steps of size h[k]; shape (k, d)."""
         raise NotImplementedError
+
+    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+        """As in `Prepared`: the flows are applied once more, in plain floats, from every saved state."""
+        r = self.request
+        starts = y[:-1] if self.saves_start else np.concatenate([y0[None], y[:-1]])
+        logs = [
+            self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
+            for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
+        ]
+        known = [log for log in logs if log is not None]
+        if len(known) < len(logs):
+            return None
+        return np.cumsum([0.0, *known] if self.saves_start else known)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
@@ -218,7 +249,7 @@ def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> It
 
 def rolled(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
     """`repeat` as a compiled loop that asks for loops over stages too: the shortest code."""
-    from jax import lax
+    from contactbench.xla import lax
 
     return lax.fori_loop(0, n, lambda _, x: body(x), x)
 
@@ -242,7 +273,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
-        import jax
+        from contactbench.xla import jax
 
         super().__post_init__()
         saves = len(self.n)
@@ -270,8 +301,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
         return self.states(y0, fixed, short=True)
 
     def states(self, y0: Any, fixed: Any, short: bool = False) -> Any:
-        import jax.numpy as jnp
-        from jax import lax
+        from contactbench.xla import jnp, lax
 
         numbers, h, n = self.apart(fixed)
         r, xp = self.request, XlaNumbers()

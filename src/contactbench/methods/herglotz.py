@@ -8,7 +8,7 @@ discrete contact Euler–Lagrange (Herglotz) equation, for L without s₁
 D₁L(q_k, q_{k+1}, s_k) + (1 + h ∂L/∂s_k) D₂L(q_{k−1}, q_k, s_{k−1}) = 0.
 
 Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767, arXiv:1902.00436;
-the paper, eq. disc-Herglotz.
+the paper, §5.1, eq. (79).
 """
 
 from __future__ import annotations
@@ -95,14 +95,14 @@ class SecondHerglotz(Herglotz):
 
 METHODS.add(
     Herglotz(
-        "herglotz1", 1, herglotz1, kind="gradient",
-        about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, eq. disc-Herglotz",
+        "herglotz1", 1, herglotz1, kind="gradient", family="variational",
+        about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)",
         factor=lambda scene, h, xp: 1 - scene.gamma * h,
     )
 )  # fmt: skip
 METHODS.add(
     SecondHerglotz(
-        "herglotz2", 2, herglotz2, kind="gradient", symmetric=True,
+        "herglotz2", 2, herglotz2, kind="gradient", family="variational", symmetric=True,
         about="Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767",
         factor=lambda scene, h, xp: (1 - scene.gamma * h / 2) / (1 + scene.gamma * h / 2),
     )

@@ -37,6 +37,9 @@ class ChosenStep(Prepared):
     The pilots are part of every call: their evaluations are in the counts and their time in the call.
     """
 
+    #: the state decides on a whole number of steps, which a small change of it leaves as it is
+    steps_follow_state = False
+
     method_: FixedStep
     engine_run: type[FixedStepRun]
 
@@ -60,6 +63,10 @@ class ChosenStep(Prepared):
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.run.divide(self.choose(y0)[0])
         return self.run.linearised(y0, y)
+
+    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+        self.run.divide(self.choose(y0)[0])
+        return self.run.log_factor(y0, y)
 
     def choose(self, y0: np.ndarray) -> tuple[float, int]:
         """The step for the tolerance, and the evaluations spent on finding it."""

@@ -26,7 +26,7 @@ from contactbench.scene import Mechanical, Scene, dot
 #: ``(scene, x) -> rows``: ∂(rhs)/∂(state) in packed order
 Derivative = Callable[[Scene, Any], Any]
 
-SOURCE = "variational equations, same solver and tolerance"
+SOURCE = "variational equations, a run of its own"
 
 
 class Bundle(NamedTuple):
@@ -103,8 +103,7 @@ def numerical_derivative(scene: Scene, carry: tuple[str, ...]) -> Derivative:
     """Df on plain floats: the scene's own Jacobian, or forward AD of its right-hand side by JAX."""
     if not isinstance(scene, Mechanical) or scene.hessian is not None:
         return lambda scene, x: scene.jacobian(x)
-    import jax
-    import jax.numpy as jnp
+    from contactbench.xla import jax, jnp
 
     def flat(y: Any) -> Any:
         return jnp.stack(scene.pack(scene.rhs(scene.unpack(list(y), carry))))

@@ -1,58 +1,138 @@
-"""How the documents write numbers and tables."""
+"""Markdown: rooms written down as documents.  It knows no question and no table."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
 
-import pandas as pd
-from tabulate import tabulate
+from contactbench.report.model import (
+    Cell,
+    Figure,
+    Finding,
+    Head,
+    Mark,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    spoken,
+)
 
-DASH = "—"
-
-
-def scientific(value: float, digits: int = 1) -> str:
-    return DASH if pd.isna(value) else f"{value:.{digits}e}"
-
-
-def duration(seconds: float) -> str:
-    """Seconds as a readable time; a dash for nan."""
-    if math.isnan(seconds):
-        return DASH
-    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 1e-9:.3g} ns"
-
-
-def times(ratio: float) -> str:
-    """A ratio: two decimals where they tell who is ahead, two digits above ten."""
-    return f"×{ratio:.2f}" if ratio < 9.995 else f"×{ratio:.2g}"
+#: marks that are seen in a document
+STRONG = (Mark.best, Mark.kept)
+SLANTED = (Mark.tie,)
+FLAGGED = (Mark.exception,)
+#: a longer cell is not worth lining its column up for
+PADDED = 40
+#: columns in a table; groups of columns that would make it wider are written one below the other
+WIDEST = 14
 
 
-def count(value: float) -> str:
-    """A number of evaluations; a dash for nan."""
-    return DASH if math.isnan(value) else f"{value:.0f}"
+def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterable[bool] = ()) -> str:
+    """A GitHub table; the first column and columns of words left, the others right aligned.
+
+    Columns are padded to line up in the source unless a cell is longer than PADDED.
+    """
+    lines = [list(header), *([str(cell) for cell in row] for row in rows)]
+    left = [i == 0 or word for i, word in enumerate([*words, *[False] * len(lines[0])][: len(lines[0])])]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    widths = [width if width <= PADDED else 0 for width in widths]
+    rule = [f":{'-' * (w + 1)}" if l else f"{'-' * (w + 1)}:" for w, l in zip(widths, left, strict=True)]
+
+    def written(line: list[str]) -> str:
+        cells = (c.ljust(w) if l else c.rjust(w) for c, w, l in zip(line, widths, left, strict=True))
+        return f"| {' | '.join(cells)} |"
+
+    return "\n".join([written(lines[0]), f"|{'|'.join(rule)}|", *map(written, lines[1:])])
 
 
-def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """A GitHub table; the first column left, the others right aligned."""
-    head = list(header)
-    align = ["left", *["right"] * (len(head) - 1)]
-    return tabulate(
-        [list(map(str, row)) for row in rows], head, tablefmt="github", colalign=align, disable_numparse=True
+def cell(item: Cell) -> str:
+    """The text as its marks say: bold what is best or kept, slanted a tie, ! an exception."""
+    text = item.text.replace("|", "\\|")
+    if not text:
+        return ""
+    if item.link:
+        text = f"[{text}]({item.link})"
+    if item.marks & set(FLAGGED):
+        text += " !"
+    if item.marks & set(STRONG) and "**" not in text:
+        return f"**{text}**"
+    if item.marks & set(SLANTED):
+        return f"*{text}*"
+    return text
+
+
+def label(head: Head, grouped: bool) -> str:
+    named = f"{head.group}: {head.label}" if grouped and head.group else head.label
+    return named.replace("|", "\\|")
+
+
+def table(columns: Sequence[Head], rows: Sequence[Sequence[Cell]]) -> str:
+    return grid(
+        (label(h, True) for h in columns), (map(cell, row) for row in rows), (h.words for h in columns)
     )
 
 
-@dataclass(frozen=True)
-class Listing:
-    """A table as values, for whoever writes it down: (label, how a value is shown) of each column, rows."""
+def split(view: View) -> list[list[int]]:
+    """Indices of columns, one list per table: those without a group in each, groups as they fit."""
+    own = [i for i, h in enumerate(view.columns) if not h.group]
+    groups: dict[str, list[int]] = {}
+    for i, head in enumerate(view.columns):
+        if head.group:
+            groups.setdefault(head.group, []).append(i)
+    if len(view.columns) <= WIDEST or len(groups) < 2:
+        return [list(range(len(view.columns)))]
+    tables: list[list[int]] = []
+    for indices in groups.values():
+        if tables and len(own) + len(tables[-1]) + len(indices) <= WIDEST:
+            tables[-1] += indices
+        else:
+            tables.append(list(indices))
+    return [[own[0], *indices] if n else [*own, *indices] for n, indices in enumerate(tables)]
 
-    columns: tuple[tuple[str, Callable[[Any], str]], ...]
-    rows: tuple[tuple[Any, ...], ...]
 
-    def markdown(self) -> str:
-        labels, shows = zip(*self.columns, strict=True)
-        return markdown(labels, ([show(v) for show, v in zip(shows, row, strict=True)] for row in self.rows))
+def view(item: View, depth: int) -> str:
+    if item.detail:
+        return f"{heading(item.title, depth)}\n\nIn [{item.source}]({item.source}). {item.meaning}"
+    parts = [heading(item.title, depth)]
+    if item.meaning:
+        parts.append(item.meaning)
+    if not item.rows:
+        return "\n\n".join([*parts, "None."])
+    for indices in split(item):
+        parts.append(
+            table([item.columns[i] for i in indices], [[row[i] for i in indices] for row in item.rows])
+        )
+    return "\n\n".join(parts)
+
+
+def text(item: Text, depth: int = 0) -> str:
+    lines = "\n".join(f"- {entry}" for entry in item.items)
+    return "\n\n".join(filter(None, [item.body, lines]))
+
+
+def figure(item: Figure, depth: int, folder: str = "figures") -> str:
+    shown = f"![{item.title}]({folder}/{item.name}.svg)"
+    return f"{shown}\n\n{item.caption}" if item.caption else shown
+
+
+def section(item: Section, depth: int) -> str:
+    return "\n\n".join([heading(item.title, depth), parts(item.parts, depth + 1)])
+
+
+def heading(title: str, depth: int) -> str:
+    return f"{'#' * min(depth, 6)} {title}"
+
+
+WRITERS: dict[type, Callable[..., str]] = {Section: section, View: view, Text: text, Figure: figure}
+
+
+def parts(items: Iterable[Part], depth: int = 2) -> str:
+    """Parts one below the other; headings from `depth` down.  A heading alone in its section is not repeated."""
+    return "\n\n".join(filter(None, (WRITERS[type(item)](item, depth) for item in items)))
+
+
+def document(room: Room, items: Iterable[Part], found: Sequence[Finding] = ()) -> str:
+    """Title, what was found, the parts."""
+    said = parts([spoken(found)]) if found else ""
+    return "\n\n".join(filter(None, [f"# {room.title}", said, parts(items)])) + "\n"

@@ -1,295 +1,186 @@
-"""The paper's figures, redrawn from the table `paper_figures` alone; nothing is solved here.
+"""The paper's figures from the table of their data; corrected where the claim behind them fell.
 
-Where a claim behind a figure fell, the figure shows what is true beside what was claimed.
+A figure the table has and SHAPES does not is drawn with a panel per panel and its curves as they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from contactbench.report.figures import style
+from contactbench.report.curves import floats
+from contactbench.report.model import Axis, Curve, Figure, Heat, Note, Panel
 
-BLUE, ORANGE, GREY, BLACK = "#0077BB", "#CC3311", "#888888", "#000000"
-#: stable and unstable differ in colour and in marker
-STABILITY = {"stable": (BLUE, "o"), "unstable": (ORANGE, "X"), "neutral": (GREY, "s")}
-SHADES = ["#000000", "#0077BB", "#33BBEE", "#009988", "#EE7733"]
-DRAWN: dict[str, Callable[[pd.DataFrame], Figure]] = {}
+UNIT = (-1.0, 1.0)
+SPHERE_TICKS = ((-1.0, "−1"), (0.0, "0"), (1.0, "1"))
 
 
-def drawn(draw: Callable[[pd.DataFrame], Figure]) -> Callable[[pd.DataFrame], Figure]:
-    """Register the drawing of a figure under the function's name."""
-    DRAWN[draw.__name__] = draw
-    return draw
+@dataclass(frozen=True)
+class Shape:
+    """How a panel of the table is drawn: title, axes, and what else `Panel` takes."""
+
+    title: str
+    x: Axis
+    y: Axis
+    more: dict[str, Any] = field(default_factory=dict)
 
 
-def figures(table: pd.DataFrame) -> Iterator[tuple[str, Figure]]:
-    """Every figure the table has data for, with its file name."""
-    for name in dict.fromkeys(table["figure"]):
-        if name in DRAWN:
-            yield name, DRAWN[name](table[table["figure"] == name])
+@dataclass(frozen=True)
+class Plan:
+    """A figure: its title, caption and panels; `also` makes panels that need more than the curves."""
+
+    title: str
+    panels: dict[str, Shape]
+    caption: str = ""
+    also: Callable[[pd.DataFrame], Iterator[Panel]] = lambda rows: iter(())
 
 
-def curves(rows: pd.DataFrame, panel: str) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Name, kind and points of each curve of a panel."""
-    for name, points in rows[rows["panel"] == panel].groupby("curve", sort=False):
-        yield str(name), str(points["kind"].iloc[0]), points.sort_values("point")
+def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
+    """The curves of a panel: a method has its own look, the others that of their kind."""
+    ordered = 0
+    part = rows[rows["panel"] == panel]
+    for name, points in part.groupby("curve", sort=False):
+        points = points.sort_values("point")
+        kind, label = str(points["kind"].iloc[0]), str(name)
+        method = label.rpartition(", ")[2] if kind == "method" else ""
+        role = kind
+        if kind == "law" and label.startswith("λ"):  # an ordered set
+            role, ordered = f"shade {min(ordered, 4)}", ordered + 1
+        single = len(points) == 1
+        yield Curve(
+            floats(points["x"]), floats(points["y"]), label if kind != "flow" else "flow", method,
+            "" if method else role,
+            line=not single, markers=single or kind == "method", dashed=kind in ("dissipative", "criterion"),
+            z=floats(points["z"]) if points["z"].notna().all() else (),
+        )  # fmt: skip
 
 
-@drawn
-def paper_2(rows: pd.DataFrame) -> Figure:
-    """Oscillator: closed orbits and a spiral."""
-    figure, axes = plt.subplots(figsize=(5.6, 5.2), layout="constrained")
-    looks: dict[str, dict[str, Any]] = {
-        "conservative": {"color": BLACK, "linewidth": 1.2},
-        "dissipative": {"color": BLUE, "linestyle": "--"},
+def momentum(letter: str) -> dict[str, Axis]:
+    return {
+        name: Axis(f"{letter}{digit}", limits=UNIT, ticks=SPHERE_TICKS)
+        for name, digit in zip("xyz", "₁₂₃", strict=True)
     }
-    seen: dict[str, str] = {}
-    for name, kind, points in curves(rows, "phase"):
-        gamma = name.partition(",")[0]
-        axes.plot(points["x"], points["y"], label=None if kind in seen else gamma, **looks[kind])
-        axes.plot(points["x"].iloc[0], points["y"].iloc[0], ".", color=looks[kind]["color"])
-        seen[kind] = gamma
-    axes.plot(0, 0, "+", color=GREY)
-    axes.set(xlabel="q", ylabel="p", aspect="equal", title="oscillator: closed orbits and spirals (figure 2)")
-    axes.legend(loc="upper right", ncols=2)
-    axes.set_ylim(-1.7, 1.95)
-    return figure
 
 
-@drawn
-def paper_3(rows: pd.DataFrame) -> Figure:
-    """Decay of the momentum map."""
-    figure, axes = plt.subplots(figsize=(6.6, 4.6), layout="constrained")
-    laws = [item for item in curves(rows, "decay") if item[1] == "law"]
-    rates = {name: float(name.partition("= ")[2]) for name, _, _ in laws}
-    for color, name in zip(SHADES, sorted(rates, key=lambda n: rates[n]), strict=False):
-        law = next(points for other, _, points in laws if other == name)
-        dash = "-" if rates[name] == 0 else "--"
-        axes.plot(law["x"], law["y"], dash, color=color, linewidth=1.2, label=f"{name}: $e^{{-λt}}$")
-        for other, kind, points in curves(rows, "decay"):
-            if kind == "method" and other.startswith(name + ","):
-                axes.plot(points["x"], points["y"], "o", color=color, markersize=4)
-    method = next(name.partition(", ")[2] for name, kind, _ in curves(rows, "decay") if kind == "method")
-    handles, labels = axes.get_legend_handles_labels()
-    handles.append(Line2D([], [], marker="o", linestyle="", color=GREY, markersize=4))
-    axes.legend(handles, [*labels, f"{method}, h = 0.1"], loc="lower left")
-    axes.set(
-        yscale="log", xlabel="t", ylabel="J(t) / J(0)", title="momentum map of the central force (figure 3)"
-    )
-    return figure
+def on_sphere(letter: str, title: str, view: tuple[float, float]) -> Shape:
+    axes = momentum(letter)
+    return Shape(title, axes["x"], axes["y"], {"z": axes["z"], "sphere": True, "equal": True, "view": view})
 
 
-def sphere(axes: Axes, radius: float = 1.0) -> None:
-    """A faint wire sphere."""
-    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
-    x, y, z = np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)
-    axes.plot_wireframe(radius * x, radius * y, radius * z, color="#dddddd", linewidth=0.4)  # type: ignore[attr-defined]
-
-
-def momentum_space(axes: Axes, label: str) -> None:
-    axes.set(
-        xlabel=f"{label}₁", ylabel=f"{label}₂", zlabel=f"{label}₃", xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1)
-    )
-    axes.set_box_aspect((1, 1, 1))  # type: ignore[arg-type]
-    axes.set_xticks([-1, 0, 1])
-    axes.set_yticks([-1, 0, 1])
-    axes.set_zticks([-1, 0, 1])  # type: ignore[attr-defined]
-
-
-@drawn
-def paper_4(rows: pd.DataFrame) -> Figure:
-    """Damped body in momentum space, and its components near each axis."""
-    figure = plt.figure(figsize=(13.5, 5.0))
-    axes = figure.add_axes((0.0, 0.03, 0.42, 0.87), projection="3d")
-    sphere(axes)
-    across = figure.add_axes((0.5, 0.13, 0.48, 0.75))
-    looks = dict(
-        zip(
-            ("near axis 1", "near axis 2", "near axis 3"),
-            ((BLUE, "-"), (ORANGE, "-"), ("#009988", "-")),
-            strict=True,
-        )
-    )
-    for name, _, points in curves(rows, "momentum"):
-        color, dash = looks[name]
-        axes.plot(points["x"], points["y"], points["z"], dash, color=color, linewidth=1.1, label=name)
-        axes.plot(*([v] for v in points[["x", "y", "z"]].iloc[0]), "o", color=color, markersize=4)
-        M = points[["x", "y", "z"]].to_numpy()
-        own = int(name[-1]) - 1
-        cosine = M[:, own] / np.linalg.norm(M, axis=1)
+def angles(rows: pd.DataFrame) -> Iterator[Panel]:
+    """The angle of M with the axis it started near, against ‖M‖, which falls as e^{−γt}."""
+    found: list[Curve] = []
+    for name, points in rows[rows["panel"] == "momentum"].groupby("curve", sort=False):
+        M = points.sort_values("point")[["x", "y", "z"]].to_numpy(dtype=float)
         size = np.linalg.norm(M, axis=1)
-        across.plot(size, np.degrees(np.arccos(np.clip(cosine, -1, 1))), dash, color=color, label=name)
-    axes.plot([0], [0], [0], "k+", markersize=8)
-    momentum_space(axes, "M")
-    axes.view_init(elev=22, azim=-50)  # type: ignore[attr-defined]
-    across.set_ylabel("angle of M with the axis it started near, degrees")
-    across.set_xlabel("‖M‖ / ‖M(0)‖ = $e^{-γt}$ (time runs to the right)")
-    across.set_ylim(0, 185)
-    across.set_yticks(range(0, 181, 30))
-    across.set_xlim(1, 0)
-    across.legend(loc="upper left")
-    figure.suptitle(
-        "damped rigid body (figure 4, corrected): all decay to the origin; from near axis 2 the "
-        "direction swings over\n"
-        "to near −e₂, on its polhode, and does not settle on a stable axis"
+        cosine = np.clip(M[:, int(str(name)[-1]) - 1] / size, -1, 1)
+        found.append(
+            Curve(tuple(size / size[0]), tuple(np.degrees(np.arccos(cosine))), str(name),
+                  role=f"shade {len(found) + 1}", markers=False)
+        )  # fmt: skip
+    degrees = Axis("angle of M with the axis it started near, degrees", limits=(0.0, 185.0))
+    yield Panel(
+        "direction", Axis("‖M‖ / ‖M(0)‖ = e^{−γt}", inverted=True, limits=(0.0, 1.0)), degrees, tuple(found)
     )
-    return figure
 
 
-@drawn
-def paper_5(rows: pd.DataFrame) -> Figure:
-    """Directions of M: relative equilibria on the sphere."""
-    figure = plt.figure(figsize=(9.5, 5.6), layout="constrained")
-    axes = figure.add_subplot(1, 1, 1, projection="3d", computed_zorder=False)
-    elevation, azimuth = 22.0, 52.0
-    axes.view_init(elev=elevation, azim=azimuth)  # type: ignore[attr-defined]
-    axes.set_proj_type("ortho")  # type: ignore[attr-defined]  # near and far as the greys say
-    e, a = np.radians([elevation, azimuth])
-    towards = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    sphere(axes)
-    rates = {name: points.iloc[0] for name, _, points in curves(rows, "rate")}
-    for name, kind, points in curves(rows, "sphere"):
-        xyz = points[["x", "y", "z"]].to_numpy()
-        near = xyz @ towards > 0
-        if kind == "flow":
-            back, front = xyz.copy(), xyz.copy()
-            back[near], front[~near] = np.nan, np.nan
-            axes.plot(*back.T, color="#cccccc", linewidth=0.7, zorder=1)
-            axes.plot(*front.T, color="#555555", linewidth=0.9, zorder=2)
-            continue
-        color, marker = STABILITY[kind]
-        look = {"marker": marker, "markersize": 10, "color": color, "alpha": 1.0 if near[0] else 0.3}
-        axes.plot(*xyz.T, linestyle="", markeredgecolor="white", zorder=3, **look)
-        axes.text(
-            *(1.28 * xyz[0]), f"{'+' if '+' in name else '−'}e{name[-1]}", ha="center", va="center", zorder=4
-        )
-    handles = []
-    for kind, (color, marker) in STABILITY.items():
-        mine = {name: row for name, row in rates.items() if row["kind"] == kind}
-        if mine:
-            numbers = sorted({name[-1] for name in mine})
-            rate = max(row["z"] for row in mine.values())
-            label = f"{kind} direction: axis {' and '.join(numbers)}, growth rate {abs(rate):.3g}"
-            handles.append(
-                Line2D([], [], linestyle="", marker=marker, color=color, markersize=9, label=label)
-            )
-    handles.append(Line2D([], [], color="#555555", label="flow of M/‖M‖ in damped time (grey: far side)"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=1)
-    momentum_space(axes, "u")
-    residual = max(row["y"] for row in rates.values())
-    figure.suptitle(
-        f"directions u = M/‖M‖ (figure 5, corrected): relative equilibria;\n"
-        f"no equilibria, since ‖M'‖ = γ‖M‖ = {residual:.2g} on every axis of the unit sphere"
-    )
-    return figure
+def growth(rows: pd.DataFrame) -> Iterator[Panel]:
+    """Growth rates over two entries of D, with the criterion where the table has one.
 
-
-@drawn
-def paper_7(rows: pd.DataFrame) -> Figure:
-    """Energy along time, its distance from an exponential, and convergence."""
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.8), layout="constrained")
-    looks = {
-        "truth": {"color": "#bbbbbb", "linewidth": 4},
-        "law": {"color": ORANGE, "linestyle": ":", "linewidth": 1.6},
-    }
-    for panel, axes in (("energy", left), ("ratio", middle)):
-        order = {"truth": 0, "law": 1, "method": 2}
-        for name, kind, points in sorted(curves(rows, panel), key=lambda item: order[item[1]]):
-            if kind == "method":
-                first = name != "rk4"
-                every = slice(0 if first else 1, None, 2)
-                look = {**style(name), "linestyle": ""}
-                axes.plot(points["x"].iloc[every], points["y"].iloc[every], label=name, **look)
-            else:
-                label = name.replace("e^{-γt}", "$e^{-γt}$")
-                axes.plot(points["x"], points["y"], label=label, **looks[kind])
-    middle.axhline(0, **looks["law"], label="H0(0) $e^{-γt}$")
-    left.set(yscale="log", xlabel="t", ylabel="H0", title="energy at h = 0.01")
-    middle.set(xlabel="t", ylabel="H0 / (H0(0) $e^{-γt}$) − 1", title="it is no exponential")
-    left.legend()
-    middle.legend(loc="lower center", ncols=2)
-    middle.set_ylim(bottom=-0.075)
-    for name, _, points in sorted(
-        curves(rows, "convergence"), key=lambda item: item[2]["y"].iloc[0], reverse=True
-    ):
-        look = style(name)
-        if name == "contact-strang":
-            look |= {"markersize": 9, "markerfacecolor": "none", "linewidth": 0}
-        right.plot(points["x"], points["y"], label=f"{name}: order {points['z'].iloc[0]:.2f}", **look)
-    right.set(
-        xscale="log",
-        yscale="log",
-        xlabel="step size h",
-        ylabel="max |H0 − H0*| over [0, T]",
-        title="convergence",
-    )
-    right.legend(loc="lower right")
-    figure.suptitle("2-DOF particle, γ = 0.1, T = 20 (figure 7, corrected): orders 1, 2 and 4, not 2 and 2")
-    return figure
-
-
-@drawn
-def paper_8(rows: pd.DataFrame) -> Figure:
-    """The two limits of the splitting integrator."""
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.8), layout="constrained")
-    looks = {
-        "conservative": {"color": BLUE, "linewidth": 0.8},
-        "dissipative": {"color": ORANGE, "linewidth": 1.3},
-    }
-    for panel, axes in (("phase", left), ("energy", middle), ("bounded", right)):
-        for name, kind, points in curves(rows, panel):
-            axes.plot(points["x"], points["y"], label=name, **looks[kind])
-    left.set(xlabel="q₁", ylabel="p₁", aspect="equal", title="phase portrait: the γ = 0 orbit does not close")
-    left.legend(loc="upper right", ncols=2)
-    left.set_ylim(top=1.45)
-    middle.set(xlabel="t", ylabel="H0", title="energy")
-    middle.legend(loc="center right")
-    right.set(xlabel="t", ylabel="H0 / H0(0) − 1", title="energy error at γ = 0: bounded")
-    right.ticklabel_format(axis="y", style="sci", scilimits=(0, 0))
-    figure.suptitle("contact-printed on the 2-DOF particle, h = 0.01 (figure 8, corrected)")
-    return figure
-
-
-@drawn
-def paper_stability(rows: pd.DataFrame) -> Figure:
-    """Growth rates of anisotropically damped rotations, with the corrected criterion."""
-    figure, grid = plt.subplots(1, 3, figsize=(14.5, 4.7), layout="constrained")
+    Panels are called "axis i", or "axis i, diagonal" and "axis i, full" for the two slices of D.
+    """
     sample = rows[rows["curve"] == "growth rate"]
-    limit = float(sample["z"].abs().max())
-    norm = TwoSlopeNorm(0.0, -limit, limit)
-    for axes, panel in zip(grid, ("axis 1", "axis 2", "axis 3"), strict=True):
-        points = sample[sample["panel"] == panel].pivot(index="y", columns="x", values="z")
-        image = axes.pcolormesh(
-            points.columns, points.index, points.to_numpy(), cmap="RdBu_r", norm=norm, shading="nearest"
+    for panel, part in sample.groupby("panel", sort=False):
+        grid = part.pivot(index="y", columns="x", values="z")
+        values = tuple(tuple(map(float, line)) for line in grid.to_numpy())
+        heat = Heat(
+            floats(grid.columns),
+            floats(grid.index),
+            values,
+            "largest transverse growth rate",
+            "growth rate 0",
         )
-        for name, kind, line in curves(rows, panel):
-            if kind == "criterion":
-                axes.contour(
-                    points.columns, points.index, points.to_numpy(), [0.0], colors="#DDAA33", linewidths=4
-                )
-                axes.plot([], [], color="#DDAA33", linewidth=4, label="growth rate 0, computed")
-                axes.plot(line["x"], line["y"], color=BLACK, linestyle="--", label=f"criterion {name}")
-                axes.legend(loc="upper right", frameon=True)
-        across = [i for i in "123" if i != panel[-1]]
-        place = {"axis 1": "smallest inertia", "axis 2": "intermediate", "axis 3": "largest inertia"}[panel]
-        axes.set(
-            xlabel=f"damping rate d{across[0]}",
-            ylabel=f"damping rate d{across[1]}",
-            title=f"rotation about {panel} ({place})",
-        )
-        axes.set_aspect("equal")
-        axes.grid(visible=False)
-    figure.colorbar(image, ax=list(grid), label="largest transverse growth rate (red: unstable)", shrink=0.9)
-    figure.suptitle(
-        "rotations in ker D, I = (1, 2, 3), ‖M*‖ = 1: the intermediate axis is stable beyond d₁d₃ = ab = 1/12"
+        axis, _, slice_ = str(panel).partition(", ")
+        first, second = (i for i in "123" if i != axis[-1])
+        full = (f"d{first}{first} = d{second}{second}", f"d{first}{second}")
+        labels = full if slice_ == "full" else (f"d{first}{first}", f"d{second}{second}")
+        lines = (c for c in curves(rows[rows["curve"] != "growth rate"], str(panel)))
+        yield Panel(
+            f"rotation about {panel}", Axis(labels[0]), Axis(labels[1]),
+            tuple(replace(c, label="criterion") for c in lines), heat=heat, equal=slice_ != "full",
+        )  # fmt: skip
+
+
+PLANS = {
+    "paper_2": Plan(
+        "Oscillator: closed orbits and spirals (figure 2)",
+        {"phase": Shape("", Axis("q"), Axis("p"), {"equal": True, "notes": (Note(0, 0, "+"),)})},
+    ),
+    "paper_3": Plan(
+        "Momentum map of the central force (figure 3)",
+        {"decay": Shape("", Axis("t"), Axis("J(t) / J(0)", "log"))},
+        "Lines: e^{−λt}; points: the method.",
+    ),
+    "paper_4": Plan(
+        "Damped rigid body (figure 4, corrected)", {"momentum": on_sphere("M", "momentum space", (22.0, -50.0))},
+        "All decay to the origin; the direction stays on its polhode, and from near axis 2 it does not settle on a "
+        "stable axis.", angles,
+    ),
+    "paper_5": Plan(
+        "Directions u = M/‖M‖ (figure 5, corrected)", {"sphere": on_sphere("u", "relative equilibria", (22.0, 52.0))},
+        "Relative equilibria, no equilibria: on every axis ‖M'‖ = γ‖M‖.",
+    ),
+    "paper_7": Plan(
+        "2-DOF particle, γ = 0.1, T = 20 (figure 7, corrected)",
+        {
+            "energy": Shape("energy at h = 0.01", Axis("t"), Axis("H0", "log")),
+            "ratio": Shape("it is no exponential", Axis("t"), Axis("H0 / (H0(0) e^{−γt}) − 1")),
+            "convergence": Shape("convergence", Axis("step size h", "log"), Axis("max |H0 − H0*| over [0, T]", "log")),
+        },
+    ),
+    "paper_8": Plan(
+        "contact-printed on the 2-DOF particle, h = 0.01 (figure 8, corrected)",
+        {
+            "phase": Shape("phase portrait: the γ = 0 orbit does not close", Axis("q₁"), Axis("p₁"), {"equal": True}),
+            "energy": Shape("energy", Axis("t"), Axis("H0")),
+            "bounded": Shape("energy error at γ = 0: bounded", Axis("t"), Axis("H0 / H0(0) − 1")),
+        },
+    ),
+    "paper_stability": Plan("Rotations in ker D, I = (1, 2, 3), ‖M*‖ = 1", {}, "Red: unstable.", growth),
+}  # fmt: skip
+
+
+def with_orders(rows: pd.DataFrame, panel: str, found: tuple[Curve, ...]) -> tuple[Curve, ...]:
+    """A convergence panel names the fitted order of each curve, its third coordinate."""
+    if panel != "convergence":
+        return found
+    return tuple(replace(c, note=f"{c.z[0]:.2f}", z=()) if c.z else c for c in found)
+
+
+def figure(name: str, rows: pd.DataFrame) -> Figure:
+    """One figure of the table."""
+    there = list(dict.fromkeys(rows["panel"]))
+    plan = PLANS.get(name) or Plan(name, {panel: Shape(panel, Axis("x"), Axis("y")) for panel in there})
+    panels = []
+    for panel, shape in plan.panels.items():
+        if panel not in there:
+            continue
+        found = with_orders(rows, panel, tuple(curves(rows, panel)))
+        if shape.more.get("z") is None:
+            found = tuple(replace(c, z=()) for c in found)
+        panels.append(Panel(shape.title, shape.x, shape.y, found, **shape.more))
+    return Figure(
+        name, plan.title, (*panels, *plan.also(rows)), plan.caption, legend="each", source="paper_figures.csv"
     )
-    return figure
+
+
+def all_figures(table: pd.DataFrame) -> Iterator[Figure]:
+    """Every figure the table has data for."""
+    for name, rows in table.groupby("figure", sort=False):
+        made = figure(str(name), rows)
+        if made.panels:
+            yield made

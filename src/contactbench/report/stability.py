@@ -1,203 +1,308 @@
-"""The stability tables as markdown, and what follows from them: which integrator for which problem."""
+"""Hard scenes and stability limits: how every method ends, and what follows for practice."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.analysis import cost_to_reach
-from contactbench.report.markdown import DASH, duration, markdown, scientific
-from contactbench.results.schema import STABILITY
-
-Frames = dict[str, pd.DataFrame]
-
-#: error at which speeds are compared
-TARGET = 1e-6
-STRANG = "contact-strang"
-#: γh per evaluation is sorted into ranges with these borders
-DAMPING_RANGES = (0.0, 0.01, 0.1, 1.0, 10.0, math.inf)
-#: at or below this a law is kept to round-off
-ROUND_OFF = 1e-12
-#: above this condition number round-off of Φ*η is more than round-off
-WELL_CONDITIONED = 1e3
-SHOWN = (
-    "solution_error", "end_error", "energy_law", "hamiltonian_law", "momentum_law", "contact_drift",
-    "attitude_drift",
+from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing
+from contactbench.report.curves import by_method, floats, number_axis
+from contactbench.report.laws import bounded, called, drift_cell, laws, numbers
+from contactbench.report.model import (
+    DASH,
+    ROOMS,
+    Axis,
+    Cell,
+    Curve,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Panel,
+    Part,
+    Room,
+    Section,
+    Span,
+    Text,
+    View,
+    marks,
+    number,
+    word,
+)  # fmt: skip
+from contactbench.report.numbers import count, names, scientific, upper
+from contactbench.report.raw import raw
+from contactbench.results.round_off import STRUCTURE
+from contactbench.results.schema import Rule
+from contactbench.results.tables import (
+    DAMPING_RATES,
+    ONE_STEP,
+    STABILITY,
+    STABILITY_LIMITS,
+    STRONG_DAMPING,
 )  # fmt: skip
 
-
-def stability_document(tables: Frames) -> str:
-    frame = tables["stability"]
-    parts = [
-        "# Numerical stability on hard cases",
-        "Every method on every hard scene at a ladder of settings: for fixed steps equal numbers of evaluations, "
-        "for adaptive methods equal tolerances. Runs are isolated and limited in steps, evaluations and time; "
-        "how each ended is part of the result.",
-        "## How it ends\n\nSolution error at each setting, coarse to fine, or how the run ended.\n\n"
-        + endings(frame),
-        "![error against evaluations on the hard scenes](figures/hard_scenes.svg)",
-        *escape_section(frame),
-        *limits_section(tables["stability_limits"]),
-        *rates_sections(tables["damping_rates"]),
-        *strong_section(tables["strong_damping"]),
-        "## Scene by scene",
-        "\n".join(f"- `{name}`: {STABILITY.columns[name]}" for name in SHOWN),
-        *(scene_section(frame, scene) for scene in dict.fromkeys(frame["scene"])),
-    ]
-    return "\n\n".join(parts) + "\n"
+#: above this condition number the round-off of a solution is more than round-off
+WELL_CONDITIONED = 1e3
+#: errors whose ratio is within this are as good as equal
+ALIKE = 2.0
+#: a method may cost this much more than the others and still be at equal cost
+AFFORDABLE = 1.15
+#: γh per evaluation is sorted into ranges with these borders
+DAMPING_RANGES = (0.0, 0.01, 0.1, 1.0, 10.0, math.inf)
+#: with which the others are compared under strong damping: a composition without steps against time
+BASE = "contact-strang"
+RUNGS = ("coarse", "medium", "fine")
 
 
-def endings(frame: pd.DataFrame) -> str:
-    """Scenes down, methods across would be too wide: methods down, scenes across in two tables."""
-    scenes, methods = list(dict.fromkeys(frame["scene"])), list(dict.fromkeys(frame["method"]))
-    cells = {
-        key: " / ".join(
-            scientific(row["solution_error"], 0) if row["status"] == "ok" else row["status"]
-            for _, row in rows.iterrows()
-        )
-        for key, rows in frame.groupby(["scene", "method"], sort=False)
-    }
-    cells = {
-        key: "unsupported" if set(text.split(" / ")) == {"unsupported"} else text
-        for key, text in cells.items()
-    }
-    tables = []
-    for start in range(0, len(scenes), 4):
-        part = scenes[start : start + 4]
-        rows = [[method, *(cells.get((scene, method), DASH) for scene in part)] for method in methods]
-        tables.append(markdown(["method", *part], rows))
-    return "\n\n".join(tables)
+# -- how it ends -----------------------------------------------------------------------------------
+def rungs(frame: pd.DataFrame) -> list[str]:
+    """Names for the settings of a ladder, coarse to fine."""
+    most = int(frame.groupby(["scene", "method", "engine"]).size().max()) if len(frame) else 0
+    return list(RUNGS) if most == len(RUNGS) else [f"setting {i + 1}" for i in range(most)]
 
 
-def escape_section(frame: pd.DataFrame) -> Iterator[str]:
-    """When a run is said to have diverged, against the true time of blow-up."""
-    part = frame[frame["blow_up_time"].notna()]
-    if not len(part):
-        return
-    rows = [
-        [f"{r['method']} ({r['setting']})", r["status"], f"{r['end_time']:.6g}",
-         f"{100 * (r['end_time'] / r['blow_up_time'] - 1):+.3f} %"]
-        for _, r in part.iterrows() if r["status"] != "unsupported"
-    ]  # fmt: skip
-    true = part["blow_up_time"].iloc[0]
-    yield (
-        f"## Blow-up\n\nThe motion of `{part['scene'].iloc[0]}` reaches infinity at t = {true:.10g}.\n\n"
-        + markdown(["method (setting)", "status", "time told", "off by"], rows)
+def ending(row: pd.Series, digits: int = 0) -> Cell:
+    """The error of a run, or how it ended; where the true motion reaches infinity, diverging is right."""
+    if row["status"] == "ok":
+        return number(row["solution_error"], lambda e: scientific(e, digits), hint=str(row["setting"]))
+    right = row["status"] == "diverged" and not pd.isna(row["blow_up_time"])
+    mark = Mark.right if right else Mark.none if row["status"] == "unsupported" else Mark.bad
+    return Cell(str(row["status"]), marks=marks(mark), hint=f"{row['setting']}: {row['message']}")
+
+
+def map_view(frame: pd.DataFrame) -> View:
+    """Every run at a glance: methods × scenes, each with its ladder of settings."""
+    scenes, steps = list(dict.fromkeys(frame["scene"])), rungs(frame)
+    rows = []
+    for method, mine in frame.groupby("method", sort=False):
+        cells = [word(method)]
+        for scene in scenes:
+            runs = [ending(r) for _, r in mine[mine["scene"] == scene].iterrows()]
+            cells += [*runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
+        rows.append(tuple(cells))
+    heads = (Head("method", words=True), *(Head(rung, group=scene) for scene in scenes for rung in steps))
+    meaning = "Solution error at each setting of the ladder, coarse to fine, or how the run ended."
+    return View(
+        "how_it_ends", "How it ends", meaning, heads, tuple(rows), "stability.csv", detail=True, map=True
     )
 
 
-def limits_section(frame: pd.DataFrame) -> Iterator[str]:
-    if not len(frame):
-        return
-    one = frame[frame["omega"] == 1.0]
+def scene_view(frame: pd.DataFrame, scene: str) -> View:
+    """One hard scene: the ladder of errors, the worst of each law, the cost of the finest run."""
+    part, steps = bounded(frame[frame["scene"] == scene]), rungs(frame)
+    ok = part[part["status"] == "ok"]
+    shown = [law for law in laws(STABILITY, "stability") if law != "solution_error" and ok[law].notna().any()]
+    rows = []
+    for method, mine in part.groupby("method", sort=False):
+        good = mine[mine["status"] == "ok"]
+        runs = [ending(r) for _, r in mine.iterrows()]
+        cells = [word(method), *runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
+        for law in shown:
+            values = good[good[law].notna()]
+            cells.append(drift_cell(values.loc[values[law].idxmax()], law) if len(values) else Cell(DASH))
+        cells.append(number(good["rhs_equivalents"].max() if len(good) else None, count))
+        whys = dict.fromkeys(m for m in mine[mine["status"] != "ok"]["message"] if m)
+        cells.append(word(shortened("; ".join(whys))))
+        rows.append(tuple(cells))
+    labels = (Head(called(law), STABILITY.columns[law].meaning, group="worst") for law in shown)
+    heads = (
+        Head("method", words=True), *(Head(rung, group="solution error") for rung in steps), *labels,
+        Head("evaluations", "of the finest run that ended ok"), Head("why not ok", words=True),
+    )  # fmt: skip
+    return View(f"hard_{scene}", scene, condition_note(part), heads, tuple(rows), "stability.csv")
+
+
+def shortened(text: str, most: int = 90) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def condition_note(part: pd.DataFrame) -> str:
+    condition = numbers(part, "condition_number").max()
+    if not condition > WELL_CONDITIONED:
+        return ""
+    return (
+        f"Condition number {scientific(condition)}: round-off alone makes an error of about "
+        f"{scientific(condition * np.finfo(float).eps)}."
+    )
+
+
+def blow_up_view(frame: pd.DataFrame) -> View | None:
+    """When a run is said to have diverged against the true time of blow-up: one line per method."""
+    part = frame[frame["blow_up_time"].notna() & (frame["status"] != "unsupported")]
+    if not len(part):
+        return None
+    rows = []
+    for method, mine in part.groupby("method", sort=False):
+        off = mine["end_time"] / mine["blow_up_time"] - 1
+        worst, finest = off.loc[off.abs().idxmax()], off.iloc[-1]
+        told = Mark.right if set(mine["status"]) == {"diverged"} else Mark.bad
+        rows.append((
+            word(method), word(", ".join(dict.fromkeys(mine["status"])), told),
+            number(100 * finest, "{:+.3f} %".format), number(100 * worst, "{:+.3f} %".format),
+        ))  # fmt: skip
+    heads = (
+        Head("method", words=True), Head("status", "over all settings", words=True),
+        Head("off at the finest", "time told at the finest setting, relative to the true time of blow-up"),
+        Head("off at worst", "the same at the setting where it is furthest off"),
+    )  # fmt: skip
+    scene, time = part["scene"].iloc[0], part["blow_up_time"].iloc[0]
+    meaning = f"The motion of `{scene}` reaches infinity at t = {time:.10g}."
+    return View("blow_up", "Blow-up", meaning, heads, tuple(rows), "stability.csv")
+
+
+# -- limits ----------------------------------------------------------------------------------------
+def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View | None:
+    """Methods × damping of one limit at ω = 1; theory in parentheses beside the first loss of stability."""
+    one = frame[(frame["omega"] == 1.0) & frame[column].notna()]
+    if not len(one):
+        return None
     gammas = sorted(one["gamma"].unique())
     rows = []
-    for method in dict.fromkeys(one["method"]):
-        mine = one[one["method"] == method].set_index("gamma")
-        cells = []
+    for method, mine in one.groupby("method", sort=False):
+        line = mine.set_index("gamma")
+        cells = [word(method)]
         for gamma in gammas:
-            limit, theory = mine.loc[gamma, "limit"], mine.loc[gamma, "theory"]
-            cells.append(f"{limit:.4g}" + ("" if pd.isna(theory) else f" ({theory:.4g})"))
-        rows.append([method, *cells])
-    yield (
-        "## Stability limits\n\nLargest step with a bounded orbit of q'' + γq' + q = 0, by bisection of the spectral "
-        "radius of the one-step map; in parentheses what theory gives. Divide by the evaluations per step to compare "
-        "costs (`stability_limits.csv`).\n\n" + markdown(["method", *(f"γ = {g:g}" for g in gammas)], rows)
+            if gamma not in line.index:
+                cells.append(Cell(DASH))
+                continue
+            row = line.loc[gamma]
+            theory = row["theory"] if column == "limit" else math.nan
+            known = "" if pd.isna(theory) else f" ({theory:.4g})"
+            gaps = Mark.exception if column == "limit" and row["windows"] else None
+            value = number(row[column], "{:.4g}".format, gaps)
+            cells.append(replace(value, text=value.text + known))
+        rows.append(tuple(cells))
+    heads = (Head("method", words=True), *(Head(f"γ = {g:g}") for g in gammas))
+    meaning = f"{upper(STABILITY_LIMITS.columns[column].meaning)}; q'' + γq' + q = 0."
+    if column == "limit":
+        meaning += (
+            " In parentheses what theory gives. Marked: larger steps are stable again, see the windows."
+        )
+    return View(name, title, meaning, heads, tuple(rows), "stability_limits.csv")
+
+
+def windows_view(frame: pd.DataFrame) -> View | None:
+    rows = [
+        (
+            word(r["method"]),
+            number(r["gamma"], "{:g}".format),
+            number(r["limit"], "{:.4g}".format),
+            word(r["windows"]),
+        )
+        for _, r in frame[(frame["omega"] == 1.0) & (frame["windows"] != "")].iterrows()
+    ]
+    if not rows:
+        return None
+    heads = (
+        Head("method", words=True), Head("γ"), Head("first loss of stability"), Head("unstable steps", words=True),
+    )  # fmt: skip
+    meaning = f"{upper(STABILITY_LIMITS.columns['windows'].meaning)}; ω = 1."
+    return View("windows", "Windows of instability", meaning, heads, tuple(rows), "stability_limits.csv")
+
+
+def limits_section(frame: pd.DataFrame, radius: pd.DataFrame) -> Iterator[Part]:
+    views = (
+        limit_view(frame, "limit", "limits", "First loss of stability"),
+        windows_view(frame),
+        limit_view(frame, "limit_kernel", "limits_kernel", "Processed methods saved at the end only"),
+        limit_view(frame, "limit_saved", "limits_saved", "Processed methods saved at every step"),
     )
-    yield "![stability limits over damping](figures/stability_map.svg)"
-    yield "![spectral radius of the one-step map](figures/one_step.svg)"
+    yield from (view for view in views if view is not None)
+    if len(frame):
+        yield limits_figure(frame)
+    if len(radius):
+        yield radius_figure(radius)
 
 
-def rates_sections(frame: pd.DataFrame) -> Iterator[str]:
+# -- rates of damping ------------------------------------------------------------------------------
+def rate_cell(rows: pd.DataFrame, column: str) -> Cell:
+    if not len(rows):
+        return Cell(DASH)
+    row = rows.iloc[0]
+    if row["status"] != "ok":
+        return Cell(
+            str(row["status"]), marks=marks(Mark.none if row["status"] == "unsupported" else Mark.bad)
+        )
+    return number(row[column], "{:.4g}".format if column == "ratio" else scientific)
+
+
+def creep_views(frame: pd.DataFrame) -> Iterator[View]:
+    """The slow rate of the overdamped oscillator."""
     creep = frame[frame["experiment"] == "overdamped"]
-    if len(creep):
-        fixed = creep[creep["damping_per_step"].notna()]
-        columns = sorted(fixed["damping_per_step"].unique())
+    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: one is right."
+    for control, key, title in (
+        ("step", "damping_per_step", "γh = {:g}"),
+        ("rtol", "value", "rtol = {:.0e}"),
+    ):
+        part = creep[creep["control"] == control]
+        if not len(part):
+            continue
+        columns = sorted(part[key].dropna().unique(), reverse=True)
         rows = [
-            [method, *(
-                ratio(mine[mine["damping_per_step"] == d]) for d in columns
-            )] for method, mine in fixed.groupby("method", sort=False)
-        ]  # fmt: skip
-        yield (
-            "## Overdamped: the slow rate\n\nMeasured rate of creep over the true one, γ = 50: one is right.\n\n"
-            + markdown(["method", *(f"γh = {d:g}" for d in columns)], rows)
-        )
-        adaptive = creep[creep["damping_per_step"].isna()]
-        settings = list(dict.fromkeys(adaptive["setting"]))
-        rows = [
-            [method, *(ratio(mine[mine["setting"] == s], True) for s in settings)]
-            for method, mine in adaptive.groupby("method", sort=False)
+            (word(method), *(rate_cell(mine[mine[key] == c], "ratio") for c in columns))
+            for method, mine in part.groupby("method", sort=False)
         ]
-        yield markdown(["method", *settings], rows)
-    weak = frame[frame["experiment"] == "weak"]
-    if len(weak):
-        questions = list(dict.fromkeys(zip(weak["scene"], weak["t_end"], strict=True)))
-        rows = []
-        for method in dict.fromkeys(weak["method"]):
-            cells = []
-            for scene, span in questions:
-                here = weak[(weak["method"] == method) & (weak["scene"] == scene) & (weak["t_end"] == span)]
-                cells.append(error_and_cost(here))
-            rows.append([method, *cells])
-        yield (
-            "## Weak damping: the rate at equal cost\n\n|measured/true − 1| of the rate at which H0 falls, γ = 10⁻⁵, "
-            "about eight evaluations per unit of time for every method, or as near to that as its tolerances come "
-            "(evaluations in parentheses).\n\n"
-            + markdown(["method", *(f"{scene}, T = {span:.0e}" for scene, span in questions)], rows)
+        heads = (Head("method", words=True), *(Head(title.format(c)) for c in columns))
+        kind = "fixed steps" if control == "step" else "adaptive"
+        yield View(
+            f"creep_{control}",
+            f"Overdamped: the slow rate, {kind}",
+            meaning,
+            heads,
+            tuple(rows),
+            "damping_rates.csv",
         )
 
 
-def ratio(rows: pd.DataFrame, precise: bool = False) -> str:
-    if not len(rows):
-        return DASH
-    row = rows.iloc[0]
-    if row["status"] != "ok":
-        return str(row["status"])
-    return f"{row['ratio']:.6f}" if precise else f"{row['ratio']:.4g}"
-
-
-def error_and_cost(rows: pd.DataFrame) -> str:
-    if not len(rows):
-        return DASH
-    row = rows.iloc[0]
-    if row["status"] != "ok":
-        return str(row["status"])
-    cost = DASH if pd.isna(row["evaluations"]) else f"{row['evaluations']:.2g}"
-    return f"{scientific(row['rate_error'])} ({cost})"
+def fading_view(frame: pd.DataFrame) -> View | None:
+    """The rate of weak damping at about equal cost."""
+    weak = frame[frame["experiment"] == "weak"]
+    if not len(weak):
+        return None
+    questions = list(dict.fromkeys(zip(weak["scene"], weak["t_end"], strict=True)))
+    rows = []
+    for method, mine in weak.groupby("method", sort=False):
+        cells = [word(method)]
+        for scene, span in questions:
+            here = mine[(mine["scene"] == scene) & (mine["t_end"] == span)]
+            spent = here["evaluations"].iloc[0] if len(here) and here["status"].iloc[0] == "ok" else None
+            cells += [rate_cell(here, "rate_error"), number(spent, count)]
+        rows.append(tuple(cells))
+    heads = [Head("method", words=True)]
+    for scene, span in questions:
+        group = f"{scene}, T = {span:.0e}"
+        heads += [
+            Head("error", DAMPING_RATES.columns["rate_error"].meaning, group=group),
+            Head("evaluations", group=group),
+        ]
+    meaning = (
+        "|measured/true − 1| of the rate at which H0 falls, γ = 10⁻⁵, at about the same number of "
+        "evaluations for every "
+        "method, or as near to that as its tolerances come."
+    )
+    return View(
+        "fading",
+        "Weak damping: the rate at equal cost",
+        meaning,
+        tuple(heads),
+        tuple(rows),
+        "damping_rates.csv",
+    )
 
 
 # -- strong damping --------------------------------------------------------------------------------
-def strong_section(frame: pd.DataFrame) -> Iterator[str]:
-    if STRANG not in set(frame["method"]):  # all others are compared with it
-        return
-    gammas = sorted(frame["gamma"].unique())
-    rows = [
-        [method, *(f"{usable(frame, method, gamma):.2g}" for gamma in gammas)]
-        for method in dict.fromkeys(frame["method"]) if method != STRANG
-    ]  # fmt: skip
-    yield (
-        "## Strong damping: where negative substeps stop paying\n\nDamping between two evaluations, γh/evaluations, up "
-        f"to which a method is no less accurate than {STRANG} at the same cost (oscillator, ω = 1, over the time in "
-        "which the motion falls by e; 0: nowhere). Substeps against time grow by e^{γ|a|h}.\n\n"
-        + markdown(["method", *(f"γ = {g:g}" for g in gammas)], rows)
-    )
-    yield (
-        "What to take for which damping between two evaluations, computed from the same table:\n\n"
-        + by_damping(frame)
-    )
-    yield "![error against damping per evaluation](figures/strong_damping.svg)"
-
-
 def usable(frame: pd.DataFrame, method: str, gamma: float) -> float:
-    """The largest γh per evaluation below which the method is never worse than Strang; 0 if nowhere."""
+    """The largest γh per evaluation up to which the method is never worse than the base; 0 if nowhere."""
     part = frame[frame["gamma"] == gamma].pivot_table(
         index="damping_per_evaluation", columns="method", values="error", dropna=False
     )
-    worse = (part[method] > part[STRANG] * 1.001).to_numpy()
+    worse = (part[method] > part[BASE] * 1.001).to_numpy()
     grid = part.index.to_numpy()
     start = int(np.argmax(~worse)) if (~worse).any() else None
     if start is None or start > len(grid) // 2:
@@ -206,10 +311,23 @@ def usable(frame: pd.DataFrame, method: str, gamma: float) -> float:
     return float(grid[-1] if not len(behind) else grid[start + behind[0] - 1])
 
 
-def by_damping(frame: pd.DataFrame) -> str:
-    """The most accurate fixed-step method in each range of γh per evaluation, by γ."""
+def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
+    if BASE not in set(frame["method"]):  # all others are compared with it
+        return
     gammas = sorted(frame["gamma"].unique())
-    rows = []
+    heads = tuple(Head(f"γ = {g:g}") for g in gammas)
+    rows = tuple(
+        (word(method), *(number(usable(frame, method, g), "{:.2g}".format) for g in gammas))
+        for method in dict.fromkeys(frame["method"]) if method != BASE
+    )  # fmt: skip
+    yield View(
+        "strong_usable", "Strong damping: where negative substeps stop paying",
+        f"Damping between two evaluations, γh/evaluations, up to which a method is no less accurate than {BASE} at the "
+        "same cost (oscillator, ω = 1, over the time in which the motion falls by e; 0: nowhere). "
+        "Substeps against time "
+        "grow by e^{γ|a|h}.", (Head("method", words=True), *heads), rows, "strong_damping.csv",
+    )  # fmt: skip
+    ranges = []
     for low, high in itertools.pairwise(DAMPING_RANGES):
         label = (
             f"below {high:g}"
@@ -218,172 +336,273 @@ def by_damping(frame: pd.DataFrame) -> str:
             if math.isinf(high)
             else f"{low:g} to {high:g}"
         )
-        cells = []
-        for gamma in gammas:
-            method, error = best_in(frame, gamma, low, high)
-            cells.append(f"{method} {scientific(error)}" if method else DASH)
-        rows.append([label, *cells])
-    return markdown(["γh per evaluation", *(f"γ = {g:g}" for g in gammas)], rows)
+        ranges.append((word(label), *(alike_cell(in_range(frame, g, low, high)) for g in gammas)))
+    yield View(
+        "strong_best", "Strong damping: the most accurate fixed-step method at equal cost",
+        f"Median error in each range of γh per evaluation, oscillator; methods within a factor of {ALIKE:g} are named "
+        f"together. {DASH}: no error below one.",
+        (Head("γh per evaluation", words=True), *(Head(h.label, words=True) for h in heads)), tuple(ranges),
+        "strong_damping.csv",
+    )  # fmt: skip
+    yield strong_figure(frame, gammas)
 
 
-def best_in(frame: pd.DataFrame, gamma: float, low: float, high: float) -> tuple[str, float]:
-    """The method with the smallest median error in a range, and that error; nothing above an error of one."""
+def in_range(frame: pd.DataFrame, gamma: float, low: float, high: float) -> pd.Series:
+    """Median error of every method in a range of damping per evaluation."""
     inside = frame["damping_per_evaluation"].between(low, high, inclusive="left")
     part = frame[(frame["gamma"] == gamma) & inside].assign(error=lambda f: f["error"].fillna(np.inf))
-    if not len(part):
-        return "", math.nan
-    median = part.groupby("method", sort=False)["error"].median()
-    best = str(median.idxmin())
-    return (best, float(median[best])) if median[best] < 1 else ("", math.nan)
+    return part.groupby("method", sort=False)["error"].median()
 
 
-# -- scene by scene --------------------------------------------------------------------------------
-def scene_section(frame: pd.DataFrame, scene: str) -> str:
-    part = frame[(frame["scene"] == scene)]
-    shown = [name for name in SHOWN if part[name].notna().any()]
-    rows = []
-    for _, row in part.iterrows():
-        ending = row["status"] if row["status"] == "ok" else f"{row['status']}: {row['message']}"
-        cost = DASH if pd.isna(row["rhs_equivalents"]) else f"{row['rhs_equivalents']:.0f}"
-        values = (scientific(row[name]) for name in shown)
-        rows.append([f"{row['method']} ({row['setting']})", *values, cost, duration(row["time_s"]), ending])
-    condition = part["condition_number"].max()
-    note = ""
-    if condition > WELL_CONDITIONED:
-        note = (
-            f"\n\nCondition number {scientific(condition)}: round-off alone makes an error of about "
-            f"{scientific(condition * 2.2e-16)}."
-        )
-    head = ["method (setting)", *shown, "evaluations", "time", "status"]
-    return f"### {scene}{note}\n\n" + markdown(head, rows)
+def alike_cell(errors: pd.Series) -> Cell:
+    """The most accurate, and those within ALIKE of it; all that is round-off is alike."""
+    errors = errors[errors < 1].sort_values(kind="stable")
+    if not len(errors):
+        return Cell(DASH)
+    first = [str(m) for m in errors.index[errors <= max(STRUCTURE, ALIKE * errors.iloc[0])]]
+    tied = len(first) > 1
+    text = f"tie: {names(first, NAMED)}" if tied else first[0]
+    least = float(errors.iloc[0])
+    return Cell(f"{text} {scientific(least)}", least, marks(Mark.tie if tied else Mark.best))
 
 
 # -- which integrator for which problem ------------------------------------------------------------
-def advice(tables: Frames) -> str:
-    """A section for practitioners; empty without the stability tables."""
-    rows = [row for row in recommendations(tables) if row is not None]
-    if not rows:
-        return ""
-    return (
-        "\n## Which integrator for which problem\n\nComputed from the tables; `contact-*` and `herglotz*` are of this "
-        "suite, all others are peers. Speeds are medians or fastest rounds of compiled engines at an error of "
-        f"{TARGET:.0e}; the second column is the best of them all, the last the best of the other camp.\n\n"
-        + markdown(["problem", "take", "measured", "best of the other camp"], rows)
-        + "\n\nDetails: [stability.md](stability.md).\n"
+#: what a scene stands for; others are known by their name alone
+PROBLEMS = {
+    "particle": "one short run, smooth forces",
+    "particle_long": "a long run, weak damping",
+    "rigid_body": "a damped rigid body",
+    "kepler_drag": "close encounters, an eccentric orbit",
+    "stiff_spring": "two time scales, the fast one alive",
+    "needle": "a very slender body",
+    "tumbling": "a body tumbling about its unstable axis",
+    "overdamped": "strong damping",
+    "critical": "critical damping",
+    "weak_damping": "hardly any damping",
+    "weak_damping_particle": "hardly any damping, several degrees of freedom",
+    "saddle_edge": "at the edge of escape",
+    "quadratic_damping": "damping that is quadratic in s",
+}
+
+
+def problem(scene: str) -> str:
+    said = PROBLEMS.get(scene) or (
+        "friction about some axes only" if scene.startswith("singular_damping") else ""
+    )
+    return f"{said} (`{scene}`)" if said else f"`{scene}`"
+
+
+def rates_view(frame: pd.DataFrame) -> View:
+    """Errors of damping rates at equal cost, each question with its ties."""
+    rows = []
+    creep = frame[(frame["experiment"] == "overdamped") & (frame["status"] == "ok")]
+    for damping in sorted(creep["damping_per_step"].dropna().unique(), reverse=True):
+        fixed = creep[creep["damping_per_step"] == damping]
+        budget = AFFORDABLE * float(fixed["evaluations"].max())
+        adaptive = creep[creep["damping_per_step"].isna() & (creep["evaluations"] <= budget)]
+        rows.append(
+            (
+                word(f"slow rate of creep, γh = {damping:g}"),
+                *at_equal_cost(pd.concat([fixed, adaptive]), budget),
+            )
+        )
+    weak = frame[(frame["experiment"] == "weak") & (frame["status"] == "ok")]
+    for (scene, span), part in weak.groupby(["scene", "t_end"], sort=False):
+        steps = part[part["control"] == "step"]
+        budget = AFFORDABLE * float((steps if len(steps) else part)["evaluations"].max())
+        rows.append(
+            (
+                word(f"rate of weak damping, `{scene}`, T = {span:.0e}"),
+                *at_equal_cost(part[part["evaluations"] <= budget], budget),
+            )
+        )
+    heads = (Head("rate", words=True), Head("most accurate", words=True), Head("evaluations allowed"))
+    meaning = (
+        "Error of a measured damping rate. Compared at equal cost: an adaptive method takes part "
+        "with its settings that "
+        f"cost no more than {100 * (AFFORDABLE - 1):.0f} % above the dearest fixed-step run. Methods "
+        "within a factor of "
+        f"{ALIKE:g} are a tie."
+    )
+    return View(
+        "advice_rates", "Which integrator for damping rates", meaning, heads, tuple(rows), "damping_rates.csv"
     )
 
 
-Recommendation = tuple[str, str, str, str] | None
+def at_equal_cost(rows: pd.DataFrame, budget: float) -> tuple[Cell, Cell]:
+    errors = rows.groupby("method", sort=False)["rate_error"].min()
+    return alike_cell(errors.astype(float)), number(budget, count)
 
 
-def recommendations(tables: Frames) -> Iterator[Recommendation]:
-    work, hard = tables["work_precision"], tables["stability"]
-    compiled = work[work["engine"].isin(["jax", "llvm"]) & work["track"].isin(["fixed", "adaptive"])]
-    for problem, scene in (
-        ("one short run, smooth forces", "particle"),
-        ("a long run, weak damping", "particle_long"),
-        ("a damped rigid body", "rigid_body"),
-    ):
-        yield fastest(f"{problem} (`{scene}`)", compiled[compiled["scene"] == scene], "time_median_s")
-    if not len(hard):
-        return
-    quick = hard[hard["engine"].isin(["jax", "llvm"])]
-    for problem, scene in (
-        ("close encounters, eccentric orbits", "kepler_drag"),
-        ("two time scales, the fast one alive", "stiff_spring"),
-        ("very slender bodies", "needle"),
-    ):
-        yield fastest(f"{problem} (`{scene}`)", quick[quick["scene"] == scene], "time_s")
-    yield creeping(tables["damping_rates"])
-    yield fading(tables["damping_rates"])
-    yield most_accurate("friction about some axes only", hard, "singular_damping", "end_error")
-    yield most_accurate("at the edge of escape", hard, "saddle_edge", "solution_error")
-    yield keepers(hard)
-
-
-def ours(method: str) -> bool:
-    return method.startswith(("contact-", "herglotz"))
-
-
-def ranked(problem: str, scores: dict[str, float], show: str) -> Recommendation:
-    """The best of all with its score, and the best of the other camp."""
-    order = sorted((value, method) for method, value in scores.items() if not math.isnan(value))
-    if not order:
+# -- figures ---------------------------------------------------------------------------------------
+def hard_figure(frame: pd.DataFrame) -> Figure | None:
+    ok = frame[(frame["status"] == "ok") & frame["solution_error"].notna()]
+    panels = []
+    for scene in dict.fromkeys(ok["scene"]):
+        part = ok[ok["scene"] == scene].sort_values("rhs_equivalents", kind="stable")
+        curves = by_method(part, "rhs_equivalents", "solution_error")
+        panels.append(
+            Panel(
+                str(scene),
+                number_axis("evaluations"),
+                Axis("solution error", "log", limits=(1e-16, 1e6)),
+                curves,
+            )
+        )
+    if not panels:
         return None
-    best, method = order[0]
-    write = duration if show == "time" else scientific
-    other = next(((v, m) for v, m in order if ours(m) != ours(method)), None)
-    return problem, f"**{method}**", write(best), f"{other[1]} {write(other[0])}" if other else DASH
-
-
-def fastest(problem: str, frame: pd.DataFrame, cost: str) -> Recommendation:
-    part = frame[frame["status"] == "ok"]
-    scores = {
-        str(method): cost_to_reach(rows["solution_error"], rows[cost], TARGET)
-        for method, rows in part.groupby("method", sort=False)
-    }
-    return ranked(problem, scores, "time")
-
-
-def most_accurate(problem: str, hard: pd.DataFrame, scene: str, measure: str) -> Recommendation:
-    """At the finest setting, the largest over the scenes whose names begin so."""
-    part = hard[hard["scene"].str.startswith(scene) & (hard["status"] == "ok")]
-    best = part.groupby(["method", "scene"])[measure].min().groupby("method")
-    complete = hard[hard["scene"].str.startswith(scene)]["scene"].nunique()
-    scores = {str(m): float(v.max()) for m, v in best if len(v) == complete}
-    return ranked(f"{problem} (`{scene}`): smallest error", scores, "error")
-
-
-def creeping(rates: pd.DataFrame) -> Recommendation:
-    """Overdamped at γh = 25: how far the rate of creep is off."""
-    part = rates[(rates["experiment"] == "overdamped") & (rates["status"] == "ok")]
-    coarse = part[part["damping_per_step"] == part["damping_per_step"].max()]
-    scores = {str(r["method"]): float(r["rate_error"]) for _, r in coarse.iterrows()}
-    for method, rows in part[part["damping_per_step"].isna()].groupby("method"):
-        cheap = coarse["evaluations"].min()  # an adaptive method no dearer than ten times that
-        affordable = rows[rows["evaluations"] <= 10 * cheap]
-        if len(affordable):
-            scores[str(method)] = float(affordable["rate_error"].min())
-    return ranked(
-        "strong damping, γh = 25 (adaptive: up to ten times the evaluations): error of the slow rate",
-        scores,
-        "error",
+    return Figure(
+        "hard_scenes",
+        "Hard scenes: error against evaluations",
+        tuple(panels),
+        "Runs that ended ok.",
+        4,
+        source="stability.csv",
     )
 
 
-def fading(rates: pd.DataFrame) -> Recommendation:
-    """Weak damping: the largest error of the rate over the questions, at equal cost."""
-    part = rates[(rates["experiment"] == "weak") & (rates["status"] == "ok")]
-    questions = part[["scene", "t_end"]].drop_duplicates()
-    scores = {
-        str(method): float(rows["rate_error"].max())
-        for method, rows in part.groupby("method")
-        if len(rows) == len(questions)
-    }
-    return ranked(
-        "damping rates of 10⁻⁵, eight evaluations per unit of time: error of the rate", scores, "error"
+def limits_figure(frame: pd.DataFrame) -> Figure:
+    rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
+    rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
+    rows = rows.assign(
+        scaled=rows["limit"] * rows["omega"], each=rows["per_evaluation"] * rows["omega"],
+        known=rows["theory"] * rows["omega"]
+    )  # fmt: skip
+    theory = [
+        Curve(
+            floats(line["ratio"]),
+            floats(line["known"]),
+            "theory",
+            role="reference",
+            markers=False,
+            dashed=True,
+        )
+        for _, line in rows[rows["known"].notna()].groupby("method", sort=False)
+    ]
+    x = number_axis("γ/ω")
+    panels = (
+        Panel("per step", x, number_axis("ω × first unstable step"), (*by_method(rows, "ratio", "scaled"), *theory)),
+        Panel("per evaluation", x, number_axis("ω × first unstable step per evaluation"), by_method(rows,
+            "ratio", "each")),
+    )  # fmt: skip
+    return Figure(
+        "stability_map", "First loss of stability of q'' + γq' + ω²q = 0", panels,
+        "Larger is better. Curves that end: no limit found.", 2, source="stability_limits.csv",
+    )  # fmt: skip
+
+
+def radius_figure(frame: pd.DataFrame) -> Figure:
+    panels = []
+    for gamma in [g for g in (0.0, 0.1, 1.0, 10.0, 50.0) if g in set(frame["gamma"])]:
+        part = frame[frame["gamma"] == gamma].sort_values("step", kind="stable")
+        truth = part.drop_duplicates("step")
+        exact = Curve(
+            floats(truth["step"]),
+            floats(truth["true_radius"]),
+            "exact flow",
+            role="truth",
+            markers=False,
+            dashed=True,
+        )
+        panels.append(
+            Panel(f"γ = {gamma:g}", Axis("step size h", "log"), Axis("largest |eigenvalue|", limits=(0, 2)),
+                  (*by_method(part, "step", "radius", every=8), exact), spans=(Span("y", 1.0, 1.0),))
+        )  # fmt: skip
+    return Figure(
+        "one_step", "Spectral radius of the one-step map of the oscillator", tuple(panels),
+        "Below the exact flow: numerical damping; above: antidamping.", source="one_step.csv",
+    )  # fmt: skip
+
+
+def strong_figure(frame: pd.DataFrame, gammas: list[float]) -> Figure:
+    panels = []
+    for gamma in gammas:
+        part = frame[(frame["gamma"] == gamma) & (frame["error"] < 1e4)].sort_values(
+            "damping_per_evaluation", kind="stable"
+        )
+        panels.append(
+            Panel(f"γ = {gamma:g}", Axis("γh per evaluation", "log"), Axis("relative error", "log",
+                limits=(1e-16, 1e2)),
+                  by_method(part, "damping_per_evaluation", "error", every=4))
+        )  # fmt: skip
+    return Figure(
+        "strong_damping",
+        "Equal cost under strong damping",
+        tuple(panels),
+        STRONG_DAMPING.columns["error"].meaning,
+        2,
+        source="strong_damping.csv",
     )
 
 
-def keepers(hard: pd.DataFrame) -> Recommendation:
-    """Who keeps J and η to round-off on every hard scene at every setting that ended.
+# -- the room --------------------------------------------------------------------------------------
+def findings(frames: Frames) -> list[Finding]:
+    hard = frames["stability"]
+    found = []
+    tried = hard[hard["status"] != "unsupported"]
+    if len(tried):
+        right = np.where(tried["blow_up_time"].isna(), tried["status"] == "ok", tried["status"] == "diverged")
+        bad = tried[~right]
+        clean = [m for m in dict.fromkeys(tried["method"]) if m not in set(bad["method"])]
+        most = bad.groupby("method", sort=False).size().sort_values(ascending=False, kind="stable")
+        sentence = f"{len(tried) - len(bad)} of {len(tried)} runs end as the true motion does."
+        sentence += (
+            f" Without a bad ending: {names(clean)}." if clean else " No method is without a bad ending."
+        )
+        if len(most):
+            sentence += f" Most bad endings: {names([f'{m} {n}' for m, n in most[:3].items()])}."
+        found.append(
+            Finding(
+                "endings",
+                "Hard scenes",
+                sentence,
+                f"{tried['method'].nunique()} methods on {tried['scene'].nunique()} scenes",
+            )
+        )
+    if said := standing(Field(hard, EVALUATIONS)):
+        found.append(Finding("hard_cost", "Evaluations on the hard scenes", *said))
+    return found
 
-    η only where the motion itself does not magnify round-off; J does not care.
-    """
-    ended = hard[hard["status"] == "ok"]
-    calm = ended[ended["condition_number"].fillna(1) < WELL_CONDITIONED]
-    worst = pd.concat(
-        [
-            ended.groupby("method", sort=False)["momentum_law"].max(),
-            calm.groupby("method", sort=False)["contact_drift"].max(),
-        ],
-        axis=1,
+
+def sections(frames: Frames) -> list[Part]:
+    hard = frames["stability"]
+    meanings = tuple(
+        f"{called(name)}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
+        for name, c in laws(STABILITY, "stability").items()
     )
-    worst = worst.dropna().max(axis=1)
-    keep = [str(method) for method, value in worst.items() if value <= ROUND_OFF]
-    if not keep:
-        return None
-    peers = worst[[not ours(str(method)) for method in worst.index]]
-    names = ", ".join(f"**{name}**" for name in keep)
-    best = f"{peers.idxmin()} {scientific(peers.min())}" if len(peers) else DASH
-    return "J and η kept whatever the step (hard scenes)", names, scientific(float(worst[keep].max())), best
+    drawn, ends = hard_figure(hard), blow_up_view(hard)
+    parts: list[Part] = [
+        Text(
+            "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
+            "in steps and evaluations; how each ended is part of the result. Which method is cheapest where is in "
+            "[README.md](README.md)."
+        ),
+        *([drawn] if drawn else []),
+        *([ends] if ends else []),
+        map_view(hard),
+    ]
+    limits = tuple(limits_section(frames["stability_limits"], frames["one_step"]))
+    rates = [*creep_views(frames["damping_rates"]), fading_view(frames["damping_rates"])]
+    strong = tuple(strong_parts(frames["strong_damping"]))
+    if limits:
+        parts.append(Section("Stability limits", limits))
+    if any(rates):
+        parts.append(Section("Rates of damping", tuple(v for v in rates if v is not None)))
+    if strong:
+        parts.append(Section("Strong damping", strong))
+    scenes = tuple(
+        Section(scene, (scene_view(hard, scene),), choice="scene") for scene in dict.fromkeys(hard["scene"])
+    )
+    parts.append(Section("Scene by scene", (Text(items=meanings), *scenes)))
+    tables = (STABILITY, STABILITY_LIMITS, DAMPING_RATES, ONE_STEP, STRONG_DAMPING)
+    return [*parts, *(raw(t, frames[t.name]) for t in tables if len(frames[t.name]))]
+
+
+ROOMS.add(
+    Room(
+        "stability", "Numerical stability on hard cases",
+        "hard scenes, stability limits, damping rates", 50,
+        ("stability", "stability_limits", "one_step", "damping_rates", "strong_damping"),
+        sections, findings,
+    )
+)  # fmt: skip

@@ -1,1 +1,3 @@
-"""The result tables: their columns, how rows are journalled and merged, where they were made."""
+"""The result tables: what their columns are, how they are stored, and where they were made."""
+
+from contactbench.results import tables as tables  # registers the tables

@@ -2,9 +2,12 @@
 
 Every process of a run appends to a file of its own in ``results/.journal/RUN``, one line per finished
 cell with all of its rows, so that a cell is there as a whole or not at all.  Folding merges the rows
-into the CSV tables under a lock and notes which cells are done; the lines go only after that, and
-folding them twice does no harm.  A run holds a lock while it lives: what a dead run left behind is
-folded by the next one.
+into the CSV tables under a lock and notes which cells are done and the keys of their rows; the lines go
+only after that, and folding them twice does no harm.  A run holds a lock while it lives: what a dead run
+left behind is folded by the next one.
+
+Once all cells of an experiment are done, the rows of its tables that none of them has made are removed:
+their benchmark no longer exists.
 """
 
 from __future__ import annotations
@@ -20,16 +23,19 @@ from typing import Any
 import numpy as np
 from filelock import FileLock, Timeout
 
-from contactbench.results.schema import TABLES, Table, merge, replacing, save_environment
+from contactbench.results.provenance import save_run
+from contactbench.results.schema import PROFILES, TABLES, Table
+from contactbench.results.store import forget, keys, merge, read, replacing
 
-Cell = tuple[str, ...]
+Cell = tuple[str, ...]  #: the file of an experiment and the name of one of its cells
+Made = dict[Cell, dict[str, list[list[Any]]]]  #: for each cell that is done, table → keys of its rows
 FOLDER = ".journal"
 
 
 class Journal:
     """The journal of one run, written to by one or several processes.
 
-    record : where and with what the run is made (`table.environment`); its "profile" says which cells
+    record : where and with what the run is made (`provenance.environment`); its "profile" says which cells
     count as done for `--resume`.
     """
 
@@ -47,11 +53,16 @@ class Journal:
 
     def append(self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell | None = None) -> None:
         """Add the rows of a cell, on disk when this returns; without a cell, rows of one that failed."""
-        entry = {"cell": cell, "rows": [[table.name, {**row, "run_id": self.run_id}] for table, row in rows]}
+        entry = {"cell": cell, "rows": [[table.name, dict(row)] for table, row in rows]}
         with (self.folder / f"{os.getpid()}.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry, default=_plain) + "\n")
             file.flush()
             os.fsync(file.fileno())
+
+    def expect(self, cells: Iterable[Cell]) -> None:
+        """All cells of the experiments that are run as a whole."""
+        with replacing(self.folder / "expected.json") as file:
+            json.dump(sorted(set(cells)), file)
 
     def close(self) -> None:
         """Fold the run into the tables and end it."""
@@ -94,43 +105,96 @@ def entries(folder: Path) -> Iterator[dict[str, Any]]:
 def _fold(folder: Path) -> None:
     results = folder.parents[1]
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
-    cells = []
+    made: Made = {}
     for entry in entries(folder):
+        mine: dict[str, list[dict[str, Any]]] = {}
         for name, row in entry["rows"]:
             rows[name].append(row)
+            mine.setdefault(name, []).append(row)
         if entry["cell"]:
-            cells.append(tuple(entry["cell"]))
+            made[tuple(entry["cell"])] = {
+                name: sorted(map(list, keys(TABLES[name], those))) for name, those in mine.items()
+            }
     run = folder / "run.json"
     if not run.exists():  # killed before it began
         return
     record = json.loads(run.read_text(encoding="utf-8"))
+    profile = record["profile"]
     for name, new in rows.items():
         merge(TABLES[name], new, results)
-    save_environment(folder.name, record, results)
-    _save_done(results, record["profile"], done(results, record["profile"]) | set(cells))
+    whole = _whole(folder, _done(results, profile) | made)
+    profiles = PROFILES[: PROFILES.index(profile) + 1]
+    for name, known in whole.items():
+        forget(TABLES[name], known, profiles, results)
+    # rows of a larger profile stay, and with them the run that made them
+    alone = [name for name in whole if read(TABLES[name], results)["profile"].isin(profiles).all()]
+    save_run(folder.name, record, [name for name in rows if rows[name]], alone, results)
+    _save_done(results, profile, made)
+
+
+def _whole(folder: Path, made: Made) -> dict[str, set[tuple[Any, ...]]]:
+    """The tables of experiments whose cells are all done, and the keys of all rows those cells made.
+
+    An experiment is a file; every table is made by one file.
+    """
+    path = folder / "expected.json"
+    expected = [tuple(cell) for cell in json.loads(path.read_text(encoding="utf-8"))] if path.exists() else []
+    unfinished = {cell[0] for cell in expected if cell not in made}
+    tables: dict[str, set[tuple[Any, ...]]] = {}
+    for cell in expected:
+        if cell[0] not in unfinished:
+            for name, known in made[cell].items():
+                tables.setdefault(name, set()).update(map(tuple, known))
+    return tables
 
 
 # -- which cells are done ------------------------------------------------------------------------------
-def done(results: Path, profile: str) -> set[Cell]:
-    """The cells of a profile that have been folded since they were last begun anew."""
-    path = results / FOLDER / "done.json"
-    if not path.exists():
-        return set()
-    return {tuple(cell) for cell in json.loads(path.read_text(encoding="utf-8")).get(profile, [])}
+def done(results: Path, profile: str, selection: str = "") -> set[Cell]:
+    """The cells of a profile that have been folded since a run with this selection last began anew."""
+    since = _profile(results, profile)["begun"].get(selection, 0)
+    return {tuple(cell) for cell, _, number in _profile(results, profile)["cells"] if number >= since}
 
 
-def begin_anew(results: Path, profile: str, cells: Iterable[Cell]) -> None:
-    """Cells that are about to be run are not done, whatever an earlier run says."""
+def begin_anew(results: Path, profile: str, cells: Iterable[Cell], selection: str = "") -> None:
+    """Cells that are about to be run are not done, whatever an earlier run says.
+
+    selection : what was asked for.  A run in several goes (first what is not timed, then, resumed, what is)
+    begins with the first of them: what was done before that is not done for the goes that follow.
+    """
     with folding(results):
-        _save_done(results, profile, done(results, profile) - set(cells))
+        state, anew = _profile(results, profile), set(cells)
+        state["begun"][selection] = state["number"] = state["number"] + 1
+        state["cells"] = [entry for entry in state["cells"] if tuple(entry[0]) not in anew]
+        _save(results, profile, state)
 
 
-def _save_done(results: Path, profile: str, cells: set[Cell]) -> None:
+def _profile(results: Path, profile: str) -> dict[str, Any]:
+    """number : of runs begun anew; begun : selection → its last one; cells : [cell, keys of its rows, number]."""
     path = results / FOLDER / "done.json"
     profiles = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    profiles[profile] = sorted(cells)
+    state = profiles.get(profile)
+    # a bare list is of an older version: nothing is known of the rows of its cells
+    return state if isinstance(state, dict) else {"number": 0, "begun": {}, "cells": []}
+
+
+def _done(results: Path, profile: str) -> Made:
+    return {tuple(cell): known for cell, known, _ in _profile(results, profile)["cells"]}
+
+
+def _save_done(results: Path, profile: str, made: Made) -> None:
+    """Note cells as done now."""
+    state = _profile(results, profile)
+    cells = {tuple(cell): [cell, known, number] for cell, known, number in state["cells"]}
+    cells |= {cell: [cell, known, state["number"]] for cell, known in made.items()}
+    state["cells"] = [cells[cell] for cell in sorted(cells)]
+    _save(results, profile, state)
+
+
+def _save(results: Path, profile: str, state: dict[str, Any]) -> None:
+    path = results / FOLDER / "done.json"
+    profiles = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     with replacing(path) as file:
-        json.dump(profiles, file)
+        json.dump(profiles | {profile: state}, file)
 
 
 def _plain(value: Any) -> Any:

@@ -6,7 +6,7 @@ ensemble), JAX tracers, mpmath numbers and heyoka expressions, because every num
 can be replaced (`Scene.with_numbers`) by a number of another kind.
 
 Conventions: contact form η = ds − p·dq, contact Hamiltonian H = H0 + Γ(s), Γ(s) = γ s + ½ κ s²;
-q' = ∂H/∂p, p' = −∂H/∂q − p Γ'(s), s' = p·∂H/∂p − H  (paper, eq. canonical-contact-equations).
+q' = ∂H/∂p, p' = −∂H/∂q − p Γ'(s), s' = p·∂H/∂p − H  (paper, §2.3, eq. (23)).
 """
 
 from contactbench.scene.algebra import (
@@ -15,6 +15,7 @@ from contactbench.scene.algebra import (
     Vector,
     cross,
     dot,
+    norm,
     quaternion_of,
     quaternion_product,
     rotate,
@@ -34,6 +35,7 @@ __all__ = [
     "Vector",
     "cross",
     "dot",
+    "norm",
     "quaternion_of",
     "quaternion_product",
     "rotate",

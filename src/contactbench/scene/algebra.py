@@ -50,6 +50,11 @@ def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
     return total
 
 
+def norm(a: Vector) -> Any:
+    """‖a‖."""
+    return dot(a, a) ** 0.5
+
+
 def cross(a: Vector, b: Vector) -> Vector:
     """a × b in R³."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from contactbench.errors import BadInput, finite, unknown_name
-from contactbench.scene.algebra import Vector
+from contactbench.scene.algebra import Vector, shifted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,11 +152,52 @@ class Scene:
         """A basis of the tangent space at x, as states."""
         raise NotImplementedError
 
+    def displaced(self, x: Any, v: Any, amount: float) -> Any:
+        """The state at `amount` along a curve that leaves x with tangent v."""
+        return shifted(x, amount, v)
+
     def contact_form(self, x: Any, dx: Any) -> Any:
         """η(dx) at x."""
+        raise NotImplementedError
+
+    def contact_terms(self, x: Any, dx: Any) -> Any:
+        """The size of the terms that η(dx) is the difference of."""
+        raise NotImplementedError
+
+    def hamiltonian_terms(self, x: Any) -> Any:
+        """The size of the terms that H is the sum of."""
+        raise NotImplementedError
+
+    def momentum_terms(self, x: Any) -> Any:
+        """The size of the terms that J is the sum of."""
         raise NotImplementedError
 
     @property
     def conformal_rate(self) -> Any:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
         raise NotImplementedError
+
+    @property
+    def rate_changes(self) -> bool:
+        """φ_t*η = e^{−∫Γ'(s)dt} η with a Γ' that is not constant."""
+        return False
+
+    @property
+    def is_contact(self) -> bool:
+        """The exact flow is a conformal contact map, with a rate that is constant or changes."""
+        return self.conformal_rate is not None or self.rate_changes
+
+    @property
+    def has_momentum_law(self) -> bool:
+        """J' = −Γ'(s) J."""
+        return False
+
+    @property
+    def has_torque(self) -> bool:
+        """One component of J obeys J' = −γJ + torque instead, at a constant γ."""
+        return False
+
+    @property
+    def may_gain_energy(self) -> bool:
+        """H0 need not decay: no damping, negative damping, or damping whose sign follows the motion."""
+        return False

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 from contactbench.errors import BadInput, finite, positive, vector
-from contactbench.scene.algebra import State, Vector, cross, dot
+from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Scene
 
 
@@ -179,9 +179,34 @@ class Mechanical(Scene):
     def has_momentum_law(self) -> bool:
         return self.rotation_invariant and len(self.q) in (2, 3)
 
+    @property
+    def has_torque(self) -> bool:
+        return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
+
+    @property
+    def rate_changes(self) -> bool:
+        return self.nonlinear_damping
+
+    @property
+    def may_gain_energy(self) -> bool:
+        return self.nonlinear_damping or self.gamma <= 0
+
     def contact_form(self, x: State, dx: State) -> Any:
         """η(dx) = ds − p·dq at x."""
         return dx.s - dot(x.p, dx.q)
+
+    def contact_terms(self, x: State, dx: State) -> Any:
+        """|ds| + ‖p‖‖dq‖."""
+        return abs(dx.s) + norm(x.p) * norm(dx.q)
+
+    def hamiltonian_terms(self, x: State) -> Any:
+        """|T| + |V + Γ|."""
+        kinetic = self.kinetic(x.p)
+        return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
+
+    def momentum_terms(self, x: State) -> Any:
+        """‖q‖‖p‖."""
+        return norm(x.q) * norm(x.p)
 
     def tangents(self, x: State) -> list[State]:
         """The coordinate basis of the tangent space at x, in packed order."""

@@ -15,6 +15,7 @@ from contactbench.scene.algebra import (
     Vector,
     cross,
     dot,
+    norm,
     quaternion_of,
     quaternion_product,
     rotate,
@@ -197,6 +198,10 @@ class RigidBody(Scene):
     def has_momentum_law(self) -> bool:
         return self.isotropic
 
+    @property
+    def may_gain_energy(self) -> bool:
+        return self.isotropic and self.gamma <= 0
+
     def contact_form(self, x: BodyState, dx: BodyState) -> Any:
         """η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
         assert x.R is not None
@@ -204,6 +209,31 @@ class RigidBody(Scene):
         w, a, b, c = x.R
         xi = quaternion_product((w, -a, -b, -c), dx.R)[1:]
         return dx.s - 2 * dot(x.M, xi)
+
+    def contact_terms(self, x: BodyState, dx: BodyState) -> Any:
+        """|ds| + ‖M‖‖ξ‖, ‖ξ‖ = 2‖dR‖."""
+        assert dx.R is not None
+        return abs(dx.s) + 2 * norm(x.M) * norm(dx.R)
+
+    def hamiltonian_terms(self, x: BodyState) -> Any:
+        """|H0| + |γs|."""
+        energy = self.energy(x)
+        return abs(energy) + abs(self.hamiltonian(x) - energy)
+
+    def momentum_terms(self, x: BodyState) -> Any:
+        """‖M‖."""
+        return norm(x.M)
+
+    def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:
+        """M and s along straight lines, R along the group: R exp(amount ξ̂), ξ = 2 Im(R̄ ⊗ dR)."""
+        moved = super().displaced(x, v, amount)
+        if x.R is None or v.R is None:
+            return moved
+        w, a, b, c = x.R
+        half = quaternion_product((w, -a, -b, -c), v.R)[1:]
+        angle = norm(half) * amount
+        scale = math.sin(angle) / norm(half) if norm(half) > 0 else 0.0
+        return moved._replace(R=quaternion_product(x.R, (math.cos(angle), *(scale * h for h in half))))
 
     def tangents(self, x: BodyState) -> list[BodyState]:
         """Basis of the tangent space: ∂/∂M_i, the body-frame rotations e_i (and ∂/∂s)."""

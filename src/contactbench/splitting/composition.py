@@ -16,7 +16,7 @@ order, which leaves it far fewer conditions, and it is the kernel that is paid f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -239,6 +239,27 @@ def advance(
         return run(closing, repeat(n, lambda x: run(inner, x), x))
     x = repeat(n - 1, lambda x: run((*inner, *joint), x), x)
     return run((*inner, *closing), x)
+
+
+def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Any) -> Any:
+    """The log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
+    flows, total = flows_of(scene), 0.0
+    for name, coefficient in run_on(composition, scene, n):
+        flow, span = flows[name], number(coefficient, xp) * h
+        total = total + flow.log_factor(scene, x, span, xp)
+        x = flow.apply(scene, x, flow.constants(scene, span, xp), xp)
+    return total
+
+
+def run_on(composition: Composition, scene: Scene, n: int) -> Iterator[Stage]:
+    """The stages of n steps on a scene, one after another."""
+    steps = plan(composition, scene)
+    yield from steps.opening
+    for k in range(n):
+        yield from steps.inner
+        if k < n - 1:
+            yield from steps.joint
+    yield from steps.closing
 
 
 def shortest_period(names: list[str]) -> int:

@@ -17,16 +17,23 @@ from typing import Any, NamedTuple
 from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State, dot, quaternion_product
 
 
+def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    """The log of the conformal factor of a flow whose Hamiltonian does not contain s."""
+    return 0.0
+
+
 class Flow(NamedTuple):
-    """One exact subflow.
+    """One exact subflow φ_h.
 
     costs : what one application adds to the counts, by kind ("gradient", "rotation").
+    log_factor : ``(scene, x, h, xp) -> log c`` with φ_h*η = c η at x.
     Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
     """
 
     constants: Callable[[Any, Any, Any], Any]
     apply: Callable[[Any, Any, Any, Any], Any]
     costs: dict[str, int]
+    log_factor: Callable[[Any, Any, Any, Any], Any] = no_damping
 
 
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
@@ -103,9 +110,22 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
     return settled(State(x.q, tuple(factor * factor * p for p in p), factor * s), xp)
 
 
+def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
+    """−∫Γ'(s) along the flow C: −γh − 2 log D."""
+    linear = -scene.gamma * h
+    if not scene.nonlinear_damping:
+        return linear
+    return linear - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
+
+
 def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
     phi = damped_time(scene.gamma, h, xp)
     return phi * scene.inverse_mass, phi, *damping(scene.gamma, h, xp)
+
+
+def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    """−γh, of a flow whose Hamiltonian contains γs."""
+    return -scene.gamma * h
 
 
 def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
@@ -119,8 +139,8 @@ def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
 MECHANICAL = {
     "kick": Flow(_plain, kick, {"gradient": 1}),
     "drift": Flow(_plain, drift, {}),
-    "damp": Flow(_damp_constants, damp, {}),
-    "drift_damp": Flow(_drift_damp_constants, drift_damp, {}),
+    "damp": Flow(_damp_constants, damp, {}, damp_log_factor),
+    "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, linear_log_factor),
 }
 
 
@@ -218,7 +238,7 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
 BODY = {
     "turn": Flow(_plain, turn, {"rotation": 1}),
     "top": Flow(_plain, top, {"rotation": 1}),
-    "damp": Flow(_body_damp_constants, body_damp, {}),
+    "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
 }
 
 
@@ -226,6 +246,6 @@ def flows_of(scene: Scene) -> dict[str, Flow]:
     """The subflows a scene has, by name; a body has no potential, hence no kick."""
     if not isinstance(scene, Mechanical):
         return BODY
-    if scene.nonlinear_damping:  # T and Γ = ½κs² together have no elementary flow
+    if scene.nonlinear_damping:  # their joint flow (a Pinney equation) is not implemented here
         return {name: flow for name, flow in MECHANICAL.items() if name != "drift_damp"}
     return MECHANICAL

@@ -21,7 +21,7 @@ from contactbench.splitting.composition import (
 PRINTED = Composition(
     "contact-printed", 1,
     (("kick", HALF), ("damp", ONE), ("drift", ONE), ("kick", HALF)),
-    "the paper, eq. Strang-Integrator, read right to left: B½, C, A, B½",
+    "the paper, §5.2, eq. (85), read right to left: B½, C, A, B½",
 )  # fmt: skip
 
 ABC = Composition(

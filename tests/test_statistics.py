@@ -1,4 +1,4 @@
-"""Order fits, equal-error costs and timing statistics on data whose answer is known."""
+"""Equal-error costs and timing statistics on data whose answer is known."""
 
 from __future__ import annotations
 
@@ -7,42 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.measure.analysis import cost_at_error, cost_to_reach, fit_order, paired_ratio, timing
-
-H = [0.8 / 2**k for k in range(9)]
-
-
-@pytest.mark.parametrize("order", [1, 2, 4, 6, 8])
-def test_order_of_a_clean_power_law(order):
-    fit = fit_order(H, [3 * h**order for h in H])
-    assert fit.order == pytest.approx(order, abs=1e-12)
-    assert fit.used.all()
-    assert math.isnan(fit.pairwise[0])  # nothing coarser to compare with
-    np.testing.assert_allclose(fit.pairwise[1:], order)
-
-
-def test_pre_asymptotic_points_and_the_round_off_plateau_are_left_out():
-    errors = [h**4 * (1 + 30 * h**2) + 1e-10 for h in H]
-    fit = fit_order(H, errors, floor=1e-9)
-    assert fit.order == pytest.approx(4, abs=0.1)
-    assert not fit.used[0]
-    assert not fit.used[-1]
-    assert fit.low < fit.order < fit.high
-
-
-def test_the_answer_does_not_depend_on_the_order_of_the_points():
-    errors = [h**2 * (1 + h) for h in H]
-    one, other = fit_order(H, errors), fit_order(H[::-1], errors[::-1])
-    assert one.order == other.order
-    np.testing.assert_array_equal(one.used, other.used[::-1])
-    np.testing.assert_array_equal(one.pairwise, other.pairwise[::-1])
-
-
-def test_noise_has_no_order():
-    noise = np.random.default_rng(0).uniform(0.1, 1, len(H))
-    assert math.isnan(fit_order(H, noise).order)
-    assert math.isnan(fit_order(H[:3], [h**2 for h in H[:3]]).order)  # three points are too few
-    assert math.isnan(fit_order(H, [math.nan] * len(H)).order)
+from contactbench.results.statistics import cost_at_error, cost_to_reach, paired_ratio, timing
 
 
 def test_cost_at_error_interpolates_inside_and_refuses_outside():

@@ -1,77 +1,16 @@
-"""What is computed from measured points: fitted orders, equal-error costs, timing statistics."""
+"""What reports and the gate compute from rows: costs at equal error, noise and ties, timing statistics."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+import pandas as pd
 
-#: points needed for an order
-MIN_POINTS = 4
-#: how far pairwise slopes may stray from their median in an asymptotic range: strict, else lenient
-STRAYS = (0.05, 0.15)
-
-
-@dataclass(frozen=True)
-class OrderFit:
-    """Slope of log error against log h with its 95 % interval, and the points it rests on.
-
-    used : mask of the points in the asymptotic range.  pairwise : slope between each point and the
-    next larger step, nan for the largest.  order is nan when fewer than four points qualify.
-    """
-
-    order: float
-    low: float
-    high: float
-    used: np.ndarray
-    pairwise: np.ndarray
-
-
-def fit_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Least-squares slope and its 95 % interval (Student t); at least three points."""
-    from scipy.stats import linregress
-    from scipy.stats import t as student
-
-    fit = linregress(x, y)
-    half = student.ppf(0.975, len(x) - 2) * fit.stderr
-    return float(fit.slope), float(fit.slope - half), float(fit.slope + half)
-
-
-def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
-    """Order of convergence from errors at a ladder of step sizes, in any order.
-
-    The asymptotic range is the longest run of at least four neighbouring points, none at or below
-    `floor` (round-off), whose pairwise slopes differ by at most 0.05 from their median, or 0.15 if
-    there is no such run; of several equally long runs the one with the smallest steps is taken.
-    """
-    h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
-    order = np.argsort(h)
-    h, e = h[order], e[order]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slopes = np.diff(np.log(e)) / np.diff(np.log(h))
-    sound = np.isfinite(e) & (e > floor)
-    best = next(filter(len, (longest_run(slopes, sound, stray) for stray in STRAYS)), range(0))
-    used = np.zeros(len(h), dtype=bool)
-    used[best.start : best.stop] = True
-    pairwise = np.append(slopes, math.nan)
-    back = np.argsort(order)
-    if not len(best):
-        return OrderFit(math.nan, math.nan, math.nan, used[back], pairwise[back])
-    fitted = fit_line(np.log(h[used]), np.log(e[used]))
-    return OrderFit(*fitted, used[back], pairwise[back])
-
-
-def longest_run(slopes: np.ndarray, sound: np.ndarray, stray: float) -> range:
-    """Indices of the longest run of sound points with slopes within `stray` of their median."""
-    best = range(0)
-    for i in range(len(sound)):
-        for j in range(i + MIN_POINTS, len(sound) + 1):
-            inside = slopes[i : j - 1]
-            if sound[i:j].all() and np.abs(inside - np.median(inside)).max() <= stray and j - i > len(best):
-                best = range(i, j)
-    return best
+from contactbench.errors import BadInput
 
 
 def cost_at_error(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
@@ -144,3 +83,36 @@ def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
     resampled = np.random.default_rng(0).choice(logs, (RESAMPLES, len(logs)))
     low, high = np.percentile(np.median(resampled, axis=1), [2.5, 97.5])
     return PairedRatio(math.exp(np.median(logs)), math.exp(low), math.exp(high), len(logs))
+
+
+# -- wins and ties ---------------------------------------------------------------------------------
+#: two costs whose ratio is below this are a tie, however quiet the machine
+TIE = 1.15
+#: the share of repeated measurements that the noise covers
+COVERED = 0.95
+Verdict = Literal["win", "tie", "loss"]
+
+
+def noise(times: pd.DataFrame) -> float:
+    """By what factor two measurements of one and the same cell differ, in 95 of 100 cells.
+
+    times : rows with `time_repeat_ratio`, the second measurement of a cell over the first (A/A).
+    The empirical quantile of max(r, 1/r); 1 where nothing was measured twice.
+    """
+    ratios = pd.to_numeric(times["time_repeat_ratio"]).to_numpy(dtype=float, na_value=math.nan)
+    ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
+    if not len(ratios):
+        return 1.0
+    # the smallest measured factor that covers the share: no interpolation towards quieter cells
+    return float(np.quantile(np.maximum(ratios, 1 / ratios), COVERED, method="higher"))
+
+
+def verdict(ratio: float, noise: float) -> Verdict:
+    """What a cost over that of the other means: a win below 1/margin, a loss above the margin, else a tie.
+
+    The margin is the larger of `TIE` and the measured noise.
+    """
+    if not ratio > 0:
+        raise BadInput(f"ratio = {ratio!r}: must be a ratio of two costs, > 0")
+    margin = max(TIE, noise)
+    return "win" if ratio < 1 / margin else "loss" if ratio > margin else "tie"

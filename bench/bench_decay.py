@@ -1,0 +1,80 @@
+"""What is kept at equal cost?  One cell: a method on a scene, its errors and decay laws at equal evaluations.
+
+Thirty evaluations per unit of time are about what the motions of these scenes take to be followed to three
+digits by the better methods; a hundred, where high orders show.  Fixed steps follow from the evaluations of
+a step, tolerances from a bisection.  The cost is that of a run to the end; the errors and laws are the
+largest at five times, which are step boundaries of every step taken.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+import contactbench as cb
+from cells import cells, outcome, setting
+from contactbench.measure.laws import row as law_columns
+from contactbench.results.tables import DECAY_LAWS
+from equal_cost import step_at, tolerance_at
+
+SCENES = ("particle", "central", "rigid_body")
+#: evaluations per unit of time, on the scale of one right-hand side
+COSTS = (30.0, 100.0)
+SAVES = 5
+#: where the momentum is not kept but for its decay, it is compared with the truth's
+IN_PLACE_OF = {"momentum_law": "momentum_balance"}
+
+
+def ladder(profile):
+    scenes, costs = (SCENES[:1], COSTS[:1]) if profile.points == 1 else (SCENES, COSTS)
+    return [(scene, method, cost) for scene in scenes for method in cb.METHODS for cost in costs]
+
+
+def to_the_end(scene, method, value):
+    """A run saved at the end alone, and what it cost."""
+    run = cb.prepare(scene, method.name, save_at=[scene.t_end], **setting(method, value))
+    solution = run()
+    return solution, run.count(solution.counts)
+
+
+def evaluations(scene, method, rtol):
+    """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
+    solution, counts = to_the_end(scene, method, rtol)
+    if solution.ok:
+        return counts.rhs_equivalents
+    return math.inf if solution.status is cb.Status.budget else 0.0
+
+
+def value_at(scene, method, target):
+    """The step or tolerance at which a run costs so many right-hand sides."""
+    if method.refuses(scene) is not None:
+        return method.rtol_range[1] if method.adaptive else scene.t_end / SAVES
+    if method.adaptive:
+        return tolerance_at(lambda rtol: evaluations(scene, method, rtol), target, method.rtol_range)
+    return step_at(method, scene, target, SAVES)
+
+
+def laws_row(scene, method, value):
+    """The laws at the saved times, and how the derivative for the contact drift was obtained."""
+    saves = scene.t_end * np.arange(1, SAVES + 1) / SAVES
+    solution = cb.solve(scene, method.name, save_at=saves, **setting(method, value))
+    if not solution.ok:
+        return {"status": str(solution.status), "message": solution.message}
+    columns = law_columns(solution)
+    for law, instead in IN_PLACE_OF.items():
+        columns.setdefault(law, columns.get(instead))
+    return {name: value for name, value in columns.items() if name in DECAY_LAWS.columns}
+
+
+@cells(ladder)
+def test_decay_laws(cell, record):
+    scene, method, cost = cb.SCENES[cell[0]], cb.METHODS[cell[1]], cell[2]
+    value = value_at(scene, method, cost * scene.t_end)
+    solution, counts = to_the_end(scene, method, value)
+    control = "rtol" if method.adaptive else "step"
+    row = outcome(solution, counts) | {"cost": cost, "control": control, "value": value}
+    if solution.ok:
+        row |= laws_row(scene, method, value)
+    record(DECAY_LAWS, **row)
+    assert row["status"] == "ok" or row["message"]

@@ -1,0 +1,505 @@
+"""Claims about equilibria of the damped body and their stability (§4.5 and §4.6 of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq, least_squares
+
+from contactbench.claims.calculus import ROUND_OFF, ROUND_OFF_WHY, SEED, largest, points
+from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
+from contactbench.claims.linearisation import (
+    INERTIA,
+    body,
+    criterion,
+    growth,
+    growths,
+    misjudged,
+    momentum_rate,
+    random_damping,
+    random_equilibria,
+    random_inertia,
+    spectra,
+)
+from contactbench.methods import solve
+from contactbench.scene import cross
+from contactbench.scenes import SCENES
+from contactbench.truth import reference
+from contactbench.xla import jax, jnp
+
+BODY = "rigid_body"
+DOP853 = "scipy-dop853, rtol 10⁻¹²"
+COARSER = "scipy-dop853, rtol 10⁻¹² and 10⁻⁹"
+SPECTRUM, SPECTRUM_WHY = 1e-12, "round-off of the eigenvalues of a 3×3 matrix of size one"
+#: an eigenvalue of random cases this close to 0 is not judged
+SLACK = 1e-9
+CASES = 300
+NONE_WRONG = "a criterion has none"
+
+
+def settled(D: Any, M: Any, t: float, inertia: Sequence[float] = INERTIA) -> np.ndarray:
+    """M(t) by integration."""
+    scene = body(D, inertia).with_(M=tuple(float(m) for m in M), t_end=t)
+    return solve(scene, "scipy-dop853", rtol=1e-12, save_at=[t], carry=()).y[-1]
+
+
+def contradicted(cases: Sequence[tuple[np.ndarray, Any, np.ndarray]], count: int) -> int:
+    """Of the first `count` clear cases, those in which the integrated motion contradicts the criterion.
+
+    A start 10⁻⁶ off the axis is followed for six times 1/|growth rate|, in which what is unstable grows by
+    a factor of about 400 and what is stable shrinks by as much; ten is asked for.
+    """
+    rates = growths([body(D, inertia) for D, inertia, _ in cases], [M for *_, M in cases])
+    clear = [n for n in range(len(cases)) if abs(rates[n]) > 0.05][:count]
+    wrong = count - len(clear)
+    for n in clear:
+        D, inertia, M = cases[n]
+        axis = int(np.argmax(np.abs(M)))
+        off = np.full(3, 1e-6)
+        off[axis] = 0.0
+        end = settled(D, M + off, 6 / abs(rates[n]), inertia)
+        factor = np.linalg.norm(np.delete(end, axis)) / np.linalg.norm(off)
+        unstable = criterion(D, M, inertia)[1] < 0
+        wrong += not (factor > 10 if unstable else factor < 0.1)
+    return wrong
+
+
+def judged(axes: Sequence[int], seed: int, cases: int, integrated: int) -> list[Any]:
+    """The criterion against the full spectrum and, for a few, against integration."""
+    random = random_equilibria(axes, cases, seed)
+    ranks = "symmetric D ≥ 0 of rank 0, 1, 2 with D M* = 0"
+    return [
+        at_most(
+            f"cases of {cases} random (I, D, M*), {ranks}, whose 3×3 spectrum contradicts the criterion",
+            misjudged(random, SLACK),
+            0,
+            NONE_WRONG,
+        ),
+        at_most(
+            f"cases of {integrated} of them whose integrated motion does",
+            contradicted(random, integrated),
+            0,
+            NONE_WRONG,
+        ),
+    ]
+
+
+# -- equilibria ------------------------------------------------------------------------------------
+STARTS = 12
+
+
+def equation(inertia: Any, D: Any) -> Any:
+    """M × I⁻¹M − D M for any matrix D, symmetric or not (§4.5, eq. (74))."""
+    return lambda M: np.array(cross(M, M / np.asarray(inertia))) - D @ M
+
+
+def distance_from_set(M: np.ndarray, D: np.ndarray) -> float:
+    """How far M is from {D M = 0, M ∥ a principal axis}, relative to its size."""
+    u = M / np.linalg.norm(M)
+    return float(max(np.linalg.norm(D @ u), np.sqrt(max(0.0, 1 - np.max(u * u)))))
+
+
+def equilibria(D: np.ndarray, inertia: Any, rng: np.random.Generator) -> list[np.ndarray]:
+    """Nonzero solutions of M × I⁻¹M = D M found from random starts, by least squares on residual/‖M‖²."""
+    f = equation(inertia, D)
+    found = []
+    for _ in range(STARTS):
+        start = rng.normal(size=3)
+        fit = least_squares(
+            lambda M: np.append(f(M) / (M @ M), 0.0), start, xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
+        size = np.linalg.norm(fit.x)
+        if np.linalg.norm(f(fit.x)) < 1e-12 * size * size and 1e-3 < size < 1e3:
+            found.append(fit.x)
+    return found
+
+
+def any_damping(rng: np.random.Generator, number: int) -> np.ndarray:
+    """A symmetric D ≥ 0: in turn diagonal, full with an axis in its kernel, and turned anyhow."""
+    rank = number // 3 % 3 + 1
+    if number % 3 == 1:
+        return random_damping(rng, min(rank, 2), int(rng.integers(3)))
+    D = np.diag(rng.permutation([*rng.uniform(0.1, 1, rank), 0, 0, 0][:3]))
+    turn = np.eye(3) if number % 3 == 0 else np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    D = turn @ D @ turn.T
+    return (D + D.T) / 2
+
+
+@claim(
+    "C18",
+    "§4.5, eq. (75), and §4.6.1, eq. (77)",
+    "The equilibria under a positive-semidefinite D are 0 and the M on a principal axis with DM = 0.",
+    kind=Correction.extends,
+    scene="M' = M × I⁻¹M − DM, I = (1, 2, 3), random D",
+    method="none: least squares from random starts",
+    correction="Positive-semidefinite has to include symmetric: then M·DM = 0, which every equilibrium obeys, "
+    "forces DM = 0. With D = S + Â, S symmetric ≥ 0 and Â antisymmetric, M·DM = M·SM ≥ 0 still, but S M = 0 "
+    "leaves M × Ω = Â M to balance off the axes: S = 1 − uuᵀ, u = (1, 1, 0)/√2, Â = a×, a = −(1, −1, "
+    "0)/(4√2) has the equilibrium M = u.",
+)
+def equilibrium_set(seed: int = 3, cases: int = 27, inertia: Sequence[float] = INERTIA) -> Evidence:
+    rng = np.random.default_rng(seed)
+    distances, count = [0.0], 0
+    for number in range(cases):
+        D = any_damping(rng, number)
+        found = equilibria(D, inertia, rng)
+        distances += [distance_from_set(M, D) for M in found]
+        count += len(found)
+    damped = body(any_damping(rng, 5), inertia)
+    u = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
+    a = -np.array([1.0, -1.0, 0.0]) / np.sqrt(2) / 4
+    skew = np.eye(3) - np.outer(u, u) + np.cross(np.eye(3), -a).T  # columns e_i × (−a) = a × e_i
+    work = largest(
+        lambda M: (
+            M @ momentum_rate(damped)(M)
+            + M @ jnp.stack(damped.damp_matrix_function(tuple(M), lambda rate: rate))
+        ),
+        points(3, seed=seed),
+    )
+    return Evidence(
+        [
+            at_most(
+                f"farthest of the equilibria found from the set, {cases} symmetric D of rank 1, 2, 3",
+                max(distances),
+                1e-5,
+                "square root of the solver's 10⁻¹², since the residual may vanish quadratically, times 10",
+            ),
+            at_least(
+                "equilibria found, all M ≠ 0",
+                count,
+                10,
+                "the search must find something to be worth anything",
+            ),
+            at_most(
+                "max |M·M' + M·DM|, which makes M·DM = 0 necessary, a full D", work, ROUND_OFF, ROUND_OFF_WHY
+            ),
+        ],
+        [
+            at_least(
+                "distance from the set of an equilibrium of a D that is not symmetric",
+                distance_from_set(u, skew),
+                1e-2,
+                "far above the residual of the equilibrium",
+            ),
+            at_most(
+                "its residual |M × I⁻¹M − DM|, I = (1, 2, 3)",
+                np.abs(equation(INERTIA, skew)(u)).max(),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            ),
+            at_least(
+                "smallest eigenvalue of the symmetric part of that D",
+                np.linalg.eigvalsh((skew + skew.T) / 2).min(),
+                -ROUND_OFF,
+                "zero up to round-off",
+            ),
+        ],
+    )
+
+
+# -- the stability theorem -------------------------------------------------------------------------
+#: at e₃, D pushes along the transverse diagonal on which the gyroscopic coupling does not resist
+COUNTEREXAMPLE = ((0.5, -0.5, 0.0), (-0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
+CRITERION = (
+    "With a = 1/I, M* = m e_i and (i, j, k) cyclic, the transverse linearisation has tr = −(d_jj + d_kk) and "
+    "det = d_jj d_kk − d_jk² + m (a_j − a_k) d_jk + m² (a_i − a_j)(a_i − a_k): a saddle if det < 0, "
+    "asymptotically stable across the axis if det > 0 and D ≠ 0. The eigenvalue along the axis is always 0, "
+    "because the whole axis consists of equilibria"
+)
+
+
+def diagonal_cases(axes: Sequence[int], cases: int, seed: int) -> list[tuple[np.ndarray, Any, np.ndarray]]:
+    """(D, inertia, M*) with D diagonal, both transverse rates > 0."""
+    rng, found = np.random.default_rng(seed), []
+    for number in range(cases):
+        axis = axes[number % len(axes)]
+        rates = rng.uniform(0.05, 1.0, 3)
+        rates[axis] = 0.0
+        found.append((np.diag(rates), random_inertia(rng), rng.uniform(0.2, 2.0) * np.eye(3)[axis]))
+    return found
+
+
+def spectra_of(cases: Sequence[tuple[np.ndarray, Any, np.ndarray]]) -> np.ndarray:
+    """Real parts of the full spectra, ascending; (k, 3)."""
+    return np.sort(
+        spectra([body(D, inertia) for D, inertia, _ in cases], [M for *_, M in cases]).real, axis=1
+    )
+
+
+@claim(
+    "C19",
+    "§4.6.1, Stability Theorem, item 1",
+    "A rotation about an extreme axis in ker D is linearly asymptotically stable.",
+    kind=Correction.replaces,
+    correction="Not for every symmetric D ≥ 0. With I = (1, 2, 3) and D = ½ [[1, −1, 0], [−1, 1, 0], [0, 0, 0]] "
+    "the rotation M* = e₃ in ker D is a saddle with growth rate +0.1236; started beside it, M ends in the "
+    f"opposite rotation, M₃ = −0.679, which is stable. {CRITERION}. For diagonal D and an extreme axis "
+    "det > 0: there the theorem is true, transversally.",
+    scene="anisotropic body, an extreme axis in ker D",
+    method=DOP853,
+)
+def extreme_axes(
+    seed: int = 4,
+    cases: int = CASES,
+    integrated: int = 8,
+    D: Any = COUNTEREXAMPLE,
+    M: Sequence[float] = (0.0, 0.0, 1.0),
+    inertia: Sequence[float] = INERTIA,
+) -> Evidence:
+    """D, M, inertia : the counterexample; M on a principal axis with D M = 0."""
+    axis = int(np.argmax(np.abs(M)))
+    off = 1e-6 * np.ones(3)
+    off[axis] = 0.0
+    rate = growth(D, M, inertia)
+    t = 50 / max(rate, 0.01)
+    end = settled(D, np.asarray(M) + off, t, inertia)
+    values = spectra_of(diagonal_cases((0, 2), cases // 3, seed))
+    undamped = spectra_of(
+        [(0 * D_, I_, M_) for D_, I_, M_ in diagonal_cases((0, 2), cases // 3, seed)]
+    )  # one D = 0 for each
+    return Evidence(
+        [
+            at_most(
+                "growth rate at M* = e₃, D = ½ [[1, −1, 0], [−1, 1, 0], [0, 0, 0]], I = (1, 2, 3)",
+                rate,
+                -SPECTRUM,
+                SPECTRUM_WHY,
+            ),
+        ],
+        [
+            *judged((0, 2), seed, cases, integrated),
+            at_most(
+                f"M₃/M₃* at t = {t:.0f}, started 10⁻⁶ from that M*",
+                end[axis] / M[axis],
+                0.0,
+                "the motion has left M* for the other half of the axis",
+            ),
+            at_most(
+                "transverse momentum there",
+                np.linalg.norm(np.delete(end, axis)),
+                1e-9,
+                "10³ times the tolerance 10⁻¹² of the solver",
+            ),
+            at_most(
+                "growth rate at the rotation it ends in",
+                growth(D, end * (np.arange(3) == axis), inertia),
+                -SPECTRUM,
+                SPECTRUM_WHY,
+            ),
+            at_most(
+                "largest transverse growth rate of random diagonal D",
+                values[:, :2].max(),
+                -SPECTRUM,
+                SPECTRUM_WHY,
+            ),
+            at_most(
+                "|real part| of the eigenvalue along the axis there",
+                np.abs(values[:, 2]).max(),
+                SPECTRUM,
+                SPECTRUM_WHY,
+            ),
+            at_most("max |real part| at D = 0", np.abs(undamped).max(), SPECTRUM, SPECTRUM_WHY),
+        ],
+    )
+
+
+#: full transverse blocks (d₃₃, d₁₁, d₃₁) at e₂ that the product d₁₁ d₃₃ alone would misjudge
+SADDLE, CALM = (0.5, 0.5, 0.5), (0.2, 0.29, -0.2)
+
+
+def about_axis_2(d3: float, d1: float, d13: float) -> np.ndarray:
+    """D with e₂ in its kernel."""
+    return np.array([[d1, 0.0, d13], [0.0, 0.0, 0.0], [d13, 0.0, d3]])
+
+
+@claim(
+    "C20",
+    "§4.6.1, Stability Theorem, item 2",
+    "A rotation about the intermediate axis in ker D is always a saddle.",
+    kind=Correction.replaces,
+    correction=f"Enough damping stabilises it. {CRITERION}. For diagonal D and I₁ < I₂ < I₃ it is stable if d₁d₃ > "
+    "|M*|² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂): with I = (1, 2, 3), |M*| = 1, D = diag(d, 0, d) the border is "
+    "d² = 1/12. Off the diagonal the product d₁d₃ does not decide: there d₁ = d₃ = d₁₃ = ½ is a saddle "
+    "although d₁d₃ > 1/12, and d₁ = 0.29, d₃ = 0.2, d₁₃ = −0.2 is stable although d₁d₃ < 1/12.",
+    scene="anisotropic body, the intermediate axis in ker D",
+    method=DOP853,
+    figures=("paper_stability",),
+)
+def intermediate_axis(
+    seed: int = 5,
+    cases: int = CASES,
+    integrated: int = 8,
+    inertia: Sequence[float] = INERTIA,
+    size: float = 1.0,
+) -> Evidence:
+    """inertia, in ascending order, size = |M*| : of the rotation damped by diag(d, 0, d)."""
+    M = size * np.eye(3)[1]
+    a = 1 / np.asarray(inertia)
+    coupling = size**2 * (a[1] - a[2]) * (a[0] - a[1])
+
+    def rate(square: float) -> float:
+        return growth(about_axis_2(np.sqrt(square), np.sqrt(square), 0.0), M, inertia)
+
+    edge = brentq(rate, coupling / 10, 10 * coupling, xtol=1e-15)
+    one = np.eye(3)[1]
+    return Evidence(
+        [
+            at_least(
+                "growth rate, D = diag(d, 0, d) with d² three times the border",
+                rate(3 * coupling),
+                SPECTRUM,
+                SPECTRUM_WHY,
+            )
+        ],
+        [
+            *judged((1,), seed, cases, integrated),
+            at_most(
+                "|d² / (|M*|² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂)) − 1| at the border for D = diag(d, 0, d)",
+                abs(edge / coupling - 1),
+                1e-10,
+                "round-off of the eigenvalues, over their slope",
+            ),
+            at_least(
+                "growth rate at d₁ = d₃ = d₁₃ = ½, I = (1, 2, 3), |M*| = 1",
+                growth(about_axis_2(*SADDLE), one),
+                SPECTRUM,
+                SPECTRUM_WHY,
+            ),
+            at_most(
+                "growth rate at d₁ = 0.29, d₃ = 0.2, d₁₃ = −0.2",
+                growth(about_axis_2(*CALM), one),
+                -SPECTRUM,
+                SPECTRUM_WHY,
+            ),
+        ],
+    )
+
+
+@claim(
+    "C21",
+    "§4.6.1, Stability Theorem, item 3",
+    "If M* is not in ker D there is no steady rotation and all trajectories decay to the origin.",
+    kind=Correction.replaces,
+    correction="DM* = 0 is a premise of the theorem, so item 3 is read for a direction M* (or a start M(0)) off "
+    "ker D. Then M* itself is no equilibrium, but a trajectory may still settle on another axis in ker D: with "
+    "D = diag(0, 1, 1) it ends in a steady rotation about axis 1. All trajectories decay to the origin if ker D "
+    "contains no principal axis, and where ker D ≠ 0 then only as t^{−1/2}.",
+    scene="anisotropic body, D = diag(0, 1, 1); full D with axis 1 in the kernel; D with kernel (1, 2, 0)",
+    method=COARSER,
+)
+def decay_to_the_origin(
+    seed: int = SEED, rates: Sequence[float] = (1.0, 1.0), kernel: Sequence[float] = (1.0, 2.0, 0.0)
+) -> Evidence:
+    """rates : about axes 2 and 3.  kernel : a direction that is no principal axis."""
+    scene = body((0.0, *rates))
+    end = 80.0 / min(rates)
+    left = settled(scene.damping, scene.M, end) / np.linalg.norm(scene.M)
+    rng = np.random.default_rng(seed)
+    full = random_damping(rng, 2, 0) + np.diag([0.0, 0.5, 0.5])
+    start = rng.normal(size=3)
+    other = settled(full, start, 80.0) / np.linalg.norm(start)
+    u = np.asarray(kernel) / np.linalg.norm(kernel)
+    tilted = body(np.eye(3) - np.outer(u, u))
+    sizes = np.linalg.norm(
+        solve(tilted, "scipy-dop853", rtol=1e-9, save_at=[80.0, 8000.0], carry=()).y, axis=1
+    )
+    gone = 1e-9, "10³ times the tolerance 10⁻¹² of the solver"
+    return Evidence(
+        [
+            at_most(
+                "‖M(t)‖/‖M(0)‖ after 80 damping times, D = diag(0, 1, 1), D M(0) ≠ 0",
+                np.linalg.norm(left),
+                1e-2,
+                "what decays at the damping rates is gone",
+            )
+        ],
+        [
+            at_least("|M₁|/‖M(0)‖ then", abs(left[0]), 1e-2, "far above what a decaying component leaves"),
+            at_most("what is left across axis 1", np.hypot(left[1], left[2]), *gone),
+            at_least(
+                "|M₁(80)|/‖M(0)‖, a random full D with D e₁ = 0 and a random start",
+                abs(other[0]),
+                1e-2,
+                "far above what a decaying component leaves",
+            ),
+            at_most("what is left across axis 1 there", np.hypot(other[1], other[2]), *gone),
+            at_most(
+                "‖M(8000)‖/‖M(80)‖ where ker D holds no principal axis",
+                sizes[1] / sizes[0],
+                0.15,
+                "along ker D ‖M‖' = −c‖M‖³, hence t^{−1/2}: 0.1, and half as much again for the transient",
+            ),
+        ],
+    )
+
+
+@claim(
+    "C22",
+    "§4.3, Figure 4, and §4.6.1, Figure 5",
+    "With isotropic damping the equilibria lie on all principal axes of the momentum sphere, the outer two "
+    "stable, the middle one unstable.",
+    kind=Correction.repairs,
+    correction="With γ > 0 the only equilibrium is M = 0. The axes are relative equilibria: the direction "
+    "M/‖M‖ stays while ‖M‖ decays as e^{−γt}. In the damped time τ = (1 − e^{−γt})/γ directions "
+    "near axes 1 and 3 turn about them, near axis 2 they leave (until τ runs out at 1/γ). They "
+    "do not migrate to a stable axis, contrary to the caption of Figure 4: H0/‖M‖² is constant, so "
+    "the direction stays on the polhode of the free body.",
+    scene=BODY,
+    figures=("paper_4", "paper_5"),
+)
+def relative_equilibria(gamma: float = 0.1, inertia: Sequence[float] = INERTIA) -> Evidence:
+    """inertia : in ascending order."""
+    scene = SCENES[BODY].with_(gamma=gamma, inertia=tuple(inertia))
+    rate = momentum_rate(scene)
+    axes = [s * e for e in np.eye(3) for s in (1.0, -1.0)]
+    rates = [np.asarray(rate(M)) for M in axes]
+    truth = reference(scene, np.linspace(0, scene.t_end, 201), ())
+    shape = scene.energy(truth.states()) / (truth.y**2).sum(axis=1)
+    turning = max(np.linalg.norm(np.cross(M, f)) for M, f in zip(axes, rates, strict=True))
+    of_direction = direction_growths(scene)
+    a = 1 / np.asarray(inertia)
+    free = np.sqrt((a[1] - a[2]) * (a[0] - a[1]))
+    return Evidence(
+        [
+            at_most(
+                "max ‖M'‖ at the six unit momenta on the axes",
+                max(np.linalg.norm(f) for f in rates),
+                ROUND_OFF,
+                ROUND_OFF_WHY,
+            )
+        ],
+        [
+            at_most("max ‖M × M'‖ there: the direction stays", turning, ROUND_OFF, ROUND_OFF_WHY),
+            at_most(
+                "growth rate of the direction near axes 1 and 3",
+                max(of_direction[0], of_direction[2]),
+                SPECTRUM,
+                SPECTRUM_WHY,
+            ),
+            at_least(
+                "growth rate of the direction near axis 2",
+                of_direction[1],
+                0.99 * free,
+                "√((1/I₂ − 1/I₃)(1/I₁ − 1/I₂)) at ‖M‖ = 1, Euler's equations, less one per cent",
+            ),
+            at_most(
+                "max |(H0/‖M‖²)(t)/(H0/‖M‖²)(0) − 1| along the true body",
+                np.abs(shape / shape[0] - 1).max(),
+                1e-13,
+                "the reference rounded to double precision",
+            ),
+        ],
+    )
+
+
+def direction_growths(scene: Any) -> np.ndarray:
+    """Growth rates of the direction M/‖M‖ across each axis of the isotropic body at ‖M‖ = 1; (3,).
+
+    ‖M‖ decays with γ, so γ is added to the growth rate of M across the axis.
+    """
+
+    matrices = [np.asarray(jax.jacfwd(momentum_rate(scene))(jnp.asarray(e))) for e in np.eye(3)]
+    transverse = [np.delete(np.delete(A, i, 0), i, 1) for i, A in enumerate(matrices)]
+    return np.array([np.linalg.eigvals(A).real.max() for A in transverse]) + scene.gamma

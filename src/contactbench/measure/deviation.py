@@ -1,0 +1,93 @@
+"""How far a decaying quantity is from where its law puts it, on the scale of what is left of it.
+
+The comparison stays finite when e^{−γt} underflows: a value whose true size is below the smallest normal
+number divided by the machine precision carries no relative information and must merely be as small.
+
+H, J and Φ*η are differences of larger terms: T, V and Γ; the products of q and p; ∂s and p·∂q.  Strong
+damping makes the terms cancel to e^{−γt} of their size, below any round-off, and an unstable motion makes
+the derivatives grow.  A deviation is therefore measured against the true size of the quantity, but not
+against less than `ATTAINABLE` of the terms it is the difference of: round-off of the terms stays round-off.
+Where that happens the entry is called clamped.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+#: below this a float64 has lost relative precision to gradual underflow
+MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
+#: part of the cancelling terms below which a quantity is not resolved: round-off of a few ε stays below 10⁻¹²
+ATTAINABLE = 1e-3
+
+
+class Deviation(NamedTuple):
+    """Deviations from a law at the saved times, each of shape (k,).
+
+    uncertainty : error bars, None where the deviation is computed to round-off.
+    clamped : where it was taken against a thousandth of the terms instead of the true size of the
+    quantity, None where the law has no such limit.
+    """
+
+    size: np.ndarray
+    uncertainty: np.ndarray | None = None
+    clamped: np.ndarray | None = None
+
+
+def scaled(values: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
+    """values · e^{γt}, in two halves so that neither factor overflows before the product would."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
+        half = half[..., None] if values.ndim > half.ndim else half
+        return values * half * half
+
+
+def log_true_size(start: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
+    """log(e^{−γt} ‖start‖); of e^{−γt} where the start is zero."""
+    norm = xp.linalg.norm(start, axis=-1)
+    return xp.log(xp.where(norm > 0, norm, 1.0)) - gamma * t
+
+
+def clamped(start: Any, t: Any, gamma: Any, terms: Any, xp: Any = np) -> Any:
+    """Where `conformal_deviation` is taken against `ATTAINABLE` of the terms."""
+    with np.errstate(divide="ignore"):
+        return xp.log(ATTAINABLE * terms) > log_true_size(start, t, gamma, xp)
+
+
+def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any = 0.0, xp: Any = np) -> Any:
+    """‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time.
+
+    values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are.
+    Where the denominator is below the meaningful range, the deviation is how far the value exceeds that
+    range (0 when it has underflowed as it should).  For an ensemble k counts its members, and t, γ and
+    start may differ from one to the next.
+    """
+    norm = xp.linalg.norm(start, axis=-1)
+    norm = xp.where(norm > 0, norm, 1.0)
+    true_log = log_true_size(start, t, gamma, xp)
+    attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
+    unresolved = clamped(start, t, gamma, attainable / ATTAINABLE, xp)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        # where the true size rules, values are scaled up rather than the start down: it may underflow
+        against_true = xp.linalg.norm(scaled(values, t, gamma, xp) - start, axis=-1) / norm
+        true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
+        against_terms = xp.linalg.norm(values - true, axis=-1) / attainable
+        excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
+    meaningful = xp.where(unresolved, attainable > MEANINGFUL, true_log > math.log(MEANINGFUL))
+    return xp.where(meaningful, xp.where(unresolved, against_terms, against_true), excess)
+
+
+def relative(amounts: np.ndarray, start: np.ndarray, t: Any, gamma: Any, terms: np.ndarray) -> np.ndarray:
+    """Amounts (k,) over the denominator of `conformal_deviation`, taken no smaller than is meaningful."""
+    with np.errstate(divide="ignore", over="ignore"):
+        floor = np.log(np.maximum(ATTAINABLE * terms, MEANINGFUL))
+        return np.exp(np.log(amounts) - np.maximum(log_true_size(start, t, gamma), floor))
+
+
+def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """|numerical/exact − 1| where the exact value is meaningful, the excess over that range where not."""
+    meaningful = np.abs(exact) > MEANINGFUL
+    ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
+    return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))

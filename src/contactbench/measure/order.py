@@ -1,0 +1,107 @@
+"""The order of convergence from errors at a ladder of step sizes.
+
+e(h) = C h^p (1 + a h^k + …), k = 1 in general and 2 for a symmetric method.  The slope of log e against
+log h between neighbours then is p + a k m + … with m = (h₁^k − h₀^k) / (k log(h₁/h₀)), the logarithmic
+mean of the two h^k: it runs towards p and is off by a power of h.  A line fitted through all points
+averages that error and calls it scatter.  Here two neighbouring slopes are extrapolated to m = 0
+(Richardson), exactly so for any two powers, whether or not the steps form a geometric ladder.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+#: an order rests on so many neighbouring points: three slopes, two extrapolations of each power
+WINDOW = 4
+#: powers of h in which the slope may run towards the order
+POWERS = (1, 2)
+#: slopes further than this from the order they extrapolate to are not asymptotic
+ASYMPTOTIC = 0.5
+#: an order less certain than this is none
+USELESS = 0.5
+#: round-off of an error, as a part of the floor below which it is nothing else
+ROUND_OFF = 0.03
+#: several differences of successive extrapolations estimate the error of the last; none bounds it
+SAFETY, UNCHECKED = 3.0, 9.0
+
+
+@dataclass(frozen=True)
+class OrderFit:
+    """An extrapolated order of convergence.
+
+    order : the limit of the pairwise slopes as h → 0; nan where no window of points has one.
+    uncertainty : twice the spread of neighbouring extrapolations, plus what round-off can do to them.
+    last_slope : pairwise slope of the two finest points used.
+    used : mask of the points it rests on.  pairwise : slope between each point and the next larger
+    step, nan for the largest.
+    """
+
+    order: float
+    uncertainty: float
+    last_slope: float
+    used: np.ndarray
+    pairwise: np.ndarray
+
+
+def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
+    """Order of convergence from errors at different step sizes, in any order.
+
+    floor : errors at or below it are round-off, and every error is uncertain by a thirtieth of it.
+    Of all windows of four neighbouring points the one whose order is most certain is taken.
+    """
+    h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
+    order = np.argsort(h)
+    back = np.argsort(order)
+    h, e = h[order], e[order]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = np.diff(np.log(e)) / np.diff(np.log(h))
+    pairwise, used = np.append(slopes, math.nan), np.zeros(len(h), dtype=bool)
+    best = min(windows(h, e, slopes, floor), default=None)
+    if best is None:
+        return OrderFit(math.nan, math.nan, math.nan, used[back], pairwise[back])
+    uncertainty, first, limit = best
+    used[first : first + WINDOW] = True
+    return OrderFit(limit, uncertainty, float(slopes[first]), used[back], pairwise[back])
+
+
+def windows(
+    h: np.ndarray, e: np.ndarray, slopes: np.ndarray, floor: float
+) -> Iterator[tuple[float, int, float]]:
+    """(uncertainty, index of the finest point, order) of every window that has an order; h ascends."""
+    sound = np.isfinite(e) & (e > floor)
+    for i in range(len(h) - WINDOW + 1):
+        if not sound[i : i + WINDOW].all():
+            continue
+        more = WINDOW + int(sound[i : i + WINDOW + 1].sum() > WINDOW)  # the next point checks the trend
+        blur = ROUND_OFF * floor / e[i : i + WINDOW]
+        limit, uncertainty = extrapolated(h[i : i + more], slopes[i : i + more - 1], blur)
+        strays = np.abs(slopes[i : i + WINDOW - 1] - limit).max()
+        if uncertainty <= USELESS and strays <= ASYMPTOTIC:
+            yield uncertainty, i, limit
+
+
+def extrapolated(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
+    """The limit of three or four slopes, finest first, and its uncertainty; blur : relative errors of the errors.
+
+    The spread is the last difference of neighbouring limits, or what the one before it leads to expect
+    where that is more: it falls like h² at least.  The power is the one of the smaller spread.
+    """
+    spans = np.log(h[1:] / h[:-1])
+    noise = blur[1:3] + blur[:2]
+    candidates = []
+    for k in POWERS:
+        mean = (h[1:] ** k - h[:-1] ** k) / (k * spans)
+        weight = mean[:-1] / (mean[1:] - mean[:-1])  # limit = s₀ − weight (s₁ − s₀)
+        limits = slopes[:-1] - weight * (slopes[1:] - slopes[:-1])
+        ratios = (h[1 : len(limits)] / h[: len(limits) - 1]) ** 2
+        differences = np.abs(np.diff(limits)) * np.maximum(1.0, 1 / (ratios - 1))
+        differences *= (h[0] / h[: len(differences)]) ** 2
+        shaken = ((1 + weight[0]) * noise[0] + weight[0] * noise[1]) / spans[0]
+        candidates.append((differences.max(), limits[0], shaken))
+    spread, limit, shaken = min(candidates)
+    safety = SAFETY if len(slopes) == WINDOW else UNCHECKED
+    return float(limit), float(safety * spread + shaken)

@@ -1,0 +1,71 @@
+"""The derivative of any numerical map by central differences of the solver itself.
+
+The only thing asked of an engine is that it runs from another initial state.  Where a solver chooses its
+steps from the state, this is the derivative of the map its user gets, choice of steps included.
+
+Initial data are moved along the scene's tangents (the attitude of a body along the rotation group) by
+increments falling by `RATIO`, and every two neighbouring central differences D give one estimate without
+their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1).  Truncation makes the first of them differ,
+round-off over δ the last; and a choice of steps that jumps between the two sides makes a single one differ.
+Where neighbours agree best is therefore the value, and twice their disagreement the error bar.  Where even the
+last two disagree by a tenth of themselves, the map bends within the smallest increment and no value is given.
+
+Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9 (extrapolation); for the balance of
+truncation and round-off, Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from contactbench.scene import Scene, norm
+from contactbench.solution import Differential
+
+if TYPE_CHECKING:
+    from contactbench.methods.base import Outcome, Prepared
+
+RATIO = 4.0
+#: increments, in parts of the size of the field that is moved
+INCREMENTS = tuple(1e-3 / RATIO**k for k in range(6))
+#: disagreement of the last two estimates, relative to their size, beyond which nothing is resolved
+UNRESOLVED = 0.1
+#: no derivative where its runs would cost more right-hand sides than this
+BUDGET = 3_000_000
+
+
+def scale(x: object, v: object) -> float:
+    """The size of the field that v moves; 1 where that is zero."""
+    for field, part in zip(x, v, strict=True):  # type: ignore[call-overload]
+        moved = part if isinstance(part, tuple) else (part or 0.0,)
+        if any(moved):
+            return norm(field if isinstance(field, tuple) else (field,)) or 1.0
+    return 1.0
+
+
+def differences(run: Prepared, y0: np.ndarray, out: Outcome) -> Differential:
+    """dΦ at y0 by differences of `run.integrate`, `out` being its outcome there."""
+    scene: Scene = run.request.scene
+    x = scene.unpack(tuple(y0.tolist()), run.request.carry)
+    tangents = scene.tangents(x)
+    runs = 2 * len(tangents) * len(INCREMENTS)
+    counts = out.counts if out.counts.evaluations is not None else run.count(out.counts)
+    cost = runs * (counts.rhs_equivalents or 0.0)
+    none = np.empty((0, *out.y.shape, len(tangents)))
+    if cost > BUDGET:
+        why = f"not taken: {runs} runs would cost {cost:.1e} right-hand sides, more than {BUDGET:.0e}"
+        return Differential(why, out.y, none)
+
+    def end(v: object, amount: float) -> np.ndarray:
+        return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
+
+    plain = np.array([
+        [(end(v, d * scale(x, v)) - end(v, -d * scale(x, v))) / (2 * d * scale(x, v)) for v in tangents]
+        for d in INCREMENTS
+    ])  # fmt: skip
+    better = (RATIO**2 * plain[1:] - plain[:-1]) / (RATIO**2 - 1)
+    gap, size = (np.abs(values).max(axis=(1, 2)) for values in (better[-1] - better[-2], better[-1]))  # (m,)
+    if not np.all(gap < UNRESOLVED * size):
+        return Differential("not taken: differences of the solver do not converge", out.y, none)
+    return Differential(f"central differences of the solver, {runs} runs", out.y, np.moveaxis(better, 1, -1))

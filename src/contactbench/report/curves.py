@@ -1,0 +1,48 @@
+"""Curves of figures from frames: one per method, with what it is at each point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from contactbench.report.model import Axis, Curve, Span
+
+#: errors below this are drawn at it: round-off has no size on a logarithmic axis
+FLOOR = 5e-17
+
+
+def number_axis(label: str, inverted: bool = False) -> Axis:
+    """A logarithmic axis; a definition without the conditions after its semicolon is short enough for one."""
+    return Axis(label.partition(";")[0], "log", inverted)
+
+
+def round_off(axis: Literal["x", "y"], high: float = 1e-12) -> Span:
+    return Span(axis, FLOOR, high, "round-off")
+
+
+def floats(values: Iterable[Any]) -> tuple[float, ...]:
+    return tuple(float(v) for v in pd.to_numeric(pd.Series(list(values)), errors="coerce").astype(float))
+
+
+def hints(rows: pd.DataFrame) -> tuple[str, ...]:
+    """Setting and engine of each row."""
+    known = [name for name in ("setting", "engine") if name in rows]
+    return tuple(", ".join(str(v) for v in row) for row in rows[known].itertuples(index=False))
+
+
+def by_method(
+    rows: pd.DataFrame, x: str, y: str, apart: tuple[str, ...] = (), scale: float = 1.0, **options: Any
+) -> tuple[Curve, ...]:
+    """A curve for each method, and for each value of the columns `apart`; y in units of 1/scale."""
+    keys = ["method", *apart]
+    curves = []
+    rows = rows[[name for name in dict.fromkeys([*keys, x, y, "setting", "engine"]) if name in rows]]
+    for names, line in rows.groupby(keys, sort=False, dropna=False):
+        method = str(names[0])
+        values = np.array(floats(line[y])) * scale
+        values = np.where(values <= 0, FLOOR, np.maximum(values, FLOOR))  # nan stays nan
+        curves.append(Curve(floats(line[x]), tuple(values), method, method, hints=hints(line), **options))
+    return tuple(curves)

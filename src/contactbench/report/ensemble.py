@@ -1,0 +1,249 @@
+"""Ensembles: throughput beside C loops, at equal error, with the number of trajectories and of cores."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from contactbench.report.contest import COMPILED, DASHES, LIMIT, TARGETS, Cost, costs, error_heads, said
+from contactbench.report.curves import by_method, floats, number_axis
+from contactbench.report.model import (
+    ROOMS,
+    Axis,
+    Cell,
+    Curve,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Panel,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    marks,
+    number,
+    word,
+)  # fmt: skip
+from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.report.raw import raw
+from contactbench.results.statistics import TIE, noise
+from contactbench.results.tables import ENSEMBLE_TABLE
+
+SOURCE = "ensemble.csv"
+#: how the trajectories of a run share their work; the column `variant`
+SHAPES = {
+    "vmap": "every trajectory has its own steps",
+    "shared": "those of a tile share their steps",
+    "batch": "a vector register of trajectories",
+    "passes": "every flow a loop over all trajectories",
+    "plain": "drift and kick in one loop",
+    "tiled": "all steps of some trajectories before the next",
+}
+
+
+def timed(frame: pd.DataFrame) -> pd.DataFrame:
+    """The rows that ended ok, with the time of a trajectory and of one evaluation of it."""
+    ok = frame[frame["status"] == "ok"]
+    ok = ok.assign(trajectories=ok["trajectories"].astype(float), evaluations=ok["evaluations"].astype(float))
+    ok = ok.assign(each=ok["time_median_s"] / ok["trajectories"])
+    return ok.assign(stage=ok["each"] / ok["evaluations"], rate=1 / ok["each"])
+
+
+def asked(frame: pd.DataFrame, question: str) -> pd.DataFrame:
+    return frame[frame["question"] == question]
+
+
+def arithmetic_view(frame: pd.DataFrame) -> View | None:
+    """Every method beside each shape of the C loop of the same method, same step."""
+    frame = asked(frame, "arithmetic")
+    frame = frame.assign(stage=frame["time_min_s"] / frame["trajectories"] / frame["evaluations"])
+    loops = frame[frame["family"] == LIMIT]
+    kernels = loops["variant"].str.partition(" ")
+    shapes = list(dict.fromkeys(kernels[2])) if len(loops) else []
+    rows = []
+    for _, own in frame[frame["family"] != LIMIT].iterrows():
+        cells = [
+            word(own["method"]),
+            word(own["engine"]),
+            word(own["setting"]),
+            number(own["stage"], duration),
+        ]
+        for shape in shapes:
+            same = (kernels[0] == own["method"]) & (kernels[2] == shape) & (loops["value"] == own["value"])
+            stage = loops[same]["stage"]
+            cells.append(number(stage.iloc[0] if len(stage) else None, duration))
+            cells.append(number(own["stage"] / stage.iloc[0] if len(stage) else None, times))
+        rows.append(tuple(cells))
+    if not rows:
+        return None
+    heads = [*(Head(label, words=True) for label in ("method", "engine", "setting")), Head("per gradient")]
+    for shape in shapes:
+        heads += [
+            Head("time", SHAPES.get(shape, ""), group=f"C loop, {shape}"),
+            Head("ratio", group=f"C loop, {shape}"),
+        ]
+    spoken = "; ".join(f"`{shape}`: {SHAPES[shape]}" for shape in shapes if shape in SHAPES)
+    meaning = (
+        f"Fastest round on one core, time per gradient and trajectory, the same steps. {spoken}. A "
+        "ratio below one: faster "
+        "than the loop."
+    )
+    return View(
+        "ensemble_arithmetic", "The same arithmetic as C loops", meaning, tuple(heads), tuple(rows), SOURCE
+    )
+
+
+def error_view(frame: pd.DataFrame) -> View | None:
+    """Time per trajectory at equal error on one core, one row for each way to run a method."""
+    part = asked(frame, "error")
+    if not len(part):
+        return None
+    tie = max(TIE, noise(part))
+    found: dict[tuple[str, str, str], list[Cost]] = {}
+    for key, rows in part.groupby(["method", "engine", "variant"], sort=False):
+        found[key] = costs(rows, "each", TARGETS)
+    least = [
+        min((c[i].value for c in found.values() if c[i].reached), default=0.0) for i in range(len(TARGETS))
+    ]
+    first = [
+        [k for k, c in found.items() if c[i].reached and c[i].value <= tie * least[i]]
+        for i in range(len(TARGETS))
+    ]
+    lines = []
+    for key, own in found.items():
+        cells = []
+        for i, cost in enumerate(own):
+            mark = (Mark.best if len(first[i]) == 1 else Mark.tie) if key in first[i] else None
+            cells.append(Cell(cost.text(duration), cost.value if cost.reached else None, marks(mark)))
+        lines.append((*map(word, key), *cells))
+    heads = (*(Head(label, words=True) for label in ("method", "engine", "shape")), *error_heads())
+    spoken = "; ".join(f"`{v}`: {SHAPES[v]}" for v in dict.fromkeys(part["variant"]) if v in SHAPES)
+    meaning = f"Time per trajectory on one core. {spoken}. {said(tie)} {DASHES}"
+    return View("ensemble_error", "A trajectory at equal error", meaning, heads, tuple(lines), SOURCE)
+
+
+def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View | None:
+    """Throughput against the number of something, and relative to the smallest number."""
+    part = asked(frame, question).sort_values(by, kind="stable")
+    rows = []
+    for (method, engine, setting), line in part.groupby(["method", "engine", "setting"], sort=False):
+        for _, row in line.iterrows():
+            rows.append((
+                word(method), word(engine), word(setting), number(row[by], count), number(row["rate"], "{:.3g}".format),
+                number(1 / row["stage"], "{:.3g}".format), number(row["rate"] / line["rate"].iloc[0], times),
+            ))  # fmt: skip
+    if not rows:
+        return None
+    heads = (
+        *(Head(label, words=True) for label in ("method", "engine", "setting")), Head(by), Head("trajectories/s"),
+        Head("gradients/s"), Head("relative", f"to the smallest number of {by}"),
+    )  # fmt: skip
+    return View(f"ensemble_{question}", title, "Median of the whole call.", heads, tuple(rows), SOURCE)
+
+
+def figure(frame: pd.DataFrame) -> Figure | None:
+    """Time per trajectory against error; throughput against trajectories and against cores."""
+    panels = []
+    own = frame[frame["family"] != LIMIT]
+    part = asked(own, "error")
+    if len(part):
+        curves = [
+            Curve(c.x, c.y, c.label, c.method, dashed=str(variant) == "vmap", hints=c.hints)
+            for variant, rows in part.groupby("variant", sort=False)
+            for c in by_method(rows, "solution_error", "each", ("engine",), 1e6)
+        ]
+        panels.append(
+            Panel("one core (dashed: every trajectory its own steps)", number_axis("solution error", True),
+                  number_axis("time per trajectory, µs"), tuple(curves))
+        )  # fmt: skip
+    for question, by in (("size", "trajectories"), ("cores", "cores")):
+        part = asked(own, question).sort_values(by, kind="stable")
+        part = part.assign(gradients=part["evaluations"] * part["rate"])
+        if not len(part):
+            continue
+        curves = list(by_method(part, by, "gradients"))
+        if question == "cores":
+            for _, line in part.groupby("method", sort=False):
+                number_of = line["cores"].astype(float)
+                ideal = number_of * line["gradients"].iloc[0] / number_of.iloc[0]
+                curves.append(
+                    Curve(
+                        floats(number_of),
+                        floats(ideal),
+                        "proportional",
+                        role="reference",
+                        markers=False,
+                        dashed=True,
+                    )
+                )
+        axis = Axis(by, "log" if question == "size" else "linear")
+        panels.append(
+            Panel(
+                f"number of {by}",
+                axis,
+                Axis("gradients × trajectories per second", limits=(0, None)),
+                tuple(curves),
+            )
+        )
+    return Figure("ensemble", "Ensembles of the particle", tuple(panels), source=SOURCE) if panels else None
+
+
+def findings(frames: Frames) -> list[Finding]:
+    frame = timed(frames["ensemble"])
+    part = asked(frame, "error")
+    part = part[(part["family"] != LIMIT) & COMPILED.engines(part["engine"])]
+    if not len(part):
+        return []
+    tie = max(TIE, noise(part))
+    found = {
+        key: costs(rows, "each", TARGETS) for key, rows in part.groupby(["method", "variant"], sort=False)
+    }
+    leaders = []
+    for i, target in enumerate(TARGETS):
+        reached = sorted((c[i].value, f"{m} {v}".strip()) for (m, v), c in found.items() if c[i].reached)
+        if reached:
+            first = [name for value, name in reached if value <= tie * reached[0][0]]
+            leaders.append(
+                f"{power(target)} {'tie: ' if len(first) > 1 else ''}{names(first)} {duration(reached[0][0])}"
+            )
+    sentence = f"Least time per trajectory at equal error: {'; '.join(leaders)}."
+    covers = f"{part['method'].nunique()} methods, one core, {count(part['trajectories'].max())} trajectories"
+    return [Finding("ensembles", "Ensembles", sentence, covers)] if leaders else []
+
+
+def sections(frames: Frames) -> list[Part]:
+    frame = timed(frames["ensemble"])
+    views = (
+        arithmetic_view(frame),
+        error_view(frame),
+        growth_view(frame, "size", "trajectories", "With the number of trajectories"),
+        growth_view(frame, "cores", "cores", "With the number of cores"),
+    )
+    drawn = figure(frame)
+    bad = frames["ensemble"][frames["ensemble"]["status"] != "ok"]
+    ends = tuple(f"{r['method']}, {r['setting']}: {r['status']}, {r['message']}" for _, r in bad.iterrows())
+    return [
+        Text(
+            "Many trajectories of a scene at once. Times are of the whole call, from initial to "
+            "final states on the host."
+        ),
+        *(view for view in views if view is not None),
+        *([drawn] if drawn else []),
+        *([Section("Runs that did not end ok", (Text(items=ends),))] if ends else []),
+        raw(ENSEMBLE_TABLE, frames["ensemble"]),
+    ]
+
+
+ROOMS.add(
+    Room(
+        "ensemble",
+        "Ensembles",
+        "throughput of many trajectories at once",
+        60,
+        ("ensemble",),
+        sections,
+        findings,
+    )
+)

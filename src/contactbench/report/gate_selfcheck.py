@@ -1,0 +1,85 @@
+"""How far the regression gate can be trusted: its false-alarm rate and its sensitivity."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from contactbench.report.model import (
+    ROOMS,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Part,
+    Room,
+    Text,
+    View,
+    number,
+    word,
+)  # fmt: skip
+from contactbench.report.numbers import count, duration, upper
+
+ABOUT = (
+    "The gate compares a version of the code with the one before: its errors, counts and structure with the committed "
+    "tables, its speed with the older revision, in turns. Here it judged identical code, which "
+    "should never be red, and "
+    "code with faults planted in it, which always should. Loaded: with a busy loop on all cores but "
+    "one. A fault counts "
+    "as found when a red line names the method and the measure."
+)
+
+
+def rates(frame: pd.DataFrame) -> tuple[int, int, int, int]:
+    """False alarms, judgements of identical code, faults found, faults planted."""
+    same = frame["wanted"] == "none"
+    alarms, faults = frame[same], frame[~same]
+    return tuple(
+        int(v) for v in (alarms["red"].sum(), alarms["runs"].sum(), faults["red"].sum(), faults["runs"].sum())
+    )  # type: ignore[return-value]
+
+
+def part_view(frame: pd.DataFrame, part: str) -> View:
+    mine = frame[frame["part"] == part].sort_values("wanted", key=lambda w: w != "none", kind="stable")
+    alarms, judged, found, planted = rates(mine)
+    rows = []
+    for _, r in mine.iterrows():
+        good = r["red"] == 0 if r["wanted"] == "none" else r["red"] == r["runs"]
+        rows.append((
+            word(r["planted"]), word(r["condition"]), word(r["wanted"]), number(r["runs"], count),
+            number(r["red"], count, None if good else Mark.exception), number(r["seconds"], duration),
+            word(r["example"]),
+        ))  # fmt: skip
+    heads = (
+        *(Head(label, words=True) for label in ("planted", "condition", "wanted red")), Head("judged"), Head("red"),
+        Head("a run took"), Head("for example", words=True),
+    )  # fmt: skip
+    meaning = f"**{alarms} false alarms in {judged} judgements; {found} of {planted} planted faults found.**"
+    return View(f"gate_{part}", upper(part), meaning, heads, tuple(rows), "gate_selfcheck.csv")
+
+
+def findings(frames: Frames) -> list[Finding]:
+    frame = frames["gate_selfcheck"]
+    if not len(frame):
+        return []
+    alarms, judged, found, planted = rates(frame)
+    sentence = (
+        f"{alarms} false alarms in {judged} judgements of identical code; {found} of {planted} "
+        "planted faults found."
+    )
+    missed = frame[(frame["wanted"] != "none") & (frame["red"] < frame["runs"])]
+    exceptions = tuple(
+        f"{r['part']}, {r['planted']} ({r['condition']}): {r['red']} of {r['runs']} found"
+        for _, r in missed.iterrows()
+    )
+    return [Finding("gate", "The regression gate", sentence, f"{len(frame)} conditions", exceptions)]
+
+
+def sections(frames: Frames) -> list[Part]:
+    frame = frames["gate_selfcheck"]
+    return [Text(ABOUT), *(part_view(frame, part) for part in dict.fromkeys(frame["part"]))]
+
+
+ROOMS.add(
+    Room("gate_selfcheck", "The regression gate, checked", "its false-alarm rate and its sensitivity", 80,
+         ("gate_selfcheck",), sections, findings)
+)  # fmt: skip

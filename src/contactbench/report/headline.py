@@ -1,0 +1,138 @@
+"""The headline: results/README.md and the computed part of the project's README.
+
+What was asked for stands first: the order and the decay laws of every method at equal cost.  Then the
+computed sentences of all rooms, and who is cheapest where.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pandas as pd
+
+from contactbench.report import laws, stability, work_precision
+from contactbench.report.contest import (
+    COMPILED,
+    EVALUATIONS,
+    KINDS,
+    TARGETS,
+    Field,
+    duel_view,
+    losses_view,
+    reasons,
+    winners_view,
+)
+from contactbench.report.model import (
+    ROOMS,
+    Finding,
+    Frames,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    rooms,
+    spoken,
+)  # fmt: skip
+
+UNITS = "All quantities are dimensionless, as in the paper; times are of the machine that results/README.md names."
+SOURCES = "work_precision.csv, stability.csv"
+#: scenes whose costs stand in the project's README
+DUELS = ("particle_long", "rigid_body")
+#: the scene whose figure stands here
+DRAWN = "particle"
+
+
+def all_findings(frames: Frames) -> list[Finding]:
+    """The sentences of every room, in their order."""
+    return [finding for room in rooms(frames) if room.name != "headline" for finding in room.findings(frames)]
+
+
+def documents(frames: Frames) -> Text:
+    """The list of documents."""
+    others = [room for room in rooms(frames) if room.name != "headline"]
+    lines = (
+        f"[{room.file}]({room.file}): {room.about} ({', '.join(f'`{t}.csv`' for t in room.tables if len(frames[t]))})"
+        for room in others
+    )
+    return Text(
+        items=(*lines, "[glossary.md](glossary.md): the methods, the scenes and every column of the tables")
+    )
+
+
+def glance(frames: Frames) -> tuple[View, ...]:
+    """The table that stands first."""
+    view = laws.overview(frames)
+    return () if view is None else (view,)
+
+
+def excerpt(frames: Frames) -> list[Part]:
+    """What the project's README says of the results."""
+    work = frames["work_precision"]
+    parts: list[Part] = [*glance(frames), Text(UNITS), spoken(all_findings(frames))]
+    for kind in (EVALUATIONS, COMPILED):
+        field = Field(work, kind) if len(work) else None
+        views = [
+            duel_view(field, scene, work_precision.SOURCE, TARGETS)
+            for scene in DUELS if field is not None and scene in field.contested
+        ]  # fmt: skip
+        parts += [replace(view, meaning="") if n else view for n, view in enumerate(views)]
+    return parts
+
+
+def fields(frames: Frames) -> list[Field]:
+    """All contests: evaluations on every scene of either table, times on those that were timed."""
+    work, hard = frames["work_precision"], frames["stability"]
+    both = [frame for frame in (work, hard) if len(frame)]
+    found = [Field(pd.concat(both, ignore_index=True), EVALUATIONS)] if both else []
+    return found + [Field(work, kind) for kind in KINDS if kind.timed and len(work)]
+
+
+def sections(frames: Frames) -> list[Part]:
+    contests, rates = fields(frames), frames["damping_rates"]
+    winners: list[Part] = [
+        winners_view(f, f"winners_{f.kind.name}", f.kind.title, SOURCES, stability.problem) for f in contests
+    ]
+    if len(rates):
+        winners.append(stability.rates_view(rates))
+    parts: list[Part] = [
+        documents(frames),
+        Text(
+            f"Every number is computed from the CSV files beside this page by `contactbench report`. {UNITS}"
+        ),
+        *glance(frames),
+        Section("What was found", (spoken(all_findings(frames)),)),
+    ]
+    if contests:
+        parts.append(Section("Which integrator for which problem", tuple(winners)))
+        lost = losses_view(contests, "losses", SOURCES)
+        parts.append(
+            Section(lost.title, (Text(items=reasons(contests)), replace(lost, title="Where and by how much")))
+        )
+    drawn = work_precision.figure(frames["work_precision"], DRAWN) if len(frames["work_precision"]) else None
+    return [*parts, drawn] if drawn else parts
+
+
+def machines(runs: Sequence[Mapping[str, Any]]) -> Section:
+    """Where the tables were made."""
+    items = []
+    for run in runs:
+        packages = ", ".join(f"{k} {v}" for k, v in run.get("packages", {}).items() if k != "contactbench")
+        commit = str(run.get("commit", ""))[:12] or "unknown"
+        items.append(
+            f"run `{run['run']}`: profile {run.get('profile', '')}, {run.get('cpu', '')}, "
+            f"{run.get('cores', '')} cores, Python "
+            f"{run.get('python', '')}, commit `{commit}`{' with local changes' if run.get('dirty') else ''}; {packages}"
+        )
+    return Section("Where this was measured", (Text(items=tuple(items)),))
+
+
+ROOMS.add(
+    Room(
+        "headline", "Results", "what was found", 0,
+        ("laws", "decay_laws", "work_precision", "convergence", "stability", "damping_rates"), sections,
+        document="README.md",
+    )
+)  # fmt: skip

@@ -1,0 +1,202 @@
+"""Cost at equal error, scene by scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pandas as pd
+
+from contactbench.report.contest import (
+    KINDS,
+    LIMIT,
+    Field,
+    contestants,
+    costs_view,
+    duel_view,
+    standing,
+)  # fmt: skip
+from contactbench.report.curves import by_method, number_axis
+from contactbench.report.model import (
+    ROOMS,
+    Cell,
+    Figure,
+    Finding,
+    Frames,
+    Head,
+    Mark,
+    Panel,
+    Part,
+    Room,
+    Section,
+    Text,
+    View,
+    marks,
+    number,
+    word,
+)  # fmt: skip
+from contactbench.report.numbers import count, duration, scientific, times
+from contactbench.report.raw import raw
+from contactbench.results.statistics import TIE, noise
+from contactbench.results.tables import WORK_PRECISION
+
+SOURCE = "work_precision.csv"
+CHOSEN = "chosen"
+ERROR = WORK_PRECISION.columns["solution_error"].meaning
+
+
+def findings(frames: Frames) -> list[Finding]:
+    found = []
+    for kind in KINDS:
+        if said := standing(Field(frames["work_precision"], kind)):
+            found.append(Finding(f"cost_{kind.name}", f"{kind.title}, at equal error", *said))
+    return found
+
+
+def endings_view(work: pd.DataFrame, scene: str) -> View | None:
+    """The runs of a scene that did not end ok; one row per method where it is unsupported."""
+    part = contestants(work)
+    part = part[(part["scene"] == scene) & (part["status"] != "ok")]
+    if not len(part):
+        return None
+    rows = []
+    for (method, status, message), runs in part.groupby(
+        ["method", "status", "message"], sort=False, dropna=False
+    ):
+        settings = "all" if status == "unsupported" else ", ".join(dict.fromkeys(runs["setting"]))
+        rows.append(
+            (
+                word(method),
+                word(", ".join(dict.fromkeys(runs["engine"]))),
+                word(settings),
+                word(status),
+                word(message),
+            )
+        )
+    heads = tuple(Head(label, words=True) for label in ("method", "engine", "setting", "status", "why"))
+    return View(f"endings_{scene}", f"Runs on {scene} that did not end ok", "", heads, tuple(rows), SOURCE)
+
+
+def figure(work: pd.DataFrame, scene: str) -> Figure | None:
+    """Cost against error for one scene, a panel for each kind of comparison."""
+    rows = contestants(work)
+    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
+    panels = []
+    for kind in KINDS:
+        part = rows[kind.engines(rows["engine"])]
+        if not kind.timed:  # the same counts on every engine: one curve
+            part = part.drop_duplicates(["method", "setting"])
+        part = part[part[kind.cost].notna()]
+        if len(part):
+            label = "median time per solve, ms" if kind.timed else "right-hand sides or equivalents"
+            curves = by_method(part, "solution_error", kind.cost, ("engine",), 1e3 if kind.timed else 1.0)
+            panels.append(Panel(kind.title, number_axis("solution error", True), number_axis(label), curves))
+    if not panels:
+        return None
+    caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
+    return Figure(
+        f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE
+    )
+
+
+def kernels_view(work: pd.DataFrame) -> View | None:
+    """Time per gradient of compiled fixed-step methods beside the same arithmetic as a plain C loop."""
+    ok = work[work["status"] == "ok"]
+    own = contestants(ok)
+    rows = []
+    for _, loop in ok[ok["family"] == LIMIT].iterrows():
+        same = own[
+            (own["scene"] == loop["scene"]) & (own["method"] == loop["variant"])
+            & (own["control"] == loop["control"]) & (own["value"] == loop["value"])
+        ]  # fmt: skip
+        for _, row in same[~same["engine"].isin(["python", "c+python"])].iterrows():
+            c, mine = (1e9 * r["time_min_s"] / r["evaluations"] for r in (loop, row))
+            rows.append((
+                word(row["scene"]), word(row["method"]), word(row["engine"]), word(row["setting"]),
+                number(loop["evaluations"], count), number(c, "{:.2f}".format), number(mine, "{:.2f}".format),
+                number(mine / c, times),
+            ))  # fmt: skip
+    if not rows:
+        return None
+    heads = (
+        *(Head(label, words=True) for label in ("scene", "method", "engine", "setting")), Head("gradients"),
+        Head("C loop, ns"), Head("whole call, ns"), Head("ratio"),
+    )  # fmt: skip
+    meaning = (
+        "Fastest round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
+        "included, beside the same arithmetic as a C loop compiled by the machine's own compiler."
+    )
+    return View("kernels", "Compiled kernels beside a C loop", meaning, heads, tuple(rows), SOURCE)
+
+
+def chosen_view(work: pd.DataFrame) -> View | None:
+    """What a tolerance asked of a fixed-step method gives, pilots included."""
+    part = work[(work["variant"] == CHOSEN) & (work["status"] == "ok")]
+    rows = []
+    for _, row in part.iterrows():
+        ratio = row["solution_error"] / row["value"]
+        mark = Mark.exception if ratio > 1 else None
+        rows.append((
+            word(row["scene"]), word(row["method"]), word(row["engine"]), number(row["value"],
+            lambda v: scientific(v, 0)),
+            number(row["solution_error"], scientific), Cell(times(ratio), ratio, marks(mark)),
+            number(row["steps"], count),
+            number(row["rhs_equivalents"], count), number(row["time_median_s"], duration),
+        ))  # fmt: skip
+    if not rows:
+        return None
+    heads = (
+        *(Head(label, words=True) for label in ("scene", "method", "engine")), Head("rtol"), Head("error"),
+        Head("error / rtol"), Head("steps"), Head("evaluations with pilots"), Head("time with pilots"),
+    )  # fmt: skip
+    meaning = (
+        "The step is chosen from pilot runs for the tolerance asked for. Marked: less accurate than asked."
+    )
+    return View("chosen", "A step chosen from a tolerance", meaning, heads, tuple(rows), SOURCE)
+
+
+def noise_text(work: pd.DataFrame) -> Text:
+    ratios = work["time_repeat_ratio"].dropna()
+    if not len(ratios):
+        return Text("No cell was timed twice in these tables: the noise of the times is not known.")
+    return Text(
+        f"Every timed cell is measured twice, at two places of a shuffled order: of {len(ratios)} such pairs 95 % are "
+        f"within {times(noise(work))} of each other. A tie is what is within {times(TIE)} or within "
+        "that, whichever is larger."
+    )
+
+
+def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Section:
+    parts: list[Part | None] = [figure(work, scene)]
+    for field in fields:
+        if scene in field.scenes:
+            parts.append(costs_view(field, scene, SOURCE))
+        if scene in field.contested:
+            parts.append(duel_view(field, scene, SOURCE))
+    parts.append(endings_view(work, scene))
+    return Section(scene, tuple(part for part in parts if part is not None), choice="scene")
+
+
+def sections(frames: Frames) -> list[Part]:
+    work = frames["work_precision"]
+    fields = [Field(work, kind) for kind in KINDS]
+    parts: list[Part] = [
+        Text(
+            f"Log–log interpolation between a method's own settings. The error is {ERROR}. Evaluations, times of "
+            "compiled calls and times of solvers that call back into Python are three comparisons, never one."
+        ),
+        noise_text(work),
+        Text(
+            "Which method is cheapest where, and where the contact methods lose, is in [README.md](README.md)."
+        ),
+        *(scene_section(work, str(scene), fields) for scene in dict.fromkeys(work["scene"])),
+    ]
+    parts += [view for view in (kernels_view(work), chosen_view(work)) if view is not None]
+    return [*parts, raw(WORK_PRECISION, work)]
+
+
+ROOMS.add(
+    Room(
+        "work_precision", "Cost at equal error", "time and evaluations at equal error, scene by scene",
+        40, ("work_precision",), sections, findings,
+    )
+)  # fmt: skip

@@ -1,0 +1,86 @@
+"""Documents and figures from the tables of a folder alone: nothing is solved here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from contactbench.errors import BadInput
+from contactbench.report import draw, glossary, headline, markdown, page
+from contactbench.report.model import Figure, Frames, figures, rooms
+from contactbench.report.page import Said
+from contactbench.results.provenance import runs
+from contactbench.results.schema import TABLES
+from contactbench.results.store import read, replacing
+
+Runs = Sequence[Mapping[str, Any]]  #: the records of the benchmark runs, oldest first
+README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
+
+
+def tables(results: Path) -> Frames:
+    """Every table of a folder; those without a file have no rows."""
+    return {name: read(table, results) for name, table in TABLES.items()}
+
+
+def heard(frames: Frames, recorded: Runs) -> list[Said]:
+    """Every room that has something to say, with its parts and findings."""
+    said = []
+    for room in rooms(frames):
+        parts = tuple(room.sections(frames))
+        if room.name == "headline":
+            parts = (*parts, headline.machines(recorded))
+        said.append(Said(room, parts, tuple(room.findings(frames))))
+    return said
+
+
+def documents(said: Iterable[Said], registries: glossary.Registries) -> dict[str, str]:
+    """File name → text."""
+    texts = {one.room.file: markdown.document(one.room, one.parts, one.findings) for one in said}
+    if texts:
+        texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(glossary.sections(registries))}\n"
+    return texts
+
+
+def excerpt(frames: Frames, folder: str) -> str:
+    """The computed part of a README that stands beside the results' folder."""
+    return markdown.parts(headline.excerpt(frames), 3).replace("](#", f"]({folder}/README.md#")
+
+
+def with_excerpt(readme: Path, results: Path) -> str:
+    """A README's text with its computed part as the tables have it.  Raises `BadInput` without its marks."""
+    text = readme.read_text(encoding="utf-8")
+    begin, end = README_PART
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
+    before, after = text.partition(begin)[0], text.partition(end)[2]
+    return f"{before}{begin}\n{excerpt(tables(results), results.name)}\n\n{end}{after}"
+
+
+def into_readme(readme: Path, results: Path) -> None:
+    text = with_excerpt(readme, results)
+    with replacing(readme) as file:
+        file.write(text)
+
+
+def made(results: Path, registries: glossary.Registries) -> tuple[dict[str, str], dict[str, Figure]]:
+    """What the tables of a folder allow: documents and the page, file name → text, and figures by name."""
+    recorded = runs(results)
+    said = heard(tables(results), recorded)
+    texts = documents(said, registries)
+    if texts:
+        texts["report.html"] = page.page(said, recorded)
+    return texts, {figure.name: figure for one in said for figure in figures(one.parts)}
+
+
+def report(results: Path, registries: glossary.Registries) -> list[Path]:
+    """Write every document and figure the tables allow, and the page; returns the paths."""
+    texts, drawn = made(results, registries)
+    written = []
+    for name, text in texts.items():
+        with replacing(results / name) as file:
+            file.write(text)
+        written.append(results / name)
+    for figure in drawn.values():
+        written += draw.save(figure, results / "figures")
+    return written

@@ -1,0 +1,143 @@
+"""Where and with what the tables were made: environment.json, the list of runs behind them.
+
+A run stays in the list as long as a table has rows of it: a run that makes a table as a whole takes the
+table away from all before it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from contactbench.errors import BadInput
+from contactbench.plugins import LOADED
+from contactbench.results.store import replacing
+
+PACKAGES = (
+    "contactbench", "numpy", "scipy", "numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka",
+    "cyrk", "pandas", "matplotlib", "mpmath", "pytest-benchmark",
+)  # fmt: skip
+#: what a benchmark itself writes: not a change of the sources
+MADE = ("results", "README.md")
+THREADS = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "XLA_FLAGS",
+    "JAX_PLATFORMS",
+)  # fmt: skip
+
+
+def environment(profile: str, seed: int) -> dict[str, Any]:
+    """Where and with what a run is made."""
+    versions = {}
+    for name in PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    root = Path(__file__).parents[3]
+    manifest = root / "references" / "MANIFEST.json"
+    return {
+        "utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "profile": profile,
+        "shuffle_seed": seed,
+        "python": sys.version.split()[0],
+        "packages": versions,
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "cores_used": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "threads": {name: os.environ.get(name, "") for name in THREADS},
+        "commit": _git(root, "rev-parse", "HEAD"),
+        "dirty": bool(
+            _git(
+                root,
+                "status",
+                "--porcelain",
+                "--untracked-files=no",
+                "--",
+                ".",
+                *(f":!{made}" for made in MADE),
+            )
+        ),
+        "plugins": dict(LOADED),
+        "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
+    }
+
+
+def _cpu() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or "unknown"
+
+
+def _git(root: Path, *arguments: str) -> str:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=20
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return done.stdout.strip()
+
+
+def new_run_id() -> str:
+    """UTC time to the second and the process, unique among runs on one machine."""
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
+
+
+def runs(results: Path) -> list[dict[str, Any]]:
+    """The runs behind the tables of a folder, the oldest first; none where there is no record.
+
+    Each is a record of `environment` with "run", its name, and "tables": table name → "whole" or "part".
+    Raises `BadInput` for a file that is no such list.
+    """
+    path = results / "environment.json"
+    if not path.exists():
+        return []
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        found = found["runs"] if "runs" in found else [{"run": k, **v} for k, v in found.items()]
+        if all(isinstance(run, dict) and isinstance(run["profile"], str) for run in found):
+            return [{"tables": {}, **run} for run in found]
+    except (OSError, ValueError, TypeError, AttributeError, KeyError):
+        pass
+    raise BadInput(f"{path}: not the record of a benchmark run; restore it")
+
+
+def save_run(
+    name: str, record: Mapping[str, Any], made: Iterable[str], whole: Iterable[str], results: Path
+) -> None:
+    """Add a run that made rows of some tables, and some tables as a whole, and forget runs without rows."""
+    made, whole = sorted(set(made)), set(whole)
+    if not made and not whole:
+        return
+    mine = {"run": name, **record, "tables": {table: "whole" if table in whole else "part" for table in made}}
+    before = []
+    for run in runs(results):
+        if run["run"] == name:  # folded in several goes
+            mine["tables"] = {**run["tables"], **mine["tables"]}
+        elif alike(run, mine):
+            continue
+        else:
+            kept = {table: part for table, part in run["tables"].items() if table not in whole}
+            before += [{**run, "tables": kept}] if kept else []
+    with replacing(results / "environment.json") as file:
+        json.dump({"runs": [*before, mine]}, file, indent=1, sort_keys=True)
+        file.write("\n")
+
+
+def alike(run: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Runs that differ in nothing but when they were: the later one speaks for both."""
+    clock = ("run", "utc")
+    return {k: v for k, v in run.items() if k not in clock} == {
+        k: v for k, v in other.items() if k not in clock
+    }

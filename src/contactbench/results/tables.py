@@ -1,0 +1,371 @@
+"""The tables of the benchmark, one per question, and the columns they have in common."""
+
+from __future__ import annotations
+
+from contactbench.measure.laws import LAWS
+from contactbench.results.schema import KEY, Column, Rule, table
+
+
+def number(meaning: str, rule: Rule | None = None, exact: bool = False) -> Column:
+    return Column(meaning, "number", rule, exact=exact)
+
+
+def whole(meaning: str, rule: Rule | None = None) -> Column:
+    return Column(meaning, "whole", rule)
+
+
+def seconds(meaning: str) -> Column:
+    return Column(meaning, "number", timed=True)
+
+
+COMMON = {
+    "scene": Column("name of the scene"),
+    "method": Column("name of the method"),
+    "family": Column(
+        "contact, variational or established, as the method declares; limit: a plain C loop", rule=Rule.same
+    ),
+    "engine": Column(
+        "what runs it: numba, jax, python, c+python (compiled solver, Python callbacks), llvm, c, c++, mpmath"
+    ),
+    "control": Column("what is set: step or rtol", rule=Rule.same),
+    "value": number("its value, in full", Rule.same, exact=True),
+    "variant": Column("which of several ways to run it; of a C loop, the kernel", rule=Rule.same),
+    "setting": Column("variant, control and value, printed"),
+    "status": Column("ok, diverged, budget, failed, timeout, unsupported", rule=Rule.same),
+    "message": Column("why, when the status is not ok"),
+}  # fmt: skip
+
+COUNTS = {
+    "steps": whole("accepted steps", Rule.count),
+    "evaluations": whole("evaluations of evaluation_kind in one run", Rule.count),
+    "evaluation_kind": Column("gradient, rhs, taylor (orders of Taylor coefficients) or rotation", rule=Rule.same),
+    "rhs_equivalents": number(
+        "evaluations on the scale of one right-hand side (two rotations count as one)", Rule.count
+    ),
+    "jacobians": whole("Jacobian evaluations", Rule.count),
+}  # fmt: skip
+
+ERROR = number("max ‖y − y*‖ / max ‖y*‖", Rule.error)
+
+#: what one cell makes as a whole in the tables of laws, orders and hard scenes: a method's whole ladder
+ONE_CELL = ("scene", "method", "engine")
+
+#: how often and how long
+TIMING = {
+    "time_min_s": seconds("fastest round, seconds per call"),
+    "time_median_s": seconds("median over rounds, seconds per call"),
+    "time_iqr_s": seconds("interquartile range over rounds"),
+    "time_repeat_ratio": seconds("median of the second measurement of the cell over that of the first: the noise"),
+    "rounds": Column("timed rounds, both measurements together", "whole", timed=True),
+    "iterations": Column("calls per round", "whole", timed=True),
+}  # fmt: skip
+
+
+def law_columns() -> dict[str, Column]:
+    """A column for each law; how it is gated and where it is shown, the law says."""
+    return {
+        name: Column(
+            law.definition, "whole" if law.gate.value == "count" else "number", Rule[law.gate.value],
+            label=law.label or name.replace("_", " "), shown=law.shown,
+        )
+        for name, law in LAWS.items()
+    }  # fmt: skip
+
+
+#: what belongs to the drifts: of the steps held fixed, error bar, clamps, and where the derivative is from
+_DRIFTS = {
+    "contact_drift_frozen": number("contact_drift with the steps of an adaptive method held fixed", Rule.structure),
+    "distribution_drift_frozen": number(
+        "distribution_drift with the steps of an adaptive method held fixed", Rule.structure
+    ),
+    "contact_drift_uncertainty": number("error bar of contact_drift where the derivative is by differences"),
+    "contact_drift_clamped": whole(
+        "saved times at which contact_drift is relative to a thousandth of the terms that cancel, not to e^{−∫Γ'}‖η‖",
+        Rule.count,
+    ),
+    "hamiltonian_law_clamped": whole("the same for hamiltonian_law", Rule.count),
+    "momentum_law_clamped": whole("the same for momentum_law", Rule.count),
+    "map_growth": number("max ‖DΦ(t)‖₂ of the numerical map over the saved times: what round-off grows to"),
+    "derivative": Column("how the derivative of the numerical map was computed, or why it was not", rule=Rule.same),
+}  # fmt: skip
+#: less what has become a law, which says it itself
+DRIFTS = {name: column for name, column in _DRIFTS.items() if name not in LAWS}
+
+
+CONVERGENCE = table(
+    "convergence",
+    "error against step size, and the order fitted to it",
+    {
+        **COMMON,
+        "step": number("step size h", exact=True),
+        "solution_error": ERROR,
+        "pairwise_order": number("slope between this step and the next larger one", Rule.slope),
+        "in_fit": Column("whether the order rests on this point", "flag"),
+        "order": number(
+            "order of the method on this scene, extrapolated from the pairwise slopes (the same in every row)",
+            Rule.slope,
+        ),
+        "last_slope": number("pairwise slope of the two finest points the order rests on", Rule.slope),
+        "order_uncertainty": number(
+            "of the order: from the spread of successive extrapolations, and round-off"
+        ),
+        "order_nominal": whole("order the method claims", Rule.same),
+        **COUNTS,
+    },
+    whole=ONE_CELL,
+)
+
+LAWS_TABLE = table(
+    "laws",
+    "decay laws and drifts over the whole run, maxima over the saved times",
+    {**COMMON, "saved_times": whole("number of saved times", Rule.same), **law_columns(), **DRIFTS, **COUNTS},
+    whole=ONE_CELL,
+)
+
+LAWS_TIME = table(
+    "laws_time",
+    "energy and the deviation from each law along time",
+    {
+        **COMMON,
+        "t": number("time"),
+        "energy": number("H0"),
+        "energy_deviation": number("|H0(y) / H0(y*) − 1|", Rule.error),
+        "hamiltonian_deviation": number("|H e^{∫Γ'} − H(y₀)| / |H(y₀)|", Rule.error),
+        "momentum_deviation": number("‖J e^{∫Γ'} − J(y₀)‖ / ‖J(y₀)‖", Rule.structure),
+        "contact_deviation": number("‖Φ*η − e^{−∫Γ'} η‖ / ‖e^{−∫Γ'} η‖", Rule.structure),
+    },
+    key=(*KEY, "t"),
+    whole=ONE_CELL,
+)
+
+DECAY_LAWS = table(
+    "decay_laws",
+    "errors and decay laws of every method at equal cost, the largest at five times",
+    {
+        **COMMON,
+        "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
+        "cost": number("right-hand sides per unit of time asked for"),
+        "solution_error": ERROR,
+        **{
+            name: law_columns()[name]
+            for name in ("energy_law", "hamiltonian_law", "momentum_law", "contact_drift")
+        },
+        **DRIFTS,
+        **COUNTS,
+    },
+    key=("scene", "method", "engine", "cost"),
+)
+
+WORK_PRECISION = table(
+    "work_precision",
+    "time and evaluations against error",
+    {
+        **COMMON,
+        "carried": Column("fields integrated"),
+        "solution_error": number(
+            "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run", Rule.error
+        ),
+        **COUNTS,
+        "compile_s": seconds("trace and compile, once per scene structure (once per tolerance for heyoka)"),
+        "first_call_s": seconds("first call after compilation"),
+        **TIMING,
+    },
+)
+
+ENSEMBLE_TABLE = table(
+    "ensemble",
+    "throughput of ensembles: against C loops, at equal error, with their number and with the cores",
+    {
+        **COMMON,
+        "question": Column("what the row is for: arithmetic (same steps as C loops), error, size or cores"),
+        "trajectories": whole("number of trajectories"),
+        "cores": whole("cores used"),
+        "solution_error": number(
+            "max ‖y(T) − y*(T)‖ / max ‖y*(T)‖ over the first four trajectories", Rule.error
+        ),
+        "steps": whole("accepted steps of one trajectory, the most taken by any where they differ", Rule.count),
+        "evaluations": whole(
+            "evaluations of evaluation_kind for one trajectory, where the solver says", Rule.count
+        ),
+        "evaluation_kind": Column("gradient, rhs or taylor"),
+        "first_call_s": seconds("first call, compilation included"),
+        **TIMING,
+    },
+    key=(*KEY, "question", "trajectories", "cores"),
+)  # fmt: skip
+
+CLAIMS_TABLE = table(
+    "claims",
+    "every claim of the paper with a measured number and the verdict that follows from it",
+    {
+        "id": Column("number of the claim"),
+        "where": Column("section, equation or figure of the paper"),
+        "claim": Column("what is claimed, in our words"),
+        "scene": Column("what it is measured on"),
+        "method": Column("integrator, or how the equations themselves are tested"),
+        "quantity": Column("what was measured; of several measurements the first that fails, else the first"),
+        "measured": number("its value"),
+        "relation": Column("how it must compare with the bound for the claim to hold"),
+        "bound": number("the bound"),
+        "bound_reason": Column("why the bound is what it is"),
+        "verdict": Column(
+            "holds; holds, corrected; refuted: computed from the measurements", rule=Rule.same
+        ),
+        "correction_kind": Column("repairs (substance survives), replaces (contradicts), sharpens, extends"),
+        "correction": Column("the corrected statement"),
+        "corrected_quantity": Column("what was measured of it"),
+        "corrected_measured": number("its value"),
+        "corrected_relation": Column("how it must compare with its bound"),
+        "corrected_bound": number("its bound"),
+        "corrected_bound_reason": Column("why that bound"),
+        "evidence": Column("all measurements of the claim, separated by //"),
+        "corrected_evidence": Column("all measurements of the corrected statement, separated by //"),
+        "figures": Column("the paper's figures drawn for it"),
+        "command": Column("the command that measures it again"),
+        "status": Column("ok, or failed: not measured, no verdict", rule=Rule.same),
+        "message": Column("why, when the status is not ok"),
+    },
+    key=("id",),
+    version=2,
+)  # fmt: skip
+
+PAPER_FIGURES = table(
+    "paper_figures",
+    "the data of the paper's figures, corrected where the claim behind them fell",
+    {
+        "figure": Column("paper_N, or the name of a figure of ours"),
+        "panel": Column("panel of the figure"),
+        "curve": Column("curve in the panel"),
+        "point": whole("number of the point along its curve"),
+        "kind": Column(
+            "what it is: truth, law, method, conservative, dissipative, flow, criterion; or its stability",
+            rule=Rule.same,
+        ),
+        "x": number("abscissa"),
+        "y": number("ordinate"),
+        "z": number("third coordinate, fitted order or growth rate where the figure has one"),
+    },
+    key=("figure", "panel", "curve", "point"),
+    whole=("figure",),
+    version=2,
+)
+
+STABILITY = table(
+    "stability",
+    "the hard scenes: how every method ends, its errors and laws, at a fixed ladder of costs",
+    {
+        **COMMON,
+        "end_time": number("how far the run got"),
+        "blow_up_time": number("when the true motion reaches infinity, if it does"),
+        "condition_number": number(
+            "max ‖∂x(t)/∂x(0)‖₂ of the true motion, where stored: what errors grow to"
+        ),
+        "end_error": number(
+            "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left then", Rule.error
+        ),
+        **law_columns(),
+        **DRIFTS,
+        **COUNTS,
+        "time_s": seconds("fastest of a few calls, 25 saved times; other work may run beside it"),
+    },
+    whole=ONE_CELL,
+)  # fmt: skip
+
+STABILITY_LIMITS = table(
+    "stability_limits",
+    "largest step with a bounded orbit of the oscillator q'' + γq' + ω²q = 0",
+    {
+        "method": Column("name of the method"),
+        "family": COMMON["family"],
+        "gamma": number("damping γ"),
+        "omega": number("frequency ω"),
+        "limit": number(
+            "first loss of stability: the step from which an eigenvalue of the one-step map leaves the unit circle",
+            Rule.value,
+        ),
+        "limit_kernel": number("of a processed method saved at the end only: its kernel's limit", Rule.value),
+        "limit_saved": number("of a processed method saved at every step", Rule.value),
+        "windows": Column(
+            "intervals of unstable steps below the last stable step, a…b; blank: none", rule=Rule.same
+        ),
+        "last": number(
+            "the last stable step; islands of stability shorter than a hundredth of the step not counted",
+            Rule.value,
+        ),
+        "theory": number("what theory gives, where it does"),
+        "per_evaluation": number("the limit over the evaluations of a step"),
+    },
+    key=("method", "gamma", "omega"),
+)
+
+ONE_STEP = table(
+    "one_step",
+    "spectral radius of the one-step map of the oscillator, ω = 1, beside that of the exact flow",
+    {
+        "method": Column("name of the method"),
+        "family": COMMON["family"],
+        "gamma": number("damping γ"),
+        "step": number("step size h"),
+        "radius": number(
+            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel", Rule.value
+        ),
+        "radius_saved": number("the same of a processed method where every step is saved", Rule.value),
+        "true_radius": number("of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped"),
+    },
+    key=("method", "gamma", "step"),
+)
+
+DAMPING_RATES = table(
+    "damping_rates",
+    "measured damping rates: the slow rate of the overdamped oscillator, the rate of weak damping",
+    {
+        "experiment": Column("overdamped or weak"),
+        **COMMON,
+        "t_end": number("span of the run"),
+        "damping_per_step": number("γh, fixed steps"),
+        "evaluations": whole("evaluations in one run", Rule.count),
+        "rate": number("measured rate"),
+        "true_rate": number("the same measured on the truth"),
+        "ratio": number("measured over true"),
+        "rate_error": number("|measured/true − 1|", Rule.error),
+    },
+    key=("experiment", "scene", "method", "setting", "t_end"),
+    whole=("experiment", "scene", "method", "t_end"),
+)
+
+STRONG_DAMPING = table(
+    "strong_damping",
+    "error of fixed-step methods at equal cost as damping gets strong, oscillator, ω = 1",
+    {
+        "method": Column("name of the method"),
+        "family": COMMON["family"],
+        "gamma": number("damping γ"),
+        "damping_per_evaluation": number(
+            "γh over the evaluations of a step: the damping between two evaluations"
+        ),
+        "step": number("step size h"),
+        "error": number(
+            "‖M − Φ_T‖₂/‖Φ_T‖₂ of a run M over the time T in which the motion falls by e, the end saved", Rule.error
+        ),
+        "error_saved": number("the same of a processed method where every step is saved", Rule.error),
+        "radius": number("largest |eigenvalue| of the one-step map, of a processed method that of its kernel"),
+    },
+    key=("method", "gamma", "damping_per_evaluation"),
+)  # fmt: skip
+
+GATE_SELFCHECK = table(
+    "gate_selfcheck",
+    "false alarms of the regression gate on identical code, and planted faults it finds",
+    {
+        "part": Column("accuracy or speed"),
+        "planted": Column("what was changed in the code the gate judges"),
+        "condition": Column("what else the machine did: idle, or a busy loop on all cores but one"),
+        "wanted": Column("how many of the runs should be red"),
+        "runs": whole("judgements: runs of the gate, or faults or loops, each judged once"),
+        "red": whole("how many were red, by a line that names the method and measure of what was planted"),
+        "seconds": seconds("one run of the gate, median"),
+        "example": Column("what the first red one said"),
+    },
+    key=("part", "planted", "condition"),
+    version=2,
+)

@@ -1,0 +1,64 @@
+"""High-precision numbers, and how many digits of two computations agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from decimal import Decimal, localcontext
+from typing import Any
+
+import mpmath
+
+Rows = list[list[Any]]  #: one list of components per time
+
+
+def scales(rows: Rows) -> list[Any]:
+    """The largest |entry| of every column (1 for a column of zeros)."""
+    return [max(abs(x) for x in column) or 1 for column in zip(*rows, strict=True)]
+
+
+def disagreement(a: Rows, b: Rows) -> list[Any]:
+    """max_k |a − b| of every column."""
+    pairs = zip(zip(*a, strict=True), zip(*b, strict=True), strict=True)
+    return [max(abs(x - y) for x, y in zip(p, q, strict=True)) for p, q in pairs]
+
+
+def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
+    """Decimal digits to which two computations agree, relative to the scale of the worst column."""
+    worst = max(e / scale for e, scale in zip(disagreement(a, b), scales(b), strict=True))
+    return matching_digits(worst, at_most)
+
+
+def matching_digits(error: Any, at_most: int) -> int:
+    """Whole decimal digits that a relative error leaves."""
+    return at_most if error == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(error)))))
+
+
+def rounded(value: Any, places: int) -> str:
+    """A number to a number of decimal places (half to even), in plain or scientific notation."""
+    with localcontext() as context:
+        context.prec = 200
+        exact = Decimal(mpmath.nstr(value, 100))
+        return str(exact.quantize(Decimal(1).scaleb(-places)))
+
+
+def place(value: Any, digits: int) -> int:
+    """The decimal place of the last of `digits` significant digits of value."""
+    return digits if value == 0 else digits - 1 - int(mpmath.floor(mpmath.log10(abs(value))))
+
+
+def print_columns(rows: Rows, digits: int) -> list[list[str]]:
+    """Every column to `digits` digits of its scale."""
+    places = [place(scale, digits) for scale in scales(rows)]
+    return [[rounded(x, p) for x, p in zip(row, places, strict=True)] for row in rows]
+
+
+def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """max |a − b|."""
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+
+
+def decimal_context(digits: int) -> Any:
+    """An mpmath context of its own, so that nobody's global precision is touched."""
+    context = mpmath.MPContext()
+    context.dps = digits
+    return context

@@ -1,0 +1,27 @@
+"""JAX, configured for this package when something here first needs it; nothing happens on `import contactbench`.
+
+Import from here instead of from jax: ``from contactbench.xla import jax, jnp, lax``.  Three settings are made,
+for the whole process: double precision; results are waited for at once; single trajectories run on one thread,
+and there is a CPU device for every core this process may use, over which ensembles are sharded.  Choices already
+made (``XLA_FLAGS``, ``jax_num_cpu_devices``) stand, and where JAX is running already it keeps its devices.
+"""
+
+import contextlib
+import os
+
+# read when JAX makes its first device
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+jax.config.update("jax_enable_x64", True)
+# a hand-over to a worker thread would only add its wake-up, 50 µs a call
+jax.config.update("jax_cpu_enable_async_dispatch", False)
+if jax.config.jax_num_cpu_devices < 0 and "device_count" not in os.environ["XLA_FLAGS"]:
+    with contextlib.suppress(RuntimeError):  # JAX is running already
+        affinity = getattr(os, "sched_getaffinity", None)
+        jax.config.update("jax_num_cpu_devices", len(affinity(0)) if affinity else os.cpu_count() or 1)
+
+__all__ = ["jax", "jnp", "lax"]

@@ -1,0 +1,45 @@
+"""Small tables made by hand, typed as those that are read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
+
+import pandas as pd
+
+from contactbench.results.schema import TABLES
+from contactbench.results.store import typed
+
+FAMILIES = {"contact": "contact", "herglotz": "variational", "limit": "limit"}
+
+
+def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
+    """A row that ended ok: a method with a step, or with a tolerance if it is `control="rtol"`."""
+    control = more.pop("control", "step")
+    family = next((f for start, f in FAMILIES.items() if method.startswith(start)), "established")
+    return {
+        "scene": scene, "method": method, "family": family, "engine": "jax", "control": control, "value": value,
+        "variant": "", "setting": f"{control}={value:g}", "status": "ok", "message": "", **more,
+    }  # fmt: skip
+
+
+@cache
+def empty(name: str) -> pd.DataFrame:
+    return typed(pd.DataFrame(columns=[*TABLES[name].every_column]), TABLES[name])
+
+
+def table(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
+    """Rows as a frame of a table; what they do not say is blank."""
+    if not rows:
+        return empty(name).copy()
+    columns = TABLES[name].every_column
+    frame = pd.DataFrame(list(rows))
+    unknown = set(frame) - set(columns)
+    assert not unknown, unknown
+    return typed(frame.reindex(columns=[*columns]), TABLES[name])
+
+
+def frames(**tables: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
+    """All tables, empty but for those given."""
+    return {name: table(name, tables.get(name, ())) for name in TABLES}

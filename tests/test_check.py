@@ -1,0 +1,105 @@
+"""Documents, figures and README agree with the tables, or `contactbench report --check` names each that does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from contactbench.cli import main
+from contactbench.report.write import README_PART
+from contactbench.results.store import merge
+from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+
+TESTS = Path(__file__).parent
+
+
+def rows(method, family, order):
+    """A method of an order, at three steps."""
+    return [
+        {
+            "scene": "particle", "method": method, "family": family, "engine": "jax", "control": "step",
+            "value": h, "step": h, "setting": f"step={h}", "status": "ok", "solution_error": h**order / 10,
+            "energy_law": h**order, "contact_drift": 1e-15 if family == "contact" else h**order,
+            "evaluations": round(20 / h), "rhs_equivalents": 20 / h, "steps": round(20 / h),
+            "time_median_s": 1e-5 / h, "time_repeat_ratio": 1.02, "order": order, "last_slope": order,
+            "in_fit": True, "order_nominal": order, "profile": "smoke",
+        }
+        for h in (0.1, 0.01, 0.001)
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """A folder of tables with its documents, and a README beside it."""
+    folder = tmp_path_factory.mktemp("project") / "results"
+    made = rows("contact-strang", "contact", 2) + rows("rk4", "established", 4)
+    for table in (CONVERGENCE, LAWS_TABLE, WORK_PRECISION):
+        known = [{name: row[name] for name in row if name in table.every_column} for row in made]
+        merge(table, known, folder)
+    (folder.parent / "README.md").write_text(f"before\n{README_PART[0]}{README_PART[1]}\nafter\n")
+    assert main(["report", "--results", str(folder), "--readme", str(folder.parent / "README.md")]) == 0
+    return folder
+
+
+def checked(results, capsys):
+    """Exit status and lines of a check."""
+    capsys.readouterr()
+    readme = str(results.parent / "README.md")
+    status = main(["report", "--check", "--results", str(results), "--readme", readme])
+    return status, capsys.readouterr().out.splitlines()
+
+
+def test_what_was_just_written_agrees(results, capsys):
+    assert checked(results, capsys) == (0, ["Documents, figures and tables agree."])
+
+
+CHANGES = {
+    "a number in a document": ("convergence.md", "not what the tables say"),
+    "a number on the page": ("report.html", "not what the tables say"),
+    "a number in the README": ("../README.md", "not what the tables say"),
+    "a document that no table gives": ("old.md", "no table gives it"),
+    "a figure that no table gives": ("figures/old.svg", "no table gives it"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_each_file_that_differs_is_named(change, results, capsys):
+    name, why = CHANGES[change]
+    path = (results / name).resolve()
+    before = path.read_bytes() if path.exists() else None
+    path.write_bytes((before or b"").replace(b"0", b"1"))
+    try:
+        assert checked(results, capsys) == (1, [f"{path}: {why}"])
+    finally:
+        path.unlink() if before is None else path.write_bytes(before)
+
+
+@pytest.mark.parametrize("name", ["laws.md", "figures/convergence.png"])
+def test_a_missing_file_is_named_and_nothing_is_written(name, results, capsys):
+    path = results / name
+    before = path.read_bytes()
+    path.unlink()
+    assert checked(results, capsys) == (1, [f"{path}: missing"])
+    assert not path.exists()
+    path.write_bytes(before)
+
+
+def test_a_table_that_has_moved_on_leaves_its_documents_behind(results, capsys):
+    before = {path: path.read_bytes() for path in results.glob("*.csv")}
+    (row, *_) = rows("rk4", "established", 4)
+    row = {name: value for name, value in row.items() if name in LAWS_TABLE.every_column}
+    merge(LAWS_TABLE, [{**row, "energy_law": 0.5}], results)
+    try:
+        status, lines = checked(results, capsys)
+        assert status == 1
+        assert f"{results / 'laws.md'}: not what the tables say" in lines
+    finally:
+        for path, content in before.items():
+            path.write_bytes(content)
+
+
+def test_no_test_reads_what_the_benchmark_writes():
+    """The tables of a clone may be those of any run."""
+    folder = 'REPOSITORY / "' + 'results"'
+    assert [path.name for path in TESTS.glob("*.py") if folder in path.read_text()] == []

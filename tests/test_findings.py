@@ -1,0 +1,425 @@
+"""What the report says is computed over all rows: a row that contradicts a sentence changes it."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+
+from contactbench.report import convergence, ensemble, headline, laws, stability, work_precision
+from contactbench.report.contest import (
+    CALLED_BACK,
+    COMPILED,
+    EVALUATIONS,
+    KINDS,
+    TARGETS,
+    Field,
+    costs_view,
+    duel_view,
+    losses_view,
+    reasons,
+    standing,
+    tally,
+    winners_view,
+)
+from contactbench.report.model import DASH, Mark
+from frames import frames, row, table
+
+ROUND = 3e-15
+
+
+def said(finding):
+    return " ".join([finding.sentence, *finding.exceptions, finding.covers])
+
+
+# -- laws ------------------------------------------------------------------------------------------
+def kept(scene="central", method="contact-a", value=0.1, **more):
+    return row(scene, method, value, solution_error=1e-3, momentum_law=ROUND, contact_drift=ROUND, **more)
+
+
+def broken(scene="central", method="rk4", value=0.1, drift=1e-3, **more):
+    return row(scene, method, value, solution_error=1e-3, momentum_law=drift, contact_drift=drift, **more)
+
+
+LAWS = [
+    kept(),
+    kept(value=0.2),
+    kept(method="contact-b"),
+    broken(),
+    broken("rigid_body", "heyoka-taylor", 1e-9, 7e-13 * 10),
+]
+
+
+def law(name, **tables):
+    return next(f for f in laws.findings(frames(**tables)) if f.name == f"law_{name}")
+
+
+def test_every_contact_method_keeps_a_law_when_every_row_says_so():
+    finding = law("momentum_law", laws=LAWS)
+    assert "Every contact method keeps it to round-off at every setting on every scene" in finding.sentence
+    assert "No method that is not a contact method does" in finding.sentence
+    assert finding.exceptions == ()
+
+
+@pytest.mark.parametrize("where", ["laws", "stability"])
+def test_one_contradicting_row_changes_the_sentence_and_is_named(where):
+    planted = {"laws": list(LAWS), "stability": []}
+    planted[where].append(broken("needle", "contact-b", 0.4, 2e-4))
+    finding = law("momentum_law", **planted)
+    assert "Every contact method" not in said(finding)
+    assert "in 3 of 4 runs" in finding.sentence
+    assert any("`needle`" in e and "2.0e-04" in e and "contact-b" in e for e in finding.exceptions)
+
+
+def test_another_method_that_keeps_a_law_is_named():
+    finding = law("contact_drift", laws=[*LAWS, kept(method="herglotz1"), kept("rigid_body", "herglotz1")])
+    assert "herglotz1 keep" in finding.sentence
+    assert "No other method does" in finding.sentence
+
+
+def test_the_least_drift_of_the_others_is_over_all_scenes_and_settings_and_says_where():
+    finding = law("contact_drift", laws=LAWS)
+    assert "7.0e-12 (heyoka-taylor on `rigid_body`, step=1e-09)" in finding.sentence
+    hard = [broken("oscillator", "heyoka-taylor", 1e-12, 2e-12, control="rtol")]
+    finding = law("contact_drift", laws=LAWS, stability=hard)
+    assert "2.0e-12 (heyoka-taylor on `oscillator`, rtol=1e-12)" in finding.sentence
+
+
+def test_only_the_true_map_counts_and_the_frozen_one_is_the_cause():
+    moving = kept(method="contact-c", control="rtol", value=1e-4) | {
+        "contact_drift": 1.35e-5,
+        "contact_drift_frozen": ROUND,
+    }
+    finding = law("contact_drift", laws=[*LAWS, moving])
+    assert "Every contact method" not in finding.sentence
+    (cause,) = finding.exceptions
+    assert "contact-c" in cause
+    assert "1.4e-05" in cause or "1.3e-05" in cause
+    assert "only with the steps held fixed it is kept (3.0e-15)" in cause
+    worse = law("contact_drift", laws=[*LAWS, moving | {"contact_drift_frozen": 1e-6}])
+    assert "held fixed" not in said(worse)
+
+
+def test_where_no_contact_method_keeps_a_law_it_says_what_they_keep_there():
+    quadratic = [
+        kept("quadratic_damping", m)
+        | {"momentum_law": 0.28, "contact_drift": 0.28, "distribution_drift": ROUND}
+        for m in ("contact-a", "contact-b")
+    ]
+    finding = law("contact_drift", laws=[*LAWS, *quadratic])
+    (cause,) = finding.exceptions
+    assert "on `quadratic_damping` no contact method keeps it: up to 2.8e-01" in cause
+    assert "what is kept there: ker η drift" in cause or "what is kept there: distribution drift" in cause
+    lost = [r | {"distribution_drift": 1e-3} for r in quadratic]
+    assert "what is kept there" not in said(law("contact_drift", laws=[*LAWS, *lost]))
+
+
+def test_round_off_is_bounded_by_the_condition_number_or_it_is_an_exception():
+    magnified = kept("kepler_drag") | {"contact_drift": 1e-9, "condition_number": 1e6, "evaluations": 1000}
+    finding = law("contact_drift", laws=LAWS, stability=[magnified])
+    assert "to round-off times the condition number of the motion on `kepler_drag`" in said(finding)
+    assert "Every contact method keeps it" in finding.sentence
+    beyond = law("contact_drift", laws=LAWS, stability=[magnified | {"contact_drift": 1e-3}])
+    assert "Every contact method keeps it" not in beyond.sentence
+    assert any("condition number 1.0e+06" in e for e in beyond.exceptions)
+    state = law("momentum_law", laws=LAWS, stability=[magnified | {"momentum_law": 1e-9}])
+    assert "Every contact method keeps it" not in state.sentence  # J is not magnified by the motion
+
+
+def test_an_upper_bound_is_no_least_drift():
+    unsure = broken("oscillator", "cvode-adams", 1e-9, 3e-12) | {"contact_drift_uncertainty": 2e-12}
+    finding = law("contact_drift", laws=[*LAWS, unsure])
+    assert "7.0e-12 (heyoka-taylor" in finding.sentence
+    assert "1 runs are known as an upper bound only" in finding.covers
+
+
+def test_what_was_not_measured_is_said():
+    blind = kept(method="contact-c") | {"contact_drift": None}
+    assert "not measured: contact-c" in law("contact_drift", laws=[*LAWS, blind]).covers
+
+
+def test_h_is_kept_by_nobody_and_how_far_the_contact_methods_are_off_is_said():
+    rows = [
+        kept("particle") | {"hamiltonian_law": 0.15, "energy_law": 0.02},
+        broken("particle") | {"hamiltonian_law": 1e-3},
+    ]
+    (finding,) = (f for f in laws.findings(frames(laws=rows)) if f.name == "energies")
+    assert (
+        "H law: no method keeps it to round-off; the contact methods are up to 1.5e-01 off (contact-a on `particle`"
+        in finding.sentence
+    )
+    rows[0]["hamiltonian_law"] = ROUND
+    (finding,) = (f for f in laws.findings(frames(laws=rows)) if f.name == "energies")
+    assert "H law: contact-a keep it" in finding.sentence
+
+
+def test_clamped_and_uncertain_entries_are_marked():
+    clamped = kept() | {"contact_drift": 0.5, "contact_drift_clamped": 3}
+    view = laws.law_view(frames(laws=[clamped]), "contact_drift", laws.structural()["contact_drift"])
+    (cell,) = view.rows[0][1:]
+    assert cell.text == "5.0e-01†"
+    assert cell.marks == {Mark.clamped}
+    equal = frames(decay_laws=[clamped, broken(drift=1e-8) | {"contact_drift_uncertainty": 2e-9}])
+    shown = laws.equal_cost_view(equal, "central")
+    assert [r[-1].text for r in shown.rows] == ["5.0e-01†", "1.0e-08 ± 2e-09"]
+    assert Mark.kept in shown.rows[0][-2].marks  # its J law
+
+
+def test_the_table_that_stands_first_has_order_and_laws_of_every_method():
+    rows = [
+        r | {"rhs_equivalents": 800.0, "energy_law": 1e-4, "hamiltonian_law": 2e-4}
+        for s in ("central", "rigid_body") for r in (kept(s), broken(s))
+    ]  # fmt: skip
+    orders = [
+        row("central", "contact-a", h, solution_error=h**2, order=2.0, last_slope=1.98, order_nominal=2)
+        for h in (0.1, 0.2)
+    ]
+    tables = frames(decay_laws=rows, convergence=orders, laws=LAWS)
+    for parts in (headline.sections(tables), headline.excerpt(tables)):
+        first = next(p for p in parts if hasattr(p, "columns"))
+        assert first.name == "overview"
+        heads = [(h.group, h.label) for h in first.columns]
+        assert next(label for group, label in heads if group == "central") == "order"
+        assert len([1 for group, _ in heads if group == "rigid_body"]) == 5
+        assert [r[0].text for r in first.rows] == ["contact-a", "rk4"]
+        assert first.rows[0][1].text == "2.00"
+        assert "`central` 800" in first.meaning
+
+
+# -- order -----------------------------------------------------------------------------------------
+def ladder(method="contact-a", order=2.0, nominal=2, scene="particle", **more):
+    return [
+        row(scene, method, h, solution_error=h**order, step=h, in_fit=True, order=order, last_slope=order - 0.01,
+            order_uncertainty=0.001, order_nominal=nominal, **more)
+        for h in (0.1, 0.2, 0.4)
+    ]  # fmt: skip
+
+
+def test_orders_that_disagree_are_named_with_their_last_slope():
+    (finding,) = convergence.findings(frames(convergence=ladder()))
+    assert "in 1 of 1 pairs" in finding.sentence
+    assert finding.exceptions == ()
+    (finding,) = convergence.findings(frames(convergence=[*ladder(), *ladder("rk4", 3.5, 4)]))
+    assert "in 1 of 2 pairs" in finding.sentence
+    assert finding.exceptions == ("rk4 on `particle`: 3.50, claimed 4, last pairwise slope 3.49",)
+
+
+def test_no_interval_is_claimed_and_both_slopes_are_shown():
+    orders, slopes, *_ = convergence.sections(frames(convergence=ladder()))
+    assert orders.rows[0][2].text == "2.00 ± 0.00"
+    assert slopes.rows[0][2].text == "1.990"
+    assert "95" not in orders.meaning + slopes.meaning
+
+
+# -- cost at equal error ---------------------------------------------------------------------------
+def costs(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
+    """A ladder whose cost is `factor` at an error of 1e-1, and rises by a quarter each decade."""
+    rows, error = [], 1e-1
+    while error >= finest * 0.999:
+        cost = factor * 1.25 ** (-1 - round(math.log10(error)))
+        rows.append(
+            row(scene, method, error, engine=engine, solution_error=error, time_median_s=cost * 1e-3,
+                time_min_s=cost * 1e-3, rhs_equivalents=cost * 100, **more)
+        )  # fmt: skip
+        error /= 10
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("factor", "outcome"), [(1.5, "win"), (1.1, "tie"), (1 / 1.1, "tie"), (1 / 1.5, "loss")]
+)
+def test_win_tie_and_loss_of_the_contact_methods(factor, outcome):
+    work = table("work_precision", [*costs("contact-a"), *costs("rk4", factor)])
+    field = Field(work, COMPILED)
+    assert {c.outcome for c in field.contests().values()} == {outcome}
+    sentence, covers = standing(field)
+    numbers = re.findall(r"cheapest in (\d+) of 4 .*?(\d+) are ties, .* cheapest in (\d+)", sentence)
+    assert numbers == [tuple(str(4 * (outcome == o)) for o in ("win", "tie", "loss"))]
+    assert "within 15 %" in covers
+    text = winners_view(field, "w", "t", "").rows[0][1].text
+    assert ("tie: contact-a and rk4" in text or "tie: rk4 and contact-a" in text) == (outcome == "tie")
+    assert bool(losses_view([field], "l", "").rows) == (outcome == "loss")
+    assert bool(reasons([field])) == (outcome == "loss")
+
+
+def test_measured_noise_widens_a_tie_in_time_and_not_in_evaluations():
+    rows = [*costs("contact-a"), *costs("rk4", 1.5)]
+    noisy = table("work_precision", [r | {"time_repeat_ratio": 1.8} for r in rows])
+    assert {c.outcome for c in Field(noisy, COMPILED).contests().values()} == {"tie"}
+    assert {c.outcome for c in Field(noisy, EVALUATIONS).contests().values()} == {"win"}
+    assert "within 80 %" in standing(Field(noisy, COMPILED))[1]
+
+
+def test_kinds_of_engine_are_never_mixed():
+    work = table("work_precision", [*costs("contact-a"), *costs("scipy-dop853", 1000.0, engine="python")])
+    assert Field(work, COMPILED).contested == []  # nobody to compare with
+    assert standing(Field(work, COMPILED)) is None
+    assert Field(work, CALLED_BACK).contested == []
+    assert Field(work, EVALUATIONS).contested == ["s"]
+    for view in (
+        p for p in headline.excerpt(frames(work_precision=work.to_dict("records"))) if hasattr(p, "rows")
+    ):
+        assert not ("Time" in view.title and "scipy" in str(view.rows))
+
+
+@pytest.mark.parametrize("engine", ["c", "cyrk", "llvm", "numba"])
+def test_a_compiled_row_takes_part_whoever_it_is(engine):
+    work = table("work_precision", [*costs("contact-a"), *costs("scipy-dop853", 0.5, engine=engine)])
+    field = Field(work, COMPILED)
+    assert {c.best(contact=False) for c in field.contests().values()} == {"scipy-dop853"}
+    assert tally(field.contests().values()).losses == len(TARGETS)
+
+
+def test_ours_is_the_declared_family_and_not_a_name():
+    rows = [*costs("contact-a", 2.0), *costs("mine", 1.0)]
+    other = table("work_precision", rows)
+    assert {c.outcome for c in Field(other, COMPILED).contests().values()} == {"loss"}
+    declared = table("work_precision", [r | {"family": "contact"} for r in rows] + costs("rk4", 3.0))
+    assert {c.outcome for c in Field(declared, COMPILED).contests().values()} == {"win"}
+    assert Field(declared, COMPILED).leads["s", 1e-3].best(contact=True) == "mine"
+    herglotz = table("work_precision", [*costs("contact-a", 2.0), *costs("herglotz1", 1.0)])
+    assert {c.outcome for c in Field(herglotz, COMPILED).contests().values()} == {"loss"}
+
+
+def test_loops_and_chosen_steps_are_no_contestants():
+    rows = [*costs("contact-a"), *costs("rk4", 2.0), *costs("limit-c", 0.1, engine="c")]
+    rows += [r | {"variant": "chosen", "setting": "chosen " + r["setting"]} for r in costs("rk4", 0.1)]
+    assert {c.outcome for c in Field(table("work_precision", rows), COMPILED).contests().values()} == {"win"}
+
+
+@pytest.mark.parametrize("status", ["budget", "timeout"])
+def test_a_dash_says_whether_we_cut_the_run(status):
+    coarse = [*costs("contact-a"), *costs("scipy-dop853", finest=1e-6)]
+    finer = row("s", "scipy-dop853", 1e-9, status=status, message="max_steps spent")
+    for rows, expected in ((coarse, DASH), ([*coarse, finer], status)):
+        view = costs_view(Field(table("work_precision", rows), COMPILED), "s", "")
+        (cells,) = (r for r in view.rows if r[0].text == "scipy-dop853")
+        assert [c.text for c in cells[3:]] == [expected, expected]
+    coarser = row("s", "scipy-dop853", 0.5, status=status)  # what was cut is no finer than what ended
+    view = costs_view(Field(table("work_precision", [*coarse, coarser]), COMPILED), "s", "")
+    (cells,) = (r for r in view.rows if r[0].text == "scipy-dop853")
+    assert [c.text for c in cells[3:]] == [DASH, DASH]
+
+
+def test_a_cost_of_something_more_accurate_is_marked_as_a_bound():
+    rows = [r for r in costs("contact-a") if r["solution_error"] < 1e-4]
+    view = costs_view(Field(table("work_precision", [*rows, *costs("rk4")]), COMPILED), "s", "")
+    cell = view.rows[0][1]
+    assert cell.text.startswith("≤ ")
+    assert Mark.bound in cell.marks
+
+
+def test_decade_by_decade_the_best_of_each_camp_and_a_ratio_anyone_can_read():
+    work = table("work_precision", [*costs("contact-a"), *costs("contact-b", 2.0), *costs("rk4", 3100.0)])
+    view = duel_view(Field(work, COMPILED), "s", "")
+    line = view.rows[0]
+    assert [c.text for c in line[3:]] == ["×3100", "contact"]
+    assert line[1].text.startswith("contact-a")
+    assert line[2].text.startswith("rk4")
+
+
+def test_kinds_stand_side_by_side_and_say_what_they_are():
+    assert [k.name for k in KINDS] == ["evaluations", "compiled", "callbacks"]
+    found = work_precision.findings(frames(work_precision=[*costs("contact-a"), *costs("rk4", 2.0)]))
+    assert [f.name for f in found] == ["cost_evaluations", "cost_compiled"]
+
+
+# -- stability -------------------------------------------------------------------------------------
+def test_hard_scenes_are_compared_at_equal_error_and_not_at_the_finest_setting():
+    """A peer stopped early has a larger smallest error, and is cheaper at every error it reaches."""
+    rows = [
+        {k: v for k, v in r.items() if not k.startswith("time_")}
+        for r in [
+            *costs("contact-o8", 2.0, "saddle_edge"),
+            *costs("heyoka-taylor", 1.0, "saddle_edge", finest=1e-10),
+        ]
+    ]
+    view = winners_view(Field(table("stability", rows), EVALUATIONS), "w", "t", "", stability.problem)
+    (line,) = view.rows
+    assert line[0].text == "at the edge of escape (`saddle_edge`)"
+    assert ["heyoka-taylor" in c.text for c in line[1:]] == [True, True, True, False]
+
+
+def test_rates_are_compared_at_equal_cost_and_ties_are_named():
+    common = {"experiment": "overdamped", "t_end": 100.0}
+    rows = [
+        row(
+            "overdamped", "contact-a", 0.5, **common, damping_per_step=25.0, evaluations=200, rate_error=1e-4
+        ),
+        row("overdamped", "rk4", 0.5, **common, damping_per_step=25.0, evaluations=200, rate_error=1.5e-4),
+        row("overdamped", "scipy-radau", 1e-9, control="rtol", **common, evaluations=2000, rate_error=1e-10),
+    ]
+    view = stability.rates_view(table("damping_rates", rows))
+    assert "tie: contact-a and rk4 1.0e-04" in view.rows[0][1].text  # ten times dearer is no equal cost
+    rows[2]["evaluations"] = 210
+    view = stability.rates_view(table("damping_rates", rows))
+    assert "scipy-radau 1.0e-10" in view.rows[0][1].text
+
+
+def test_endings_name_who_has_no_bad_one_or_that_there_is_nobody():
+    good, bad = (
+        row("critical", "contact-a", 0.1, solution_error=1e-3),
+        row("critical", "rk4", 0.1, status="diverged"),
+    )
+    right = row("escape", "rk4", 0.1, status="diverged", blow_up_time=1.5)
+    (finding,) = (f for f in stability.findings(frames(stability=[good, right])) if f.name == "endings")
+    assert (
+        "2 of 2 runs end as the true motion does. Without a bad ending: contact-a and rk4."
+        in finding.sentence
+    )
+    (finding,) = (f for f in stability.findings(frames(stability=[good, bad])) if f.name == "endings")
+    assert "Without a bad ending: contact-a. Most bad endings: rk4 1." in finding.sentence
+    wrong = row(
+        "escape", "contact-a", 0.1, solution_error=1.0, blow_up_time=1.5
+    )  # ended although the motion does not
+    (finding,) = (f for f in stability.findings(frames(stability=[wrong, bad])) if f.name == "endings")
+    assert "No method is without a bad ending." in finding.sentence
+
+
+def test_blow_up_is_one_line_per_method():
+    rows = [
+        row("escape", "rk4", h, status="diverged", blow_up_time=2.0, end_time=2.0 + h) for h in (0.2, 0.1)
+    ]
+    view = stability.blow_up_view(table("stability", rows))
+    (line,) = view.rows
+    assert [c.text for c in line[1:]] == ["diverged", "+5.000 %", "+10.000 %"]
+
+
+def test_the_first_loss_of_stability_is_marked_where_there_are_windows():
+    limits = [
+        {"method": "contact-bm6", "family": "contact", "gamma": 0.0, "omega": 1.0, "limit": 3.134,
+            "windows": "3.134…3.163"},
+        {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.785, "windows": ""},
+    ]  # fmt: skip
+    view = stability.limit_view(table("stability_limits", limits), "limit", "limits", "t")
+    assert [Mark.exception in r[1].marks for r in view.rows] == [True, False]
+    assert stability.windows_view(table("stability_limits", limits)).rows[0][-1].text == "3.134…3.163"
+
+
+def test_where_negative_substeps_stop_paying():
+    grid = [1e-3, 1e-2, 1e-1, 1.0]
+    errors = {"contact-strang": [1e-6, 1e-4, 1e-2, 1e-1], "contact-rkn6": [1e-9, 1e-7, 1.0, float("inf")]}
+    rows = [
+        {"method": m, "family": "contact", "gamma": 1.0, "damping_per_evaluation": d, "step": 1.0, "error": e,
+            "radius": 1.0}
+        for m, es in errors.items() for d, e in zip(grid, es, strict=True)
+    ]  # fmt: skip
+    assert stability.usable(table("strong_damping", rows), "contact-rkn6", 1.0) == 1e-2
+    alone = table("strong_damping", [r for r in rows if r["method"] == "contact-rkn6"])
+    assert list(stability.strong_parts(alone)) == []  # nothing to compare with
+
+
+# -- ensembles -------------------------------------------------------------------------------------
+def test_a_trajectory_at_equal_error_names_ties():
+    def runs(method, factor, variant=""):
+        return [
+            row("particle", method, e, variant=variant, question="error", trajectories=1000, cores=1, solution_error=e,
+                time_median_s=factor * 1e-3 / e**0.1, time_min_s=1e-3, evaluations=100)
+            for e in (1e-2, 1e-13)
+        ]  # fmt: skip
+
+    (finding,) = ensemble.findings(frames(ensemble=[*runs("contact-a", 1.0), *runs("rk4", 1.05)]))
+    assert "10⁻³ tie: contact-a and rk4" in finding.sentence
+    (finding,) = ensemble.findings(frames(ensemble=[*runs("contact-a", 1.0), *runs("rk4", 0.5, "vmap")]))
+    assert "10⁻³ rk4 vmap" in finding.sentence

@@ -1,0 +1,107 @@
+"""Orders of convergence extrapolated from errors whose order is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.measure.order import fit_order
+from contactbench.measure.precision import error_at
+
+H = [0.8 / 2**k for k in range(9)]
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 6, 8])
+def test_order_of_a_clean_power_law(order):
+    fit = fit_order(H, [3 * h**order for h in H])
+    assert fit.order == pytest.approx(order, abs=1e-12)
+    assert fit.uncertainty < 1e-11
+    assert fit.last_slope == pytest.approx(order, abs=1e-12)
+    assert math.isnan(fit.pairwise[0])  # nothing coarser to compare with
+    np.testing.assert_allclose(fit.pairwise[1:], order)
+
+
+def test_a_slope_on_its_way_is_no_scatter():
+    """Pairwise slopes that run towards one, as of the printed scheme: the order is one."""
+    errors = [h * (1 - 0.33 * h) for h in H[2:6]]
+    fit = fit_order(H[2:6], errors)
+    assert fit.last_slope == pytest.approx(0.988, abs=0.001)
+    assert fit.order == pytest.approx(1, abs=0.005)
+    assert abs(fit.order - 1) < fit.uncertainty < 0.1
+    finer = fit_order(H, [h * (1 - 0.33 * h) for h in H])
+    assert abs(finer.order - 1) < finer.uncertainty < 1e-3  # a mean of these slopes is off by ten times that
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_one_power_is_extrapolated_exactly_on_any_ladder(power):
+    """Slopes p + a m_k(h) of unequal ratios of steps: their limit is p to round-off."""
+    h = np.array([0.5, 0.4, 0.22, 0.15, 0.06])
+    errors = np.exp(3 * np.log(h) + 0.3 * h**power)
+    fit = fit_order(h, errors)
+    assert fit.order == pytest.approx(3, abs=1e-12)
+    assert fit.uncertainty < 1e-10
+
+
+def test_pre_asymptotic_points_and_the_round_off_plateau_are_left_out():
+    errors = [h**4 * (1 + 30 * h**2) + 1e-10 for h in H]
+    fit = fit_order(H, errors, floor=1e-9)
+    assert abs(fit.order - 4) < fit.uncertainty < 0.2
+    assert not fit.used[0]
+    assert not fit.used[-1]
+    assert fit.used.sum() == 4
+
+
+def test_the_answer_does_not_depend_on_the_order_of_the_points():
+    errors = [h**2 * (1 + h) for h in H]
+    one, other = fit_order(H, errors), fit_order(H[::-1], errors[::-1])
+    assert (one.order, one.uncertainty, one.last_slope) == (other.order, other.uncertainty, other.last_slope)
+    np.testing.assert_array_equal(one.used, other.used[::-1])
+    np.testing.assert_array_equal(one.pairwise, other.pairwise[::-1])
+
+
+def test_noise_has_no_order():
+    rng = np.random.default_rng(0)
+    found = [fit_order(H, rng.uniform(0.1, 1, len(H))).order for _ in range(50)]
+    assert np.isnan(found).mean() > 0.9
+    assert math.isnan(fit_order(H[:3], [h**2 for h in H[:3]]).order)  # three points are too few
+    assert math.isnan(fit_order(H, [math.nan] * len(H)).order)
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_the_uncertainty_covers_the_truth(power):
+    """Random error constants of three powers, of either sign, and round-off: at most 3 % are missed,
+    where a term happens to be cancelled by the next."""
+    rng = np.random.default_rng(1)
+    missed, total = 0, 0
+    for _ in range(600):
+        p, n = rng.integers(1, 9), rng.integers(5, 10)
+        a = rng.normal(size=3) * rng.choice([0.3, 1.0, 3.0])
+        h = np.array(H[:n])
+        errors = h**p * np.abs(1 + sum(c * h ** (power * (i + 1)) for i, c in enumerate(a)))
+        fit = fit_order(h, errors + 1e-14 * rng.random(n), 1e-12)
+        if not math.isnan(fit.order):
+            total += 1
+            missed += abs(fit.order - p) > fit.uncertainty
+    assert total > 480
+    assert missed <= 0.03 * total
+
+
+@pytest.mark.parametrize(
+    "name", ["contact-printed", "contact-strang", "contact-rkn6", "contact-o8", "herglotz1"]
+)
+def test_nominal_orders_at_fifty_digits(name):
+    method, scene = cb.METHODS[name], cb.SCENES["particle"].with_(t_end=4.0)
+    counts = (8, 16, 32, 64, 128)
+    errors = [float(error_at(method, scene, 4.0, n)) for n in counts]
+    fit = fit_order([4.0 / n for n in counts], errors, 1e-33)
+    assert abs(fit.order - method.order) < fit.uncertainty < 0.1
+
+
+def test_a_wrong_order_is_noticed():
+    """Errors that fall by half a power less than claimed are outside the uncertainty."""
+    errors = [h**3.5 * (1 + h) for h in H]
+    fit = fit_order(H, errors)
+    assert abs(fit.order - 4) > 100 * fit.uncertainty
