@@ -21,11 +21,11 @@ from contactbench.solution import SAFETY, Counts, Status
 
 SCENES = ("particle", "rigid_body")
 CENTRAL = cb.SCENES["central"]
-DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 VARIATIONAL = ("scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "heyoka-taylor")
 #: the same of their kind; the map with its step choice is not among their tests: where a step of cyrk-vern8 is
 #: nearly rejected, its differences at rtol = 1e-8 are uncertain by their own size
 CYRK = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cyrk-lsoda", "cyrk-radau")
+DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
 FIXED = [name for name, method in cb.METHODS.items() if not method.adaptive]
 #: contact drift over rtol, at most: what a tolerance per step grows to over the run (T = 20; the

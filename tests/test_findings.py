@@ -118,11 +118,16 @@ def test_where_no_contact_method_keeps_a_law_it_says_what_they_keep_there():
 def test_round_off_is_bounded_by_the_condition_number_or_it_is_an_exception():
     magnified = kept("kepler_drag") | {"contact_drift": 1e-9, "condition_number": 1e6, "evaluations": 1000}
     finding = law("contact_drift", laws=LAWS, stability=[magnified])
-    assert "to round-off times the condition number of the motion on `kepler_drag`" in said(finding)
+    assert "to round-off and what it grows to on `kepler_drag` (which grows by 1.0e+06)" in said(finding)
     assert "Every contact method keeps it" in finding.sentence
     beyond = law("contact_drift", laws=LAWS, stability=[magnified | {"contact_drift": 1e-3}])
     assert "Every contact method keeps it" not in beyond.sentence
-    assert any("condition number 1.0e+06" in e for e in beyond.exceptions)
+    assert any("which grows by 1.0e+06" in e for e in beyond.exceptions)
+    map_of_its_own = magnified | {"map_growth": 10.0}  # the numerical map decides where it was measured
+    assert (
+        "Every contact method keeps it"
+        not in law("contact_drift", laws=LAWS, stability=[map_of_its_own]).sentence
+    )
     state = law("momentum_law", laws=LAWS, stability=[magnified | {"momentum_law": 1e-9}])
     assert "Every contact method keeps it" not in state.sentence  # J is not magnified by the motion
 
@@ -160,15 +165,16 @@ def test_clamped_and_uncertain_entries_are_marked():
     (cell,) = view.rows[0][1:]
     assert cell.text == "5.0e-01†"
     assert cell.marks == {Mark.clamped}
-    equal = frames(decay_laws=[clamped, broken(drift=1e-8) | {"contact_drift_uncertainty": 2e-9}])
-    shown = laws.equal_cost_view(equal, "central")
+    rows = [clamped, broken(drift=1e-8) | {"contact_drift_uncertainty": 2e-9}]
+    equal = frames(decay_laws=[r | {"cost": 30.0} for r in rows])
+    shown = laws.equal_cost_view(equal["decay_laws"], equal)
     assert [r[-1].text for r in shown.rows] == ["5.0e-01†", "1.0e-08 ± 2e-09"]
     assert Mark.kept in shown.rows[0][-2].marks  # its J law
 
 
 def test_the_table_that_stands_first_has_order_and_laws_of_every_method():
     rows = [
-        r | {"rhs_equivalents": 800.0, "energy_law": 1e-4, "hamiltonian_law": 2e-4}
+        r | {"cost": 30.0, "rhs_equivalents": 800.0, "energy_law": 1e-4, "hamiltonian_law": 2e-4}
         for s in ("central", "rigid_body") for r in (kept(s), broken(s))
     ]  # fmt: skip
     orders = [
@@ -185,6 +191,18 @@ def test_the_table_that_stands_first_has_order_and_laws_of_every_method():
         assert [r[0].text for r in first.rows] == ["contact-a", "rk4"]
         assert first.rows[0][1].text == "2.00"
         assert "`central` 800" in first.meaning
+
+
+def test_the_cost_that_most_methods_meet_is_shown_first():
+    rows = [
+        kept() | {"cost": 30.0},
+        kept() | {"cost": 100.0},
+        broken() | {"cost": 30.0},
+        broken() | {"cost": 100.0},
+    ]
+    assert set(laws.chosen_cost(table("decay_laws", rows))["cost"]) == {100.0}
+    rows[3]["status"] = "failed"
+    assert set(laws.chosen_cost(table("decay_laws", rows))["cost"]) == {30.0}
 
 
 # -- order -----------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 import contactbench as cb
 from cases import USER, by_name
 from contactbench.measure.deviation import conformal_deviation, relative_deviation
-from contactbench.measure.laws import laws_of, momentum_deviation
+from contactbench.measure.laws import Gate, laws_of, momentum_deviation, row
 from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)
@@ -169,3 +169,23 @@ def test_laws_apply_to_a_users_scene():
     solution = cb.solve(USER, "contact-strang", step=0.05)
     assert cb.LAWS["contact_drift"](solution) < 1e-12
     assert cb.LAWS["solution_error"](solution) < 1e-3
+
+
+@pytest.mark.parametrize("law", cb.LAWS.values(), ids=lambda law: law.name)
+def test_a_law_says_how_it_is_shown_and_compared(law):
+    from matplotlib.mathtext import MathTextParser
+
+    assert law.definition
+    assert MathTextParser("path").parse(law.label)
+    assert law.shown
+    assert law.gate is Gate.count or (law.gate is Gate.structure) == law.structural
+
+
+def test_entries_taken_against_their_terms_are_counted():
+    """e^{−50·100} of terms of size 10⁻² at both saved times; e^{−2} of them on the central scene."""
+    strong = row(cb.solve("overdamped", "contact-strang", step=0.5, save_at=[50.0, 100.0]))
+    assert strong["contact_drift_clamped"] == strong["hamiltonian_law_clamped"] == 2
+    mild = row(cb.solve("central", "contact-strang", step=0.1, save_at=[10.0, 20.0]))
+    assert (
+        mild["contact_drift_clamped"] == mild["hamiltonian_law_clamped"] == mild["momentum_law_clamped"] == 0
+    )

@@ -221,7 +221,11 @@ def test_every_column_has_a_meaning_and_every_law_a_column_as_it_says():
         assert {*item.key, *item.whole} <= set(item.columns)
     for name, law in cb.LAWS.items():
         column = LAWS_TABLE.columns[name]
-        assert (column.meaning, column.rule, column.shown) == (law.definition, Rule[law.gate], law.shown)
+        assert (column.meaning, column.rule, column.shown) == (
+            law.definition,
+            Rule[law.gate.value],
+            law.shown,
+        )
         assert column.label
 
 

@@ -253,7 +253,7 @@ Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input
     one.add_argument("--step", type=float, help="step size (fixed-step methods)")
     one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
     one.add_argument("--t-end", type=float, help="end time")
-    one.add_argument("--engine", help="jax or python, where a method has both")
+    one.add_argument("--engine", help="numba, jax or python, where a method has several")
     one.add_argument("--max-steps", type=int, help="step budget")
     one.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -1,14 +1,16 @@
 """Ensembles: many trajectories of one scene at once, with a fixed-step method.
 
 Every process integrates the trajectories it is given.  It cuts them into chunks, so that memory stays
-bounded, and shards each chunk over its devices: the cores of a CPU, or its GPUs.  A core integrates its
-part tile by tile, all steps of one before the next, a tile being small enough for the first cache.  The
-loop over stages is rolled, one array per component.  Processes meet once, for the statistics.
+bounded, and divides each chunk among its devices: the cores of a CPU, or its GPUs.  On a CPU the loop is the
+one numba compiles, for so many trajectories at a time that the processor always has one to go on with; a
+thread runs on every core.  GPUs, parameters that differ from one trajectory to the next and methods that
+cannot be recorded go to JAX, tile by tile, one array per component.  Processes meet once, for the statistics.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,6 +22,9 @@ from contactbench.measure.laws import LAWS
 from contactbench.methods.base import METHODS, Refused, lookup, prepare
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step import FixedStep, FixedStepRun, rolled
+from contactbench.methods.llvm import compiled
+from contactbench.methods.numba_engine import Loop, loop_of
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import BodyState, Scene, State, quaternion_of
 from contactbench.solution import DIVERGENCE, Counts, Status
 
@@ -28,6 +33,8 @@ TILE = 64
 #: trajectories a device is handed at a time: enough for the call not to count
 CHUNK = {"cpu": 2**14, "gpu": 2**20}
 AXIS = "trajectories"
+#: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
+LANES = 32
 
 Measured = Callable[[Scene, Any], Any]
 #: laws of the numerical solution alone, with the quantity that must decay as e^{−γt} and the size of its terms
@@ -160,8 +167,9 @@ def members(
         if name not in scene.initial_fields:
             raise unknown_name(f"initial value of scene {scene.name!r}", name, scene.initial_fields)
     columns: dict[str, np.ndarray] = {}
+    carried = {name for name, part in scene.initial(carry)._asdict().items() if part is not None}
     for name in scene.initial_fields:
-        if name in scene.optional and name not in carry:
+        if name not in carried:
             continue
         default = getattr(scene, name)
         value = given.get(name, default)
@@ -241,6 +249,15 @@ def integrated(
 
     from contactbench.xla import jax
 
+    devices = jax.local_devices()
+    if not own and devices[0].platform == "cpu":
+        try:
+            loop = loop_of(run.method_, run.request.scene, run.request.carry)
+        except CannotRecord:
+            pass
+        else:
+            yield from on_cores(run, loop, names, y0, len(devices), chunk or CHUNK["cpu"])
+            return
     mesh = Mesh(np.array(jax.local_devices()), (AXIS,))
     platform = mesh.devices.flat[0].platform
     at_once = mesh.size * (chunk or CHUNK.get(platform, CHUNK["gpu"]))
@@ -276,6 +293,58 @@ def integrated(
         if following is not None:  # begun before this one is waited for: no device idles at its end
             ahead = begun(following)
         yield tuple(np.asarray(a)[..., : part.stop - part.start] for a in out)  # type: ignore[misc]
+
+
+def on_cores(
+    run: FixedStepRun, loop: Loop, names: list[str], y0: np.ndarray, cores: int, chunk: int
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """The same by the loop numba compiles, a thread on every core."""
+    many = compiled(loop.program.many, LANES).many
+    n = y0.shape[1]
+    share = min(chunk, -(-n // cores))
+    parts = [y0[:, first : first + share] for first in range(0, n, share)]
+    with ThreadPoolExecutor(cores) as threads:
+        for first in range(0, len(parts), cores):
+            mine = parts[first : first + cores]
+            done = threads.map(lambda part: side_by_side(run, loop, many, names, part), mine)
+            yield tuple(np.concatenate(arrays, axis=-1) for arrays in zip(*done, strict=True))  # type: ignore[misc]
+
+
+def side_by_side(
+    run: FixedStepRun, loop: Loop, many: Callable[..., Any], names: list[str], y0: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
+    r, m = run.request, y0.shape[1]
+    scene = r.scene
+    rows, shape = loop.rows(np.array(scene.numbers()), run.h, run.n)
+    y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
+    part, place = np.array([0, y.shape[1] // LANES]), len(loop.program.shape)
+    times = r.save_at[1:] if run.saves_start else r.save_at
+
+    def quantity(name: str, x: Any) -> Any:
+        return np.stack(np.broadcast_arrays(*DECAYING[name][0](scene, x)), axis=-1)
+
+    start = scene.unpack(tuple(y0), r.carry)
+    size = np.linalg.norm(y0[: run._motion], axis=0)
+    bound = DIVERGENCE * np.where(size > 0, size, 1.0)
+    alive, end = np.ones(m, dtype=bool), np.zeros(m)
+    with np.errstate(all="ignore"):
+        origin = {name: quantity(name, start) for name in names[1:]}
+        worst = {name: np.zeros(m) for name in origin}
+        for which, t in zip(shape[place:], times, strict=True):
+            after = np.empty((1, *y.shape))
+            many(y, rows, np.append(shape[:place], which), after, part)
+            y = after[0]
+            x = scene.unpack(tuple(y[:, :m]), r.carry)
+            alive &= np.isfinite(y[:, :m]).all(axis=0) & (np.abs(y[: run._motion, :m]).max(axis=0) <= bound)
+            end = np.where(alive, t, end)
+            for name, first in origin.items():
+                terms = DECAYING[name][1](scene, x)
+                law = conformal_deviation(quantity(name, x), first, t, scene.conformal_rate, terms)
+                worst[name] = np.maximum(worst[name], law)
+        energy = scene.energy(x) / scene.energy(start) - 1
+    measures = np.array([energy, *worst.values()])
+    return np.where(alive, y[:, :m], np.nan), np.where(alive, measures, np.nan), end
 
 
 def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile: int) -> Callable[..., Any]:

@@ -149,11 +149,11 @@ class Prepared:
         return Solution(
             *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0,
             lambda frozen: self.differential(y0, out, frozen), lambda: self.log_factor(y0, out.y),
-            r.control, r.value,
+            self.request.control, self.request.value,
         )  # fmt: skip
 
     @cached_property
-    def _asked(self) -> tuple[Any, ...]:
+    def _asked(self) -> tuple[Scene, str, str, str, tuple[str, ...], np.ndarray]:
         """The fields that all solutions of this run have in common."""
         r = self.request
         return r.scene, self.method, r.engine, r.setting, r.carry, r.save_at

@@ -27,10 +27,20 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
-from contactbench.numbers.dual import Dual, slope, value
-from contactbench.scene import Mechanical, Scene, Vector
+from contactbench.methods.llvm import compiled
+from contactbench.numbers.dual import Dual, DualNumbers, slope, value
+from contactbench.numbers.recording import (
+    Block,
+    CannotRecord,
+    Recorded,
+    RecordedNumbers,
+    Tape,
+    recorded,
+    text_of,
+)
+from contactbench.scene import Mechanical, Scene, Vector, dot
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
 from contactbench.splitting.composition import Composition, advance, plan
 from contactbench.splitting.flows import flows_of
@@ -97,7 +107,7 @@ def next_density(scene: Mechanical, x: Any, density: Any, epsilon: Any, span: An
 
 @dataclass
 class AdaptiveContactRun(Prepared):
-    """What both engines share: how a run ends, and what it costs."""
+    """What the engines share: how a run ends, and what it costs."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -139,6 +149,80 @@ class AdaptiveContactRun(Prepared):
         return self.finished(y0, y[:reached], counts, status, message, (time, last))
 
 
+def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool) -> str:
+    """Source of ``run(start, numbers, options, times, y, facts)``, the loop over steps and saved times.
+
+    options : ε, the span, the budget of steps.  y : states at the saved times, NaN where not reached.
+    facts : time, density and steps at the end of the sequence, and the state there.
+    tangent : the state is followed by a tangent, which is carried along with the steps as they are.
+    """
+    tape, d = Tape(), len(scene.labels(carry))
+    outer = tape.root
+    interval = Block(outer)
+    inner = Block(interval)
+    size = d * (1 + tangent)
+    twin: Any = scene.with_numbers(
+        [tape.assign(f"numbers[{i}]", "f", outer) for i in range(len(scene.numbers()))]
+    )
+    epsilon, span, budget = (tape.assign(f"options[{i}]", "f", outer) for i in range(3))
+    xp = RecordedNumbers(tape)
+
+    def carried(block: Block) -> tuple[list[Recorded], Recorded, Recorded, Recorded]:
+        x = [Recorded(tape, f"x{i}", "f", block) for i in range(size)]
+        time, density, steps = (Recorded(tape, name, "f", block) for name in ("time", "density", "steps"))
+        return x, time, density, steps
+
+    def advanced(x: list[Any], h: Any) -> list[str]:
+        """One step of size h."""
+        numbers: Any = xp
+        if tangent:
+            x, numbers = list(map(Dual, x[:d], x[d:])), DualNumbers(xp)
+        end = scene.pack(advance(composition, twin, scene.unpack(x, carry), h, 1, numbers))
+        return [text_of(c) for c in ([*map(value, end), *map(slope, end)] if tangent else end)]
+
+    def going(x: list[Any], time: Any, density: Any, steps: Any, due: Any) -> tuple[Any, Any]:
+        square = dot(x[: scene.motion], x[: scene.motion])
+        healthy = (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
+        return time + epsilon / density <= due, healthy
+
+    start = [tape.assign(f"start[{i}]", "f", outer) for i in range(size)]
+    square = dot(start[: scene.motion], start[: scene.motion])
+    bound = scene.motion * DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
+    first = first_density(twin, scene.unpack(start[:d], carry), epsilon, span, xp.maximum)
+    outer.add(*(f"x{i} = {text_of(c)}" for i, c in enumerate(start)))
+    outer.add("time = 0.0", "steps = 0.0", f"density = {text_of(first)}")
+
+    # a step of the sequence
+    x, time, density, steps = carried(inner)
+    due = tape.assign("times[j]", "f", interval)
+    ahead, healthy = going(x, time, density, steps, due)
+    inner.add(f"if not ({text_of(ahead)} and {text_of(healthy)}):", "    break")
+    h = epsilon / density
+    end = advanced(x, h)
+    inner.add(f"{', '.join(f'x{i}' for i in range(size))} = {', '.join(end)}", f"time = {text_of(time + h)}")
+    inner.add("steps = steps + 1.0")
+    after = Block(inner, inner.indent)
+    moved = [Recorded(tape, f"x{i}", "f", after) for i in range(d)]
+    following = next_density(twin, scene.unpack(moved, carry), density, epsilon, span, xp.maximum)
+    inner.lines += after.lines
+    inner.add(f"density = {text_of(following)}")
+
+    # the shortened one to the saved time
+    interval.add("while True:")
+    interval.lines += inner.lines
+    x, time, density, steps = carried(interval)
+    ahead, healthy = going(x, time, density, steps, due)
+    complete = healthy & ~ahead
+    there = advanced(x, due - time)
+    interval.add(*(f"y[j, {i}] = {c} if {text_of(complete)} else nan" for i, c in enumerate(there)))
+
+    outer.add("for j in range(len(times)):")
+    outer.lines += interval.lines
+    outer.add("facts[0] = time", "facts[1] = density", "facts[2] = steps")
+    outer.add(*(f"facts[{3 + i}] = x{i}" for i in range(size)), "return 0")
+    return "\n".join(["def run(start, numbers, options, times, y, facts):", *outer.lines, ""])
+
+
 class AdaptivePythonLoop(AdaptiveContactRun):
     """Plain Python floats."""
 
@@ -176,6 +260,58 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
             pass
         return self.ended(y0, y, steps, time, np.array(scene.pack(x), dtype=float), density)
+
+
+_loops: dict[Any, tuple[Any, float]] = {}
+
+
+class AdaptiveNumbaLoop(AdaptiveContactRun):
+    """The same loop as a program compiled by LLVM."""
+
+    sensitivity_source = "forward-mode AD, accepted steps frozen"
+    map_source = "forward-mode AD through the steps and their choice, on jax"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r = self.request
+        self.numbers = np.array(r.scene.numbers())
+        self.options = np.array([self.epsilon, self.span, r.max_steps])
+        self.times = np.ascontiguousarray(r.save_at)
+        self.run, self.compile_s = self.loop()
+
+    def loop(self, tangent: bool = False) -> tuple[Any, float]:
+        """The compiled loop, and the seconds it took."""
+        r = self.request
+        key = (r.scene.structure, r.carry, tangent)
+        if key not in _loops:
+            elapsed, scene = stopwatch(), r.scene
+            assert isinstance(scene, Mechanical)
+            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent))
+            _loops[key] = compiled(text).run, elapsed()
+        return _loops[key]
+
+    def solved(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States at the saved times, and the facts about the end of the sequence."""
+        y, facts = np.empty((len(self.times), len(start))), np.empty(3 + len(start))
+        run(start, self.numbers, self.options, self.times, y, facts)
+        return y, facts
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return self.solved(self.run, y0)[0][-1]
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        y, facts = self.solved(self.run, y0)
+        time, density, steps = facts[:3].tolist()
+        return self.ended(y0, y, int(steps), time, facts[3:], density)
+
+    def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
+        if not frozen:
+            return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0, frozen)
+        r, (run, _) = self.request, self.loop(tangent=True)
+        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
+        tangents = [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
+        pushed = [self.solved(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in tangents]
+        return np.stack(pushed, axis=-1)
 
 
 class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
@@ -260,7 +396,7 @@ class AdaptiveContactMethod(Adaptive):
     name: str = "contact-adaptive"
     order: int | None = 6
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
-    engines: tuple[str, ...] = ("jax", "python")
+    engines: tuple[str, ...] = ("numba", "jax", "python")
     stiff: bool = False
     rtol_range: tuple[float, float] = (1e-13, 1e-1)
 
@@ -270,8 +406,13 @@ class AdaptiveContactMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        loop = {"jax": AdaptiveJaxLoop, "python": AdaptivePythonLoop}[request.engine]
-        return loop(self.name, request)
+        loops = {"numba": AdaptiveNumbaLoop, "jax": AdaptiveJaxLoop, "python": AdaptivePythonLoop}
+        try:
+            return loops[request.engine](self.name, request)
+        except CannotRecord as why:
+            return Refused(
+                self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}"
+            )
 
 
 METHODS.add(AdaptiveContactMethod())

@@ -106,7 +106,9 @@ class FixedStep:
             return ChosenStep(self.name, request, self, run)
         except (CannotRecord, JAXTypeError) as error:
             why = str(error).partition("\n")[0]
-            return Refused(self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}")
+            return Refused(
+                self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}"
+            )
 
 
 def fixed_step(

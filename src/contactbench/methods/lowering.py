@@ -17,7 +17,10 @@ from typing import Any, NamedTuple
 #: functions LLVM knows; all others are the C library's
 INTRINSICS = {
     "abs": "llvm.fabs",
-    **{name: f"llvm.{name}" for name in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")},
+    **{
+        name: f"llvm.{name}"
+        for name in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")
+    },
 }
 CONSTANTS = {"inf": float("inf"), "nan": float("nan"), "LARGEST": sys.float_info.max}
 COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -46,8 +49,11 @@ class Lowering:
         self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
         self.values: dict[str, Any] = {}
         self.variables: dict[str, Any] = {}
-        stores = [node.id for node in ast.walk(function) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+        names = (node for node in ast.walk(function) if isinstance(node, ast.Name))
+        stores = [name.id for name in names if isinstance(name.ctx, ast.Store)]
         self.changing = {name for name, times in Counter(stores).items() if times > 1}
+        #: where `break` leads to
+        self.after: Any = None
         self.returned = self.whole(0)
         self.run(function.body)
 
@@ -90,6 +96,18 @@ class Lowering:
             self.changing.discard(loop.target.id)
             self.run(loop.body)
 
+    def _While(self, loop: ast.While) -> None:
+        """``while True:``, left by `break`."""
+        begin, self.after = (self.builder.append_basic_block(name) for name in ("while", "after"))
+        self.builder.branch(begin)
+        self.builder.position_at_end(begin)
+        self.run(loop.body)
+        self.builder.branch(begin)
+        self.builder.position_at_end(self.after)
+
+    def _Break(self, statement: ast.Break) -> None:
+        self.builder.branch(self.after)
+
     def _If(self, choice: ast.If) -> None:
         with self.builder.if_then(self.value(choice.test)):
             self.run(choice.body)
@@ -101,6 +119,10 @@ class Lowering:
     # -- expressions -------------------------------------------------------------------------------
     def value(self, node: ast.expr) -> Any:
         return getattr(self, f"_{type(node).__name__}")(node)
+
+    def alike(self, *values: Any) -> list[Any]:
+        """Numbers as floating-point numbers of one type."""
+        return [self.floating(value) for value in values]
 
     def floating(self, value: Any) -> Any:
         return self.builder.sitofp(value, self.double) if value.type == self.whole else value
@@ -123,7 +145,9 @@ class Lowering:
             return self.builder.gep(array.first, [self.value(node.slice)], inbounds=True)
         assert isinstance(node.slice, ast.Tuple)
         i, j = map(self.value, node.slice.elts)
-        return self.builder.gep(array.first, [self.builder.add(self.builder.mul(i, array.row), j)], inbounds=True)
+        return self.builder.gep(
+            array.first, [self.builder.add(self.builder.mul(i, array.row), j)], inbounds=True
+        )
 
     def _Subscript(self, node: ast.Subscript) -> Any:
         return self.builder.load(self.element(node))
@@ -133,7 +157,7 @@ class Lowering:
         sign = type(node.op).__name__
         if a.type == b.type == self.whole and sign in ("Add", "Sub", "Mult"):
             return getattr(self.builder, {"Add": "add", "Sub": "sub", "Mult": "mul"}[sign])(a, b)
-        a, b = self.floating(a), self.floating(b)
+        a, b = self.alike(a, b)
         if sign == "Pow":
             return self.call("pow", a, b)
         names = {"Add": "fadd", "Sub": "fsub", "Mult": "fmul", "Div": "fdiv"}
@@ -157,11 +181,14 @@ class Lowering:
         if a.type == b.type == self.whole:
             return self.builder.icmp_signed(sign, a, b)
         compare = self.builder.fcmp_unordered if sign == "!=" else self.builder.fcmp_ordered
-        return compare(sign, self.floating(a), self.floating(b))
+        return compare(sign, *self.alike(a, b))
 
     def _IfExp(self, node: ast.IfExp) -> Any:
         a, b = self.value(node.body), self.value(node.orelse)
-        return self.builder.select(self.value(node.test), self.floating(a), self.floating(b))
+        return self.chosen(self.value(node.test), *self.alike(a, b))
+
+    def chosen(self, condition: Any, a: Any, b: Any) -> Any:
+        return self.builder.select(condition, a, b)
 
     def _Call(self, node: ast.Call) -> Any:
         assert isinstance(node.func, ast.Name)
@@ -171,7 +198,7 @@ class Lowering:
         x = [self.value(argument) for argument in node.args]
         if node.func.id == "int":
             return x[0] if x[0].type == self.whole else self.builder.fptosi(x[0], self.whole)
-        return self.call(node.func.id, *map(self.floating, x))
+        return self.call(node.func.id, *self.alike(*x))
 
     def call(self, name: str, *x: Any) -> Any:
         from numba.core.cgutils import get_or_insert_function
@@ -185,7 +212,7 @@ class Lowering:
         return self.builder.call(function, x)
 
 
-def lowered(text: str) -> Any:
+def lowered(text: str, lanes: int = 1) -> Any:
     """The function of a source as a numba intrinsic, its arguments contiguous arrays of one or two dimensions."""
     from numba.core import cgutils, types
     from numba.extending import intrinsic
@@ -201,12 +228,104 @@ def lowered(text: str) -> Any:
             for name, kind, value in zip(names, signature.args, values, strict=True):
                 array = make_array(kind)(context, builder, value)
                 sizes = cgutils.unpack_tuple(builder, array.shape)
-                arrays[name] = Array(array.data, *sizes)
+                arrays[name] = Array(array.data, *sizes[:2])
+            if lanes > 1:
+                return Lanes(function, builder, arrays, lanes).returned
             return Lowering(function, builder, arrays).returned
 
         return types.int64(*arguments), instructions
 
     # numba reads the number of arguments off the function
     scope = {"typed": typed}
-    exec(f"def {function.name}(typingctx, {', '.join(names)}):\n    return typed(typingctx, {', '.join(names)})", scope)
+    exec(
+        f"def {function.name}(typingctx, {', '.join(names)}):\n    return typed(typingctx, {', '.join(names)})",
+        scope,
+    )
     return intrinsic(scope[function.name])
+
+
+class Lanes(Lowering):
+    """The same instructions for many states at once: a vector of LLVM's for every number of the state.
+
+    starts : (d, n), ends : (k, d, n), n a multiple of `lanes`.  part : the first tile of so many states, and the last.
+    """
+
+    def __init__(self, function: ast.FunctionDef, builder: Any, arrays: dict[str, Array], lanes: int) -> None:
+        from llvmlite import ir
+
+        self.lanes, self.wide = lanes, ir.VectorType(ir.DoubleType(), lanes)
+        super().__init__(function, builder, arrays)
+
+    def run(self, body: list[ast.stmt]) -> None:
+        from numba.core.cgutils import for_range
+
+        if hasattr(self, "first"):
+            return super().run(body)
+        part = self.arrays["part"].first
+        tiles = [self.builder.load(self.builder.gep(part, [self.whole(i)])) for i in (0, 1)]
+        with for_range(self.builder, tiles[1], tiles[0]) as turn:
+            #: the first state of the tile
+            self.first = self.builder.mul(turn.index, self.whole(self.lanes))
+            super().run(body)
+
+    def element(self, node: ast.Subscript) -> Any:
+        assert isinstance(node.value, ast.Name)
+        name = node.value.id
+        if name not in ("starts", "ends"):
+            return super().element(node)
+        array = self.arrays[name]
+        where = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        place = self.value(where[-1])
+        if len(where) > 1:  # ends[j, i]
+            size = self.arrays["starts"].length
+            place = self.builder.add(self.builder.mul(self.value(where[0]), size), place)
+        offset = self.builder.add(self.builder.mul(place, self.arrays["starts"].row), self.first)
+        pointer = self.builder.gep(array.first, [offset], inbounds=True)
+        return self.builder.bitcast(pointer, self.wide.as_pointer())
+
+    def _Subscript(self, node: ast.Subscript) -> Any:
+        return self.builder.load(self.element(node), align=8)
+
+    def store(self, target: ast.expr, value: Any) -> None:
+        if isinstance(target, ast.Subscript):
+            self.builder.store(self.spread(value), self.element(target), align=8)
+        else:  # the state may be wide from the second turn of a loop on
+            changes = isinstance(target, ast.Name) and target.id in self.changing
+            super().store(target, self.spread(value) if changes and value.type == self.double else value)
+
+    def alike(self, *values: Any) -> list[Any]:
+        values = [self.floating(value) for value in values]  # type: ignore[assignment]
+        return (
+            list(map(self.spread, values))
+            if any(value.type == self.wide for value in values)
+            else list(values)
+        )
+
+    def chosen(self, condition: Any, a: Any, b: Any) -> Any:
+        each = isinstance(condition.type, self.ir.VectorType)
+        return super().chosen(condition, *(map(self.spread, (a, b)) if each else (a, b)))
+
+    def call(self, name: str, *x: Any) -> Any:
+        if x[0].type == self.double:
+            return super().call(name, *x)
+        if name in INTRINSICS:
+            kind = self.ir.FunctionType(self.wide, [self.wide] * len(x))
+            full = f"{INTRINSICS[name]}.v{self.lanes}f64"
+            known = self.builder.module.globals.get(full)
+            return self.builder.call(known or self.ir.Function(self.builder.module, kind, full), x)
+        result = self.ir.Constant(self.wide, self.ir.Undefined)
+        for i in map(self.ir.IntType(32), range(self.lanes)):
+            each = super().call(name, *(self.builder.extract_element(v, i) for v in x))
+            result = self.builder.insert_element(result, each, i)
+        return result
+
+    def spread(self, value: Any) -> Any:
+        """A number as a vector of it."""
+        value = super().floating(value)
+        if value.type != self.double:
+            return value
+        from llvmlite import ir
+
+        one = self.builder.insert_element(ir.Constant(self.wide, ir.Undefined), value, ir.IntType(32)(0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), [0] * self.lanes)
+        return self.builder.shuffle_vector(one, ir.Constant(self.wide, ir.Undefined), zeros)

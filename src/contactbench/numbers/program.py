@@ -31,11 +31,13 @@ class Program(NamedTuple):
     """A recorded time loop.
 
     text : source of `setup` and `run`, to be compiled after `recording.PREAMBLE`.
+    many : source of ``many(starts, w, shape, ends, part)``, `run` for many states of one scene side by side.
     data : floating-point numbers and shape : whole numbers it is called with; `run` takes (*shape, *which).
     width : how long a row of w is.
     """
 
     text: str
+    many: str
     data: np.ndarray
     shape: np.ndarray
     width: int
@@ -132,9 +134,10 @@ class ProgramTape(Tape):
 
     def read(self, x: Any, block: Block, kind: str = "f") -> str:
         text = super().read(x, block, kind)
+        if text.startswith("i0"):  # an argument of both functions
+            return text
         if isinstance(x, Recorded) and x.block is self.root and block.within(self.main):
-            if not text.startswith("i0"):
-                self.exported[text] = x.kind
+            self.exported[text] = x.kind
         return text
 
     def assign(self, text: str, kind: str, block: Block) -> Recorded:
@@ -184,14 +187,14 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
         raise CannotRecord(f"a step from {d} components to {len(end)}")
     ends = [tape.read(value, tape.main) for value in end]
     return Program(
-        assembled(tape, ends, bounded, factor),
+        *assembled(tape, ends, bounded, factor),
         np.array([value for column in tape.columns for value in column.data], dtype=float),
         np.array([number() for number in tape.shape], dtype=np.int64),
         len(tape.exported) + sum(len(column.data) * len(column.stored) for column in tape.columns),
     )
 
 
-def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -> str:
+def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -> tuple[str, str]:
     """The two functions written out."""
     setup, run = Block(), Block()
     columns = Block(indent=tape.root.indent)
@@ -226,7 +229,15 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
     run.add(*(f"    y[j, {i}] = {x}" for i, x in enumerate(state)))
     healthy = [f"abs({x}) <= {'bound' if i < bounded else 'LARGEST'}" for i, x in enumerate(state)]
     run.add(f"    if bad < 0 and not ({' and '.join(healthy)}):", "        bad = j", "return bad")
+    start = run.lines.index("    bad = -1") + 1
+    many = [
+        *(line for line in run.lines[: start - 3] if "start[" not in line),
+        *(f"    {x} = starts[{i}]" for i, x in enumerate(state)),
+        *(line.replace("(y)", "(ends)").replace("y[j,", "ends[j,") for line in run.lines[start:-3]),
+    ]
     return "\n".join(
-        ["def setup(numbers, spans, data, shape, w):", *setup.lines, "", ""]
-        + ["def run(start, w, shape, y):", *run.lines, ""]
-    )
+        [
+            *("def setup(numbers, spans, data, shape, w):", *setup.lines, "", ""),
+            *("def run(start, w, shape, y):", *run.lines, ""),
+        ]
+    ), "\n".join(["def many(starts, w, shape, ends, part):", *many, ""])

@@ -36,7 +36,7 @@ class Block:
     def __init__(self, parent: Block | None = None, indent: int | None = None) -> None:
         self.parent = parent
         self.depth: int = parent.depth + 1 if parent else 0
-        self.indent = (parent.indent + 1 if parent else 1) if indent is None else indent
+        self.indent: int = indent if indent is not None else parent.indent + 1 if parent else 1
         self.lines: list[str] = []
         self.known: dict[str, str] = {}
 
@@ -77,7 +77,8 @@ class Tape:
         for x in operands:
             if isinstance(x, Recorded) and x.block.depth > block.depth:
                 block = x.block
-        return self.assign(form.format(*(self.read(x, block, "i" if kind == "i" else "f") for x in operands)), kind, block)
+        of = "i" if kind == "i" else "f"
+        return self.assign(form.format(*(self.read(x, block, of) for x in operands)), kind, block)
 
     def read(self, x: Any, block: Block, kind: str = "f") -> str:
         """The text of a number where it is used, in a block."""
@@ -339,7 +340,9 @@ ALIASES = {
     "arctanh": "atanh", "arctan2": "atan2",
 }  # fmt: skip
 #: what the program imports
-PREAMBLE = f"from math import {', '.join(FUNCTIONS)}, atan2, hypot, inf, nan\n\nLARGEST = {sys.float_info.max!r}\n"
+PREAMBLE = (
+    f"from math import {', '.join(FUNCTIONS)}, atan2, hypot, inf, nan\n\nLARGEST = {sys.float_info.max!r}\n"
+)
 
 
 class RecordedNumbers:

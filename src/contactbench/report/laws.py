@@ -1,8 +1,9 @@
 """Which methods preserve the laws, and how far the others are from it.
 
 A structural law is kept when its deviation is round-off at every setting on every scene, hard ones
-included.  Round-off is 10⁻¹² where nothing magnifies it; a law of the derivative of the map is magnified
-by the condition number of the motion, which the tables of hard scenes state.
+included.  Round-off is 10⁻¹², or what rounding every evaluation comes to; the round-off of a law of the
+derivative grows with the numerical map, how far stands in the table (`map_growth`), and where it does not, with
+the motion (`condition_number`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.round_off import round_off_bound
 from contactbench.report.contest import CONTACT, LIMIT
 from contactbench.report.curves import by_method, number_axis, round_off
 from contactbench.report.model import (
@@ -36,7 +38,7 @@ from contactbench.report.model import (
 )
 from contactbench.report.numbers import count, names, readable, scientific, upper
 from contactbench.report.raw import raw
-from contactbench.results.round_off import STRUCTURE, floor
+from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Column, Rule, Table
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE, LAWS_TIME
 
@@ -96,19 +98,21 @@ def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Seri
     return pd.to_numeric(rows[column], errors="coerce").astype(float).fillna(default)
 
 
-def bound(rows: pd.DataFrame, law: str) -> pd.Series:
-    """Up to what a deviation from a law is round-off, row by row.
-
-    The motion magnifies the round-off of a law of the derivative by its condition number, that of a law
-    of the state it does not.
-    """
+def growth(rows: pd.DataFrame, law: str) -> pd.Series:
+    """What the round-off of a law grows by: with the map where that was measured, else with the motion."""
     if law in OF_THE_STATE:
-        return pd.Series(STRUCTURE, rows.index)
-    return pd.Series(floor(Rule.structure, rows), rows.index)
+        return pd.Series(1.0, rows.index)
+    motion = numbers(rows, "condition_number", 1.0)
+    return np.maximum(1.0, numbers(rows, "map_growth").fillna(motion))
+
+
+def bound(rows: pd.DataFrame, law: str) -> pd.Series:
+    """Up to what a deviation from a law is round-off, row by row."""
+    return np.maximum(STRUCTURE, round_off_bound(growth(rows, law), numbers(rows, "evaluations", 0.0)))
 
 
 MEASURED = [
-    "scene", "method", "family", "setting", "solution_error", "value", "bound", "condition", "frozen", "unsure",
+    "scene", "method", "family", "setting", "solution_error", "value", "bound", "growth", "frozen", "unsure",
     "clamped",
 ]  # fmt: skip
 
@@ -124,7 +128,7 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
         uncertainty, values = numbers(part, f"{law}_uncertainty", 0.0), numbers(part, law)
         parts.append(
             part.assign(
-                value=values, bound=bound(part, law), condition=numbers(part, "condition_number", 1.0),
+                value=values, bound=bound(part, law), growth=growth(part, law),
                 frozen=numbers(part, law + FROZEN), unsure=(uncertainty > 0) & (values <= UNSURE * uncertainty),
                 clamped=numbers(part, f"{law}_clamped", 0.0),
             )
@@ -158,11 +162,11 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
     magnified = rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]
     if len(magnified):
         where = [
-            f"`{scene}` (condition number {scientific(part['condition'].max())}) up to "
+            f"`{scene}` (which grows by {scientific(part['growth'].max())}) up to "
             f"{scientific(part['value'].max())}"
             for scene, part in magnified.groupby("scene", sort=False)
         ]
-        exceptions.append(f"to round-off times the condition number of the motion on {names(where)}")
+        exceptions.append(f"to round-off and what it grows to on {names(where)}")
     if ours and set(ours) <= set(kept):
         sentence = "Every contact method keeps it to round-off at every setting on every scene."
     elif ours:
@@ -232,8 +236,8 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
         if worst["solution_error"] > WILD:
             cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
-        if worst["condition"] > 1:
-            cause += f", condition number {scientific(worst['condition'])}"
+        if worst["growth"] > 1:
+            cause += f", which grows by {scientific(worst['growth'])}"
         if instead:
             cause += f" (what is kept there: {names(instead)})"
         yield f"on `{scene}` {who}: up to {scientific(worst['value'])} ({worst['method']}, {worst['setting']}){cause}"
@@ -344,10 +348,16 @@ def order_cell(frames: Frames, method: str, scene: str) -> Cell:
     return number(first["order"], "{:.2f}".format)
 
 
+def chosen_cost(frame: pd.DataFrame) -> pd.DataFrame:
+    """Of the costs every method was asked for, the rows of the one that most can meet; of equals the largest."""
+    met = frame[frame["status"] == "ok"].groupby("cost").size()
+    return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
+
+
 def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
     """Order and decay laws of every method at equal cost: the table that stands first."""
-    rows_of = frames["decay_laws"] if "decay_laws" in frames else pd.DataFrame()
-    scenes = tuple(scene for scene in scenes if len(rows_of) and scene in set(rows_of["scene"]))
+    rows_of = chosen_cost(frames["decay_laws"])
+    scenes = tuple(scene for scene in scenes if scene in set(rows_of["scene"]))
     if not scenes:
         return None
     part = rows_of[rows_of["scene"].isin(scenes)]
@@ -369,7 +379,7 @@ def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
             here = part[(part["method"] == method) & (part["scene"] == scene)]
             cells.append(order_cell(frames, str(method), scene) if len(here) else Cell(DASH))
             for law in shown[scene]:
-                if not len(here):
+                if not len(here) or here["status"].iloc[0] == "unsupported":
                     cells.append(Cell(DASH))
                 elif here["status"].iloc[0] != "ok":
                     cells.append(Cell(str(here["status"].iloc[0]), marks=marks(Mark.none)))
@@ -395,15 +405,16 @@ def equal_cost(part: pd.DataFrame) -> str:
         spent.append(f"`{scene}` {low if low == high else f'{low} to {high}'}")
     return (
         f"Largest deviation over the run, every method at about the same number of evaluations ({', '.join(spent)}). "
-        f"Bold: round-off. H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}}. "
+        f"Bold: round-off. H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}} (J with the true J "
+        "where a torque acts). "
         f"{MEANINGS['dagger']}."
     )
 
 
-def equal_cost_view(frames: Frames, scene: str) -> View:
-    """One scene of the table at equal cost, with the setting taken and what it cost."""
-    part = bounded(frames["decay_laws"])
-    part = part[part["scene"] == scene]
+def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
+    """One scene at one cost, with the setting taken and what it came to."""
+    scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
+    part = bounded(part)
     shown = [law for law in at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
     for _, row in part.iterrows():
@@ -425,14 +436,8 @@ def equal_cost_view(frames: Frames, scene: str) -> View:
         Head("solution error", DECAY_LAWS.columns["solution_error"].meaning),
         *(Head(called(law), LAWS_TABLE.columns[law].meaning) for law in shown),
     )  # fmt: skip
-    return View(
-        f"equal_cost_{scene}",
-        f"At equal cost on {scene}",
-        equal_cost(part),
-        heads,
-        tuple(rows),
-        "decay_laws.csv",
-    )
+    title = f"{scene}, {cost:g} evaluations per unit of time"
+    return View(f"equal_cost_{scene}_{cost:g}", title, equal_cost(part), heads, tuple(rows), "decay_laws.csv")
 
 
 def law_view(frames: Frames, law: str, column: Column) -> View | None:
@@ -536,9 +541,8 @@ def sections(frames: Frames) -> list[Part]:
     ]
     equal = frames["decay_laws"]
     if len(equal):
-        parts.append(
-            Section("At equal cost", tuple(equal_cost_view(frames, s) for s in dict.fromkeys(equal["scene"])))
-        )
+        costs = equal.groupby(["scene", "cost"], sort=False)
+        parts.append(Section("At equal cost", tuple(equal_cost_view(part, frames) for _, part in costs)))
     views = (law_view(frames, law, column) for law, column in laws(LAWS_TABLE).items())
     ranges: list[Part] = [view for view in views if view is not None]
     drawn = structure_figure(frames["laws"])

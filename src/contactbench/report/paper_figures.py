@@ -5,7 +5,7 @@ A figure the table has and SHAPES does not is drawn with a panel per panel and i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -40,23 +40,38 @@ class Plan:
 
 
 def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
-    """The curves of a panel: a method has its own look, the others that of their kind."""
-    ordered = 0
+    """The curves of a panel: a method has its own look, an ordered set its shades, the others that of their kind.
+
+    A method beside laws of a set ("λ = 0.1, contact-strang") is points on its law.
+    """
     part = rows[rows["panel"] == panel]
+    kinds = part.drop_duplicates("curve").set_index("curve")["kind"]
+    ordered = [str(name) for name, kind in kinds.items() if kind == "law" and str(name).startswith("λ")]
+    lines = set(kinds) == {"method"}  # nothing else for the points to lie on
     for name, points in part.groupby("curve", sort=False):
         points = points.sort_values("point")
-        kind, label = str(points["kind"].iloc[0]), str(name)
-        method = label.rpartition(", ")[2] if kind == "method" else ""
-        role = kind
-        if kind == "law" and label.startswith("λ"):  # an ordered set
-            role, ordered = f"shade {min(ordered, 4)}", ordered + 1
-        single = len(points) == 1
+        label, kind, single = str(name), str(kinds[name]), len(points) == 1
+        own, _, method = label.rpartition(", ") if kind == "method" else (label, "", "")
+        role = f"shade {min(ordered.index(own), 4)}" if own in ordered else kind
+        points_only = single or (kind == "method" and not lines)
         yield Curve(
-            floats(points["x"]), floats(points["y"]), label if kind != "flow" else "flow", method,
-            "" if method else role,
-            line=not single, markers=single or kind == "method", dashed=kind in ("dissipative", "criterion"),
-            z=floats(points["z"]) if points["z"].notna().all() else (),
+            floats(points["x"]), floats(points["y"]), "" if method and own in ordered else label,
+            "" if own in ordered else method, "" if method and own not in ordered else role,
+            line=not points_only, markers=single or kind == "method",
+            dashed=kind in ("dissipative", "criterion"), z=floats(points["z"]) if points["z"].notna().all() else (),
         )  # fmt: skip
+
+
+def kinds_told(rows: pd.DataFrame, found: Iterable[Curve]) -> tuple[Curve, ...]:
+    """Directions on the sphere by their kind, with the growth rate the table has; one entry for the flow."""
+    rates = rows[rows["panel"] == "rate"]
+    told = {}
+    for kind, part in rates.groupby("kind", sort=False):
+        axes = sorted({str(name)[-1] for name in part["curve"]})
+        told[str(kind)] = (
+            f"{kind} direction: axis {' and '.join(axes)}, growth rate {abs(part['z']).max():.3g}"
+        )
+    return tuple(replace(c, label=told.get(c.role, "flow" if c.role == "flow" else c.label)) for c in found)
 
 
 def momentum(letter: str) -> dict[str, Axis]:
@@ -84,7 +99,7 @@ def angles(rows: pd.DataFrame) -> Iterator[Panel]:
         )  # fmt: skip
     degrees = Axis("angle of M with the axis it started near, degrees", limits=(0.0, 185.0))
     yield Panel(
-        "direction", Axis("‖M‖ / ‖M(0)‖ = e^{−γt}", inverted=True, limits=(0.0, 1.0)), degrees, tuple(found)
+        "direction", Axis("‖M‖ / ‖M(0)‖ = exp(−γt)", inverted=True, limits=(0.0, 1.0)), degrees, tuple(found)
     )
 
 
@@ -123,7 +138,7 @@ PLANS = {
     "paper_3": Plan(
         "Momentum map of the central force (figure 3)",
         {"decay": Shape("", Axis("t"), Axis("J(t) / J(0)", "log"))},
-        "Lines: e^{−λt}; points: the method.",
+        "Lines: exp(−λt); points: the method.",
     ),
     "paper_4": Plan(
         "Damped rigid body (figure 4, corrected)", {"momentum": on_sphere("M", "momentum space", (22.0, -50.0))},
@@ -138,7 +153,7 @@ PLANS = {
         "2-DOF particle, γ = 0.1, T = 20 (figure 7, corrected)",
         {
             "energy": Shape("energy at h = 0.01", Axis("t"), Axis("H0", "log")),
-            "ratio": Shape("it is no exponential", Axis("t"), Axis("H0 / (H0(0) e^{−γt}) − 1")),
+            "ratio": Shape("it is no exponential", Axis("t"), Axis("H0 / (H0(0) exp(−γt)) − 1")),
             "convergence": Shape("convergence", Axis("step size h", "log"), Axis("max |H0 − H0*| over [0, T]", "log")),
         },
     ),
@@ -170,6 +185,10 @@ def figure(name: str, rows: pd.DataFrame) -> Figure:
         if panel not in there:
             continue
         found = with_orders(rows, panel, tuple(curves(rows, panel)))
+        if "rate" in there:
+            found = kinds_told(rows, found)
+        if panel == "momentum":  # each by its own colour, as in the panel of angles
+            found = tuple(replace(c, role=f"shade {n + 1}") for n, c in enumerate(found))
         if shape.more.get("z") is None:
             found = tuple(replace(c, z=()) for c in found)
         panels.append(Panel(shape.title, shape.x, shape.y, found, **shape.more))
