@@ -21,10 +21,10 @@ from contactbench.solution import SAFETY, Counts, Status
 
 SCENES = ("particle", "rigid_body")
 CENTRAL = cb.SCENES["central"]
-VARIATIONAL = (
-    "scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853", "cyrk-vern8", "cyrk-tsit5",
-    "cyrk-lsoda", "cyrk-radau", "heyoka-taylor",
-)  # fmt: skip
+VARIATIONAL = ("scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "heyoka-taylor")
+#: the same of their kind; the map with its step choice is not among their tests: where a step of cyrk-vern8 is
+#: nearly rejected, its differences at rtol = 1e-8 are uncertain by their own size
+CYRK = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cyrk-lsoda", "cyrk-radau")
 DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
 FIXED = [name for name, method in cb.METHODS.items() if not method.adaptive]
@@ -215,7 +215,7 @@ def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
 
 
 # -- variational runs ------------------------------------------------------------------------------
-@pytest.mark.parametrize("method", VARIATIONAL)
+@pytest.mark.parametrize("method", [*VARIATIONAL, *CYRK])
 @pytest.mark.parametrize("name", SCENES)
 def test_frozen_drift_falls_with_the_tolerance(name, method):
     scene = cb.SCENES[name]
@@ -267,7 +267,7 @@ def test_all_derivatives_agree_at_tight_tolerance(case, independent):
     scene = SHORT[case]
     y, expected = independent(scene)
     assert expected.shape == (5, y.shape[1], len(scene.tangents(scene.initial(scene.optional))))
-    for method in (*VARIATIONAL, "diffrax-dopri8"):
+    for method in (*VARIATIONAL, *CYRK, "diffrax-dopri8"):
         found = cb.solve(scene, method, rtol=1e-11, save_at=saved(scene)).frozen_differential
         size = np.abs(expected).max()
         np.testing.assert_allclose(found.states, y, rtol=0, atol=AGREE, err_msg=method)
@@ -289,7 +289,7 @@ def test_all_engines_give_the_same_derivative(name, method):
     np.testing.assert_array_equal(numba.sensitivity[0], start)
 
 
-@pytest.mark.parametrize("method", VARIATIONAL)
+@pytest.mark.parametrize("method", [*VARIATIONAL, *CYRK])
 def test_the_derivative_starts_with_the_tangents_when_the_start_is_saved(method):
     scene = cb.SCENES["rigid_body"].with_(t_end=1.0)
     solution = cb.solve(scene, method, rtol=1e-6, save_at=[0.0, 1.0])
@@ -300,7 +300,7 @@ def test_the_derivative_starts_with_the_tangents_when_the_start_is_saved(method)
     assert np.abs(frozen[1] - start).max() > 0.1
 
 
-@pytest.mark.parametrize("method", VARIATIONAL)
+@pytest.mark.parametrize("method", [*VARIATIONAL, *CYRK])
 def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
     """At other initial data it is another derivative: against differences of two runs."""
     scene = cb.SCENES["particle"].with_(t_end=2.0)
