@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import round_off_bound
-from contactbench.report.contest import CONTACT, LIMIT
+from contactbench.report.contest import CONTACT, LIMIT, families
 from contactbench.report.curves import by_method, number_axis, round_off
 from contactbench.report.model import (
     DASH,
@@ -36,7 +36,7 @@ from contactbench.report.model import (
     number,
     word,
 )
-from contactbench.report.numbers import count, names, readable, scientific, upper
+from contactbench.report.numbers import count, many, names, readable, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Column, Rule, Table
@@ -168,7 +168,9 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
         ]
         exceptions.append(f"to round-off and what it grows to on {names(where)}")
     if ours and set(ours) <= set(kept):
-        sentence = "Every contact method keeps it to round-off at every setting on every scene."
+        missing = set(ours) < {m for m, family in families(frames).items() if family == CONTACT}
+        who = "Every contact method it was measured for" if missing else "Every contact method"
+        sentence = f"{who} keeps it to round-off at every setting on every scene."
     elif ours:
         good, runs = int((contact & rows["kept"]).sum()), int(contact.sum())
         sentence = (
@@ -195,7 +197,10 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
 
 def covers(rows: pd.DataFrame, frames: Frames, law: str) -> str:
     """Rows, scenes and methods behind a finding, and which methods have no value at all."""
-    said = f"{len(rows)} runs of {rows['method'].nunique()} methods on {rows['scene'].nunique()} scenes"
+    said = (
+        f"{many(len(rows), 'run')} of {many(rows['method'].nunique(), 'method')} on "
+        f"{many(rows['scene'].nunique(), 'scene')}"
+    )
     ran = [frames[n] for n in ("laws", "stability") if n in frames and law in frames[n]]
     scenes = set(rows["scene"])
     tried = dict.fromkeys(
@@ -204,7 +209,7 @@ def covers(rows: pd.DataFrame, frames: Frames, law: str) -> str:
     if without := [m for m in tried if m not in set(rows["method"])]:
         said += f"; not measured: {names(without)}"
     if unresolved := int((rows["unsure"] & ~rows["kept"]).sum()):
-        said += f"; {unresolved} runs are known as an upper bound only"
+        said += f"; {many(unresolved, 'run')} known as an upper bound only"
     return said
 
 
@@ -246,8 +251,8 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         worst = slight.loc[(slight["value"] / slight["bound"]).idxmax()]
         yield (
             f"no more than {np.ceil(10 * (worst['value'] / worst['bound'])) / 10:g} times above the "
-            "bound of round-off in "
-            f"{len(slight)} runs on {names(scenes_of(slight))} (worst {scientific(worst['value'])}, {place(worst)})"
+            f"bound of round-off in {many(len(slight), 'run')} on {names(scenes_of(slight))} "
+            f"(worst {scientific(worst['value'])}, {place(worst)})"
         )
 
 
@@ -336,12 +341,14 @@ def scalar(row: pd.Series, name: str) -> float:
     return 0.0 if value is None or pd.isna(value) else float(value)
 
 
-def order_cell(frames: Frames, method: str, scene: str) -> Cell:
+def order_cell(frames: Frames, method: str, scene: str, control: str) -> Cell:
     """The extrapolated order of a method on a scene; why not, where there is none."""
+    if control == "rtol":
+        return Cell("adaptive")
     orders = frames.get("convergence", pd.DataFrame())
     here = orders[(orders["method"] == method) & (orders["scene"] == scene)] if len(orders) else orders
     if not len(here):
-        return Cell("adaptive" if not (len(orders) and (orders["method"] == method).any()) else DASH)
+        return Cell(DASH)
     first = here.iloc[0]
     if pd.isna(first["order"]):
         return Cell(str(first["status"]) if first["status"] != "ok" else "no range")
@@ -377,7 +384,9 @@ def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
         cells = [word(method)]
         for scene in scenes:
             here = part[(part["method"] == method) & (part["scene"] == scene)]
-            cells.append(order_cell(frames, str(method), scene) if len(here) else Cell(DASH))
+            cells.append(
+                order_cell(frames, str(method), scene, here["control"].iloc[0]) if len(here) else Cell(DASH)
+            )
             for law in shown[scene]:
                 if not len(here) or here["status"].iloc[0] == "unsupported":
                     cells.append(Cell(DASH))
@@ -427,7 +436,7 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
             rows.append((*lead, *blanks))
             continue
         rows.append((
-            *lead, number(row["rhs_equivalents"], count), order_cell(frames, str(row["method"]), scene),
+            *lead, number(row["rhs_equivalents"], count), order_cell(frames, str(row["method"]), scene, row["control"]),
             number(row["solution_error"], scientific), *(drift_cell(row, law) for law in shown),
         ))  # fmt: skip
     heads = (

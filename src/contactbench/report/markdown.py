@@ -128,7 +128,7 @@ WRITERS: dict[type, Callable[..., str]] = {Section: section, View: view, Text: t
 
 
 def parts(items: Iterable[Part], depth: int = 2) -> str:
-    """Parts one below the other; headings from `depth` down.  A heading alone in its section is not repeated."""
+    """Parts one below the other; headings from `depth` down."""
     return "\n\n".join(filter(None, (WRITERS[type(item)](item, depth) for item in items)))
 
 

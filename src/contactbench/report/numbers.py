@@ -63,3 +63,8 @@ def names(items: list[str], most: int = 0) -> str:
 def upper(text: str) -> str:
     """The text with a capital first letter; symbols stay as they are."""
     return text[:1].upper() + text[1:]
+
+
+def many(number: int, noun: str) -> str:
+    """1 run, 2 runs."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
