@@ -22,6 +22,7 @@ import pytest
 import contactbench as cb
 from cells import cells, controlled, family
 from clock import VISITS
+from contactbench.ensembles import ENGINES
 from contactbench.results.tables import ENSEMBLE_TABLE
 from limit import KERNELS, SHAPES
 from peers import prepared
@@ -33,6 +34,7 @@ STEPS = {
     "contact-strang": (0.1, 0.02, 0.004, 0.001),
     "contact-bm4": (0.8, 0.4, 0.16, 0.05),
     "contact-rkn6": (1.25, 0.8, 0.4, 0.16),
+    "contact-rkn8": (1.25, 0.8, 0.4, 0.2),
     "rk4": (0.2, 0.08, 0.04, 0.01),
 }
 PEERS = [
@@ -40,7 +42,7 @@ PEERS = [
     ("diffrax-dopri8", "jax", "vmap"), ("diffrax-dopri8", "jax", "shared"),
     ("heyoka-taylor", "llvm", "batch"),
 ]  # fmt: skip
-RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
+RTOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 OURS = "contact-rkn6"
 #: (method, variant, value) of the smoke profile
 SMOKE = {
@@ -68,20 +70,20 @@ def ladder(profile):
     """(question, scene, method, engine, variant, control, value, trajectories, cores)."""
     smoke, rows = profile.points == 1, []
     for method in KERNELS:
-        rows.append(("arithmetic", "particle_long", method, "jax", "", "step", 0.1, 1024, 1))
+        rows += [("arithmetic", "particle_long", method, e, "", "step", 0.1, 1024, 1) for e in ENGINES]
         rows += [
             ("arithmetic", "particle_long", "limit-c", "c", f"{method} {shape}", "step", 0.1, 1024, 1)
             for shape in SHAPES
         ]
     for method, steps in STEPS.items():
-        rows += [("error", "particle", method, "jax", "", "step", h, 4096, 1) for h in steps]
+        rows += [("error", "particle", method, ENGINES[0], "", "step", h, 4096, 1) for h in steps]
     for method, engine, variant in PEERS:
         rows += [("error", "particle", method, engine, variant, "rtol", rtol, 4096, 1) for rtol in RTOLS]
     if smoke:  # one kernel, one setting of three methods; how many cores there are is the machine's affair
         return [row for row in rows if (row[2], row[4], row[6]) in SMOKE]
     sizes = [10**k for k in range(3, 8 if profile.name == "full" else 7)]
-    rows += [("size", "particle", OURS, "jax", "", "step", 0.4, n, 1) for n in sizes]
-    rows += [("cores", "particle", OURS, "jax", "", "step", 0.1, 200_000, k) for k in core_counts()]
+    rows += [("size", "particle", OURS, ENGINES[0], "", "step", 0.4, n, 1) for n in sizes]
+    rows += [("cores", "particle", OURS, ENGINES[0], "", "step", 0.1, 200_000, k) for k in core_counts()]
     return rows
 
 

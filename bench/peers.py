@@ -21,17 +21,16 @@ TILE = 64
 SOLVERS = {"diffrax-tsit5": ("Tsit5", 6), "diffrax-dopri8": ("Dopri8", 13)}
 
 
-def contact(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
+def contact(scene: Any, method: str, engine: str, value: float, y0: np.ndarray) -> Any:
     start = scene.unpack(tuple(y0), ())
 
     def run() -> np.ndarray:
-        return np.array(
-            scene.pack(cb.ensemble(scene, method, start, step=value, carry=(), progress=False).final)
-        )
+        return np.array(scene.pack(solved(start).final))
 
-    counts = cb.ensemble(
-        scene, method, scene.unpack(tuple(y0[:, :1]), ()), step=value, carry=(), progress=False
-    ).counts
+    def solved(start: Any) -> Any:
+        return cb.ensemble(scene, method, start, step=value, carry=(), progress=False, engine=engine)
+
+    counts = solved(scene.unpack(tuple(y0[:, :1]), ())).counts
     return run, lambda: (counts.steps, counts.evaluations, counts.kind)
 
 
@@ -110,5 +109,6 @@ def limit_c(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -
 
 def prepared(scene: Any, method: str, engine: str, shape: str, value: float, y0: np.ndarray) -> Any:
     """(run, costs) of a cell, or why it cannot be run."""
-    make = {"c": limit_c, "llvm": heyoka}.get(engine, diffrax if method in SOLVERS else contact)
-    return make(scene, method, shape, value, y0)
+    if method in cb.METHODS and not cb.METHODS[method].adaptive:
+        return contact(scene, method, engine, value, y0)
+    return {"c": limit_c, "llvm": heyoka, "jax": diffrax}[engine](scene, method, shape, value, y0)

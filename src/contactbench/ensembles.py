@@ -32,6 +32,7 @@ from contactbench.solution import DIVERGENCE, Counts, Status
 TILE = 64
 #: trajectories a device is handed at a time: enough for the call not to count
 CHUNK = {"cpu": 2**14, "gpu": 2**20}
+ENGINES = ("numba", "jax")
 AXIS = "trajectories"
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
 LANES = 32
@@ -97,6 +98,7 @@ def ensemble(
     keep: bool = True,
     chunk: int | None = None,
     progress: bool | None = None,
+    engine: str | None = None,
 ) -> Ensemble:
     """Integrate many trajectories of a scene with a fixed-step method.
 
@@ -108,6 +110,7 @@ def ensemble(
     carry : which of s and R to integrate; by default all the scene has.
     keep : False returns the statistics alone, for ensembles larger than memory.
     chunk : trajectories per device at a time.  progress : show a bar; by default on a terminal.
+    engine : "numba" (CPUs, one set of parameters for all) or "jax"; by default the first that can.
     After `jax.distributed.initialize` every process calls with its own share of the trajectories.
     Raises `BadInput` for anything it cannot work with.
     """
@@ -124,6 +127,8 @@ def ensemble(
     if isinstance(run, Refused):
         raise BadInput(run.why)
     assert isinstance(run, FixedStepRun)
+    if engine not in (None, *ENGINES):
+        raise BadInput(f"engine = {engine!r}: an ensemble runs on {' or '.join(ENGINES)}")
     request = run.request
     if run.n.sum() > request.max_steps:
         raise BadInput(f"step = {step!r}: {run.n.sum()} steps, of which {request.max_steps} are allowed")
@@ -133,7 +138,7 @@ def ensemble(
     rows, kept = [], []
     hide = None if progress is None else not progress
     with tqdm(total=y0.shape[1], unit="trajectory", unit_scale=True, disable=hide) as bar:
-        for y, measures, end_time in integrated(run, names, y0, own, _chunk(chunk)):
+        for y, measures, end_time in integrated(run, names, y0, own, _chunk(chunk), engine):
             rows.append(tally(measures, end_time == end))
             if keep:
                 kept.append((y, measures, end_time))
@@ -242,23 +247,32 @@ _programs: dict[Any, Callable[..., Any]] = {}
 
 
 def integrated(
-    run: FixedStepRun, names: list[str], y0: np.ndarray, own: dict[int, np.ndarray], chunk: int | None
+    run: FixedStepRun,
+    names: list[str],
+    y0: np.ndarray,
+    own: dict[int, np.ndarray],
+    chunk: int | None,
+    engine: str | None,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Final states (d, m), measures (·, m) and end times (m,) of one chunk after the other."""
-    from jax.sharding import Mesh, NamedSharding, PartitionSpec
-
     from contactbench.xla import jax
 
     devices = jax.local_devices()
-    if not own and devices[0].platform == "cpu":
+    why = "" if devices[0].platform == "cpu" else f"it runs on a CPU, not on {devices[0].platform}"
+    why = why or ("parameters differ from one trajectory to the next" if own else "")
+    if engine != "jax" and not why:
         try:
             loop = loop_of(run.method_, run.request.scene, run.request.carry)
-        except CannotRecord:
-            pass
+        except CannotRecord as error:
+            why = str(error)
         else:
             yield from on_cores(run, loop, names, y0, len(devices), chunk or CHUNK["cpu"])
             return
-    mesh = Mesh(np.array(jax.local_devices()), (AXIS,))
+    if engine == "numba":
+        raise BadInput(f"engine = 'numba': {why}; leave the choice open, or take 'jax'")
+    from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+    mesh = Mesh(np.array(devices), (AXIS,))
     platform = mesh.devices.flat[0].platform
     at_once = mesh.size * (chunk or CHUNK.get(platform, CHUNK["gpu"]))
     n = y0.shape[1]
