@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Mechanical, Scene
-from contactbench.splitting.composition import Composition, Repeat, advance, plan, refusal, repeat
+from contactbench.splitting.composition import (
+    Composition,
+    Repeat,
+    advance,
+    conformal_factor,
+    plan,
+    refusal,
+    repeat,
+)
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -24,6 +33,10 @@ class ContactMethod(FixedStep):
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         return advance(self.composition, scene, x, h, n, xp, repeat)
+
+    def factor_along(self, scene: Any, x: Any, h: Any, n: Any, xp: Any = math) -> Any:
+        """The map's own conformal factor, Φ*η = c η at x for n steps, also where Γ'(s) is not constant."""
+        return conformal_factor(self.composition, scene, x, h, n, xp)
 
     def counts(self, scene: Scene, n: int) -> int:
         return plan(self.composition, scene).count(flows_of(scene), self.kind_on(scene), n)

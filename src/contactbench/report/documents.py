@@ -191,8 +191,7 @@ REASONS = {
     "long; a composition of fixed order has to shorten them.",
     "Short runs": "A compiled call has a cost of its own whatever it does, which on runs of a few hundred "
     "evaluations is most of the time; heyoka's is smaller.",
-    "No structure to use": "Damping quadratic in s has no merged flow, so that the Nyström tables do not apply, "
-    "and the anisotropic body has neither a conformal factor nor a potential.",
+    "No structure to use": "The anisotropic body has neither a conformal factor nor a potential.",
 }
 
 
