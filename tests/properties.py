@@ -19,6 +19,7 @@ from contactbench.splitting import flows
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
 ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"]
 BOTH_DAMPINGS = PARTICLE.with_(name="both dampings", mass=1.7, kappa=0.6, s=0.4)
+NEGATIVE = PARTICLE.with_(name="negative", mass=1.7, gamma=2.0, kappa=-0.5, s=0.4)
 HEAVY = PARTICLE.with_(name="heavy", mass=1.7)
 H = "0.37"
 #: central differences of step 10⁻¹⁵ at 50 digits: truncation 10⁻³⁰, cancellation 10⁻³⁵
@@ -68,7 +69,7 @@ def applied(scene: Any, name: str, x: Any, h: Any, xp: Any = mp) -> list[Any]:
 
 
 def mechanical_flows_solve_their_equations() -> bool:
-    for scene in (HEAVY, BOTH_DAMPINGS):
+    for scene in (HEAVY, BOTH_DAMPINGS, NEGATIVE):
         exact, x = in_mp(scene, random_state(scene, 31))
         parts = {
             "drift": lambda x, s=exact: s.kinetic(x.p),
@@ -107,6 +108,26 @@ def body_flows_solve_their_equations() -> bool:
     return True
 
 
+def flows_know_their_factors() -> bool:
+    """∂s(h)/∂s = c + p(h)·∂q(h)/∂s by differences, which is Φ*η = c η on ∂_s."""
+    for scene in (HEAVY, BOTH_DAMPINGS, NEGATIVE, BODY):
+        exact, x = in_mp(scene, random_state(scene, 35))
+        for name, flow in flows.flows_of(scene).items():
+            for h in map(mp.mpf, ("0.37", "4.1")):  # γh weak and strong
+                flowed = lambda s, name=name, h=h: applied(exact, name, x._replace(s=s), h)  # noqa: E731, B023
+                delta = mp.mpf(10) ** -DELTA
+                slope = [
+                    (a - b) / (2 * delta)
+                    for a, b in zip(flowed(x.s + delta), flowed(x.s - delta), strict=True)
+                ]
+                carry = scene.carry()
+                pulled = exact.contact_form(exact.unpack(flowed(x.s), carry), exact.unpack(slope, carry))
+                c = mp.exp(flow.log_factor(exact, x, h, mp))
+                if not small([(pulled - c) / c], DIFFERENCED):
+                    return False
+    return True
+
+
 def anisotropic_damping_solves_its_equation() -> bool:
     """A full D is held as the eigenvectors of float64: orthogonal to 16 digits, whatever the arithmetic."""
     for scene, digits in ((ANISOTROPIC, DIFFERENCED), (TILTED, 15)):
@@ -120,7 +141,7 @@ def anisotropic_damping_solves_its_equation() -> bool:
 
 def flows_agree_on_arrays() -> bool:
     """NumPy arrays (an ensemble), which take the branches traced numbers take, against mpmath."""
-    for scene in (HEAVY, BOTH_DAMPINGS, BODY):
+    for scene in (HEAVY, BOTH_DAMPINGS, NEGATIVE, BODY):
         x = random_state(scene, 34)
         exact, z = in_mp(scene, x)
         twin = scene.with_numbers([np.float64(v) for v in scene.numbers()])

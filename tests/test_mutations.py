@@ -30,7 +30,8 @@ STRUCTURED = [cb.METHODS[name] for name in ("contact-abc", "contact-strang", "he
 MUTATED = [
     (flows, ("kick", "drift", "damp", "drift_damp", "body_damp", "damped_time", "damping")),
     (flows, ("rotation", "spin", "turn_rate", "top_rate", "turn", "top")),
-    (flows, ("_damp_constants", "_drift_damp_constants", "_body_damp_constants")),
+    (flows, ("_damp_constants", "_drift_damp_constants", "_body_damp_constants", "_over_D", "_pinney")),
+    (flows, ("damp_log_factor", "linear_log_factor", "drift_damp_log_factor")),
     (herglotz, ("explicit_kick", "implicit_kick")),
 ]
 
@@ -45,6 +46,7 @@ PROPERTIES: dict[str, Callable[[], bool]] = {
         and properties.body_flows_solve_their_equations()
         and properties.anisotropic_damping_solves_its_equation()
     ),
+    "own factor": properties.flows_know_their_factors,
     "arrays": properties.flows_agree_on_arrays,
     "conformal factor": lambda: every(properties.has_its_conformal_factor, PARTICLE, BODY),
     "momentum law": lambda: every(properties.has_its_momentum_law, CENTRAL, BODY),
@@ -94,7 +96,7 @@ def install(patch: pytest.MonkeyPatch, module: ModuleType, name: str, mutant: Ca
     patch.setattr(module, name, mutant)
     for table in (flows.MECHANICAL, flows.BODY):
         for key, flow in table.items():
-            uses = {f: mutant for f in ("constants", "apply") if getattr(flow, f) is original}
+            uses = {f: mutant for f in ("constants", "apply", "log_factor") if getattr(flow, f) is original}
             patch.setitem(table, key, flow._replace(**uses))
 
 
