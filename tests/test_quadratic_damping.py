@@ -102,7 +102,7 @@ CONTACT = [
 
 
 @pytest.mark.parametrize("method", CONTACT)
-@pytest.mark.parametrize("engine", ["jax", "python"])
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
 def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
     """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
     for scene in (SCENE, SCENE.with_(gamma=0.2)):
@@ -111,15 +111,16 @@ def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
         assert cb.LAWS["contact_drift"](solution) > 1e-9
 
 
-def test_the_factor_is_compared_with_the_derivative_of_the_map(monkeypatch):
-    """A formula for the factor that is wrong, D instead of D², shows; so would a flow that is."""
-    solution = solve("contact-abc", step=0.2)
-    right = flows.MECHANICAL["damp"]
+@pytest.mark.parametrize(("flow", "method"), [("damp", "contact-abc"), ("drift_damp", "contact-rkn6")])
+def test_the_factor_is_compared_with_the_derivative_of_the_map(monkeypatch, flow, method):
+    """A formula for the factor that is wrong, its root, shows; so would a flow that is."""
+    solution = solve(method, step=0.2)
+    right = flows.MECHANICAL[flow]
 
     def wrong(scene, x, h, xp):
         return right.log_factor(scene, x, h, xp) / 2
 
-    monkeypatch.setitem(flows.MECHANICAL, "damp", right._replace(log_factor=wrong))
+    monkeypatch.setitem(flows.MECHANICAL, flow, right._replace(log_factor=wrong))
     assert cb.LAWS["own_factor_drift"](solution) > 0.1
 
 
@@ -175,7 +176,7 @@ def test_momentum_and_form_follow_the_own_factor_to_round_off(method):
     np.testing.assert_allclose(pulled[-1] / c, form, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("engine", ["jax", "python"])
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
 @pytest.mark.parametrize(
     ("kappa", "s", "method"),
     [
