@@ -20,7 +20,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from contactbench.numbers.control import choose, settled
 from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.splitting.free_body import free
 
 
 def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
@@ -48,20 +50,6 @@ def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     if not hasattr(xp, "where"):  # math, mpmath: plain numbers
         return h if undamped else -xp.expm1(-gamma * h) / gamma
     return xp.where(undamped, h, -xp.expm1(-gamma * h) / xp.where(undamped, 1.0, gamma))
-
-
-def choose(condition: Any, yes: Any, no: Any, xp: Any) -> Any:
-    """yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
-    if hasattr(xp, "where"):
-        return xp.where(condition, yes, no)
-    return yes if condition else no
-
-
-def settled(x: Any, xp: Any) -> Any:
-    """x, computed once: XLA would redo divisions and sines for every later component that reads them,
-    which grows exponentially along a chain of flows."""
-    settle = getattr(xp, "settle", None)
-    return x if settle is None else settle(x)
 
 
 #: above this γh the decay is applied as a factor, below it as a small loss
@@ -303,13 +291,40 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
     return BodyState(scene.damp_matrix_function(x.M, lambda rate: next(factor)), x.R, None)
 
 
+def _free_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
+    return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
+
+
+def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodyState:
+    """The free body and isotropic damping together: free for the time φ(h), then damped.
+
+    C rescales time: e^{γt} M and R move as if undamped in the time φ(t), and s' = ½M·Ω − γs gives
+    s(h) = e^{−γh} (s + φ H0).  The whole flow of the scene, for any h.
+    """
+    tau, *decay = constants
+    return body_damp(scene, free(scene, x, tau, xp), decay, xp)
+
+
+#: what `free` costs in rotations: it has FREE_COST times as many square roots, divisions and transcendental
+#: functions as the two of a rotation, with loops of fixed length (counted anew in the tests)
+FREE_COST = 177
+
 BODY = {
     "turn": Flow(_plain, turn, {"rotation": 1}),
     "top": Flow(_plain, top, {"rotation": 1}),
+    "free": Flow(_plain, free, {"rotation": FREE_COST}),
     "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
+}
+ISOTROPIC = BODY | {
+    "free_damp": Flow(_free_damp_constants, free_damp, {"rotation": FREE_COST}, linear_log_factor),
 }
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
-    """The subflows a scene has, by name; a body has no potential, hence no kick."""
-    return MECHANICAL if isinstance(scene, Mechanical) else BODY
+    """The subflows a scene has, by name; a body has no potential, hence no kick.
+
+    Compositions on bodies are made of `turn`, `top` and `damp`; the free body in closed form costs many rotations.
+    """
+    if isinstance(scene, Mechanical):
+        return MECHANICAL
+    return ISOTROPIC if scene.isotropic else BODY  # type: ignore[attr-defined]
