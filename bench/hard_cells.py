@@ -75,7 +75,10 @@ def stability_row(scene, method, engine, kind, value, max_steps):
         return row
     row["time_s"] = fastest(run, CALLS if work(solution) < QUICK else 1)
     row["end_error"] = end_error(solution)
-    return row | law_columns(solution)
+    by_runs = cb.METHODS[method].adaptive and cb.METHODS[method].family != "contact"
+    return row | law_columns(
+        solution, "by many runs of the solver, on the standard scenes only" if by_runs else ""
+    )
 
 
 def fastest(run, calls):

@@ -205,12 +205,12 @@ def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
     """Counted in evaluations, so that no clock decides."""
     solution = cb.solve(CENTRAL, "scipy-dop853", rtol=1e-4, save_at=[20.0])
     cost = 60 * solution.counts.evaluations
-    monkeypatch.setattr(by_differences, "BUDGET", cost - 1)
+    monkeypatch.setattr(by_differences, "CALLBACK_BUDGET", cost - 1)
     columns = row(solution)
     assert math.isnan(columns["contact_drift"])
     assert columns["derivative"].startswith("not taken: 60 runs would cost")
     assert "contact_drift_uncertainty" not in columns
-    monkeypatch.setattr(by_differences, "BUDGET", cost)
+    monkeypatch.setattr(by_differences, "CALLBACK_BUDGET", cost)
     assert row(cb.solve(CENTRAL, "scipy-dop853", rtol=1e-4, save_at=[20.0]))["contact_drift"] > 0
 
 

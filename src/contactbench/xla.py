@@ -1,27 +1,49 @@
-"""JAX, configured for this package when something here first needs it; nothing happens on `import contactbench`.
+"""JAX, imported and configured for this package when something first uses it; `import contactbench` does neither.
 
-Import from here instead of from jax: ``from contactbench.xla import jax, jnp, lax``.  Three settings are made,
-for the whole process: double precision; results are waited for at once; single trajectories run on one thread,
-and there is a CPU device for every core this process may use, over which ensembles are sharded.  Choices already
-made (``XLA_FLAGS``, ``jax_num_cpu_devices``) stand, and where JAX is running already it keeps its devices.
+Import from here instead of from jax: ``from contactbench.xla import jax, jnp, lax``.  The first attribute asked for
+makes three settings, for the whole process: double precision; results are waited for at once; single trajectories
+run on one thread, and there is a CPU device for every core this process may use, over which ensembles are sharded.
+Choices already made (``XLA_FLAGS``, ``jax_num_cpu_devices``) stand, and where JAX is running already it keeps its
+devices.
 """
 
+from __future__ import annotations
+
 import contextlib
+import importlib
 import os
+from functools import cache
+from typing import Any
 
-# read when JAX makes its first device
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
-import jax
-import jax.numpy as jnp
-from jax import lax
+@cache
+def configured() -> Any:
+    """The module jax, its settings made."""
+    # read when JAX makes its first device
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+    import jax
 
-jax.config.update("jax_enable_x64", True)
-# a hand-over to a worker thread would only add its wake-up, 50 µs a call
-jax.config.update("jax_cpu_enable_async_dispatch", False)
-if jax.config.jax_num_cpu_devices < 0 and "device_count" not in os.environ["XLA_FLAGS"]:
-    with contextlib.suppress(RuntimeError):  # JAX is running already
-        affinity = getattr(os, "sched_getaffinity", None)
-        jax.config.update("jax_num_cpu_devices", len(affinity(0)) if affinity else os.cpu_count() or 1)
+    jax.config.update("jax_enable_x64", True)
+    # a hand-over to a worker thread would only add its wake-up, 50 µs a call
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    if jax.config.jax_num_cpu_devices < 0 and "device_count" not in os.environ["XLA_FLAGS"]:
+        with contextlib.suppress(RuntimeError):  # JAX is running already
+            affinity = getattr(os, "sched_getaffinity", None)
+            jax.config.update("jax_num_cpu_devices", len(affinity(0)) if affinity else os.cpu_count() or 1)
+    return jax
 
-__all__ = ["jax", "jnp", "lax"]
+
+class Deferred:
+    """A module that is imported when one of its attributes is first asked for."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        configured()
+        return getattr(importlib.import_module(self._name), attribute)
+
+
+jax: Any = Deferred("jax")
+jnp: Any = Deferred("jax.numpy")
+lax: Any = Deferred("jax.lax")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq, least_squares
+import scipy  # its parts are loaded when first used
 
 from contactbench.claims.calculus import ROUND_OFF, ROUND_OFF_WHY, SEED, largest, points
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
@@ -107,7 +107,7 @@ def equilibria(D: np.ndarray, inertia: Any, rng: np.random.Generator) -> list[np
     found = []
     for _ in range(STARTS):
         start = rng.normal(size=3)
-        fit = least_squares(
+        fit = scipy.optimize.least_squares(
             lambda M: np.append(f(M) / (M @ M), 0.0), start, xtol=1e-15, ftol=1e-15, gtol=1e-15
         )
         size = np.linalg.norm(fit.x)
@@ -342,7 +342,7 @@ def intermediate_axis(
     def rate(square: float) -> float:
         return growth(about_axis_2(np.sqrt(square), np.sqrt(square), 0.0), M, inertia)
 
-    edge = brentq(rate, coupling / 10, 10 * coupling, xtol=1e-15)
+    edge = scipy.optimize.brentq(rate, coupling / 10, 10 * coupling, xtol=1e-15)
     one = np.eye(3)[1]
     return Evidence(
         [

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import lambertw
+import scipy  # its parts are loaded when first used
 
 from contactbench.claims.calculus import (
     ROUND_OFF,
@@ -414,7 +413,7 @@ def radius(name: str, gamma: float, h: Any) -> Any:
 
 def border(name: str, gamma: float) -> float:
     """The smallest ωh > 1 at which an eigenvalue of the step leaves the unit circle."""
-    return brentq(lambda h: radius(name, gamma, h) - 1 - SLACK, 1.0, 4.5, xtol=1e-12)
+    return scipy.optimize.brentq(lambda h: radius(name, gamma, h) - 1 - SLACK, 1.0, 4.5, xtol=1e-12)
 
 
 FAR = np.geomspace(0.05, 200.0, 4001)  #: step sizes ωh at which "stable at every step size" is looked at
@@ -441,7 +440,7 @@ def threshold() -> float:
     Where the two sides touch, x = g e^{gx}; with y = gx, e^y (y − 2) = 2, so y = 2 + W(2/e²) and
     g = √(y e^{−y}) = 0.49134, at ωh = g e^y = 4.514.
     """
-    y = 2 + float(lambertw(2 / math.e**2).real)
+    y = 2 + float(scipy.special.lambertw(2 / math.e**2).real)
     return math.sqrt(y * math.exp(-y))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy  # its parts are loaded when first used
 
 from contactbench.measure.order import fit_order
 from contactbench.methods import METHODS, solve
@@ -112,7 +112,7 @@ def local_errors(
         return np.stack([*d.q, *d.p, d.s]).T.ravel()
 
     times = sorted(LOCAL_STEPS)
-    run = solve_ivp(
+    run = scipy.integrate.solve_ivp(
         rate, (0, times[-1]), starts.ravel(), t_eval=times, method="DOP853", rtol=1e-13, atol=1e-15
     )
     found: list[dict[float, float]] = [{} for _ in measures]

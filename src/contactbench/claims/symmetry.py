@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy  # its parts are loaded when first used
 
 from contactbench.claims.calculus import (
     ROUND_OFF,
@@ -239,7 +239,7 @@ def time_dependent_reduction(gamma: float = 0.1) -> Evidence:
         level = mu * np.exp(-scene.gamma * t)
         return [p_r, level**2 / r**3 - scene.dV((r, 0.0))[0] - scene.gamma * p_r]
 
-    run = solve_ivp(reduced, (0, scene.t_end), [radius[0], radial[0]], t_eval=t, **SOLVER)
+    run = scipy.integrate.solve_ivp(reduced, (0, scene.t_end), [radius[0], radial[0]], t_eval=t, **SOLVER)
     error = np.hypot(run.y[0] - radius, run.y[1] - radial).max() / np.hypot(radius, radial).max()
     return Evidence([at_most("max ‖(r, p_r) reduced − full‖ / max ‖full‖", error, SOLVER_BOUND, SOLVER_WHY)])
 
@@ -273,7 +273,9 @@ def symplectification(seed: int = SEED, gamma: float = 0.1) -> Evidence:
             slope = jax.grad(K)(z)
             return jnp.concatenate([slope[n : 2 * n], -slope[:n], slope[-1:], -slope[-2:-1]])
 
-        return solve_ivp(lambda _, z: np.asarray(rhs(z)), (0, t[-1]), z0, t_eval=t, **SOLVER).y
+        return scipy.integrate.solve_ivp(
+            lambda _, z: np.asarray(rhs(z)), (0, t[-1]), z0, t_eval=t, **SOLVER
+        ).y
 
     scene = SCENES["particle"].with_(gamma=gamma)
     t = np.linspace(0, scene.t_end, 21)

@@ -82,6 +82,8 @@ class Law:
     gate: Gate = Gate.error
     shown: tuple[str, ...] = ("laws",)
     structural: bool = False
+    #: whether it takes the derivative of the map, which may cost many runs
+    differentiates: bool = False
     compares_decay: bool = False
 
     def __call__(self, solution: Solution) -> float:
@@ -278,6 +280,7 @@ def momentum_balance(solution: Solution) -> float:
 #: what the laws of Φ*η have in common
 CONTACT: dict[str, Any] = {
     "needs": ("R", "s"), "applies": lambda scene: scene.is_contact, "gate": Gate.structure, "structural": True,
+    "differentiates": True,
 }  # fmt: skip
 FROZEN = "the steps taken held fixed"
 
@@ -379,18 +382,24 @@ DRIFT_COLUMNS = {
 }
 
 
-def row(solution: Solution) -> dict[str, Any]:
-    """Every law the scene has, and `DRIFT_COLUMNS`, of one run; blank (left out) where not defined."""
+def row(solution: Solution, without: str = "") -> dict[str, Any]:
+    """Every law the scene has, and `DRIFT_COLUMNS`, of one run; blank (left out) where not defined.
+
+    without : why no derivative of the map is to be taken, for the table; "" to take it.
+    """
     if not solution.ok:
         return {}
     scene = solution.scene
-    found = {item.name: item.measured(solution) for item in laws_of(scene)}
+    wanted = [item for item in laws_of(scene) if not (without and item.differentiates)]
+    found = {item.name: item.measured(solution) for item in wanted}
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
     for name, measured in found.items():
         if measured.clamped is not None and f"{name}_clamped" in DRIFT_COLUMNS:
             columns[f"{name}_clamped"] = measured.clamped
     if not scene.is_contact:
         return columns
+    if without:
+        return columns | {"derivative": f"not taken: {without}"}
     drift = found["contact_drift"]
     if drift.uncertainty is not None:
         columns["contact_drift_uncertainty"] = drift.uncertainty

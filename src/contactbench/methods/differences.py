@@ -35,8 +35,9 @@ UNRESOLVED = 0.1
 #: roundings of the state over the smallest increment, up to which their disagreement is round-off: a derivative
 #: may be as small as that, for example along an s that has decayed
 ROUNDINGS = 8
-#: no derivative where its runs would cost more right-hand sides than this
-BUDGET = 3_000_000
+#: no derivative where its runs would cost more right-hand sides than this, in compiled code and in Python; a
+#: step of an implicit method that does not say counts as so many
+BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 
 
 def scale(x: object, v: object) -> float:
@@ -54,11 +55,12 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome) -> Differential:
     x = scene.unpack(tuple(y0.tolist()), run.request.carry)
     tangents = scene.tangents(x)
     runs = 2 * len(tangents) * len(INCREMENTS)
-    counts = out.counts if out.counts.evaluations is not None else run.count(out.counts)
-    cost = runs * (counts.rhs_equivalents or 0.0)
+    counts, budget = out.counts, CALLBACK_BUDGET if "python" in run.request.engine else BUDGET
+    steps = (counts.steps or 0) + (counts.rejected or 0)
+    cost = runs * (IMPLICIT * steps if counts.rhs_equivalents is None else counts.rhs_equivalents)
     none = np.empty((0, *out.y.shape, len(tangents)))
-    if cost > BUDGET:
-        why = f"not taken: {runs} runs would cost {cost:.1e} right-hand sides, more than {BUDGET:.0e}"
+    if cost > budget:
+        why = f"not taken: {runs} runs would cost {cost:.1e} right-hand sides, more than {budget:.0e}"
         return Differential(why, out.y, none)
 
     def end(v: object, amount: float) -> np.ndarray:
