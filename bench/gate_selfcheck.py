@@ -2,10 +2,11 @@
 
     python bench/gate_selfcheck.py [--runs 20] [--results results] [--only accuracy|speed]
 
-A fault is planted as a patch of the sources in a git worktree of HEAD; the gate then compares that
-worktree with HEAD as it is, in the way it compares a pull request with its base.  Alternate runs of
-identical code have a busy loop beside them, as many as there are cores but one.  Accuracy is judged on a
-part of the smoke profile (`IDENTICAL`, `KINETIC`): a fault that shows there shows in all of it.
+A fault is planted by a plug-in that replaces a registered method (planted_faults.py); where it is one of
+an experiment, by a patch in a git worktree of HEAD.  The gate then compares with the code as it is, in the
+way it compares a pull request with its base.  Alternate runs of identical code have a busy loop beside
+them, as many as there are cores but one.  Accuracy is judged on a part of the smoke profile (`IDENTICAL`,
+`KINETIC`): a fault that shows there shows in all of it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -21,20 +21,21 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
-from decimal import Decimal
 from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Any
 
-from contactbench.gate.accuracy import accuracy as gate
-from contactbench.gate.accuracy import speed
+from contactbench.gate import accuracy as gate
+from contactbench.gate import speed
+from contactbench.plugins import VARIABLE
 from contactbench.results.provenance import environment, new_run_id, save_run
 from contactbench.results.schema import TABLES, Rule
 from contactbench.results.store import merge, read
 from contactbench.results.tables import GATE_SELFCHECK
 from contactbench.splitting.tables import COMPOSITIONS
+from planted_faults import PLANTED, faulty, plugin
 
 ROOT = Path(__file__).resolve().parents[1]
 #: of every kind of method and engine one or two, with all their tables
@@ -45,15 +46,14 @@ KINETIC = (
 )
 #: two methods with rows in all tables, for what is planted in one of them
 ONE = "particle and not long and not limit and (strang or bm4)"
-#: kernels that are slowed: compiled and plain Python loops
+#: the compiled engines of fixed-step methods, the first of them timed everywhere
+COMPILED = ("numba", "jax")
+#: methods that are slowed: compiled and plain Python loops
 SLOWED = ("contact-strang", "contact-rkn6", "rk4")
 SLOWDOWNS = (1.3, 1.5, 2.0)
 
-PACKAGE = Path("src/contactbench")
-COMPOSITION, FIXED_STEP = PACKAGE / "splitting" / "tables.py", PACKAGE / "methods" / "fixed_step.py"
 
-
-# -- patches ---------------------------------------------------------------------------------------
+# -- faults ----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Patch:
     """A change of one source file; `old` must stand in it exactly once."""
@@ -68,97 +68,36 @@ class Patch:
         (tree / self.file).write_text(text.replace(self.old, self.new), encoding="utf-8")
 
 
-def coefficients() -> dict[str, list[Patch]]:
-    """Per contact method a patch for each of its printed coefficients: one part in a thousand more.
-
-    Not for the last one of a two-part composition written out in full: the others imply it.
-    """
-    text = (ROOT / COMPOSITION).read_text(encoding="utf-8")
-    patches = {}
-    for composition in COMPOSITIONS:
-        (block,) = re.findall(rf'^\w+ = Composition\(\n    "{composition.name}",.*?^\)', text, re.M | re.S)
-        named = re.search(r"\*(_[A-Z_]+)", block)
-        if named:  # the table stands beside the composition, under a name of its own
-            (block,) = re.findall(rf"^{named[1]} = \(.*?^\)", text, re.M | re.S)
-        spots = list(re.finditer(r'"-?0\.\d{30,}"', block))
-        if not spots:
-            spots = list(re.finditer(r"\b(HALF|ONE)\b", block))[: -1 if composition.two_part else None]
-        patches[composition.name] = [
-            Patch(COMPOSITION, block, block[: spot.start()] + larger(spot[0]) + block[spot.end() :])
-            for spot in spots
-        ]
-    return patches
-
-
-def larger(coefficient: str) -> str:
-    """Source of a coefficient that is one part in a thousand larger."""
-    if coefficient.startswith('"'):
-        return f'"{Decimal(coefficient.strip(chr(34))) * Decimal("1.001")}"'
-    return f"{coefficient} * Fraction(1001, 1000)"
-
-
-STRANG_STAGES = '(("kick", HALF), ("drift_damp", ONE), ("kick", HALF)),'
-
-
 @dataclass(frozen=True)
 class Fault:
-    """Something planted in one place, and the method and measures that must give it away."""
+    """Something planted in one place, and the method and measures that must give it away.
+
+    planted : a call of `planted_faults`, or a patch.
+    """
 
     what: str
-    patch: Patch
+    planted: str | Patch
     method: str
     measures: frozenset[str]
 
 
 FAULTS = tuple(
-    Fault(what, Patch(*patch), method, frozenset(measures.split()))
-    for what, patch, method, measures in (
-        (
-            "order 2 replaced by order 1",
-            (COMPOSITION, STRANG_STAGES, '(("kick", ONE), ("drift_damp", ONE)),'),
-            "contact-strang", "solution_error pairwise_order",
-        ),
-        (
-            "an extra gradient evaluation per step",
-            (COMPOSITION, "if len(stages) == 1 or first[0] != last[0]:", "if True:"),
-            "contact-strang", "evaluations",
-        ),
-        (
-            "a status change: a scene refused",
-            (
-                COMPOSITION, "    if composition.nystrom and ",
-                "    if composition is STRANG:\n        return 'planted'\n    if composition.nystrom and ",
-            ),
-            "contact-strang", "status",
-        ),
-        (
-            "dropped rows: a method is gone",
-            (COMPOSITION, "COMPOSITIONS = (PRINTED, ABC, STRANG, BM4, ", "COMPOSITIONS = (PRINTED, ABC, STRANG, "),
-            "contact-bm4", "row",
-        ),
+    Fault(what, planted, method, frozenset(measures.split()))
+    for what, planted, method, measures in (
+        ("order 2 replaced by order 1", "order_one()", PLANTED, "solution_error pairwise_order"),
+        ("an extra gradient evaluation per step", "joints_left_apart()", PLANTED, "evaluations"),
+        ("a status change: a scene refused", "refusal()", PLANTED, "status"),
+        ("dropped rows: a method is gone", "no_bm4()", "contact-bm4", "row"),
         (
             "a dropped row: a setting is gone",
-            (Path("bench/bench_convergence.py"), "POINTS = 9", "POINTS = 8"),
-            "contact-strang", "row",
+            Patch(Path("bench/bench_convergence.py"), "POINTS = 9", "POINTS = 8"), PLANTED, "row",
         ),
         (
-            "a drift that is no longer round-off: damping stronger by 1e-9",
-            (PACKAGE / "splitting" / "flows.py", "(-gamma * h), -xp.expm1(", "(-gamma * h), -(1 + 1e-9) * xp.expm1("),
-            "contact-strang", "contact_drift",
+            "a drift that is no longer round-off: damping stronger by 1e-9", "stronger_damping()", PLANTED,
+            "contact_drift",
         ),
     )
 )  # fmt: skip
-
-
-def slowdown(factor: float) -> list[Patch]:
-    """The loops of both engines, run once more over a part of their steps."""
-    share = factor - 1
-    compiled = "        return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]\n"
-    again = f"        np.asarray(self.program(self.placed(y0), self.spans(h, (n * {share}).astype(int))))\n"
-    plain = "        rows = []\n        try:\n"
-    spans = f"zip(h.tolist(), (n * {share}).astype(n.dtype).tolist(), strict=True)"
-    more = f"        for _ in trajectory(self.method_, r.scene, x, {spans}, math):\n            pass\n"
-    return [Patch(FIXED_STEP, compiled, again + compiled), Patch(FIXED_STEP, plain, more + plain)]
 
 
 @contextmanager
@@ -186,20 +125,25 @@ def load() -> Iterator[None]:
             process.wait()
 
 
-def benchmark(tree: Path, results: Path, keyword: str) -> Path:
-    """A part of the smoke profile, run with the sources of a tree."""
+def benchmark(tree: Path, results: Path, keyword: str, call: str = "") -> Path:
+    """A part of the smoke profile, run with the sources of a tree and the fault that a call plants."""
     command = [
         sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
         "--benchmark-disable", "-p", "no:cacheprovider", "-k", keyword,
+        *(["--plugin", str(plugin(results.with_suffix(".py"), call))] if call else []),
     ]  # fmt: skip
     done = subprocess.run(command, cwd=tree, env=speed.environment(tree), capture_output=True, text=True)
     assert done.returncode in (0, 1), done.stdout + done.stderr
     return results
 
 
-def speed_gate(tree: Path, baseline: Path, programs: Path) -> dict[str, Any]:
-    """``contactbench gate --only speed`` of a tree against HEAD; compiled programs are kept in a folder."""
+def speed_gate(tree: Path, baseline: Path, programs: Path, plugged: Path | None = None) -> dict[str, Any]:
+    """``contactbench gate --only speed`` of a tree against HEAD; compiled programs are kept in a folder.
+
+    plugged : a plug-in that the timing processes of both load.
+    """
     kept = {
+        VARIABLE: "" if plugged is None else str(plugged),
         "JAX_COMPILATION_CACHE_DIR": str(programs),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
@@ -264,18 +208,19 @@ def halves(runs: int) -> tuple[tuple[str, int], ...]:
 
 
 def other_rounding(results: Path) -> Row:
-    """The two engines of a method: the same map with other rounding errors, as on another processor."""
+    """The compiled engines of a method and Python: the same map with other rounding errors, as on another
+    processor."""
     work = read(TABLES["work_precision"], results)
     work = work[(work["control"] == "step") & (work["status"] == "ok")]
-    compiled, plain = (work[work["engine"] == engine] for engine in ("jax", "python"))
+    compiled, plain = work[work["engine"].isin(COMPILED)], work[work["engine"] == "python"]
     pairs = compiled.merge(plain, on=["scene", "method", "setting"], suffixes=("", " after"))
     start = perf_counter()
     distance = gate.moved(Rule.error, pairs["solution_error"], pairs["solution_error after"], pairs)
     judged = [
-        (bool(d > 1), f"{p.scene} {p.method} {p.setting}")
+        (bool(d > 1), f"{p.scene} {p.method} {p.engine} {p.setting}")
         for d, p in zip(distance, pairs.itertuples(), strict=True)
     ]
-    what = "nothing but rounding: jax against python, row by row"
+    what = f"nothing but rounding: {' and '.join(COMPILED)} against python, row by row"
     return outcome("accuracy", what, CONDITIONS[0], "none", judged, perf_counter() - start)
 
 
@@ -288,8 +233,8 @@ def accuracy_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
     }
     folders = (scratch / f"fresh-{k}" for k in range(10**6))
 
-    def lines(tree: Path, keyword: str) -> list[gate.Line]:
-        fresh = benchmark(tree, next(folders), keyword)
+    def lines(tree: Path, keyword: str, call: str = "") -> list[gate.Line]:
+        fresh = benchmark(tree, next(folders), keyword, call)
         return [line for line in gate.accuracy(truths[keyword], fresh).lines if line.red]
 
     def identical() -> list[Judgement]:
@@ -299,16 +244,13 @@ def accuracy_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
     for condition, share in halves(runs):
         yield repeated("accuracy", "nothing", condition, "none", identical, share)
 
-    patches = coefficients()
-    found: dict[str, list[Judgement]] = {method: [] for method in patches}
+    number = {composition.name: len(faulty(composition)) for composition in COMPOSITIONS}
+    found: dict[str, list[Judgement]] = {method: [] for method in number}
     taken = []
-    for k in range(
-        max(map(len, patches.values()))
-    ):  # the k-th of every method at once: methods are independent
-        together = {method: mine[k] for method, mine in patches.items() if k < len(mine)}
+    for k in range(max(number.values())):  # the k-th of every method at once: methods are independent
+        together = {method: k for method, n in number.items() if k < n}
         start = perf_counter()
-        with planted(*together.values()) as tree:
-            red = lines(tree, KINETIC)
+        red = lines(ROOT, KINETIC, f"wrong_coefficients({together})")
         taken.append(perf_counter() - start)
         for method in together:
             mine = [said(line) for line in red if line.method == method]
@@ -321,9 +263,16 @@ def accuracy_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
     for fault in FAULTS:
 
         def given_away(fault: Fault = fault) -> list[Judgement]:
-            with planted(fault.patch) as tree:
-                red = [line for line in lines(tree, ONE) if line.measure.split()[0] in fault.measures]
-            named = [line for line in red if (line.scene, line.method) == ("particle", fault.method)]
+            if isinstance(fault.planted, Patch):
+                with planted(fault.planted) as tree:
+                    red = lines(tree, ONE)
+            else:
+                red = lines(ROOT, ONE, fault.planted)
+            named = [
+                line for line in red
+                if (line.scene, line.method) == ("particle", fault.method)
+                and line.measure.split()[0] in fault.measures
+            ]  # fmt: skip
             return [(bool(named), said(named[0]) if named else "")]
 
         yield repeated("accuracy", fault.what, CONDITIONS[0], "all", given_away, 1)
@@ -333,7 +282,7 @@ def speed_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
     """Identical code on the whole workload; slowed loops judged cell by cell."""
     work = read(TABLES["work_precision"], results)
     loops = work["method"].isin(SLOWED) & (
-        ((work["scene"] == "particle_long") & (work["engine"] == "jax"))
+        ((work["scene"] == "particle_long") & (work["engine"] == COMPILED[0]))
         | ((work["scene"] == "particle") & (work["engine"] == "python"))
     )
     merge(TABLES["work_precision"], work[loops].to_dict("records"), scratch / "loops")
@@ -343,8 +292,8 @@ def speed_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
         found = speed_gate(tree, results, scratch / "programs")
         return [(found["red"], "; ".join(said(line) for line in found["lines"] if line["red"]))]
 
-    def slowed(tree: Path) -> list[Judgement]:
-        found = speed_gate(tree, scratch / "loops", scratch / "programs")
+    def slowed(tree: Path, plugged: Path) -> list[Judgement]:
+        found = speed_gate(tree, scratch / "loops", scratch / "programs", plugged)
         red = {(x["scene"], x["method"], x["engine"]): said(x) for x in found["lines"] if x["red"]}
         names = [(cell.scene, cell.method, cell.engine) for cell in cells]
         return [(name in red, red.get(name, "")) for name in names]
@@ -355,10 +304,11 @@ def speed_rows(runs: int, results: Path, scratch: Path) -> Iterator[Row]:
             yield repeated("speed", "nothing", condition, "none", partial(identical, tree), runs)
     for factor in SLOWDOWNS:
         wanted = "19 in 20" if factor >= 1.5 else "the more the better"
-        with planted(*slowdown(factor)) as tree:
+        with planted() as tree:
+            plugged = plugin(scratch / f"slower-{factor}.py", f"slower({SLOWED}, {factor}, {str(tree)!r})")
             for condition, share in halves(max(2, runs // 2)):  # several judgements a run
                 what = f"loops {factor} times as slow, {len(cells)} judged in each run"
-                yield repeated("speed", what, condition, wanted, partial(slowed, tree), share)
+                yield repeated("speed", what, condition, wanted, partial(slowed, tree, plugged), share)
 
 
 def main() -> None:

@@ -49,6 +49,17 @@ def by_name(items):
     return pytest.mark.parametrize("scene", items, ids=lambda scene: scene.name)
 
 
+def pairs(
+    methods, scenes, applies=lambda method, scene: method.refuses(scene) is None, names=("method", "scene")
+):
+    """Parametrised over the pairs of a method, or a composition, and a scene to which a test applies.
+
+    applies : by default where the method does not refuse the scene.
+    """
+    chosen = [(method, scene) for method in methods for scene in scenes if applies(method, scene)]
+    return pytest.mark.parametrize(names, chosen, ids=[f"{m.name}-{s.name}" for m, s in chosen])
+
+
 def random_state(scene, seed: int = 0, carry=None):
     """A generic state of a scene, its attitude a unit quaternion."""
     rng = np.random.default_rng(seed)

@@ -10,7 +10,7 @@ import pytest
 
 import contactbench as cb
 import contactbench.splitting.composition
-from cases import by_name, in_mp, random_state
+from cases import in_mp, pairs, random_state
 from contactbench.splitting import flows
 from contactbench.splitting.composition import advance, plan, refusal
 from contactbench.splitting.flows import flows_of
@@ -19,6 +19,12 @@ from properties import parts_applied
 
 SCENES = [cb.SCENES[name] for name in ("particle", "rigid_body", "rigid_body_anisotropic")]
 each = pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
+each_on_its_scenes = pairs(
+    COMPOSITIONS,
+    SCENES,
+    lambda composition, scene: refusal(composition, scene) is None,
+    ("composition", "scene"),
+)
 
 
 @each
@@ -33,12 +39,9 @@ def test_the_printed_scheme_is_not_palindromic_and_what_it_means_is():
     assert [name for name, _ in PRINTED.stages] == ["kick", "damp", "drift", "kick"]
 
 
-@each
-@by_name(SCENES)
+@each_on_its_scenes
 def test_merging_joints_changes_nothing(composition, scene, mp50):
     """n steps in one run equal n runs of one step, between the halves of the processor, to 45 digits."""
-    if refusal(composition, scene):
-        return
     exact, x = in_mp(scene, random_state(scene, 1))
     h, kernel = mp50.mpf("0.2"), replace(composition, processor=())
     before = replace(kernel, stages=composition.processor)
@@ -51,11 +54,8 @@ def test_merging_joints_changes_nothing(composition, scene, mp50):
         assert abs(a - b) < mp50.mpf(10) ** -45
 
 
-@each
-@by_name(SCENES)
+@each_on_its_scenes
 def test_counts_are_the_calls_really_made(composition, scene, monkeypatch):
-    if refusal(composition, scene):
-        return
     calls = [0]
     if isinstance(scene, cb.Mechanical):
         kind, gradient = "gradient", scene.gradient

@@ -66,8 +66,15 @@ FLOW_SCENES = [
 ]
 
 
+FLOWS = [(scene, name) for scene in FLOW_SCENES for name in flows_of(scene)]
+
+
 @by_name(FLOW_SCENES)
-@pytest.mark.parametrize("name", list(MECHANICAL))
+def test_a_mechanical_scene_has_every_flow_but_the_merged_one_of_quadratic_damping(scene):
+    assert set(MECHANICAL) - set(flows_of(scene)) == ({"drift_damp"} if scene.nonlinear_damping else set())
+
+
+@pytest.mark.parametrize(("scene", "name"), FLOWS, ids=[f"{scene.name}-{name}" for scene, name in FLOWS])
 def test_subflow_solves_its_own_equations_to_45_digits(scene, name, mp50):
     exact, x = in_mp(scene, random_state(scene, 7))
     flow = flows_of(scene)[name]

@@ -16,11 +16,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import contactbench as cb
 import gate_selfcheck
+import planted_faults
+import properties
+from cases import bench, finished
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import speed
 from contactbench.gate.accuracy import DECADES, accuracy
+from contactbench.plugins import VARIABLE
 from contactbench.report import gate_selfcheck as room
 from contactbench.report import markdown
 from contactbench.results.schema import PROFILES, TABLES, Rule
@@ -36,6 +41,7 @@ from contactbench.results.tables import (
     WORK_PRECISION,
 )
 from contactbench.splitting.tables import COMPOSITIONS
+from planted_faults import plugin
 
 REPOSITORY = Path(__file__).parents[1]
 RUN = {"profile": "smoke", "cpu": "a", "python": "3.13", "packages": {"jax": "1"}, "references": "r"}
@@ -311,14 +317,6 @@ def test_without_benchmark_git_or_revision_it_could_not_run(baseline, tmp_path, 
 
 
 # -- runs --------------------------------------------------------------------------------------
-def pytest_run(tree, *arguments):
-    """The benchmark in a tree, with the tree's own sources."""
-    command = [sys.executable, "-m", "pytest", "bench", "-q", "-p", "no:cacheprovider", *arguments]
-    done = subprocess.run(command, cwd=tree, env=speed.environment(tree), capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 @pytest.mark.parametrize(
     "experiment", sorted(path.stem for path in (REPOSITORY / "bench").glob("bench_*.py"))
 )
@@ -337,16 +335,16 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
         assert cells[0] <= cells[1] <= cells[2]
 
 
-def test_a_wrong_coefficient_is_found_in_real_runs(copy, tmp_path):
-    few = ("--profile", "smoke", "-k", "convergence and particle and not long and contact-strang")
-    pytest_run(copy, "--results", tmp_path / "before", *few)
-    with patched(copy / "src" / "contactbench" / "splitting" / "tables.py", '("drift_damp", ONE), ("kick", HALF)),',
-                 '("drift_damp", ONE * Fraction(1001, 1000)), ("kick", HALF)),'):  # fmt: skip
-        pytest_run(copy, "--results", tmp_path / "after", *few)
+def test_a_wrong_coefficient_is_found_in_real_runs(tmp_path):
+    """The drift of Strang's method, and that of no other method, a part in a thousand too long."""
+    few = "convergence and particle and not long and (contact-strang or contact-abc)"
+    fault = plugin(tmp_path / "fault.py", "wrong_coefficients({'contact-strang': 1})")
+    finished(bench(tmp_path / "before", few))
+    finished(bench(tmp_path / "after", few, "--plugin", str(fault)))
     verdict = accuracy(tmp_path / "before", tmp_path / "after")
     assert {(line.scene, line.method, line.measure) for line in verdict.lines if line.red} == {
-        ("particle", "contact-strang", "solution_error"),
-        ("particle", "contact-strang", "pairwise_order"),
+        ("particle", "contact-strang", measure)
+        for measure in ("solution_error", "pairwise_order", "order", "last_slope")
     }
 
 
@@ -535,16 +533,73 @@ def test_what_is_undecided_gets_more_rounds(clocked):
 
 
 # -- the self-check --------------------------------------------------------------------------------
-def test_what_the_self_check_plants_is_still_there_to_be_changed():
-    patches = gate_selfcheck.coefficients()
-    assert set(patches) == {composition.name for composition in COMPOSITIONS}
-    assert all(len(mine) >= 2 for mine in patches.values())
-    planted = [patch for mine in patches.values() for patch in mine]
-    planted += [fault.patch for fault in gate_selfcheck.FAULTS]
-    planted += [patch for factor in gate_selfcheck.SLOWDOWNS for patch in gate_selfcheck.slowdown(factor)]
-    for patch in planted:
+@pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
+def test_every_coefficient_of_a_composition_has_a_fault_of_its_own(composition):
+    wrong = planted_faults.faulty(composition)
+    printed = len(composition.stages) // 2 - 1 if len(composition.stages) > 5 else len(composition.stages)
+    assert len(wrong) == printed + max(0, len(composition.processor) - 2)
+    assert len({(each.stages, each.processor) for each in [composition, *wrong]}) == len(wrong) + 1
+    for each in wrong:  # what is implied follows, and the sums do not give a long composition away
+        assert properties.consistent(each) == (len(composition.stages) > 5)
+
+
+@pytest.fixture
+def methods():
+    """The registry, whole again after the test."""
+    kept = dict(cb.METHODS)
+    yield cb.METHODS
+    cb.METHODS.clear()
+    cb.METHODS.update(kept)
+
+
+def planted(call, methods):
+    """A solution of contact-strang before a fault is planted, and one after it."""
+
+    def solution():
+        return cb.solve("particle", "contact-strang", step=0.1, save_at=[20.0])
+
+    before = solution()
+    exec(f"planted_faults.{call}", {"planted_faults": planted_faults})
+    return before, solution()
+
+
+def test_faults_planted_by_plug_ins_are_what_they_are_called(methods):
+    calls = {fault.what: fault.planted for fault in gate_selfcheck.FAULTS if isinstance(fault.planted, str)}
+    assert len(calls) == len(gate_selfcheck.FAULTS) - 1
+    whole = dict(methods)
+    seen = {}
+    for what, call in calls.items():
+        seen[what] = (*planted(call, methods), "contact-bm4" in methods)
+        methods.update(whole)
+    error, drift = cb.LAWS["solution_error"], cb.LAWS["contact_drift"]
+    before, after, _ = seen["order 2 replaced by order 1"]
+    assert error(after) > 5 * error(before)  # of order h against h²: 6.9 times, measured
+    before, after, _ = seen["an extra gradient evaluation per step"]
+    assert (before.counts.evaluations, after.counts.evaluations) == (201, 400)
+    np.testing.assert_allclose(after.y, before.y, rtol=0, atol=1e-13)
+    assert seen["a status change: a scene refused"][1].status is cb.Status.unsupported
+    before, after, _ = seen["a drift that is no longer round-off: damping stronger by 1e-9"]
+    assert drift(before) < 1e-13
+    assert drift(after) == pytest.approx(1e-9 * cb.SCENES["particle"].gamma * 20, rel=1e-3)
+    assert [what for what, (*_, there) in seen.items() if not there] == ["dropped rows: a method is gone"]
+
+
+def test_what_the_self_check_patches_is_still_there_to_be_changed():
+    patches = [f.planted for f in gate_selfcheck.FAULTS if isinstance(f.planted, gate_selfcheck.Patch)]
+    assert len(patches) == 1
+    for patch in patches:
         assert (REPOSITORY / patch.file).read_text().count(patch.old) == 1, patch
         assert patch.new != patch.old
+
+
+def test_a_slowdown_is_planted_in_one_of_two_trees(copy, tmp_path, monkeypatch):
+    call = f"slower(['contact-strang'], 1.5, {str(copy)!r})"
+    monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "slower.py", call)))
+    # calls so short that several fill a repeat: on a busy machine a long one is the likelier to be interrupted
+    cells = [speed.Cell("particle", "contact-strang", "python", "step", 0.4, ())]
+    ((_, ratio, verdict),) = speed.compare_revisions(copy, "HEAD", cells).judged
+    assert verdict == "slower"
+    assert ratio.ratio == pytest.approx(1.5, rel=0.15)
 
 
 def test_its_document_counts_alarms_and_faults():

@@ -74,11 +74,11 @@ def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(
 
 
 def test_condition_numbers_are_the_growth_of_errors():
-    """Against the derivative along heyoka's own run: an independent engine and derivative."""
+    """Against the derivative along heyoka's own run, its steps held fixed: an independent engine and derivative."""
     for name in ("saddle_edge", "tumbling"):
         scene = cb.SCENES[name]
         solution = cb.solve(scene, "heyoka-taylor", rtol=1e-14, save_at=save_times(scene))
-        grown = np.linalg.norm(solution.sensitivity, ord=2, axis=(1, 2)).max()
+        grown = np.linalg.norm(solution.frozen_differential.value, ord=2, axis=(1, 2)).max()
         stored = condition_number(scene)
         assert 0.2 * stored < grown < 3 * stored  # other times, and unit tangents instead of coordinates
     assert condition_number(cb.SCENES["tumbling"]) > 1e7
@@ -110,7 +110,8 @@ def test_the_clock_decides_nothing(monkeypatch):
     """A clock that says every call took minutes changes the time in the row and nothing else."""
     import hard_cells
 
-    asked = ("critical", "scipy-dop853", "python", "rtol", 1e-6, 10_000)
+    method = cb.METHODS["contact-adaptive"]  # its derivative is taken here, at the cost of many runs
+    asked = ("critical", method.name, method.engines[0], "rtol", 1e-6, 10_000)
     row = hard_cells.stability_row(*asked)
     ticks = iter(range(0, 10**6, 300))
     monkeypatch.setattr(hard_cells, "perf_counter", lambda: float(next(ticks)))
@@ -122,17 +123,19 @@ def test_the_clock_decides_nothing(monkeypatch):
 
 
 def test_a_derivative_is_taken_or_not_by_evaluations(monkeypatch):
-    import hard_cells
+    """Differences of the solver repeat its run for every tangent (3), increment, and side."""
+    from contactbench.methods import differences
 
-    asked = ("critical", "cvode-adams", "c+python", "rtol", 1e-6, 10_000)
-    row = hard_cells.stability_row(*asked)
-    monkeypatch.setattr(hard_cells, "AFFORDABLE", row["evaluations"] * hard_cells.CALLBACK - 1)
-    dear = hard_cells.stability_row(*asked)
-    assert math.isfinite(row["contact_drift"])
-    assert "contact_drift" not in dear
-    assert "evaluations" in dear["derivative"]
-    monkeypatch.setattr(hard_cells, "AFFORDABLE", row["evaluations"] * hard_cells.CALLBACK)
-    assert "contact_drift" in hard_cells.stability_row(*asked)
+    def solution():
+        scene = cb.SCENES["critical"]
+        return cb.solve(scene, "cvode-adams", engine="c+python", rtol=1e-6, save_at=[scene.t_end])
+
+    cost = 2 * 3 * len(differences.INCREMENTS) * solution().counts.rhs_equivalents
+    monkeypatch.setattr(differences, "CALLBACK_BUDGET", cost - 1)
+    assert "more than" in solution().differential.source
+    assert not solution().differential.taken
+    monkeypatch.setattr(differences, "CALLBACK_BUDGET", cost)
+    assert solution().differential.taken
 
 
 @pytest.mark.parametrize("name", [name for name, m in cb.METHODS.items() if m.adaptive])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import CONTACT_SCENES, USER, by_name, in_mp, random_state
+from cases import CONTACT_SCENES, USER, by_name, in_mp, pairs, random_state
 from contactbench.scene import dot
 
 FIXED = [method for method in cb.METHODS.values() if not method.adaptive]
@@ -106,17 +106,22 @@ def test_without_damping_both_are_symplectic_euler_and_verlet():
     np.testing.assert_allclose(scene.pack(verlet), scene.pack(strang), rtol=0, atol=1e-14)  # other rounding
 
 
-@by_name(CONTACT_SCENES)
-@pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
+def claims_a_factor(method, scene):
+    return method.conformal_factor(scene, 0.05) is not None
+
+
+@pairs(FIXED, CONTACT_SCENES, lambda method, scene: not claims_a_factor(method, scene))
+def test_only_a_refusal_or_no_claim_at_all_is_without_a_conformal_factor(method, scene):
+    assert method.refuses(scene) or not (method.contact or method.factor)
+
+
+@pairs(FIXED, CONTACT_SCENES, claims_a_factor)
 def test_claimed_conformal_factor_is_kept_to_round_off_over_many_steps(method, scene):
-    """Φ*η = cⁿ η in float64 by AD, for every method and scene with a factor c (none: not `contact`)."""
-    step, n = 0.05, 20
-    factor = method.conformal_factor(scene, step)
-    if factor is None:
-        assert method.refuses(scene) or not (method.contact or method.factor)
-        return
+    """Φ*η = cⁿ η in float64 by AD, for every method and scene with a factor c."""
     from contactbench.measure.laws import pullbacks
 
+    step, n = 0.05, 20
+    factor = method.conformal_factor(scene, step)
     solution = cb.solve(scene, method.name, step=step, save_at=[step * n], engine="python")
     pulled, form, _ = pullbacks(solution)
     bound = 1e-14 * n * np.abs(solution.sensitivity).max()  # a few roundings per stage
@@ -148,12 +153,8 @@ def test_contact_drift_sees_the_factor_and_distribution_drift_does_not(name, ord
     assert max(cb.LAWS["distribution_drift"](s) for s in solutions) < 1e-13
 
 
-@pytest.mark.parametrize("method", [m for m in FIXED if m.symmetric], ids=lambda m: m.name)
-@by_name([cb.SCENES["particle"], cb.SCENES["rigid_body"], USER])
+@pairs([m for m in FIXED if m.symmetric], [cb.SCENES["particle"], cb.SCENES["rigid_body"], USER])
 def test_symmetric_methods_return(method, scene, mp50):
-    if method.refuses(scene):
-        assert isinstance(scene, cb.RigidBody)
-        return
     exact, x = in_mp(scene, random_state(scene, 24))
     h = mp50.mpf("0.2")
     back = method.step(exact, method.step(exact, x, h, mp50), -h, mp50)

@@ -13,7 +13,7 @@ import pytest
 
 import contactbench as cb
 import planted
-from bench_stability import answers
+from bench_stability import rows_of
 from contactbench.measure.isolation import Workers
 
 EXPECTED = {
@@ -27,16 +27,25 @@ EXPECTED = {
 
 @pytest.fixture(scope="module")
 def rows():
-    """All planted solvers between two sound ones, in one worker, one group."""
+    """All planted solvers between two sound ones, in one worker, as a cell of the experiment runs them."""
     order = ["scipy-dop853", *EXPECTED, "heyoka-taylor"]
+    key = {"scene": "critical", "status": "failed", "setting": "rtol=1e-06"}
+    calls = [(key | {"method": name}, planted.row, (name,)) for name in order]
     with Workers([None]) as workers:
-        # a worker that starts anew, as after a crash, imports the package within the limit of its first call
-        limits = [2.0 if name == "planted-hang" else 60.0 for name in order]
-        futures = workers.submit_group(
-            (limit, planted.row, name) for limit, name in zip(limits, order, strict=True)
-        )
-        key = [{"scene": "critical", "method": name, "status": "failed"} for name in order]
-        return {row["method"]: row for row in answers(zip(key, futures, strict=True))}
+        return {row["method"]: row for row in rows_of(calls, Impatient(workers))}
+
+
+class Impatient:
+    """Workers that wait two seconds for what hangs, and a minute for all else.
+
+    A worker that starts anew, as after a crash, imports the package within the limit of its first call.
+    """
+
+    def __init__(self, workers):
+        self.workers = workers
+
+    def submit(self, limit, function, name):
+        return self.workers.submit(2.0 if name == "planted-hang" else 60.0, function, name)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
@@ -57,9 +66,9 @@ def test_the_sound_solvers_around_them_are_untouched(rows):
 def test_a_fault_of_the_experiment_is_no_row():
     """Only what a solver raises is a failed solver."""
     with Workers([None]) as workers:
-        future = workers.submit(60.0, planted.row, "no-such-method")
+        calls = [({"status": "failed", "setting": "rtol=1e-06"}, planted.row, ("no-such-method",))]
         with pytest.raises(cb.UnknownName, match="no-such-method") as caught:
-            list(answers([({"status": "failed"}, future)]))
+            rows_of(calls, Impatient(workers))
     assert "in planted" not in str(caught.value)
     assert "planted.py" in caught.value.__notes__[0]
 

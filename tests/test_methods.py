@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import USER, by_name
+from cases import USER, in_mp, pairs
 from contactbench.measure.order import fit_order
 from contactbench.methods.base import steps_in
 from contactbench.methods.fixed_step import FixedStep, trajectory
@@ -40,25 +40,18 @@ def setting(method, fine=False):
 
 
 # -- order and accuracy ----------------------------------------------------------------------------
-@fixed
-@by_name(SCENES)
+@pairs([m for m in FIXED if m.order <= 4], SCENES)
 def test_order_on_the_asymptotic_range(method, scene):
     """In double precision up to order 4; higher orders meet round-off first and are fitted at 50 digits."""
-    if method.refuses(scene) or method.order > 4:
-        assert method.order > 4 or cb.solve(scene, method.name, step=0.1).status is Status.unsupported
-        return
     steps = [scene.t_end / n for n in (10, 20, 40, 80, 160, 320)]
     errors = [cb.LAWS["solution_error"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps]
     fit = fit_order(steps, errors, floor=1e-12)
     assert abs(fit.order - method.order) < 0.15, (fit.order, errors)
 
 
-@every
-@by_name(SCENES)
+@pairs(cb.METHODS.values(), SCENES)
 def test_solution_approaches_the_reference(method, scene):
     """Every engine of every method, all fields carried; the bound is what its order or tolerance gives."""
-    if method.refuses(scene):
-        return
     for engine in method.engines:
         solution = cb.solve(
             scene, method.name, engine=engine, save_at=[2.0, 4.0], **setting(method, fine=True)
@@ -78,13 +71,8 @@ def test_error_falls_with_the_tolerance(method):
 
 
 # -- declared properties ---------------------------------------------------------------------------
-@fixed
-@by_name(SCENES)
+@pairs(FIXED, SCENES)
 def test_symmetric_methods_undo_themselves_and_others_do_not(method, scene, mp50):
-    from cases import in_mp
-
-    if method.refuses(scene):
-        return
     exact, x = in_mp(scene, scene.initial(scene.optional))
     h = mp50.mpf("0.2")
     back = method.advance(exact, method.advance(exact, x, h, 3, mp50), -h, 3, mp50)
@@ -92,44 +80,32 @@ def test_symmetric_methods_undo_themselves_and_others_do_not(method, scene, mp50
     assert (gap < mp50.mpf(10) ** -45) == method.symmetric, gap
 
 
-@fixed
-@by_name([PARTICLE, BODY])
+@pairs(FIXED, [PARTICLE, BODY])
 def test_contact_methods_are_exact_conformal_maps_at_any_step_and_others_are_not(method, scene):
-    if method.refuses(scene):
-        return
     for step in (0.5, 0.1):
         solution = cb.solve(scene, method.name, step=step)
         drift = cb.LAWS["contact_drift"](solution)
         assert (drift < 1e-12) == method.contact, drift
 
 
-@fixed
-@pytest.mark.parametrize("scene", [cb.SCENES["central"].with_(gamma=0.3), BODY], ids=["central", "body"])
+@pairs(FIXED, [cb.SCENES["central"].with_(gamma=0.3), BODY])
 def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
-    if method.refuses(scene):
-        return
     for step in (0.5, 0.1):
         law = cb.LAWS["momentum_law"](cb.solve(scene, method.name, step=step))
         assert (law < 1e-12) == method.contact, law
 
 
 # -- one arithmetic, several engines ---------------------------------------------------------------
-@fixed
-@by_name(SCENES)
+@pairs(FIXED, SCENES)
 def test_engines_agree_to_round_off(method, scene):
-    if method.refuses(scene):
-        return
     runs = [cb.solve(scene, method.name, step=0.05, engine=engine) for engine in method.engines]
     for run in runs[1:]:
         np.testing.assert_allclose(run.y, runs[0].y, rtol=0, atol=1e-13)
         assert run.counts == runs[0].counts
 
 
-@fixed
-@by_name([*SCENES, USER])
+@pairs(FIXED, [*SCENES, USER])
 def test_an_ensemble_of_numpy_arrays_is_the_same_map(method, scene):
-    if method.refuses(scene):
-        return
     x = scene.initial(scene.optional)
     pair = scene.unpack([np.array([v, 1.1 * v]) for v in scene.pack(x)], scene.optional)
     (together,) = trajectory(method, scene, pair, [(0.1, 5)], np)
@@ -299,7 +275,15 @@ def test_divergence_is_located_to_the_step(method):
     assert 3 < times[0] < 4
 
 
-def test_what_a_method_cannot_do_is_unsupported_with_the_reason():
+@pairs(cb.METHODS.values(), SCENES, lambda method, scene: method.refuses(scene) is not None)
+def test_a_scene_that_a_method_refuses_is_unsupported_with_its_reason(method, scene):
+    solution = cb.solve(scene, method.name, **setting(method))
+    assert solution.status is Status.unsupported
+    assert solution.message == method.refuses(scene)
+    assert np.isnan(solution.y).all()
+
+
+def test_what_a_nystrom_composition_cannot_do_is_unsupported_with_the_reason():
     solution = cb.solve("rigid_body", "contact-rkn6", step=0.1)
     assert solution.status is Status.unsupported
     assert "merged drift and damping" in solution.message

@@ -14,7 +14,9 @@ import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench import plugins
 from contactbench.report import write
-from contactbench.results.schema import WORK_PRECISION, merge, read
+from contactbench.results.store import merge, read
+from contactbench.results.tables import WORK_PRECISION
+from frames import row
 
 MINE = ("my-method", "my-scene")
 
@@ -51,8 +53,10 @@ def results(example, tmp_path_factory):
 def test_the_readmes_example_has_its_rows_in_the_tables(results):
     work = read(WORK_PRECISION, results).set_index(["scene", "method", "engine"])
     assert (work["status"] == "ok").all()
-    for engine in ("jax", "python"):
+    for engine in ("numba", "jax", "python"):
         assert work.loc[("particle", "my-method", engine), "time_median_s"] > 0
+    for engine in ("numba", "python"):  # jax is a cross-check, on one scene
+        assert work.loc[("my-scene", "my-method", engine), "time_median_s"] > 0
         assert work.loc[("my-scene", "my-method", engine), "solution_error"] < 0.1
     # the truth of the user's scene was computed live: a tolerance is met against it
     assert work.loc[("my-scene", "cvode-bdf", "c+python"), "solution_error"] < 1e-3
@@ -219,10 +223,8 @@ def test_entry_points_are_loaded_and_a_broken_one_is_a_warning(tmp_path):
 
 
 # -- tables and figures know nobody by name --------------------------------------------------------
-def test_rows_of_unknown_names_come_last_and_stay_together(tmp_path):
-    def row(scene, method, step):
-        return {"scene": scene, "method": method, "engine": "jax", "setting": f"step={step}", "status": "ok"}
-
+def test_rows_of_unknown_names_come_last_by_name_and_stay_together(tmp_path):
+    """The same table whatever came first: scenes and methods of no registry by name, coarse to fine."""
     merge(
         WORK_PRECISION, [row("theirs", "b", 0.1), row("theirs", "a", 0.2), row("theirs", "b", 0.4)], tmp_path
     )
@@ -230,6 +232,6 @@ def test_rows_of_unknown_names_come_last_and_stay_together(tmp_path):
         WORK_PRECISION, [row("theirs", "a", 0.1), row("particle", "a", 1), row("theirs", "rk4", 1)], tmp_path
     )
     assert list(zip(frame["scene"], frame["method"], frame["setting"], strict=True)) == [
-        ("particle", "a", "step=1"), ("theirs", "rk4", "step=1"), ("theirs", "b", "step=0.4"),
-        ("theirs", "b", "step=0.1"), ("theirs", "a", "step=0.2"), ("theirs", "a", "step=0.1"),
+        ("particle", "a", "step=1"), ("theirs", "rk4", "step=1"), ("theirs", "a", "step=0.2"),
+        ("theirs", "a", "step=0.1"), ("theirs", "b", "step=0.4"), ("theirs", "b", "step=0.1"),
     ]  # fmt: skip

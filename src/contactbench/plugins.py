@@ -44,19 +44,24 @@ def load_file(path: Path | str) -> None:
         raise BadInput(f"plug-in {path}: no such file")
     if path.resolve() in _files:
         return
-    before = set(METHODS) | set(SCENES)
+    before = _registered()
     try:
         _run(path.resolve())
     except Exception as error:
         raise BadInput(
             f"plug-in {path}{_line(error, path)}: {type(error).__name__}: {_brief(error)}"
         ) from error
-    if set(METHODS) | set(SCENES) == before:
+    if _registered() == before:
         raise BadInput(f"plug-in {path}: registers no method and no scene (cb.fixed_step, cb.SCENES.add)")
     _files.add(path.resolve())
     named = list(filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
     os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*named, str(path.resolve())]))
     LOADED[path.name] = f"sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def _registered() -> set[tuple[str, int]]:
+    """What is registered at the moment: names, and the objects that bear them (a file may replace some)."""
+    return {(name, id(item)) for registry in GROUPS.values() for name, item in registry.items()}
 
 
 def _run(path: Path) -> None:

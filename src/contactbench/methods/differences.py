@@ -8,7 +8,8 @@ increments falling by `RATIO`, and every two neighbouring central differences D 
 their error of second order, R = (r² D(δ/r) − D(δ))/(r² − 1).  Truncation makes the first of them differ,
 round-off over δ the last; and a choice of steps that jumps between the two sides makes a single one differ.
 Where neighbours agree best is therefore the value, and twice their disagreement the error bar.  Where even the
-last two disagree by a tenth of themselves, the map bends within the smallest increment and no value is given.
+last two disagree by a tenth of themselves, and by more than the roundings of the state, the map bends within
+the smallest increment and no value is given.
 
 Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9 (extrapolation); for the balance of
 truncation and round-off, Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/S0141-1195(82)80057-0.
@@ -31,6 +32,9 @@ RATIO = 4.0
 INCREMENTS = tuple(1e-3 / RATIO**k for k in range(6))
 #: disagreement of the last two estimates, relative to their size, beyond which nothing is resolved
 UNRESOLVED = 0.1
+#: roundings of the state over the smallest increment, up to which their disagreement is round-off: a derivative
+#: may be as small as that, for example along an s that has decayed
+ROUNDINGS = 8
 #: no derivative where its runs would cost more right-hand sides than this, in compiled code and in Python; a
 #: step of an implicit method that does not say counts as so many
 BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
@@ -62,12 +66,14 @@ def differences(run: Prepared, y0: np.ndarray, out: Outcome) -> Differential:
     def end(v: object, amount: float) -> np.ndarray:
         return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
 
+    scales = np.array([scale(x, v) for v in tangents])
     plain = np.array([
-        [(end(v, d * scale(x, v)) - end(v, -d * scale(x, v))) / (2 * d * scale(x, v)) for v in tangents]
+        [(end(v, d * size) - end(v, -d * size)) / (2 * d * size) for v, size in zip(tangents, scales, strict=True)]
         for d in INCREMENTS
     ])  # fmt: skip
     better = (RATIO**2 * plain[1:] - plain[:-1]) / (RATIO**2 - 1)
     gap, size = (np.abs(values).max(axis=(1, 2)) for values in (better[-1] - better[-2], better[-1]))  # (m,)
-    if not np.all(gap < UNRESOLVED * size):
+    round_off = ROUNDINGS * np.finfo(float).eps * np.abs(out.y).max() / (INCREMENTS[-1] * scales)
+    if not np.all(gap < np.maximum(UNRESOLVED * size, round_off)):
         return Differential("not taken: differences of the solver do not converge", out.y, none)
     return Differential(f"central differences of the solver, {runs} runs", out.y, np.moveaxis(better, 1, -1))

@@ -1,0 +1,160 @@
+"""Faults for the self-check of the gate, planted as a user's plug-in would: by what is registered.
+
+`plugin` writes the plug-in file that calls one of the functions below; it is given to the benchmark
+(``--plugin``) or named in the environment of the processes that are timed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import contactbench as cb
+from contactbench.methods import METHODS
+from contactbench.methods.base import Prepared, Request
+from contactbench.methods.contact import ContactMethod, contact_method
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.scene import Scene
+from contactbench.splitting.composition import ONE, Composition, Repeat, balanced, palindrome, repeat
+from contactbench.splitting.tables import COMPOSITIONS, STRANG
+
+LARGER = Fraction(1001, 1000)
+#: the contact method that most faults are planted in
+PLANTED = STRANG.name
+
+
+def plugin(path: Path, call: str) -> Path:
+    """A plug-in file that plants a fault: ``call`` is that of a function of this module."""
+    lines = (
+        "import sys",
+        f"sys.path.append({str(Path(__file__).parent)!r})",
+        "import planted_faults",
+        f"planted_faults.{call}",
+    )
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def put(method: Any) -> None:
+    """Register a method in the place of the one of its name."""
+    assert method.name in METHODS
+    METHODS[method.name] = method
+
+
+def remade(kind: type, method: Any) -> Any:
+    """A registered method as one of another class with the same fields."""
+    return kind(**{field.name: getattr(method, field.name) for field in fields(method)})
+
+
+# -- coefficients ----------------------------------------------------------------------------------
+def faulty(composition: Composition) -> list[Composition]:
+    """The composition with one coefficient a part in a thousand larger, for each of those that define it.
+
+    What symmetry and consistency imply follows, so that the sums of a long palindrome and of a
+    processor remain right.  Short compositions have no coefficient that is not implied: there every
+    stage is changed by itself.
+    """
+    stages, processor = composition.stages, composition.processor
+    names, values = [name for name, _ in stages], [c for _, c in stages]
+    if composition.palindromic and composition.two_part and len(stages) > 3:
+        halves = one_larger(values[: len(stages) // 2 - 1])
+        kernels = [palindrome(names[0], names[1], half, len(stages)) for half in halves]
+    else:
+        kernels = [tuple(zip(names, changed, strict=True)) for changed in one_larger(values)]
+    wrong = [replace(composition, stages=kernel) for kernel in kernels]
+    if processor:
+        (first, _), (second, _) = processor[:2]
+        for free in one_larger([c for _, c in processor[:-2]]):
+            wrong.append(replace(composition, processor=balanced(first, second, free)))
+    return wrong
+
+
+def one_larger(values: Sequence[Fraction]) -> list[list[Fraction]]:
+    """The values with one of them larger, for each."""
+    return [[c * LARGER if i == k else c for i, c in enumerate(values)] for k in range(len(values))]
+
+
+def wrong_coefficients(which: Mapping[str, int]) -> None:
+    """In each of the contact methods named, the k-th of its `faulty` compositions."""
+    for composition in COMPOSITIONS:
+        if composition.name in which:
+            put(contact_method(faulty(composition)[which[composition.name]]))
+
+
+# -- other faults ----------------------------------------------------------------------------------
+def order_one() -> None:
+    """The composition of order 2 replaced by one of order 1, under its name and with its claims."""
+    lie = replace(STRANG, stages=(("kick", ONE), ("drift_damp", ONE)))
+    put(replace(contact_method(lie), symmetric=True))
+
+
+def joints_left_apart() -> None:
+    """Neighbouring stages are not merged from step to step: a gradient more for each step."""
+    of = METHODS[PLANTED]
+    put(
+        FixedStep(
+            of.name, of.order, of.step, evaluations=2, kind="gradient", about=of.about,
+            family="contact", contact=True, symmetric=True,
+        )
+    )  # fmt: skip
+
+
+class Refusing(ContactMethod):
+    def refuses(self, scene: Scene) -> str:
+        return "planted"
+
+
+def refusal() -> None:
+    """A method refuses every scene."""
+    put(remade(Refusing, METHODS[PLANTED]))
+
+
+def no_bm4() -> None:
+    """A method is gone."""
+    del METHODS["contact-bm4"]
+
+
+class StrongerDamping(ContactMethod):
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        gamma, *rest = scene.numbers()
+        return super().advance(scene.with_numbers([gamma * (1 + 1e-9), *rest]), x, h, n, xp, repeat)
+
+
+def stronger_damping() -> None:
+    """A mechanical scene is damped more strongly by a part in 10⁹."""
+    put(remade(StrongerDamping, METHODS[PLANTED]))
+
+
+# -- speed -----------------------------------------------------------------------------------------
+class Slower:
+    """A fixed-step method whose every run is preceded by one over a share of its time, at the same step."""
+
+    def __init__(self, method: FixedStep, share: float) -> None:
+        self.method, self.share = method, share
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.method, name)
+
+    def prepare(self, request: Request) -> Prepared:
+        run = self.method.prepare(request)
+        once, part = (
+            run.integrate,
+            self.method.prepare(replace(request, save_at=self.share * request.save_at)),
+        )
+
+        def integrate(y0: Any) -> Any:
+            part.integrate(y0)
+            return once(y0)
+
+        run.integrate = integrate
+        return run
+
+
+def slower(names: Sequence[str], factor: float, tree: str) -> None:
+    """Methods take `factor` times as long, in processes that run the sources of `tree`."""
+    if Path(cb.__file__).is_relative_to(tree):
+        for name in names:
+            put(Slower(METHODS[name], factor - 1))
