@@ -9,9 +9,10 @@ import pytest
 
 import contactbench as cb
 from cases import USER, in_mp, random_state
-from contactbench.methods.contact_adaptive import composition_on, frequency, next_density, squared_curvature
+from contactbench.methods.contact_adaptive import frequency, next_density, squared_curvature
 from contactbench.numbers.dual import Dual
 from contactbench.scenes import hard_scenes, standard_scenes
+from contactbench.splitting.tables import RKN6
 
 NAME = "contact-adaptive"
 KEPLER = cb.SCENES["kepler_drag"]
@@ -74,7 +75,7 @@ def test_contact_structure_of_the_steps_taken():
 def test_a_step_with_its_density_undoes_itself(mp50):
     """Φ and the density, reversed in time, retrace their way: the whole control is time-symmetric."""
     scene, x = in_mp(KEPLER, KEPLER.initial(()))
-    method, epsilon, span = composition_on(KEPLER), mp50.mpf("0.3"), mp50.mpf(100)
+    method, epsilon, span = RKN6, mp50.mpf("0.3"), mp50.mpf(100)
     from contactbench.splitting.composition import advance
 
     density = frequency(scene, x, span)[0]

@@ -16,7 +16,6 @@ from contactbench.solution import Status
 from contactbench.truth import blow_up_time
 
 FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
-ADAPTIVE = [m for m in cb.METHODS.values() if m.adaptive]
 #: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
 PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
 BODY = cb.SCENES["rigid_body"].with_(
@@ -24,10 +23,14 @@ BODY = cb.SCENES["rigid_body"].with_(
 )
 ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0)
 SCENES = [PARTICLE, BODY, ANISOTROPIC]
+#: contact-exact solves bodies only, and has tests of its own
+ON_PARTICLE = [m for m in cb.METHODS.values() if m.refuses(PARTICLE) is None]
+ADAPTIVE = [m for m in ON_PARTICLE if m.adaptive]
 
 fixed = pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
 adaptive = pytest.mark.parametrize("method", ADAPTIVE, ids=lambda m: m.name)
 every = pytest.mark.parametrize("method", cb.METHODS.values(), ids=lambda m: m.name)
+on_particle = pytest.mark.parametrize("method", ON_PARTICLE, ids=lambda m: m.name)
 
 
 def setting(method, fine=False):
@@ -111,7 +114,7 @@ def test_an_ensemble_of_numpy_arrays_is_the_same_map(method, scene):
 
 
 # -- prepared solvers ------------------------------------------------------------------------------
-@every
+@on_particle
 def test_prepared_solver_takes_other_initial_data(method):
     run = cb.prepare(PARTICLE, method.name, save_at=[1.0], **setting(method))
     moved = run(q=(0.2, 0.1), p=(0.3, -0.4))
@@ -123,9 +126,7 @@ def test_prepared_solver_takes_other_initial_data(method):
     assert not np.array_equal(run().y, moved.y)
 
 
-@pytest.mark.parametrize(
-    "method", [m for m in cb.METHODS.values() if "jax" in m.engines], ids=lambda m: m.name
-)
+@pytest.mark.parametrize("method", [m for m in ON_PARTICLE if "jax" in m.engines], ids=lambda m: m.name)
 def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypatch):
     from contactbench.methods import compiled
 
@@ -148,7 +149,7 @@ def test_the_number_of_saved_times_hardly_ever_recompiles(method):
 
 
 # -- saved times -----------------------------------------------------------------------------------
-@every
+@on_particle
 def test_saved_times_are_the_ones_asked_for(method):
     times = [0.0, 0.37, 1.0, 2.5]
     solution = cb.solve(PARTICLE, method.name, save_at=times, **setting(method))
@@ -235,7 +236,7 @@ def test_body_solution_has_a_rotation_matrix():
 
 
 # -- ways to end -----------------------------------------------------------------------------------
-@every
+@on_particle
 def test_running_out_of_steps_is_a_status_and_never_a_number(method):
     for engine in method.engines:
         for times in ([4.0], [0.0, 2.0, 4.0]):
@@ -247,7 +248,7 @@ def test_running_out_of_steps_is_a_status_and_never_a_number(method):
             assert math.isnan(cb.LAWS["solution_error"](solution))
 
 
-@every
+@on_particle
 def test_escape_to_infinity_ends_as_diverged_with_the_time(method):
     """Asked for more than there is: the time told is within a per cent of the true blow-up."""
     scene = cb.SCENES["escape"]
@@ -302,7 +303,7 @@ def counted_scene(calls):
 
 
 @pytest.mark.parametrize(
-    "method", [m for m in cb.METHODS.values() if "python" in m.engines[-1]], ids=lambda m: m.name
+    "method", [m for m in ON_PARTICLE if "python" in m.engines[-1]], ids=lambda m: m.name
 )
 @pytest.mark.parametrize("hessian", [True, False], ids=["analytic", "differenced"])
 def test_callback_counts_are_the_calls_really_made(method, hessian):

@@ -10,10 +10,12 @@ import pytest
 
 import contactbench as cb
 from cases import random_state
+from contactbench.measure import precision
 from contactbench.measure.laws import decay_rate, laws_of
 from contactbench.measure.pullback import pullback
 from contactbench.methods.base import METHODS
-from contactbench.splitting import flows
+from contactbench.splitting import composition, flows
+from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax, jnp
 
 SCENE = cb.SCENES["quadratic_damping"]
@@ -100,7 +102,7 @@ CONTACT = [
 
 
 @pytest.mark.parametrize("method", CONTACT)
-@pytest.mark.parametrize("engine", ["jax", "python"])
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
 def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
     """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
     for scene in (SCENE, SCENE.with_(gamma=0.2)):
@@ -109,15 +111,16 @@ def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
         assert cb.LAWS["contact_drift"](solution) > 1e-9
 
 
-def test_the_factor_is_compared_with_the_derivative_of_the_map(monkeypatch):
-    """A formula for the factor that is wrong, D instead of D², shows; so would a flow that is."""
-    solution = solve("contact-abc", step=0.2)
-    right = flows.MECHANICAL["damp"]
+@pytest.mark.parametrize(("flow", "method"), [("damp", "contact-abc"), ("drift_damp", "contact-rkn6")])
+def test_the_factor_is_compared_with_the_derivative_of_the_map(monkeypatch, flow, method):
+    """A formula for the factor that is wrong, its root, shows; so would a flow that is."""
+    solution = solve(method, step=0.2)
+    right = flows.MECHANICAL[flow]
 
     def wrong(scene, x, h, xp):
         return right.log_factor(scene, x, h, xp) / 2
 
-    monkeypatch.setitem(flows.MECHANICAL, "damp", right._replace(log_factor=wrong))
+    monkeypatch.setitem(flows.MECHANICAL, flow, right._replace(log_factor=wrong))
     assert cb.LAWS["own_factor_drift"](solution) > 0.1
 
 
@@ -127,7 +130,79 @@ def test_a_method_that_is_no_composition_of_contact_maps_has_no_factor_of_its_ow
     assert math.isnan(cb.LAWS["own_factor_drift"](solve(method, **setting)))
 
 
-@pytest.mark.parametrize("method", ["contact-rkn6", "herglotz1", "herglotz2"])
+@pytest.mark.parametrize(
+    ("method", "n", "within"),
+    [("contact-rkn4", 40, 0.02), ("contact-rkn6", 40, 0.02), ("contact-rkn8", 40, 0.05)],
+)
+def test_nystrom_tables_keep_their_order_under_nonlinear_damping(method, n, within):
+    """[B,[B,[B,A]]] = 0 also for A = T + γs + ½κs²; slopes at 50 digits over n, 2n and 4n steps to t = 2."""
+    method = cb.METHODS[method]
+    assert precision.order_at(method, SCENE, 2.0, n) == pytest.approx(method.order, abs=within)
+
+
+#: damping that feeds (s < 0 at the start), κ of either sign, a linear part
+SCENES = [
+    SCENE,
+    SCENE.with_(name="both", gamma=0.2, s=-0.3),
+    SCENE.with_(name="negative", kappa=-0.3, gamma=0.1),
+]
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.name)
+@pytest.mark.parametrize("method", CONTACT)
+def test_the_form_is_kept_with_the_factor_of_the_flows_to_40_digits(method, scene, mp50):
+    """Φ*η = c η with c the product of the flows' own factors: the law that is structural here."""
+    method = cb.METHODS[method]
+    pulled, form = precision.pullback(method, scene, "0.2", 3)
+    context = decimal_context(precision.DERIVATIVE_DIGITS)
+    exact = with_decimals(scene, context.mpf)
+    start, h = exact.initial(("s",)), context.mpf("0.2")
+    c = context.exp(composition.log_factor(method.composition, exact, start, h, 3, context))
+    assert max(abs(a - c * b) for a, b in zip(pulled, form, strict=True)) < context.mpf(10) ** -40
+    assert abs(c - 1) > 1e-3
+
+
+@pytest.mark.parametrize(
+    "method", ["contact-abc", "contact-strang", "contact-rkn6", "contact-rkn8", "contact-bm6"]
+)
+def test_momentum_and_form_follow_the_own_factor_to_round_off(method):
+    """In double precision over the whole span: J(Φ) = c J and Φ*η = c η."""
+    steps, h = 100, 0.2
+    solution = cb.solve(SCENE, method, step=h, save_at=[steps * h])
+    c = math.exp(cb.METHODS[method].log_factor(SCENE, solution.start(), h, steps))
+    J = [SCENE.momentum(x)[0] for x in (solution.start(), solution.states())]
+    assert float(J[1][0] / (c * J[0])) == pytest.approx(1, abs=1e-12)
+    pulled, form, *_ = pullback(solution, solution.differential)
+    np.testing.assert_allclose(pulled[-1] / c, form, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@pytest.mark.parametrize(
+    ("kappa", "s", "method"),
+    [
+        (-2.0, 1.5, "contact-strang"),
+        (-2.0, 1.5, "contact-rkn6"),
+        (1.0, -3.0, "contact-abc"),
+        (-2.0, 1.5, "contact-abc"),
+    ],
+)
+def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, kappa, s, method):
+    """No force: s' = T − ½κs² reaches infinity when its closed form does; T = 0 where κ > 0."""
+    p = 0.0 if kappa > 0 else 0.8
+    scene = cb.Mechanical(
+        name="runaway", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],),
+        q=(0.0,), p=(p,), s=s, kappa=kappa, t_end=20.0,
+    )  # fmt: skip
+    r = math.sqrt(abs(kappa) * p * p / 4)
+    infinity = 1 / (r - kappa * s / 2)  # 1 + wφ = rφ
+    solution = cb.solve(scene, method, step=0.01, save_at=[0.5 * infinity, 20.0], engine=engine)
+    assert solution.status is cb.Status.diverged
+    assert solution.end_time == pytest.approx(infinity, abs=0.011)
+    assert np.isfinite(solution.y[0]).all()
+    assert np.isnan(solution.y[1]).all()
+
+
+@pytest.mark.parametrize("method", ["herglotz1", "herglotz2"])
 def test_methods_that_need_a_constant_rate_refuse(method):
     solution = cb.solve(SCENE, method, step=0.1)
     assert solution.status is cb.Status.unsupported

@@ -5,6 +5,7 @@
 from contactbench.methods import (
     contact,
     contact_adaptive,
+    contact_exact,
     rk4,
     herglotz,
     scipy,

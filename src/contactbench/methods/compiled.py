@@ -15,12 +15,22 @@ _programs: dict[Any, tuple[Any, float]] = {}
 
 
 class XlaNumbers:
-    """`jax.numpy`, and `settle`: a state that must be computed once, whoever reads it."""
+    """`jax.numpy`, and what compiled code has beside it (see numbers/control.py)."""
 
     def __getattr__(self, name: str) -> Any:
         from contactbench.xla import jax
 
         return jax.lax.optimization_barrier if name == "settle" else getattr(jax.numpy, name)
+
+    def scan(self, body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int) -> tuple[Any, Any]:
+        from contactbench.xla import lax
+
+        return lax.scan(lambda x, _: body(x), x, None, length=turns)
+
+    def unwind(self, body: Callable[[Any, Any], Any], x: Any, outs: Any) -> Any:
+        from contactbench.xla import lax
+
+        return lax.scan(lambda x, out: (body(x, out), None), x, outs, reverse=True)[0]
 
 
 class CompiledRun(Prepared):

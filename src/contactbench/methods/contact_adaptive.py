@@ -44,7 +44,7 @@ from contactbench.scene import Mechanical, Scene, Vector, dot
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
 from contactbench.splitting.composition import Composition, advance, plan
 from contactbench.splitting.flows import flows_of
-from contactbench.splitting.tables import BM6, RKN6
+from contactbench.splitting.tables import RKN6
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
@@ -62,11 +62,6 @@ class ScalarNumbers(XlaNumbers):
         if name == "asarray":
             raise AttributeError(name)
         return super().__getattr__(name)
-
-
-def composition_on(scene: Scene) -> Composition:
-    """Nyström coefficients where kicks and a merged drift and damping are all there is."""
-    return RKN6 if "drift_damp" in flows_of(scene) else BM6
 
 
 def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
@@ -113,7 +108,7 @@ class AdaptiveContactRun(Prepared):
         super().__post_init__()
         r = self.request
         assert r.rtol is not None
-        self.composition = composition_on(r.scene)
+        self.composition = RKN6
         self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
         self.epsilon, self.span = AIM * r.rtol ** (1 / self.composition.order), float(r.save_at[-1])
 

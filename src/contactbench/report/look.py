@@ -27,6 +27,7 @@ METHODS = {
     "contact-rkn8": Look("#CC6677", "p"),
     "contact-o8": Look("#AA3377", "P"),
     "contact-adaptive": Look("#BB5566", "8"),
+    "contact-exact": Look("#225555", "h"),
     "rk4": Look("#000000", "x", False),
     "herglotz1": Look("#661100", "d", False),
     "herglotz2": Look("#6699CC", "H", False),

@@ -89,26 +89,32 @@ class Mechanical(Scene):
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
         gamma, kappa, mass, *rest = numbers
         parameters = dict(zip(self.parameters, rest, strict=True))
-        nonlinear = self.nonlinear_damping
+        sign = self.kappa_sign
         return self._replaced(
             gamma=gamma,
             kappa=kappa,
             mass=mass,
             inverse_mass=1 / mass,
             parameters=parameters,
-            _nonlinear=nonlinear,
+            _kappa_sign=sign,
         )
 
     @property
+    def kappa_sign(self) -> int:
+        """1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it."""
+        known = self.__dict__.get("_kappa_sign")
+        return int(self.kappa > 0) - int(self.kappa < 0) if known is None else known
+
+    @property
     def nonlinear_damping(self) -> bool:
-        """Whether Γ has its quadratic term (decided by the original κ, not by a tracer)."""
-        return self.__dict__.get("_nonlinear", self.kappa != 0)
+        """Whether Γ has its quadratic term."""
+        return self.kappa_sign != 0
 
     @property
     def structure(self) -> tuple[Any, ...]:
         return (
             Mechanical, self.potential, self.gradient, self.hessian, len(self.q),
-            tuple(self.parameters), self.nonlinear_damping,
+            tuple(self.parameters), self.kappa_sign,
         )  # fmt: skip
 
     # -- physics -------------------------------------------------------------------------------

@@ -4,9 +4,9 @@ A composition is the list of its stages, in the order in which they act, with ex
 Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is
 also a composition of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with
 b1 = α1, a1 = α1 + α2, b2 = α2 + α3, … (McLachlan 1995, doi:10.1137/0916010), which is how it is read
-where a scene comes in more than two parts: a body with anisotropic damping, damping without a merged
-flow.  Neighbouring stages of one flow are merged, within a step and from one step to the next (first
-same as last), so that for example Strang costs one gradient per step.
+where a scene comes in more than two parts: a body with anisotropic damping.  Neighbouring stages of one
+flow are merged, within a step and from one step to the next (first same as last), so that for example
+Strang costs one gradient per step.
 
 A composition may be processed: stages π before the first step, the same ones in reverse order π* after
 the last, so that n steps are π χⁿ π*.  The kernel χ then need only be conjugate to a method of the
@@ -131,9 +131,9 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
 
 def parts(scene: Scene) -> tuple[str, ...]:
     """The flows χ is made of, in their order."""
-    if isinstance(scene, RigidBody):
-        return ("turn", "top") if scene.isotropic else ("turn", "damp", "top")
-    return ("kick", "drift_damp") if "drift_damp" in flows_of(scene) else ("kick", "drift", "damp")
+    if not isinstance(scene, RigidBody):
+        return ("kick", "drift_damp")
+    return ("turn", "top") if scene.isotropic else ("turn", "damp", "top")
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:

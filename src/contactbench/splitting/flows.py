@@ -5,8 +5,14 @@ flow is split in two so that its transcendental coefficients leave the time loop
 ``constants(scene, h, xp)`` once per step size, ``apply(scene, x, constants, xp)`` once per step.
 `xp` is the number namespace: `math`, `numpy`, `jax.numpy` or an mpmath context.
 
-For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  The merged flow of
-H_A + H_C (`drift_damp`) follows from p(t) = e^{−γt} p by integrating q' and s' along it.
+For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of
+its own (`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.
+
+Nyström tables keep their order on these two parts.  In the Jacobi bracket
+{f, g} = f_q·g_p − f_p·g_q + f_s (p·g_p − g) − g_s (p·f_p − f) the potential acts as the derivation
+{V, g} = ∇V·g_p + V g_s, whose coefficients depend on q alone: it lowers the degree of a polynomial in
+(p, s) by one.  T + Γ is of degree two in (p, s), hence {V, {V, {V, T + Γ}}} = 0, which is the one
+bracket that Nyström order conditions leave out.  A cubic term in Γ would break it.
 """
 
 from __future__ import annotations
@@ -14,7 +20,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from contactbench.numbers.control import choose, settled
 from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.splitting.free_body import free
 
 
 def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
@@ -42,13 +50,6 @@ def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     if not hasattr(xp, "where"):  # math, mpmath: plain numbers
         return h if undamped else -xp.expm1(-gamma * h) / gamma
     return xp.where(undamped, h, -xp.expm1(-gamma * h) / xp.where(undamped, 1.0, gamma))
-
-
-def settled(x: Any, xp: Any) -> Any:
-    """x, computed once: XLA would redo divisions and sines for every later component that reads them,
-    which grows exponentially along a chain of flows."""
-    settle = getattr(xp, "settle", None)
-    return x if settle is None else settle(x)
 
 
 #: above this γh the decay is applied as a factor, below it as a small loss
@@ -102,12 +103,14 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
     p, s = tuple(keep * p - lose * p for p in x.p), None if x.s is None else keep * x.s - lose * x.s
     if half_kappa is None:
         return State(x.q, p, s)
-    blowup = 1 + half_kappa * x.s
-    if not hasattr(xp, "where"):
-        factor = 1 / blowup if blowup > 0 else xp.inf
-    else:
-        factor = xp.where(blowup > 0, 1 / blowup, xp.inf)
-    return settled(State(x.q, tuple(factor * factor * p for p in p), factor * s), xp)
+    over_D = _over_D(x, half_kappa, xp)
+    return settled(State(x.q, tuple(over_D * over_D * p for p in p), over_D * s), xp)
+
+
+def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
+    """1/D of `damp`, infinite where D ≤ 0."""
+    D = 1 + half_kappa * x.s
+    return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
 def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
@@ -120,7 +123,8 @@ def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
 
 def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
     phi = damped_time(scene.gamma, h, xp)
-    return phi * scene.inverse_mass, phi, *damping(scene.gamma, h, xp)
+    half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
+    return phi * scene.inverse_mass, phi, *damping(scene.gamma, h, xp), *half_kappa
 
 
 def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
@@ -129,18 +133,70 @@ def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
 
 
 def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
-    """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p."""
-    phi_over_m, phi, keep, lose = constants
-    q = tuple(q + phi_over_m * p for q, p in zip(x.q, x.p, strict=True))
-    s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
-    return State(q, tuple(keep * p - lose * p for p in x.p), None if s is None else keep * s - lose * s)
+    """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
+
+    With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
+
+        p → e^{−γh} p/y,   s → e^{−γh} (as + φT(p))/y,   q += (φ/m) p·atan2(b, a)/b,   y = a² + b².
+
+    (In the time φ, s = w'/(kw) up to a constant turns the Riccati equation s' = T − ½κs² into Pinney's
+    w'' = const/w³; y = w².)  κ < 0 makes b imaginary.  The conformal factor is that of p, e^{−γh}/y.
+    """
+    if not scene.nonlinear_damping:
+        phi_over_m, phi, keep, lose = constants
+        q = tuple(q + phi_over_m * p for q, p in zip(x.q, x.p, strict=True))
+        s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
+        return State(q, tuple(keep * p - lose * p for p in x.p), None if s is None else keep * s - lose * s)
+    phi_over_m, phi, keep, lose, _ = constants
+    a, over_y, path = _pinney(scene, x, constants, xp)
+    q = tuple(q + phi_over_m * path * p for q, p in zip(x.q, x.p, strict=True))
+    s = a * x.s + phi * scene.kinetic(x.p)
+    return settled(
+        State(
+            q, tuple((keep * p - lose * p) * over_y for p in x.p), (keep * s - lose * s) * over_y
+        ), xp
+    )  # fmt: skip
+
+
+def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, Any, Any]:
+    """a, 1/y and atan2(b, a)/b of `drift_damp`; 1/y is infinite from the time of blow-up on.
+
+    For κ < 0 with b² = −kφT: y = a² − b², factored because both factors are positive until s reaches
+    infinity, and log((a + b)/(a − b))/2b.  For κ > 0 only p = 0 blows up, any other goes round.
+    """
+    _, phi, _, _, half_kappa = constants
+    a, square = 1 + half_kappa * x.s, scene.kappa_sign * half_kappa * phi * scene.kinetic(x.p)
+    straight = square == 0
+    b = xp.sqrt(choose(straight, 1.0, square, xp))  # 1: no derivative of √0 is taken
+    if scene.kappa_sign > 0:
+        y = choose(straight, choose(a > 0, a * a, 0.0, xp), a * a + square, xp)
+    else:
+        edge = choose(straight, 0.0, b, xp)
+        y = choose(a > edge, (a - edge) * (a + edge), 0.0, xp)
+    alive = y > 0
+    y, run, rise = choose(alive, y, 1.0, xp), choose(alive, a, 2.0, xp), choose(alive, b, 1.0, xp)
+    if scene.kappa_sign > 0:
+        bent = xp.atan2(rise, run) / rise
+    else:
+        bent = xp.log1p(2 * rise / choose(straight, 1.0, run - rise, xp)) / (2 * rise)
+    path = choose(straight, 1 / choose(straight, run, 1.0, xp), bent, xp)
+    return a, choose(alive, 1 / y, xp.inf, xp), path
+
+
+def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
+    """−∫Γ'(s) along the flow AC: −γh − log y."""
+    linear = linear_log_factor(scene, x, h, xp)
+    if not scene.nonlinear_damping:
+        return linear
+    _, over_y, _ = _pinney(scene, x, _drift_damp_constants(scene, h, xp), xp)
+    return linear + xp.log(over_y)
 
 
 MECHANICAL = {
     "kick": Flow(_plain, kick, {"gradient": 1}),
     "drift": Flow(_plain, drift, {}),
     "damp": Flow(_damp_constants, damp, {}, damp_log_factor),
-    "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, linear_log_factor),
+    "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, drift_damp_log_factor),
 }
 
 
@@ -235,17 +291,40 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
     return BodyState(scene.damp_matrix_function(x.M, lambda rate: next(factor)), x.R, None)
 
 
+def _free_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
+    return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
+
+
+def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodyState:
+    """The free body and isotropic damping together: free for the time φ(h), then damped.
+
+    C rescales time: e^{γt} M and R move as if undamped in the time φ(t), and s' = ½M·Ω − γs gives
+    s(h) = e^{−γh} (s + φ H0).  The whole flow of the scene, for any h.
+    """
+    tau, *decay = constants
+    return body_damp(scene, free(scene, x, tau, xp), decay, xp)
+
+
+#: what `free` costs in rotations: it has FREE_COST times as many square roots, divisions and transcendental
+#: functions as the two of a rotation, with loops of fixed length (counted anew in the tests)
+FREE_COST = 177
+
 BODY = {
     "turn": Flow(_plain, turn, {"rotation": 1}),
     "top": Flow(_plain, top, {"rotation": 1}),
+    "free": Flow(_plain, free, {"rotation": FREE_COST}),
     "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
+}
+ISOTROPIC = BODY | {
+    "free_damp": Flow(_free_damp_constants, free_damp, {"rotation": FREE_COST}, linear_log_factor),
 }
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
-    """The subflows a scene has, by name; a body has no potential, hence no kick."""
-    if not isinstance(scene, Mechanical):
-        return BODY
-    if scene.nonlinear_damping:  # their joint flow (a Pinney equation) is not implemented here
-        return {name: flow for name, flow in MECHANICAL.items() if name != "drift_damp"}
-    return MECHANICAL
+    """The subflows a scene has, by name; a body has no potential, hence no kick.
+
+    Compositions on bodies are made of `turn`, `top` and `damp`; the free body in closed form costs many rotations.
+    """
+    if isinstance(scene, Mechanical):
+        return MECHANICAL
+    return ISOTROPIC if scene.isotropic else BODY  # type: ignore[attr-defined]

@@ -1,0 +1,67 @@
+"""Choices and loops on every kind of number.
+
+Plain numbers (floats, mpmath) may be looked at; arrays and traced numbers may not.  A namespace says what
+it has of its own: `where` chooses entry by entry, `settle` computes a value once, `scan` and `unwind` are
+compiled loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+#: turns after which a loop over plain numbers is given up: a thousand digits take forty
+ENDLESS = 200
+
+
+def plain(xp: Any) -> bool:
+    """Whether values may be looked at."""
+    return not hasattr(xp, "where")
+
+
+def choose(condition: Any, yes: Any, no: Any, xp: Any) -> Any:
+    """yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
+    if plain(xp):
+        return yes if condition else no
+    return xp.where(condition, yes, no)
+
+
+def settled(x: Any, xp: Any) -> Any:
+    """x, computed once: XLA would redo divisions and sines for every later component that reads them,
+    which grows exponentially along a chain of flows."""
+    settle = getattr(xp, "settle", None)
+    return x if settle is None else settle(x)
+
+
+def negligible(x: Any) -> bool:
+    """Whether a plain number is lost beside 1."""
+    return 1 + x == 1
+
+
+def scan(
+    body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int, rest: Callable[[Any], Any], xp: Any
+) -> tuple[Any, Any]:
+    """x after `turns` of ``x, out = body(x)``, and the outs; plain numbers until ``rest(x)`` is negligible.
+
+    Raises `ArithmeticError` if it never is.
+    """
+    if hasattr(xp, "scan"):
+        return xp.scan(body, x, turns)
+    outs = []
+    for _ in range(ENDLESS if plain(xp) else turns):
+        x, out = body(x)
+        outs.append(out)
+        if plain(xp) and negligible(rest(x)):
+            return x, outs
+    if plain(xp):
+        raise ArithmeticError(f"no convergence in {ENDLESS} turns")
+    return x, outs
+
+
+def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:
+    """x after ``x = body(x, out)`` for the outs of a `scan`, last to first."""
+    if hasattr(xp, "unwind"):
+        return xp.unwind(body, x, outs)
+    for out in reversed(outs):
+        x = body(x, out)
+    return x

@@ -1,0 +1,235 @@
+"""The free rigid body solved exactly: momentum by Jacobi's functions, attitude by an integral of the third kind.
+
+Axes 1, 2, 3 by increasing moment of inertia, a = 1/I, differences of them a_ij = |a_i − a_j|.  M circles
+axis i and never crosses the plane M_i = 0: (i, k) = (1, 3) or (3, 1) by the sign of D = a₁₂M₁² − a₂₃M₃².
+With W = a_ik M_i² + a_2k M₂², V = a_i2 M₂² + a_ik M_k², both constant, λ² = a_i2 W, m = a_2k V/λ²,
+1 − m = a_ik |D|/λ²; s, c, d = sn, cn, dn(λt | m); S = s/λ; N = c² + a_ik a_i2 M_i² S²:
+
+    M₂ → (M₂ c d ± a_ik M_k M_i S)/N,   M_k → (M_k c ∓ a_i2 M₂ M_i S d)/N,   M_i → (M_i d ∓ a_2k M₂ M_k S c)/N,
+
+upper signs where axes 1, 2, 3 are right-handed: the addition theorems, with no phase to be found and no
+difference in N.  Landau, Lifshitz, Mechanics, §37.
+
+The attitude turns M(t) into the constant R M.  Let C(z) take the direction z of M to an axis e, first about e
+and then across it; then R(t) = R(0) C(z₀)⁻¹ Rot_e(ψ) C(z), ψ' = L (2E − a_e M_e²)/(L² − M_e²).  e = k where
+W ≥ V and e = i elsewhere keeps z more than 45° away from e all the time, and the characteristic −ν of the
+integral in [−1, 0]: ν = V/W or a_2k/a_i2, and ψ' = L (a_i or a_k) ± L a₁₃ ν sn²/(1 + ν sn²), of which the
+second term is never more than half of the first.  Celledoni, Fassò, Säfström, Zanna, SIAM J. Sci. Comput. 30,
+2084 (2008), doi:10.1137/070704393; van Zon, Schofield, J. Comput. Phys. 225, 145 (2007),
+doi:10.1016/j.jcp.2006.11.019.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from contactbench.numbers.control import choose, settled
+from contactbench.scene import BodyState, RigidBody, Vector, dot, quaternion_product
+from contactbench.splitting.elliptic import SMALLEST, arc, bent_part, jacobi
+
+#: λt beyond which a body exactly on the middle axis is not followed (it stays; its derivative is e^{λt})
+FARTHEST = 300.0
+
+
+class Course(NamedTuple):
+    """The constants of a motion, for ‖M‖ = 1.
+
+    first : M circles axis 1, not 3.  about_k : e is k, not i (a sphere: the one farther from M).
+    i2, k2, ik : differences of inverse moments.  V, W : see the module.
+    rate, m, m1 : λ and the moduli.  still : λ = 0, nothing changes M.
+    """
+
+    first: Any
+    about_k: Any
+    i2: Any
+    k2: Any
+    ik: Any
+    V: Any
+    W: Any
+    rate: Any
+    m: Any
+    m1: Any
+    still: Any
+
+
+def handedness(scene: RigidBody) -> int:
+    """1 if the axes of smallest, middle and largest moment are right-handed in this order, else −1."""
+    smallest, middle, _ = scene.by_inertia
+    return 1 if middle == (smallest + 1) % 3 else -1
+
+
+def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
+    """The motion that starts at the direction z of M."""
+    I1, I2, I3 = (scene.inertia[axis] for axis in scene.by_inertia)
+    z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
+    a12, a23, a13 = (I2 - I1) / (I1 * I2), (I3 - I2) / (I2 * I3), (I3 - I1) / (I1 * I3)
+    D = a12 * z1 * z1 - a23 * z3 * z3
+    first = D >= 0
+    i2, k2 = choose(first, a12, a23, xp), choose(first, a23, a12, xp)
+    zi, zk = choose(first, z1, z3, xp), choose(first, z3, z1, xp)
+    W = a13 * zi * zi + k2 * z2 * z2
+    V = i2 * z2 * z2 + a13 * zk * zk
+    square = i2 * W
+    still = square == 0
+    square = choose(still, 1.0, square, xp)
+    m1 = a13 * choose(first, D, -D, xp) / square
+    m1 = choose(m1 > SMALLEST, m1, SMALLEST, xp)
+    about_k = choose(V == 0, choose(W == 0, zk * zk <= zi * zi, W >= V, xp), W >= V, xp)
+    return Course(
+        first, about_k, i2, k2, a13, V, W, xp.sqrt(square),
+        choose(still, 0.0, k2 * V / square, xp), choose(still, 1.0, m1, xp), still,
+    )  # fmt: skip
+
+
+def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
+    """The exact flow of ½ M·I⁻¹M for any time t, up to round-off of the phase λt.
+
+    ‖M‖ and J = R M are kept to round-off.  On the middle axis exactly the body stays there.
+    """
+    s = None if x.s is None else x.s + t * scene.energy(x)
+    L, resting = length(x.M, xp)
+    z = tuple(choose(resting, float(axis == 0), m / L, xp) for axis, m in enumerate(x.M))
+    tau = choose(resting, 0.0 * t, L * t, xp)
+    motion = settled(course(scene, z, xp), xp)
+    turned, passed = settled(momentum(scene, motion, z, tau, xp), xp)
+    M = tuple(choose(resting, m, L * c, xp) for m, c in zip(x.M, turned, strict=True))
+    if x.R is None:
+        return BodyState(M, None, s)
+    angle = precession(scene, motion, z, turned, tau, passed, xp)
+    moved = attitude(scene, motion, z, turned, angle, xp)
+    at_rest = (1.0, *(t * w / 2 for w in scene.angular_velocity(x.M)))  # its value and its derivative
+    moved = tuple(choose(resting, a, b, xp) for a, b in zip(at_rest, moved, strict=True))
+    return settled(BodyState(M, quaternion_product(x.R, moved), s), xp)
+
+
+def length(v: Vector, xp: Any) -> tuple[Any, Any]:
+    """‖v‖, without squares that underflow, and whether it is zero; 1 then, so that no derivative of √0 is taken."""
+    largest: Any = 0.0
+    for c in v:
+        size = choose(c < 0, -c, c, xp)
+        largest = choose(size > largest, size, largest, xp)
+    zero = largest == 0
+    largest = choose(zero, 1.0, largest, xp)
+    scaled = [c / largest for c in v]
+    return largest * xp.sqrt(choose(zero, 1.0, dot(scaled, scaled), xp)), zero
+
+
+def circled(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
+    """The components of z along axes i, 2, k."""
+    z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
+    return choose(motion.first, z1, z3, xp), z2, choose(motion.first, z3, z1, xp)
+
+
+def held(v: Any, xp: Any) -> Any:
+    """v, but no farther than FARTHEST."""
+    return choose(v > FARTHEST, FARTHEST, choose(v < -FARTHEST, -FARTHEST, v, xp), xp)
+
+
+class Passed(NamedTuple):
+    """The argument v = λ·tau, sn, cn and dn of it, and the quarter period K."""
+
+    v: Any
+    sn: Any
+    cn: Any
+    dn: Any
+    K: Any
+
+
+def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> tuple[Vector, Passed]:
+    """The direction of M at time tau, and what has passed till then."""
+    _, _, i2, k2, ik, _, _, rate, m, m1, still = motion
+    zi, z2, zk = circled(scene, motion, z, xp)
+    v = choose(zi == 0, held(rate * tau, xp), rate * tau, xp)
+    sn, cn, dn, K = jacobi(v, m, m1, xp)
+    passed = Passed(v, sn, cn, dn, K)
+    S, cn, dn = (choose(still, a, b, xp) for a, b in ((tau, sn / rate), (1.0, cn), (1.0, dn)))
+    side = handedness(scene) * S
+    over = 1 / (cn * cn + ik * i2 * zi * zi * S * S)
+    new2 = (z2 * cn * dn + side * ik * zk * zi) * over
+    newk = (zk * cn - side * i2 * z2 * zi * dn) * over
+    newi = (zi * dn - side * k2 * z2 * zk * cn) * over
+    over = 1 / xp.sqrt(newi * newi + new2 * new2 + newk * newk)
+    placed: list[Any] = [None] * 3
+    for axis, value in zip(
+        scene.by_inertia,
+        (choose(motion.first, newi, newk, xp), new2, choose(motion.first, newk, newi, xp)),
+        strict=True,
+    ):
+        placed[axis] = value * over
+    return tuple(placed), passed
+
+
+def precession(
+    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Passed, xp: Any
+) -> Any:
+    """ψ, the angle by which the frame has turned about M.
+
+    Of the bent part from u₀ to u₀ + v, that from 0 to v is an integral, and the addition theorem for Π has
+    the rest, DLMF 19.11(i) written with Jacobi's functions; for ν ≤ 1 its arctangent never wraps.
+    """
+    first, about_k, i2, k2, ik, V, W, rate, m, m1, still = motion
+    smallest, _, largest = (scene.inverse_inertia[axis] for axis in scene.by_inertia)
+    # ratios whose denominators vanish only where nothing moves
+    bend = choose(
+        about_k, V / choose(W == 0, 1.0, W, xp), k2 / choose(i2 == 0, 1.0, i2, xp), xp
+    )  # fmt: skip
+    base = choose(first, choose(about_k, smallest, largest, xp), choose(about_k, largest, smallest, xp), xp)
+    v, sn, cn, dn, K = passed
+    back = cn < 0  # v is an odd number of half periods from [−K, K], else an even one
+    halves = 2 * xp.floor(v / (4 * K) + choose(back, 0.0, 0.5, xp)) + choose(back, 1.0, 0.0, xp)
+    part = bent_part(choose(back, -sn, sn, xp), choose(back, -cn, cn, xp), dn, m, bend, xp)
+    part = part + 2 * halves * bent_part(1.0, 0.0, xp.sqrt(m1), m, bend, xp)
+    sn0, _, _ = phase(scene, motion, z, xp)
+    sn1, cn1, dn1 = phase(scene, motion, turned, xp)
+    zi = circled(scene, motion, z, xp)[0]
+    onward = choose(zi < 0, -handedness(scene), handedness(scene), xp)
+    both = onward * sn0 * sn
+    ratio = both * sn1 / (1 + bend * (sn1 * sn1 - both * cn1 * dn1))
+    rest = onward * ratio * arc(bend * (1 + bend) * (m + bend) * ratio * ratio, xp)
+    angle = base * tau + sense(motion, xp) * ik * bend * (part + rest) / rate
+    steady = tau * dot(z, scene.angular_velocity(z))
+    return choose(still, steady, choose(zi == 0, steady, angle, xp), xp)
+
+
+def phase(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
+    """sn, cn, dn at z."""
+    zi, z2, zk = circled(scene, motion, z, xp)
+    sn, cn = z2 * xp.sqrt(motion.i2), zk * xp.sqrt(motion.ik)
+    square = sn * sn + cn * cn
+    axis = square == 0
+    size = xp.sqrt(choose(axis, 1.0, square, xp))
+    dn = choose(zi < 0, -zi, zi, xp) * xp.sqrt(motion.ik / choose(motion.W == 0, 1.0, motion.W, xp))
+    return choose(axis, 0.0, sn / size, xp), choose(axis, 1.0, cn / size, xp), dn
+
+
+def sense(motion: Course, xp: Any) -> Any:
+    """−1 where the axis e of the frame is axis 3, 1 where it is axis 1: the sign of the bent part of ψ."""
+    return choose(motion.first, 1.0, -1.0, xp) * choose(motion.about_k, -1.0, 1.0, xp)
+
+
+def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle: Any, xp: Any) -> Vector:
+    """C(z)⁻¹ Rot_e(angle) C(turned) as a quaternion."""
+    smallest, _, largest = scene.by_inertia
+    on_smallest = sense(motion, xp) > 0
+
+    def local(y: Vector) -> Vector:
+        """The components along e and the two axes after it."""
+        return tuple(choose(on_smallest, y[(smallest + j) % 3], y[(largest + j) % 3], xp) for j in range(3))
+
+    w, *v = frame(local(z), xp)
+    spun = quaternion_product((xp.cos(angle / 2), xp.sin(angle / 2), 0.0, 0.0), frame(local(turned), xp))
+    w, *v = quaternion_product((w, *(-c for c in v)), spun)
+    body = [choose(on_smallest, v[(j - smallest) % 3], v[(j - largest) % 3], xp) for j in range(3)]
+    return (w, *body)
+
+
+def frame(z: Vector, xp: Any) -> Vector:
+    """C(z) for z = (cos θ, sin θ cos φ, sin θ sin φ), sin θ > 0: Rot₃(−θ) Rot₁(−φ), which takes z to (1, 0, 0)."""
+    across = xp.sqrt(z[1] * z[1] + z[2] * z[2])
+    cos, sin = z[1] / across, z[2] / across
+    tilt = xp.sqrt((1 + z[0]) / 2)
+    ahead = cos >= 0
+    large = xp.sqrt((1 + choose(ahead, cos, -cos, xp)) / 2)
+    small = sin / (2 * large)
+    half = (choose(ahead, large, small, xp), choose(ahead, small, large, xp))
+    return quaternion_product((tilt, 0.0, 0.0, -across / (2 * tilt)), (half[0], -half[1], 0.0, 0.0))

@@ -1,0 +1,371 @@
+"""The free rigid body in closed form: special functions, accuracy on every motion, a third truth, `contact-exact`."""
+
+from __future__ import annotations
+
+import math
+from itertools import permutations
+
+import numpy as np
+import pytest
+import scipy.special
+from mpmath import mp
+
+import contactbench as cb
+import properties
+from cases import in_mp
+from contactbench.measure.pullback import growth
+from contactbench.methods.compiled import XlaNumbers
+from contactbench.scene import BodyState, rotate, rotation_matrix
+from contactbench.solution import Status
+from contactbench.splitting import elliptic
+from contactbench.splitting.elliptic import bent_part, carlson, jacobi
+from contactbench.splitting.flows import FREE_COST, flows_of, rotation
+from contactbench.splitting.free_body import FARTHEST, free
+from contactbench.truth import decimal_context, reference, with_decimals
+from contactbench.xla import jax, jnp
+
+BODY = cb.SCENES["rigid_body"]
+EPSILON = 2.0**-53
+DIGITS = 45
+
+
+class Fixed:
+    """A namespace of plain numbers that takes the branches and loops of arrays."""
+
+    def __init__(self, xp):
+        self.xp = xp
+
+    def __getattr__(self, name):
+        return getattr(self.xp, name)
+
+    @staticmethod
+    def where(condition, yes, no):
+        return yes if condition else no
+
+
+# -- special functions -----------------------------------------------------------------------------
+COMPLEMENTS = ["1", "0.999999999999", "0.7", "0.1", "1e-3", "1e-9", "1e-16", "1e-25", "1e-120"]
+
+
+@pytest.mark.parametrize("m1", COMPLEMENTS)
+def test_jacobi_functions_are_mpmaths(m1, mp50):
+    assert properties.jacobi_functions_are_right([mp50.mpf(m1)])
+
+
+@pytest.mark.parametrize("m1", [float(c) for c in COMPLEMENTS[:7]])
+@pytest.mark.parametrize("xp", [math, Fixed(math)], ids=["until converged", "fixed"])
+def test_jacobi_functions_in_double_precision_keep_relative_accuracy(m1, xp):
+    """Within 16 roundings of the value, and what eight of u change (one a level): cn and dn fall to √m1."""
+    with mp.workdps(60):
+        K = mp.ellipk(1 - mp.mpf(m1))
+        for u in [float(K * x) for x in (0.01, 0.3, 0.9, 0.99, 1.01, -1.7, 2.4, 7.3)]:
+            mine = jacobi(u, 1 - m1, m1, xp)
+            sn, cn, dn = (mp.ellipfun(kind, mp.mpf(u), m=1 - mp.mpf(m1)) for kind in ("sn", "cn", "dn"))
+            slopes = (cn * dn, sn * dn, (1 - mp.mpf(m1)) * sn * cn)
+            for one, other, slope in zip(mine, (sn, cn, dn), slopes, strict=False):
+                assert abs(one - other) < EPSILON * (16 * abs(other) + 8 * abs(u * slope)), (u, one, other)
+            assert abs(mine[3] - K) < 8 * EPSILON * K
+
+
+def test_carlsons_integral_is_mpmaths(mp50):
+    assert properties.carlsons_integral_is_right()
+
+
+def test_the_series_of_carlsons_integral_is_of_the_eighth_order(mp50):
+    assert properties.carlsons_series_is_of_its_order()
+
+
+def test_carlsons_integral_in_double_precision_is_scipys():
+    rng = np.random.default_rng(3)
+    x, y, p = rng.uniform(0, 1, 200), 10 ** rng.uniform(-30, 0, 200), 1 + rng.uniform(0, 1, 200)
+    mine = carlson(np.sqrt(x), np.sqrt(y), p, (p - x) * (p - y) * (p - 1), np)
+    np.testing.assert_allclose(mine, scipy.special.elliprj(x, y, np.ones(200), p), rtol=5e-15)
+
+
+def test_bent_part_is_an_integral_of_the_third_kind(mp50):
+    for m, bend, phi in (("0.3", "0.7", "1.1"), ("0.999", "0.02", "-0.4"), ("0", "1", "0.8")):
+        m, bend, phi = map(mp50.mpf, (m, bend, phi))
+        sn, cn = mp50.sin(phi), mp50.cos(phi)
+        truth = (mp50.ellipf(phi, m) - mp50.ellippi(-bend, phi, m)) / bend
+        assert (
+            abs(bent_part(sn, cn, mp50.sqrt(1 - m * sn * sn), m, bend, mp50) - truth)
+            < mp50.mpf(10) ** -DIGITS
+        )
+
+
+# -- the flow --------------------------------------------------------------------------------------
+def test_free_flow_solves_its_equations_on_every_kind_of_motion(mp50):
+    assert properties.free_body_solves_its_equations()
+
+
+@pytest.mark.parametrize("name", ["rigid_body", "tumbling", "needle", "underflow"])
+def test_closed_form_agrees_with_the_frozen_references(name):
+    """A third truth: neither Taylor series nor extrapolation."""
+    scene, context = cb.SCENES[name], decimal_context(60)
+    times = scene.t_end * np.arange(21)[1:] / 20
+    truth, twin = reference(scene, times), with_decimals(scene, context.mpf)
+    assert truth.source == "frozen"
+    start, flow = twin.initial(scene.optional), flows_of(twin)["free_damp"]
+    for t, row in zip(truth.t.tolist(), truth.decimals, strict=True):
+        x = flow.apply(twin, start, flow.constants(twin, context.mpf(repr(t)), context), context)
+        other = twin.unpack([context.mpf(text) for text in row], scene.optional)
+        gaps = [a - b for a, b in zip((*x.M, x.s), (*other.M, other.s), strict=True)]
+        for mine, theirs in zip(rotation_matrix(x.R), rotation_matrix(other.R), strict=True):
+            gaps += [a - b for a, b in zip(mine, theirs, strict=True)]
+        assert (
+            max(map(abs, gaps)) < context.mpf(10) ** -36
+        )  # 40 digits are stored, of numbers of size one to ten
+
+
+def motions(kind, n):
+    """Random bodies in any order of axes, data and times of a kind."""
+    rng = np.random.default_rng(sum(map(ord, kind)))
+    for _ in range(n):
+        inertia, M = sorted(10 ** rng.uniform(-1, 1, 3)), rng.normal(size=3)
+        t = rng.choice([-1, 1]) * 10 ** rng.uniform(-2, 2)
+        small = 10 ** rng.uniform(-12, -4, 3) * rng.choice([-1, 1], 3)
+        if kind == "separatrix":  # D = 0 up to 10⁻²…10⁻¹²
+            a = 1 / np.array(inertia)
+            M[0] = math.sqrt((a[1] - a[2]) / (a[0] - a[1])) * M[2] * (1 + small[0])
+        if kind in ("first axis", "middle axis", "last axis"):
+            axis = ("first axis", "middle axis", "last axis").index(kind)
+            M = np.where(np.arange(3) == axis, M, small * M)
+        if kind == "an axis exactly":
+            M = np.where(np.arange(3) == rng.integers(3), M, 0.0)
+        if "oblate" in kind:
+            inertia[0] = inertia[1] * (1 - abs(small[0]) * ("nearly" in kind))
+        if "prolate" in kind:
+            inertia[2] = inertia[1] * (1 + abs(small[0]) * ("nearly" in kind))
+        if "across" in kind:
+            M[0] *= small[1]
+        if "sphere" in kind:
+            inertia = sorted(inertia[0] * (1 + small * ("nearly" in kind)))
+        if kind == "needle":
+            inertia, M[0] = [1e-3, 1.0, 1.001], 0.02 * M[0]
+        if kind == "hardly moving":
+            M *= 10 ** rng.uniform(-200, -5)
+        if kind == "long":
+            t *= 1e5
+        order = rng.permutation(3)
+        yield [float(inertia[i]) for i in order], [float(M[i]) for i in order], float(t)
+
+
+KINDS = (
+    "generic", "separatrix", "middle axis", "first axis", "last axis", "an axis exactly", "oblate", "prolate",
+    "prolate, across", "nearly oblate", "nearly prolate", "nearly prolate, across", "sphere", "nearly a sphere",
+    "needle", "hardly moving", "long",
+)  # fmt: skip
+
+
+def flat(x):
+    return [*x.M, *(entry for row in rotation_matrix(x.R) for entry in row)]
+
+
+def moved(inertia, M, t, xp):
+    """The free motion with numbers of a namespace, in the order of their own moments."""
+    scene = BODY.with_(inertia=tuple(map(float, inertia)))
+    if xp is not math:
+        order = tuple(sorted(range(3), key=lambda i: inertia[i]))
+        scene = scene.with_numbers([*inertia, xp.mpf(0)])._replaced(by_inertia=order)
+    one = xp.cos(0 * t)
+    return free(scene, BodyState(tuple(M), (one, 0 * one, 0 * one, 0 * one)), t, xp)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_double_precision_is_right_to_what_the_data_determine(kind):
+    """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
+    phase); J = R M and the lengths of M and R to round-off."""
+    context, change = decimal_context(50), "1e-25"
+    for inertia, M, t in motions(kind, 12):
+        L, x = math.hypot(*M), moved(inertia, M, t, math)
+        exact = [context.mpf(v) for v in (*inertia, *M, t)]
+        truth = flat(moved(exact[:3], exact[3:6], exact[6], context))
+        spread = np.zeros(12)
+        for i in range(7):
+            other = [v * (1 + context.mpf(change)) if j == i else v for j, v in enumerate(exact)]
+            changed = flat(moved(other[:3], other[3:6], other[6], context))
+            spread += [float(abs(a - b) / context.mpf(change)) for a, b in zip(changed, truth, strict=True)]
+        size = np.array([L] * 3 + [1.0] * 9)
+        error = np.array([float(abs(a - b)) for a, b in zip(flat(x), truth, strict=True)])
+        assert np.all(error < 16 * EPSILON * (size + spread)), (inertia, M, t)
+        np.testing.assert_allclose(rotate(x.R, x.M), M, rtol=0, atol=3e-15 * L)
+        assert abs(math.hypot(*x.M) / L - 1) < 1e-15
+        assert abs(math.hypot(*x.R) - 1) < 1e-15
+
+
+def test_a_body_exactly_on_its_middle_axis_stays_there():
+    for t in (1.0, -1e3, 1e6):
+        x = moved([1.0, 2.0, 3.0], [0.0, 1.5, 0.0], t, math)
+        assert pytest.approx((0, 1.5, 0), abs=1e-15) == x.M
+        angle = 1.5 * t / 2
+        np.testing.assert_allclose(
+            np.abs(x.R), np.abs([math.cos(angle / 2), 0, math.sin(angle / 2), 0]), atol=1e-9
+        )
+    assert 1 / math.cosh(FARTHEST) ** 2 > 1e-290  # what cn·dn are there must not underflow
+
+
+def packed_flow(scene, t, xp):
+    return lambda y: jnp.stack(scene.pack(free(scene, scene.unpack(list(y), scene.optional), t, xp)))
+
+
+@pytest.mark.parametrize(
+    "M", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1), (0.3, 1, -0.5)], ids=str
+)
+def test_compiled_flow_and_its_derivative_on_and_off_the_axes(M):
+    """Without nan, and against differences at 50 digits off the exact data."""
+    scene = BODY.with_(M=tuple(map(float, M)), R=(0.5, 0.5, -0.5, 0.5), s=0.1)
+    x = scene.initial(scene.optional)
+    y = jnp.array(scene.pack(x))
+    np.testing.assert_allclose(JITTED(y), scene.pack(free(scene, x, 1.3, math)), atol=3e-15)
+    slope = DERIVATIVE(y)
+    with mp.workdps(50):
+        exact, z = in_mp(scene, x)
+        start = exact.pack(z)
+        delta = mp.mpf(10) ** -18
+        for i in range(3):
+            ahead, behind = (
+                exact.pack(
+                    free(exact, exact.unpack([c + d * (i == j) for j, c in enumerate(start)], scene.optional),
+                         mp.mpf("1.3"), mp)
+                )
+                for d in (delta, -delta)
+            )  # fmt: skip
+            truth = np.array([float((a - b) / (2 * delta)) for a, b in zip(ahead, behind, strict=True)])
+            np.testing.assert_allclose(slope[:, i], truth, rtol=0, atol=1e-12)
+
+
+JITTED = jax.jit(packed_flow(BODY, 1.3, XlaNumbers()))
+DERIVATIVE = jax.jit(jax.jacfwd(packed_flow(BODY, 1.3, XlaNumbers())))
+
+
+def test_arrays_take_the_same_flow():
+    y = np.random.default_rng(0).normal(size=(8, 60))
+    y[:3, :3] = np.eye(3)
+    together = np.array(BODY.pack(free(BODY, BODY.unpack(list(y), BODY.optional), 2.0, np)))
+    for column, mine in zip(y.T.tolist(), together.T, strict=True):
+        alone = BODY.pack(free(BODY, BODY.unpack(column, BODY.optional), 2.0, math))
+        np.testing.assert_allclose(mine, alone, rtol=0, atol=2e-14)
+
+
+@pytest.mark.parametrize("inertia", list(permutations((1.0, 2.0, 3.0))), ids=str)
+def test_a_million_periods_are_one_evaluation(inertia):
+    """t and t + whole periods of M give the same M, as far as the phase of 10⁷ has digits."""
+    order = [(1.0, 2.0, 3.0).index(i) for i in inertia]
+    M = [(0.2, 1.5, 0.3)[i] for i in order]
+    with mp.workdps(40):
+        square = (mp.mpf(1) - mp.mpf(1) / 2) * (
+            mp.mpf(2) / 3 * mp.mpf("0.04") + mp.mpf(1) / 6 * mp.mpf("2.25")
+        )
+        D = mp.mpf("0.04") / 2 - mp.mpf("0.09") / 6
+        period = 4 * mp.ellipk(1 - mp.mpf(2) / 3 * D / square) / mp.sqrt(square)
+        late = moved(inertia, M, float(10**6 * period + 2), math)
+    soon = moved(inertia, M, 2.0, math)
+    np.testing.assert_allclose(late.M, soon.M, rtol=0, atol=1e-8)
+
+
+def test_the_cost_is_counted():
+    """Square roots, divisions and transcendental functions of one flow, loops of fixed length."""
+
+    class Number(float):
+        long = 0
+
+        def again(name):
+            def operation(self, *other):
+                Number.long += "div" in name and math.frexp(other[0])[0] != 0.5  # halving is no division
+                return Number(getattr(float, name)(float(self), *map(float, other)))
+
+            return operation
+
+        for name in ("add", "radd", "sub", "rsub", "mul", "rmul", "truediv", "rtruediv"):
+            locals()[f"__{name}__"] = again(f"__{name}__")
+        __neg__, __abs__ = again("__neg__"), again("__abs__")
+
+    class Counting(Fixed):
+        def __getattr__(self, name):
+            function = getattr(math, name)
+            if not callable(function):
+                return function
+
+            def counted(*arguments):
+                Number.long += name != "floor"
+                return Number(function(*map(float, arguments)))
+
+            return counted
+
+    def long_operations(apply):
+        Number.long = 0
+        x = BodyState(tuple(map(Number, BODY.M)), tuple(map(Number, (1, 0, 0, 0))), Number(0))
+        apply(x, Counting(math))
+        return Number.long
+
+    once = long_operations(lambda x, xp: rotation(x, 0, Number(0.3), xp))
+    whole = long_operations(lambda x, xp: free(BODY, x, Number(0.3), xp))
+    assert once == 2
+    assert whole / once == pytest.approx(FREE_COST, abs=0.5)
+
+
+# -- the method ------------------------------------------------------------------
+EXACT = cb.METHODS["contact-exact"]
+BODIES = [
+    *(cb.SCENES[name] for name in ("rigid_body", "tumbling", "needle", "underflow")),
+    BODY.with_(name="driven", gamma=-0.1),
+    BODY.with_(name="undamped", gamma=0.0),
+]
+
+
+@pytest.mark.parametrize("engine", EXACT.engines)
+@pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
+def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
+    times = scene.t_end * np.arange(11) / 10
+    solution = cb.solve(scene, "contact-exact", rtol=1e-6, save_at=times, engine=engine)
+    assert solution.ok
+    assert cb.LAWS["solution_error"](solution) < 1e-13  # the needle's phase of 700 leaves 3e-14
+    for name in ("momentum_law", "attitude_drift", "hamiltonian_law", "energy_law_relative"):
+        assert cb.LAWS[name](solution) < 1e-14, name
+    magnified = max(1.0, growth(solution.differential))
+    for name in ("contact_drift", "own_factor_drift"):
+        assert cb.LAWS[name](solution) < 1e-13 * magnified, name
+    assert solution.counts == (10, 10 * FREE_COST, 0, 0, "rotation")
+
+
+def test_contact_exact_on_its_engines_and_from_other_data():
+    runs = [
+        cb.prepare(BODY, "contact-exact", rtol=1e-3, engine=e, save_at=[0.0, 1.0, 20.0])
+        for e in EXACT.engines
+    ]
+    other = {"M": (-0.4, 0.1, 0.9), "s": 0.3}
+    one, two = (run(**other) for run in runs)
+    np.testing.assert_allclose(one.y, two.y, rtol=0, atol=2e-15)
+    np.testing.assert_array_equal(one.y[0], one.y0)
+    assert cb.LAWS["solution_error"](one) < 1e-14
+    assert not np.array_equal(runs[0]().y, one.y)
+
+
+@pytest.mark.parametrize("name", ["rigid_body_anisotropic", "particle", "quadratic_damping"])
+def test_contact_exact_refuses_what_it_has_no_formula_for(name):
+    solution = cb.solve(name, "contact-exact", rtol=1e-6, save_at=[1.0])
+    assert solution.status is Status.unsupported
+    assert name in solution.message
+
+
+def test_contact_exact_has_a_budget_and_an_end():
+    over = cb.solve(BODY, "contact-exact", rtol=1e-6, save_at=[1.0, 2.0, 3.0], max_steps=2)
+    assert over.status is Status.budget
+    runaway = BODY.with_(gamma=-50.0, t_end=20.0)
+    for engine in EXACT.engines:
+        solution = cb.solve(runaway, "contact-exact", rtol=1e-6, save_at=[0.1, 20.0], engine=engine)
+        assert solution.status is Status.diverged
+        assert np.isnan(solution.y[-1]).all()
+
+
+def test_fixed_loops_are_long_enough_at_the_smallest_complement():
+    m1 = elliptic.SMALLEST
+    K = jacobi(1.0, 1.0, m1, math)[3]
+    for u in (0.5, 20.0, 300.0, K, 1.3 * K):
+        plain, fixed = (jacobi(u, 1.0, m1, xp) for xp in (math, Fixed(math)))
+        np.testing.assert_allclose(fixed, plain, rtol=1e-12)
+    for x in (0.0, 1e-200, 0.5):
+        plain, fixed = (
+            carlson(math.sqrt(x), math.sqrt(m1), 1.5, (1.5 - x) * 1.5 * 0.5, xp) for xp in (math, Fixed(math))
+        )
+        assert fixed == pytest.approx(plain, rel=1e-14)
