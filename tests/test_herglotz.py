@@ -10,6 +10,7 @@ import pytest
 
 import contactbench as cb
 from cases import CONTACT_SCENES, USER, by_name, in_mp, pairs, random_state
+from contactbench.measure.pullback import pullback
 from contactbench.scene import dot
 
 FIXED = [method for method in cb.METHODS.values() if not method.adaptive]
@@ -118,12 +119,10 @@ def test_only_a_refusal_or_no_claim_at_all_is_without_a_conformal_factor(method,
 @pairs(FIXED, CONTACT_SCENES, claims_a_factor)
 def test_claimed_conformal_factor_is_kept_to_round_off_over_many_steps(method, scene):
     """Φ*η = cⁿ η in float64 by AD, for every method and scene with a factor c."""
-    from contactbench.measure.laws import pullbacks
-
     step, n = 0.05, 20
     factor = method.conformal_factor(scene, step)
     solution = cb.solve(scene, method.name, step=step, save_at=[step * n], engine="python")
-    pulled, form, _ = pullbacks(solution)
+    pulled, form, *_ = pullback(solution, solution.differential)
     bound = 1e-14 * n * np.abs(solution.sensitivity).max()  # a few roundings per stage
     np.testing.assert_allclose(pulled[0] / factor**n, form, rtol=0, atol=bound)
 

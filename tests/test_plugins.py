@@ -14,6 +14,7 @@ import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench import plugins
 from contactbench.report import write
+from contactbench.results.provenance import runs
 from contactbench.results.store import merge, read
 from contactbench.results.tables import WORK_PRECISION
 from frames import row
@@ -61,8 +62,7 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
     # the truth of the user's scene was computed live: a tolerance is met against it
     assert work.loc[("my-scene", "cvode-bdf", "c+python"), "solution_error"] < 1e-3
     assert list(dict.fromkeys(work.index.get_level_values("scene"))) == ["particle", "my-scene"]
-    environment = json.loads((results / "environment.json").read_text())
-    assert [list(entry["plugins"]) for entry in environment.values()] == [["my.py"]]
+    assert [list(run["plugins"]) for run in runs(results)] == [["my.py"]]
 
 
 def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
