@@ -51,6 +51,8 @@ OF_THE_STATE = ("momentum_law", "attitude_drift")
 #: up to so many error bars a deviation by differences is no more than an upper bound
 UNSURE = 2.0
 #: the suffix of a law measured with the steps of an adaptive method held fixed
+#: growth of the map worth telling
+GREW = 2.0
 FROZEN = "_frozen"
 DAGGER = "†"
 #: scenes of the table that stands first, and the scene whose order is quoted where only one is
@@ -162,11 +164,14 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
     magnified = rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]
     if len(magnified):
         where = [
-            f"`{scene}` (which grows by {scientific(part['growth'].max())}) up to "
-            f"{scientific(part['value'].max())}"
+            f"`{scene}` {scientific(part['value'].max())}"
+            + (f" (growth {scientific(part['growth'].max())})" if part["growth"].max() > GREW else "")
             for scene, part in magnified.groupby("scene", sort=False)
         ]
-        exceptions.append(f"to round-off and what it grows to on {names(where)}")
+        exceptions.append(
+            f"above {scientific(STRUCTURE, 0)}, but within what round-off accounts for (ε times the evaluations of the "
+            f"run times the growth of its map), up to: {names(where)}"
+        )
     if ours and set(ours) <= set(kept):
         missing = set(ours) < {m for m, family in families(frames).items() if family == CONTACT}
         who = "Every contact method it was measured for" if missing else "Every contact method"
@@ -183,12 +188,12 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
         sentence += f" Of the other methods {names(others)} keep it in all of theirs."
     rest = rows[~contact & ~rows["method"].isin(others)]
     if len(rest):
-        sentence += f" {'No other method does' if others else 'No method that is not a contact method does'}"
+        sentence += f" No {'further' if others else 'other'} method keeps it at every setting"
         sure = rest[~rest["unsure"]]
         if len(sure):
             least = sure.loc[sure["value"].idxmin()]
             sentence += (
-                f"; the least of theirs at any setting is {scientific(least['value'])} ({place(least)})"
+                f"; at its best setting the least of theirs is {scientific(least['value'])} ({place(least)})"
             )
         sentence += "."
     title = upper(label)
@@ -241,8 +246,8 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
         if worst["solution_error"] > WILD:
             cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
-        if worst["growth"] > 1:
-            cause += f", which grows by {scientific(worst['growth'])}"
+        if worst["growth"] > GREW:
+            cause += f", whose map grows by {scientific(worst['growth'])}"
         if instead:
             cause += f" (what is kept there: {names(instead)})"
         yield f"on `{scene}` {who}: up to {scientific(worst['value'])} ({worst['method']}, {worst['setting']}){cause}"
