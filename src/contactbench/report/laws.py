@@ -288,10 +288,15 @@ def energy_finding(frames: Frames) -> Finding | None:
         rows_of.append(rows)
         label = called(law)
         kept, ours = keepers(rows), rows[rows["family"] == CONTACT]
-        who = f"{names(kept)} keep it" if kept else "no method keeps it to round-off"
+        who = (
+            f"{names(kept)} keep{'s' if len(kept) == 1 else ''} it"
+            if kept
+            else "no method keeps it to round-off"
+        )
         if len(ours):
             worst = ours.loc[ours["value"].idxmax()]
-            who += f"; the contact methods are up to {scientific(worst['value'])} off ({place(worst)})"
+            rest = "the other contact methods" if set(kept) & set(ours["method"]) else "the contact methods"
+            who += f"; {rest} are up to {scientific(worst['value'])} off ({place(worst)})"
         said.append(f"{label}: {who}.")
     if not said:
         return None
