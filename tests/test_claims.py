@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import re
+from importlib import import_module
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from contactbench import truth as references
 from contactbench.claims import CLAIMS, Correction, Evidence, Verdict, body_stability, linearisation, verdict
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.integrator import threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.cli import main
-from contactbench.methods import METHODS, compiled
+from contactbench.methods import METHODS, c_functions, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method
 from contactbench.report import claims as room
 from contactbench.report import markdown, paper_figures
@@ -42,8 +42,11 @@ def ledger():
 @pytest.fixture
 def fresh(monkeypatch):
     """No truth and no compiled program from before a mutation, and none left after it."""
-    monkeypatch.setattr(references, "_cache", {})
+    monkeypatch.setattr(import_module("contactbench.truth.reference"), "_cache", {})
     monkeypatch.setattr(compiled, "_programs", {})
+    for module in (numba_engine, contact_adaptive):
+        monkeypatch.setattr(module, "_loops", {})
+    monkeypatch.setattr(c_functions, "_compiled", {})
 
 
 # -- the rows --------------------------------------------------------------------------------------

@@ -109,7 +109,7 @@ def test_where_no_contact_method_keeps_a_law_it_says_what_they_keep_there():
     ]
     finding = law("contact_drift", laws=[*LAWS, *quadratic])
     (cause,) = finding.exceptions
-    assert "on `quadratic_damping` no contact method keeps it: up to 2.8e-01" in cause
+    assert "on `quadratic_damping` no contact method keeps it at every setting: up to 2.8e-01" in cause
     assert "what is kept there: ker η drift" in cause or "what is kept there: distribution drift" in cause
     lost = [r | {"distribution_drift": 1e-3} for r in quadratic]
     assert "what is kept there" not in said(law("contact_drift", laws=[*LAWS, *lost]))
@@ -158,7 +158,7 @@ def test_h_is_kept_by_nobody_and_how_far_the_contact_methods_are_off_is_said():
     )
     rows[0]["hamiltonian_law"] = ROUND
     (finding,) = (f for f in laws.findings(frames(laws=rows)) if f.name == "energies")
-    assert "H law: contact-a keep it" in finding.sentence
+    assert "H law: contact-a keeps it" in finding.sentence
 
 
 def test_clamped_and_uncertain_entries_are_marked():
@@ -385,16 +385,16 @@ def test_endings_name_who_has_no_bad_one_or_that_there_is_nobody():
     right = row("escape", "rk4", 0.1, status="diverged", blow_up_time=1.5)
     (finding,) = (f for f in stability.findings(frames(stability=[good, right])) if f.name == "endings")
     assert (
-        "2 of 2 runs end as the true motion does. Without a bad ending: contact-a and rk4."
-        in finding.sentence
+        "2 of 2 runs end as the true motion does, however accurate. "
+        "Without another ending, on the scenes they take: contact-a and rk4." in finding.sentence
     )
     (finding,) = (f for f in stability.findings(frames(stability=[good, bad])) if f.name == "endings")
-    assert "Without a bad ending: contact-a. Most bad endings: rk4 1." in finding.sentence
+    assert "on the scenes they take: contact-a. Most other endings: rk4 1; by kind" in finding.sentence
     wrong = row(
         "escape", "contact-a", 0.1, solution_error=1.0, blow_up_time=1.5
     )  # ended although the motion does not
     (finding,) = (f for f in stability.findings(frames(stability=[wrong, bad])) if f.name == "endings")
-    assert "No method is without a bad ending." in finding.sentence
+    assert "No method is without another ending." in finding.sentence
 
 
 def test_blow_up_is_one_line_per_method():

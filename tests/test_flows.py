@@ -70,8 +70,8 @@ FLOWS = [(scene, name) for scene in FLOW_SCENES for name in flows_of(scene)]
 
 
 @by_name(FLOW_SCENES)
-def test_a_mechanical_scene_has_every_flow_but_the_merged_one_of_quadratic_damping(scene):
-    assert set(MECHANICAL) - set(flows_of(scene)) == ({"drift_damp"} if scene.nonlinear_damping else set())
+def test_a_mechanical_scene_has_every_flow(scene):
+    assert set(flows_of(scene)) == set(MECHANICAL)
 
 
 @pytest.mark.parametrize(("scene", "name"), FLOWS, ids=[f"{scene.name}-{name}" for scene, name in FLOWS])

@@ -60,3 +60,14 @@ def test_a_motion_every_step_solves_exactly_needs_no_small_step():
         gamma=0.1, q=(0.0,), p=(1.0,), t_end=10.0,
     )  # fmt: skip
     assert cb.solve(free, "contact-strang", rtol=1e-10, save_at=[10.0]).counts.steps < 100
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6", "rk4"])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-7])
+def test_many_saved_times_are_no_reason_to_stop_early(method, rtol):
+    """Steps longer than what lies between two saved times all give one and the same run."""
+    scene = cb.SCENES["particle"]
+    for times in (None, np.linspace(1.0, 20.0, 20), np.linspace(0.1, 20.0, 200)):
+        solution = cb.solve(scene, method, rtol=rtol, **({} if times is None else {"save_at": times}))
+        assert solution.ok
+        assert cb.LAWS["solution_error"](solution) < 2 * rtol

@@ -74,7 +74,13 @@ class ChosenStep(Prepared):
         assert r.rtol is not None
         target, step, spent, gap = AIM * r.rtol, float(r.save_at[-1]) / FIRST, 0, math.inf
         pilots: list[tuple[float, np.ndarray]] = []
-        while self.run.steps_at(step) <= r.max_steps:
+        divided = 0
+        while (steps := self.run.steps_at(step)) <= r.max_steps:
+            if steps == divided:  # one step between saved times already: the same pilot, not an agreeing one
+                pilots[-1] = step, pilots[-1][1]
+                step /= 2
+                continue
+            divided = steps
             y, cost = self.pilot(y0, step)
             pilots.append((step, y))
             spent += cost

@@ -49,7 +49,8 @@ class Kind:
 EVALUATIONS = Kind(
     "evaluations", "Evaluations", "rhs_equivalents", lambda engine: ~engine.isin(UNTIMED), count,
     "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, "
-    "two rotations of the body, which together apply its whole vector field, count as one.", timed=False,
+    "two rotations of the body, which together apply its whole vector field, count as one. Jacobians are not counted.",
+    timed=False,
 )  # fmt: skip
 COMPILED = Kind(
     "compiled", "Time, compiled", "time_median_s", lambda engine: ~engine.isin(CALLBACKS + UNTIMED), duration,

@@ -169,8 +169,8 @@ def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
             for scene, part in magnified.groupby("scene", sort=False)
         ]
         exceptions.append(
-            f"above {scientific(STRUCTURE, 0)}, but within what round-off accounts for (ε times the evaluations of the "
-            f"run times the growth of its map), up to: {names(where)}"
+            f"above {scientific(STRUCTURE, 0)}, but within what round-off may account for (ε times the "
+            f"evaluations of the run, for η times the growth of its map), up to: {names(where)}"
         )
     if ours and set(ours) <= set(kept):
         missing = set(ours) < {m for m, family in families(frames).items() if family == CONTACT}
@@ -241,7 +241,7 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         if near[rows.index].all():
             continue
         nobody = set(methods) >= set(here["method"])
-        who = "no contact method keeps it" if nobody else names(methods, 3)
+        who = "no contact method keeps it at every setting" if nobody else names(methods, 3)
         instead = kept_instead(frames, law, str(scene), set(methods)) if nobody else []
         cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
         if worst["solution_error"] > WILD:
@@ -423,8 +423,11 @@ def equal_cost(part: pd.DataFrame) -> str:
         low, high = count(cost.min()), count(cost.max())
         spent.append(f"`{scene}` {low if low == high else f'{low} to {high}'}")
     return (
-        f"Largest deviation over the run, every method at about the same number of evaluations ({', '.join(spent)}). "
-        f"Bold: round-off. H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}} (J with the true J "
+        "Largest deviation over the run, every method at the same number of evaluations, or as near to it as its steps "
+        f"and tolerances allow ({', '.join(spent)}): "
+        "where fewer are told, no tolerance of the method spends more. "
+        f"Bold, J law and contact drift only: at most {scientific(STRUCTURE, 0)}. "
+        f"H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}} (J with the true J "
         "where a torque acts). "
         f"{MEANINGS['dagger']}."
     )

@@ -545,12 +545,20 @@ def findings(frames: Frames) -> list[Finding]:
         bad = tried[~right]
         clean = [m for m in dict.fromkeys(tried["method"]) if m not in set(bad["method"])]
         most = bad.groupby("method", sort=False).size().sort_values(ascending=False, kind="stable")
-        sentence = f"{len(tried) - len(bad)} of {len(tried)} runs end as the true motion does."
+        sentence = (
+            f"{len(tried) - len(bad)} of {len(tried)} runs end as the true motion does, however accurate."
+        )
         sentence += (
-            f" Without a bad ending: {names(clean)}." if clean else " No method is without a bad ending."
+            f" Without another ending, on the scenes they take: {names(clean)}."
+            if clean
+            else " No method is without another ending."
         )
         if len(most):
-            sentence += f" Most bad endings: {names([f'{m} {n}' for m, n in most[:3].items()])}."
+            sentence += f" Most other endings: {names([f'{m} {n}' for m, n in most[:3].items()])}"
+            kinds = bad["status"].value_counts()
+            sentence += (
+                f"; by kind {names([f'{kind} {n}' for kind, n in kinds.items()])} (budget: our own limit)."
+            )
         found.append(
             Finding(
                 "endings",
