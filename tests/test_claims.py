@@ -19,7 +19,8 @@ from contactbench.methods import METHODS, c_functions, compiled, contact_adaptiv
 from contactbench.methods.contact import contact_method
 from contactbench.report import claims as room
 from contactbench.report import markdown, paper_figures
-from contactbench.results import schema as table
+from contactbench.results.store import merge, read
+from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
 from contactbench.splitting import flows
 from contactbench.splitting.tables import ABC
@@ -59,7 +60,7 @@ def test_row(ledger, name):
     row = ledger[name]
     assert row["status"] == "ok", row
     assert all(math.isfinite(row[key]) for key in ("measured", "bound"))
-    assert set(row) <= set(table.CLAIMS_TABLE.columns)
+    assert set(row) <= set(CLAIMS_TABLE.columns)
     assert row["command"] == f"contactbench claim {name}"
     assert row["verdict"] == expected(name), row["evidence"]
 
@@ -301,8 +302,8 @@ def test_the_printed_composition_made_palindromic(ledger, monkeypatch, fresh):
 
 # -- the table, the document, the figures, the command line ----------------------------------------
 def test_document(ledger, tmp_path):
-    table.merge(table.CLAIMS_TABLE, ledger.values(), tmp_path)
-    again = table.read(table.CLAIMS_TABLE, tmp_path)
+    merge(CLAIMS_TABLE, ledger.values(), tmp_path)
+    again = read(CLAIMS_TABLE, tmp_path)
     assert list(again["id"]) == IDS
     figures = pd.concat([pd.DataFrame(rows(name)) for name in FIGURES])
     (finding,) = room.findings({"claims": again})
@@ -317,7 +318,7 @@ def test_document(ledger, tmp_path):
 
 def test_a_failed_claim_is_a_row(tmp_path):
     failed = Claim("C00", "nowhere", "nothing", "", "", lambda: 1 / 0).row()
-    frame = table.merge(table.CLAIMS_TABLE, [failed, CLAIMS["C28"].row()], tmp_path)
+    frame = merge(CLAIMS_TABLE, [failed, CLAIMS["C28"].row()], tmp_path)
     (finding,) = room.findings({"claims": frame})
     assert finding.exceptions == ("C00 was not measured: ZeroDivisionError: division by zero",)
 
@@ -325,14 +326,14 @@ def test_a_failed_claim_is_a_row(tmp_path):
 def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
     point = {"panel": "a", "curve": "c", "kind": "law", "x": 0.0, "y": 1.0, "z": math.nan}
     long = [{**point, "figure": name, "point": k} for name in ("one", "two") for k in range(3)]
-    table.merge(table.PAPER_FIGURES, long, tmp_path)
-    table.merge(table.PAPER_FIGURES, long[:1], tmp_path)
-    assert list(table.read(table.PAPER_FIGURES, tmp_path)["figure"]) == ["one", "two", "two", "two"]
+    merge(PAPER_FIGURES, long, tmp_path)
+    merge(PAPER_FIGURES, long[:1], tmp_path)
+    assert list(read(PAPER_FIGURES, tmp_path)["figure"]) == ["one", "two", "two", "two"]
 
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_figures(name, tmp_path):
-    frame = table.merge(table.PAPER_FIGURES, rows(name), tmp_path)
+    frame = merge(PAPER_FIGURES, rows(name), tmp_path)
     assert frame[["x", "y"]].map(math.isfinite).all(axis=None)
     (figure,) = paper_figures.all_figures(frame)
     assert figure.name == name

@@ -123,15 +123,3 @@ def table(name: str, about: str, columns: Mapping[str, Column], **options: Any) 
     made = Table(name, about, columns, **options)
     TABLES.add(made)  # type: ignore[attr-defined]
     return made
-
-
-def __getattr__(name: str) -> Any:
-    """Names that have moved: the tables to `tables`, reading and writing to `store`."""
-    from importlib import import_module
-
-    if not name.startswith("_"):
-        for module in ("tables", "store", "provenance"):
-            found = vars(import_module(f"contactbench.results.{module}")).get(name)
-            if found is not None:
-                return found
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
