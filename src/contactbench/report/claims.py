@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report import paper_figures
+from contactbench.report.figures import paper
 from contactbench.report.model import (
     DASH,
     ROOMS,
@@ -128,7 +128,7 @@ def findings(frames: Frames) -> list[Finding]:
 
 def sections(frames: Frames) -> list[Part]:
     frame = frames["claims"]
-    drawn = {figure.name: figure for figure in paper_figures.all_figures(frames["paper_figures"])}
+    drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
     fell = frame[
         frame["verdict"].isin([name for name in VERDICTS if name != "holds"]) & (frame["correction"] != "")
     ]

@@ -11,24 +11,19 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing
-from contactbench.report.curves import by_method, floats, number_axis
+from contactbench.report.figures import stability as figures
 from contactbench.report.laws import bounded, called, drift_cell, laws, numbers
 from contactbench.report.model import (
     DASH,
     ROOMS,
-    Axis,
     Cell,
-    Curve,
-    Figure,
     Finding,
     Frames,
     Head,
     Mark,
-    Panel,
     Part,
     Room,
     Section,
-    Span,
     Text,
     View,
     marks,
@@ -215,9 +210,9 @@ def limits_section(frame: pd.DataFrame, radius: pd.DataFrame) -> Iterator[Part]:
     )
     yield from (view for view in views if view is not None)
     if len(frame):
-        yield limits_figure(frame)
+        yield figures.limits(frame)
     if len(radius):
-        yield radius_figure(radius)
+        yield figures.radius(radius)
 
 
 # -- rates of damping ------------------------------------------------------------------------------
@@ -344,7 +339,7 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
         (Head("γh per evaluation", words=True), *(Head(h.label, words=True) for h in heads)), tuple(ranges),
         "strong_damping.csv",
     )  # fmt: skip
-    yield strong_figure(frame, gammas)
+    yield figures.strong(frame, gammas)
 
 
 def in_range(frame: pd.DataFrame, gamma: float, low: float, high: float) -> pd.Series:
@@ -434,107 +429,6 @@ def at_equal_cost(rows: pd.DataFrame, budget: float) -> tuple[Cell, Cell]:
     return alike_cell(errors.astype(float)), number(budget, count)
 
 
-# -- figures ---------------------------------------------------------------------------------------
-def hard_figure(frame: pd.DataFrame) -> Figure | None:
-    ok = frame[(frame["status"] == "ok") & frame["solution_error"].notna()]
-    panels = []
-    for scene in dict.fromkeys(ok["scene"]):
-        part = ok[ok["scene"] == scene].sort_values("rhs_equivalents", kind="stable")
-        curves = by_method(part, "rhs_equivalents", "solution_error")
-        panels.append(
-            Panel(
-                str(scene),
-                number_axis("evaluations"),
-                Axis("solution error", "log", limits=(1e-16, 1e6)),
-                curves,
-            )
-        )
-    if not panels:
-        return None
-    return Figure(
-        "hard_scenes",
-        "Hard scenes: error against evaluations",
-        tuple(panels),
-        "Runs that ended ok.",
-        4,
-        source="stability.csv",
-    )
-
-
-def limits_figure(frame: pd.DataFrame) -> Figure:
-    rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
-    rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
-    rows = rows.assign(
-        scaled=rows["limit"] * rows["omega"], each=rows["per_evaluation"] * rows["omega"],
-        known=rows["theory"] * rows["omega"]
-    )  # fmt: skip
-    theory = [
-        Curve(
-            floats(line["ratio"]),
-            floats(line["known"]),
-            "theory",
-            role="reference",
-            markers=False,
-            dashed=True,
-        )
-        for _, line in rows[rows["known"].notna()].groupby("method", sort=False)
-    ]
-    x = number_axis("γ/ω")
-    panels = (
-        Panel("per step", x, number_axis("ω × first unstable step"), (*by_method(rows, "ratio", "scaled"), *theory)),
-        Panel("per evaluation", x, number_axis("ω × first unstable step per evaluation"), by_method(rows,
-            "ratio", "each")),
-    )  # fmt: skip
-    return Figure(
-        "stability_map", "First loss of stability of q'' + γq' + ω²q = 0", panels,
-        "Larger is better. Curves that end: no limit found.", 2, source="stability_limits.csv",
-    )  # fmt: skip
-
-
-def radius_figure(frame: pd.DataFrame) -> Figure:
-    panels = []
-    for gamma in [g for g in (0.0, 0.1, 1.0, 10.0, 50.0) if g in set(frame["gamma"])]:
-        part = frame[frame["gamma"] == gamma].sort_values("step", kind="stable")
-        truth = part.drop_duplicates("step")
-        exact = Curve(
-            floats(truth["step"]),
-            floats(truth["true_radius"]),
-            "exact flow",
-            role="truth",
-            markers=False,
-            dashed=True,
-        )
-        panels.append(
-            Panel(f"γ = {gamma:g}", Axis("step size h", "log"), Axis("largest |eigenvalue|", limits=(0, 2)),
-                  (*by_method(part, "step", "radius", every=8), exact), spans=(Span("y", 1.0, 1.0),))
-        )  # fmt: skip
-    return Figure(
-        "one_step", "Spectral radius of the one-step map of the oscillator", tuple(panels),
-        "Below the exact flow: numerical damping; above: antidamping.", source="one_step.csv",
-    )  # fmt: skip
-
-
-def strong_figure(frame: pd.DataFrame, gammas: list[float]) -> Figure:
-    panels = []
-    for gamma in gammas:
-        part = frame[(frame["gamma"] == gamma) & (frame["error"] < 1e4)].sort_values(
-            "damping_per_evaluation", kind="stable"
-        )
-        panels.append(
-            Panel(f"γ = {gamma:g}", Axis("γh per evaluation", "log"), Axis("relative error", "log",
-                limits=(1e-16, 1e2)),
-                  by_method(part, "damping_per_evaluation", "error", every=4))
-        )  # fmt: skip
-    return Figure(
-        "strong_damping",
-        "Equal cost under strong damping",
-        tuple(panels),
-        STRONG_DAMPING.columns["error"].meaning,
-        2,
-        source="strong_damping.csv",
-    )
-
-
 # -- the room --------------------------------------------------------------------------------------
 def findings(frames: Frames) -> list[Finding]:
     hard = frames["stability"]
@@ -578,7 +472,7 @@ def sections(frames: Frames) -> list[Part]:
         f"{called(name)}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
         for name, c in laws(STABILITY, "stability").items()
     )
-    drawn, ends = hard_figure(hard), blow_up_view(hard)
+    drawn, ends = figures.hard(hard), blow_up_view(hard)
     parts: list[Part] = [
         Text(
             "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
