@@ -77,7 +77,7 @@ def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
 
 def test_the_tests_take_it_in(example):
     done = run(
-        "pytest", "tests/test_methods.py", "--plugin", example, "-q", "-p", "no:cacheprovider",
+        "pytest", "tests/methods/test_methods.py", "--plugin", example, "-q", "-p", "no:cacheprovider",
         "-k", "my-method and (order_on or symmetric)",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

@@ -11,7 +11,7 @@ from contactbench.report.write import README_PART
 from contactbench.results.store import merge
 from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 
 
 def rows(method, family, order):
@@ -102,4 +102,4 @@ def test_a_table_that_has_moved_on_leaves_its_documents_behind(results, capsys):
 def test_no_test_reads_what_the_benchmark_writes():
     """The tables of a clone may be those of any run."""
     folder = 'REPOSITORY / "' + 'results"'
-    assert [path.name for path in TESTS.glob("*.py") if folder in path.read_text()] == []
+    assert [path.name for path in TESTS.rglob("*.py") if folder in path.read_text()] == []

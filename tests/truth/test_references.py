@@ -22,7 +22,7 @@ from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 from contactbench.truth import digest, reference
 
-FOLDER = Path(__file__).parents[1] / "references"
+FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
 NAMES = [scene.name for scene in STANDARD]
 each_scene = pytest.mark.parametrize("name", NAMES)

@@ -43,7 +43,7 @@ from contactbench.results.tables import (
 from contactbench.splitting.tables import COMPOSITIONS
 from planted_faults import plugin
 
-REPOSITORY = Path(__file__).parents[1]
+REPOSITORY = Path(__file__).parents[2]
 RUN = {"profile": "smoke", "cpu": "a", "python": "3.13", "packages": {"jax": "1"}, "references": "r"}
 
 
