@@ -6,25 +6,12 @@ from collections.abc import Callable
 
 import pandas as pd
 
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import CONTACT
 from contactbench.report.figures import convergence as figures
-from contactbench.report.model import (
-    DASH,
-    ROOMS,
-    Cell,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Part,
-    Room,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
 from contactbench.report.numbers import names, upper
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room
 from contactbench.results.tables import CONVERGENCE
 
 #: a measured order further than this from the claimed one is an exception

@@ -4,26 +4,13 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.contest import COMPILED, DASHES, LIMIT, TARGETS, Cost, costs, error_heads, said
+from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
+from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs
+from contactbench.report.contest_views import DASHES, error_heads, said
 from contactbench.report.figures import ensemble as figures
-from contactbench.report.model import (
-    ROOMS,
-    Cell,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
 from contactbench.report.numbers import count, duration, names, power, times
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import ENSEMBLE_TABLE
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pandas as pd
 
 from contactbench.report.curves import by_method, number_axis
-from contactbench.report.model import Figure, Panel
+from contactbench.report.drawing import Figure, Panel
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:

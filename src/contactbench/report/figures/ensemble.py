@@ -6,7 +6,7 @@ import pandas as pd
 
 from contactbench.report.contest import LIMIT
 from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.model import Axis, Curve, Figure, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 
 SOURCE = "ensemble.csv"
 

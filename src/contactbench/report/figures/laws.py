@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.report.curves import by_method, number_axis, round_off
-from contactbench.report.model import Axis, Figure, Panel
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.results.tables import LAWS_TIME
 
 # -- figures ---------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.model import Axis, Curve, Figure, Panel, Span
+from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.results.tables import STRONG_DAMPING
 
 

@@ -6,7 +6,7 @@ import pandas as pd
 
 from contactbench.report.contest import KINDS, contestants
 from contactbench.report.curves import by_method, number_axis
-from contactbench.report.model import Figure, Panel
+from contactbench.report.drawing import Figure, Panel
 
 SOURCE = "work_precision.csv"
 
