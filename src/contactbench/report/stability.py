@@ -11,7 +11,7 @@ from contactbench.report.contest import (
     Field,
     standing,
 )
-from contactbench.report.figures import stability as figures
+from contactbench.report.figures import work_precision as figures
 from contactbench.report.kept import (
     bounded,
     called,
