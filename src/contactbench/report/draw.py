@@ -23,17 +23,20 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure as Drawn
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+from matplotlib.transforms import Bbox
 
 from contactbench.report import labels
 from contactbench.report.drawing import Axis, Curve, Figure, Heat, Panel
 from contactbench.report.look import MUTED, ROLES, look
-from contactbench.report.scales import decades, spanned
+from contactbench.report.scales import decades, points, spanned
 
 SHADED = "#f0f4ff"
 #: inches around a panel: left, right, below, above; heads of figures, rows of the legend
-AROUND = (0.78, 0.16, 0.58, 0.34)
-REMARK, TITLE, LEGEND_ROW, ENTRY = 0.17, 0.36, 0.22, 1.75
+AROUND = (0.78, 0.16, 0.58, 0.3)
+REMARK, TITLE, LEGEND_ROW, HANDLE, LETTER, BAR = 0.17, 0.34, 0.24, 0.7, 0.075, 0.8
 OTHERS = "other methods"
+#: behind a name
+BEHIND = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
 RC: dict[Any, Any] = {
     "figure.dpi": 110,
     "font.size": 10,
@@ -86,34 +89,39 @@ def properties(curve: Curve) -> dict[str, Any]:
 
 def add(axes: Axes, curve: Curve, three: bool) -> None:
     style = properties(curve)
-    points = [curve.x, curve.y, curve.z] if three else [curve.x, curve.y]
-    axes.plot(*points, markevery=curve.every, **style)
+    place = [curve.x, curve.y, curve.z] if three else [curve.x, curve.y]
+    axes.plot(*place, markevery=curve.every, **style)
     if curve.low and not three and not curve.muted:
         axes.vlines(curve.x, curve.low, curve.high, color=style["color"], linewidth=1.1, alpha=0.7)
 
 
-def named(curve: Curve) -> str:
-    """What is written at a curve: the name of its method, and its note."""
-    return f"{curve.label if curve.method else ''} {curve.note}".strip()
+def named(curve: Curve, methods: bool) -> str:
+    """What is written at a curve: the name of its method, and its note; below it if in parentheses."""
+    name, note = curve.label if curve.method and methods else "", curve.note
+    return f"{name}{chr(10) if note.startswith('(') else ' '}{note}".strip()
 
 
-def written(axes: Axes, panel: Panel) -> set[str]:
-    """Write the names at the curves; the methods whose name found a place."""
+def written(axes: Axes, panel: Panel, methods: bool) -> set[str]:
+    """Write notes, and names where `methods`, at the curves; the labels that found a place."""
     renderer = axes.figure.canvas.get_renderer()  # type: ignore[attr-defined]
     inside = axes.bbox
     frame = labels.Box(inside.x0 + 3, inside.y0 + 3, inside.x1 - 3, inside.y1 - 3)
     lines, faint, words = [], [], []
     for curve in panel.curves:
-        points = axes.transData.transform(np.column_stack([curve.x, curve.y]).astype(float))
-        out = (points[:, 0] < frame.left - 3) | (points[:, 0] > frame.right + 3)
-        points[out | (points[:, 1] < frame.bottom - 3) | (points[:, 1] > frame.top + 3)] = np.nan
+        line = axes.transData.transform(np.column_stack([curve.x, curve.y]).astype(float))
+        out = (line[:, 0] < frame.left - 3) | (line[:, 0] > frame.right + 3)
+        line[out | (line[:, 1] < frame.bottom - 3) | (line[:, 1] > frame.top + 3)] = np.nan
         if curve.muted:
-            faint.append(points)
+            faint.append(line)
         else:
-            lines.append(points)
-            words.append((curve, plain(named(curve))))
+            lines.append(line)
+            words.append((curve, plain(named(curve, methods))))
     artists = [
-        axes.text(0, 0, text, fontsize=8, color=properties(curve)["color"], gid="name") if text else None
+        axes.text(
+            0, 0, text, fontsize=8, color=properties(curve)["color"], gid="name", linespacing=1.0, bbox=BEHIND
+        )
+        if text
+        else None
         for curve, text in words
     ]
     taken = [
@@ -126,17 +134,17 @@ def written(axes: Axes, panel: Panel) -> set[str]:
         for artist in artists
     ]
     done = set()
-    for (curve, _), artist, box in zip(
-        words, artists, labels.places(frame, lines, sizes, faint, taken), strict=True
-    ):
+    found = labels.places(frame, lines, sizes, faint, taken)
+    for (curve, _), artist, place in zip(words, artists, found, strict=True):
         if artist is None:
             continue
-        if box is None:
+        if place is None:
             artist.remove()
             continue
-        x, y = axes.transAxes.inverted().transform((box.left, box.bottom))
-        artist.set(position=(x, y), transform=axes.transAxes, va="bottom", ha="left")
-        done.add(curve.label)
+        at = axes.transAxes.inverted().transform((place.left, place.bottom))
+        artist.set(position=at, transform=axes.transAxes, va="bottom", ha="left")
+        if methods:
+            done.add(curve.label)
     return done
 
 
@@ -153,7 +161,7 @@ def entries(curves: Iterable[Curve]) -> dict[str, Any]:
 
 
 # -- panels ----------------------------------------------------------------------------------------
-def put(axes: Axes, which: str, axis: Axis, curves: Iterable[Curve], inches: float) -> None:
+def put(axes: Axes, which: str, axis: Axis, values: Iterable[float], inches: float) -> None:
     """Label, scale, limits and ticks of one axis; no more ticks than its length has room for."""
     getattr(axes, f"set_{which}label")(plain(axis.label))
     own, log = getattr(axes, f"{which}axis"), axis.scale == "log"
@@ -161,11 +169,12 @@ def put(axes: Axes, which: str, axis: Axis, curves: Iterable[Curve], inches: flo
     if log:
         getattr(axes, f"set_{which}scale")("log")
     if log or axis.limits or axis.within != (None, None):
-        values = [v for c in curves for v in getattr(c, which)]
         low, high = spanned(axis, values)
         getattr(axes, f"set_{which}lim")(low, high)
         if log and ticks is None:
             ticks = tuple(decades(low, high, inches / (0.45 if which == "x" else 0.3)))
+    if ticks is None and not log and which != "z":
+        own.get_major_formatter().set_useMathText(True)
     if ticks is not None:
         own.set_major_locator(FixedLocator([value for value, _ in ticks]))
         own.set_major_formatter(FixedFormatter([text for _, text in ticks]))
@@ -182,8 +191,8 @@ def draw_panel(figure: Drawn, axes: Axes, panel: Panel, size: tuple[float, float
         heat(figure, axes, panel.heat)
     for curve in panel.curves:
         add(axes, curve, three)
-    put(axes, "x", panel.x, panel.curves, size[0])
-    put(axes, "y", panel.y, panel.curves, size[1])
+    put(axes, "x", panel.x, points(panel.curves, "x", panel.y, "y"), size[0])
+    put(axes, "y", panel.y, points(panel.curves, "y", panel.x, "x"), size[1])
     for span in panel.spans:
         line = span.low == span.high
         shade = getattr(axes, f"ax{'h' if span.axis == 'y' else 'v'}{'line' if line else 'span'}")
@@ -239,11 +248,12 @@ def drawn(figure: Figure) -> Drawn:
         down = -(-len(figure.panels) // across)
         w, h = figure.size
         left, right, below, above = AROUND
+        right += BAR if any(panel.heat for panel in figure.panels) else 0.0
         above += REMARK if any(panel.remark for panel in figure.panels) else 0.0
         width = across * w
-        columns = max(1, int(width // ENTRY))
         most = entries(c for p in figure.panels for c in p.curves) if figure.legend == "shared" else {}
-        foot = LEGEND_ROW * -(-len(most) // columns) + 0.05
+        columns = max(1, int(width // (HANDLE + LETTER * max(map(len, most), default=1))))
+        foot = LEGEND_ROW * -(-len(most) // columns)
         height = down * h + TITLE + foot
         made = plt.figure(figsize=(width, height))
         unnamed: dict[str, Any] = {}
@@ -255,7 +265,7 @@ def drawn(figure: Figure) -> Drawn:
             )  # fmt: skip
             axes = made.add_axes(place, projection="3d" if panel.z is not None else None)
             draw_panel(made, axes, panel, (w - left - right, h - below - above))
-            done = set() if panel.z is not None else written(axes, panel)
+            done = set() if panel.z is not None else written(axes, panel, figure.legend == "shared")
             left_over = {k: v for k, v in entries(panel.curves).items() if k not in done}
             if figure.legend == "shared":
                 unnamed |= left_over
@@ -263,13 +273,18 @@ def drawn(figure: Figure) -> Drawn:
             handles, names = axes.get_legend_handles_labels()
             keyed = {plain(label): handle for label, handle in left_over.items()}
             keyed |= dict(zip(names, handles, strict=True))
-            if keyed:
-                axes.legend(list(keyed.values()), list(keyed), loc="best", fontsize=8)
+            if len(keyed) > 1:
+                axes.legend(
+                    list(keyed.values()), list(keyed), loc="best", fontsize=8, frameon=True, edgecolor="none"
+                )
         made.suptitle(plain(figure.title), y=1 - 0.08 / height, va="top", fontsize=12)
         if unnamed:
             ordered = [name for name in most if name in unnamed]
-            made.legend([unnamed[n] for n in ordered], [plain(n) for n in ordered], loc="lower center",
-                        ncols=min(columns, len(ordered)), fontsize=9, handlelength=3)  # fmt: skip
+            made.legend([unnamed[n] for n in ordered], [plain(n) for n in ordered], loc="upper center",
+                        bbox_to_anchor=(0.5, foot / height), borderaxespad=0, ncols=min(columns, len(ordered)),
+                        fontsize=9, handlelength=3)  # fmt: skip
+        rows = -(-len(unnamed) // columns)
+        made.set_gid(str(foot - LEGEND_ROW * rows))  # inches below the legend that nothing needs
         return made
 
 
@@ -302,7 +317,8 @@ def save(figure: Figure, folder: Path) -> list[Path]:
         return paths
     made = drawn(figure)
     with plt.rc_context(RC):
-        made.savefig(paths[1], metadata={"Software": None})
-        made.savefig(paths[0], metadata={"Date": None, "Identifier": said})
+        seen = Bbox.from_extents(0, float(made.get_gid() or 0), *made.get_size_inches())
+        made.savefig(paths[1], metadata={"Software": None}, bbox_inches=seen)
+        made.savefig(paths[0], metadata={"Date": None, "Identifier": said}, bbox_inches=seen)
     plt.close(made)
     return paths

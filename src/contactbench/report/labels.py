@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,6 +12,8 @@ import numpy as np
 SAMPLED = 5.0
 #: a name may lie on so many samples, no more
 HIDES = 4.0
+#: away from the ends of its curve a name must hide so much less, point by point
+FAR = 0.1
 #: pixels between a name and its point, and around a name
 AWAY, ROOM = 7.0, 2.0
 
@@ -45,7 +48,7 @@ class Box:
 def sampled(points: np.ndarray) -> np.ndarray:
     """Points along the polygon, SAMPLED pixels apart; nan interrupts it."""
     parts = [np.empty((0, 2))]
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         if np.isfinite([a, b]).all():
             t = np.linspace(0, 1, min(400, int(np.hypot(*(b - a)) / SAMPLED) + 2))[:, None]
             parts.append(a + t * (b - a))
@@ -70,7 +73,7 @@ def places(
         if size is not None:
             others = np.concatenate([np.empty((0, 2)), *(d for i, d in enumerate(dense) if i != k)])
             w, h = size
-            for x, y in along(line):
+            for n, (x, y) in enumerate(along(line)):
                 for left, bottom in (
                     (x + AWAY, y - h / 2), (x - AWAY - w, y - h / 2), (x - w / 2, y + AWAY),
                     (x - w / 2, y - AWAY - h), (x + AWAY, y + AWAY / 2), (x - AWAY - w, y + AWAY / 2),
@@ -80,12 +83,13 @@ def places(
                     if not box.inside(panel) or any(box.meets(b) for b in used):
                         continue
                     hidden = 2.0 * box.holds(others) + box.holds(dense[k]) + 0.05 * box.holds(behind)
+                    hidden += FAR * n
                     if best is None or hidden < best[0]:
                         best = hidden, box
-        box = best[1] if best is not None and best[0] <= HIDES else None
-        found.append(box)
-        if box is not None:
-            used.append(box)
+        chosen = best[1] if best is not None and best[0] <= HIDES else None
+        found.append(chosen)
+        if chosen is not None:
+            used.append(chosen)
     return found
 
 

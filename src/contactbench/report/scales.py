@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from contactbench.report.drawing import Axis
+from contactbench.report.drawing import Axis, Curve
 from contactbench.report.numbers import SUPERSCRIPTS
 
 PARTS = {0.7: (1, 1.5, 2, 3, 5, 7), 1.5: (1, 2, 5)}
@@ -32,6 +32,18 @@ def spanned(axis: Axis, values: Iterable[float]) -> tuple[float, float]:
     return first, last
 
 
+def points(curves: Iterable[Curve], which: str, other: Axis, across: str) -> list[float]:
+    """What the curves have on one axis, error bars included, where the other axis does not end before."""
+    low, high = ((-math.inf if other.within[0] is None else other.within[0]), (other.within[1] or math.inf))
+    return [
+        v
+        for c in curves
+        for values in ([c.x] if which == "x" else [c.y, *([] if c.muted else [c.low, c.high])])
+        for v, o in zip(values, getattr(c, across), strict=False)  # without bars there are none
+        if low <= o <= high
+    ]
+
+
 def power(k: int) -> str:
     return {0: "1", 1: "10"}.get(k, "10" + str(k).translate(SUPERSCRIPTS))
 
@@ -54,4 +66,5 @@ def decades(low: float, high: float, room: float) -> list[tuple[float, str]]:
         for k in range(math.floor(first), math.ceil(last) + 1)
         for part in (parts if len(parts) > 1 else (1,) if k % step == 0 else ())
     ]
-    return [(v, written(v)) for v in found if low <= v * (1 + 1e-9) and v <= high * (1 + 1e-9)]
+    words = written if len(parts) > 1 else lambda v: power(round(math.log10(v)))
+    return [(v, words(v)) for v in found if low <= v * (1 + 1e-9) and v <= high * (1 + 1e-9)]

@@ -78,17 +78,23 @@ def lowest(curve: Curve, own: Sequence[Curve]) -> float:
     return -float(np.median(values)) if values else math.nan
 
 
+def like(chosen: Iterable[Curve]) -> Callable[[Curve, Sequence[Curve]], float]:
+    """The score that chooses the methods in colour among others' curves again; those before the rest."""
+    names = {curve.method for curve in chosen if not curve.muted}
+    return lambda curve, own: float(curve.method in names)
+
+
 def highest(curve: Curve, own: Sequence[Curve]) -> float:
     return -lowest(curve, own)
 
 
-def contest_ends(axis: Axis, curves: Sequence[Curve]) -> tuple[Axis, str]:
+def contest_ends(axis: Axis, curves: Sequence[Curve], times: float = BEYOND) -> tuple[Axis, str]:
     """The axis of cost ended where the contest ends, and which methods are altogether beyond it."""
     table = np.array([costs(curve) for curve in curves if curve.method])
     reached = np.isfinite(table).sum(axis=0) >= min(CONTEST, len(table)) if len(table) else np.array([])
     if not reached.any():
         return axis, ""
-    end = BEYOND * float(np.nanmax(np.nanmin(table[:, reached], axis=0)))
+    end = times * float(np.nanmax(np.nanmin(table[:, reached], axis=0)))
     out = [c.label for c in curves if c.method and not any(y <= end for y in c.y if math.isfinite(y))]
     said = f"beyond the panel: {', '.join(dict.fromkeys(out))}" if out else ""
     return replace(axis, within=(None, end)), said

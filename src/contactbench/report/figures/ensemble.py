@@ -11,10 +11,11 @@ from contactbench.report.curves import by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest, contest_ends, family
 from contactbench.report.figures.work_precision import error_axis
+from contactbench.report.numbers import count
 
 SOURCE = "ensemble.csv"
 #: how trajectories share their steps; what is not told shares a fixed one
-STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "steps shared by a register"}
+STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "shared steps"}
 
 
 def steps(rows: pd.DataFrame) -> str:
@@ -26,20 +27,22 @@ def steps(rows: pd.DataFrame) -> str:
 def error_panel(part: pd.DataFrame) -> Panel:
     """Time per trajectory against error, a curve for each way to run a method."""
     curves = []
-    for (method, engine, variant), rows in part.groupby(
-        ["method", "engine", "variant"], sort=False, dropna=False
-    ):
+    for (method, _, variant), rows in part.groupby(["method", "engine", "variant"], sort=False, dropna=False):
         how = STEPS.get(str(variant), "")
         label = ", ".join(filter(None, [str(method), how]))
         for curve in by_method(rows, "solution_error", "each", scale=1e6):
             told = tuple(f"{hint}, {n:.0f} steps" for hint, n in zip(curve.hints, rows["steps"], strict=True))
             note = f"({steps(rows)})"
             curves.append(replace(curve, label=label, note=note, hints=told))
-    y, beyond = contest_ends(Axis("time per trajectory, µs", "log"), curves)
+    y, beyond = contest_ends(Axis("time per trajectory, µs", "log"), curves, 100.0)
     shown = best_of_each(curves, cheapest, lambda c: (family(c), c.label.partition(", ")[2]))
     number = part["trajectories"].max()
     return Panel(
-        f"{number:.0f} trajectories, one core", error_axis(part[["solution_error"]]), y, shown, remark=beyond
+        f"{count(number)} trajectories, one core",
+        error_axis(part[["solution_error"]]),
+        y,
+        shown,
+        remark=beyond,
     )
 
 
@@ -77,7 +80,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
         panels.append(growth_panel(part, "trajectories", "with the number of trajectories, one core"))
     if len(part := own[own["question"] == "cores"].sort_values("cores", kind="stable")):
         panels.append(
-            growth_panel(part, "cores", f"with cores, {part['trajectories'].max():.0f} trajectories")
+            growth_panel(part, "cores", f"with cores, {count(part['trajectories'].max())} trajectories")
         )
     if not panels:
         return None

@@ -116,9 +116,10 @@ def escape_panel(rows: pd.DataFrame, scene: str) -> Panel | None:
         return None
     off = 100 * (out["end_time"].astype(float) / out["blow_up_time"].astype(float) - 1)
     out = out.assign(off=off).sort_values("rhs_equivalents", kind="stable")
-    x = Axis("escape told early (−) or late (+), % of its time", ticks=None)
+    x = Axis("escape told early (−) or late (+), % of its time")
     return Panel(
-        f"{scene}: reaches infinity", x, cost_axis(out, COUNTS), best_of_each(by_method(out, "off", "rhs_equivalents"), nearest),
+        f"{scene}: reaches infinity", x, cost_axis(out, COUNTS),
+        best_of_each(by_method(out, "off", "rhs_equivalents"), nearest),
         spans=(Span("x", 0.0, 0.0),), remark="told where the state is beyond 10⁶ times the scene's scale",
     )  # fmt: skip
 
