@@ -1,5 +1,7 @@
 """contactbench: contact splitting integrators against the established ones, measured."""
 
+from typing import Any
+
 from contactbench.ensembles import Ensemble, ensemble
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
@@ -22,6 +24,7 @@ __all__ = [
     "Solution",
     "Status",
     "UnknownName",
+    "compare",
     "ensemble",
     "fixed_step",
     "prepare",
@@ -30,5 +33,15 @@ __all__ = [
     "solve",
 ]
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """What needs pandas and matplotlib, imported when first asked for."""
+    if name == "compare":
+        from contactbench.race import compare
+
+        return compare
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 load_installed()

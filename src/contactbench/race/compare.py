@@ -12,7 +12,7 @@ from tqdm import tqdm
 from contactbench.errors import BadInput, finite, positive
 from contactbench.measure.clock import Race
 from contactbench.methods.base import METHODS, lookup
-from contactbench.race.keeping import laws_at
+from contactbench.race.keeping import expected, laws_at
 from contactbench.race.scout import Attempt, Question, Scouted, ends, scout
 from contactbench.race.table import table
 from contactbench.scene import Scene
@@ -154,12 +154,12 @@ class Comparison:
                 self.times |= {key: race.columns(i) for i, key in enumerate(attempts)}
 
     def measure_laws(self) -> None:
-        """At the largest error first, so that there is something to say of every method."""
+        """At the largest error first, so that there is something to say of every method; what is slow last."""
         self.say("laws")
         for error in self.question.errors:
-            for each in self.scouted:
-                chosen = self.chosen.get((each.method, error))
-                if chosen is not None and id(chosen) not in self.laws and not self.interrupted:
+            reached = [(s, a) for s in self.scouted if (a := self.chosen.get((s.method, error))) is not None]
+            for each, chosen in sorted(reached, key=lambda pair: expected(*pair)):
+                if id(chosen) not in self.laws and not self.interrupted:
                     self.laws[id(chosen)] = laws_at(self.question, each, chosen, self.left(LAWS))
 
     def fill_up(self) -> None:

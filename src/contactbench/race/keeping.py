@@ -19,8 +19,8 @@ from contactbench.scene import Scene
 #: measures of a run that are no laws, or that another one covers
 LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
 FROZEN = "_frozen"
-#: XLA takes about so many times as long for a derivative as for the solver
-DERIVATIVE = 2.0
+#: what a derivative costs, roughly: compilations of the solver, and runs
+COMPILATIONS, RUNS = 2.0, 100.0
 
 
 def laws_shown(scene: Scene) -> list[Law]:
@@ -28,16 +28,26 @@ def laws_shown(scene: Scene) -> list[Law]:
     return [law for law in laws_of(scene) if law.name not in LEFT_OUT and not law.name.endswith(FROZEN)]
 
 
+def expected(scouted: Scouted, attempt: Attempt) -> float:
+    """About how many seconds the derivative of the map takes."""
+    return COMPILATIONS * scouted.compile_s + RUNS * attempt.seconds
+
+
 def laws_at(question: Question, scouted: Scouted, attempt: Attempt, seconds: float) -> dict[str, float]:
-    """Deviations from the laws at the five times, of a run that carries every field; left out for lack of time."""
+    """Deviations from the laws at the five times, of a run that carries every field.
+
+    seconds : how long it may take; what is expected to take longer is left out.
+    """
     scene, item = question.scene, METHODS[scouted.method]
-    compiling = DERIVATIVE * scouted.compile_s if scouted.engine == "jax" else 0.0
-    wanted = [law for law in laws_shown(scene) if not (law.differentiates and seconds < compiling)]
-    if seconds < 0 or not wanted:
+    if seconds < (scouted.compile_s if scouted.engine == "jax" else 0.0):  # another field is another program
         return {}
     options: dict[str, Any] = {**setting(item, attempt.value), "engine": scouted.engine}
     solution = prepare(scene, item.name, save_at=question.times, **options)()
-    return {law.name: _measured(law, solution) for law in wanted}
+    affordable = expected(scouted, attempt) <= seconds
+    return {
+        law.name: _measured(law, solution)
+        for law in laws_shown(scene) if affordable or not law.differentiates
+    }  # fmt: skip
 
 
 def _measured(law: Law, solution: object) -> float:
