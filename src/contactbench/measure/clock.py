@@ -87,7 +87,10 @@ class Race:
         gc.disable()
         try:
             for visit in range(VISITS):
+                until = perf_counter() + max(0.0, start + seconds - perf_counter()) / (VISITS - visit)
                 for turn in range(max(rounds)):
+                    if turn >= FEWEST_ROUNDS and perf_counter() > until:
+                        break
                     shuffle.shuffle(order)
                     for i in order:
                         if turn < rounds[i]:

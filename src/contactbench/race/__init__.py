@@ -1,5 +1,1 @@
-"""A work–precision race on one scene, the user's own for example: `compare`."""
-
-from contactbench.race.compare import compare
-
-__all__ = ["compare"]
+"""A work–precision race on one scene, the user's own for example: `comparison.compare`."""

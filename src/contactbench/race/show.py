@@ -43,7 +43,7 @@ def sentences(frame: pd.DataFrame) -> Iterator[str]:
         f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
         f"{reference['error']:.1e} are not claimed."
     )
-    margin = ", ".join(f"×{m:.2f} ({TITLES[kind].lower()})" for kind, m in margins.items())
+    margin = ", ".join(f"×{m:.2f} ({kind})" for kind, m in margins.items())
     yield f"Times within {margin} of the least are a tie: what two measurements of one run differ by here."
     for (method, status, reason), _ in frame[frame["status"] != "ok"].groupby(
         ["method", "status", "reason"], sort=False
@@ -64,10 +64,10 @@ def cell(row: Any) -> Cell:
     return Cell(f"{duration(row.time_s)} {row.verdict}", row.time_s, marks(mark), hint=hint)
 
 
-def kept_by(rows: pd.DataFrame, structure: str = "laws_kept") -> str:
+def kept_by(rows: pd.DataFrame) -> str:
     """The laws kept at every setting at which they were measured."""
-    sets = [set(text.split(", ")) - {""} for text in rows.loc[measured(rows), structure]]
-    return ", ".join(sorted(set.intersection(*sets))) if sets else ""
+    sets = [set(text.split(", ")) - {""} for text in rows.loc[measured(rows), "laws_kept"]]
+    return (", ".join(sorted(set.intersection(*sets))) or "none") if sets else "not measured"
 
 
 def measured(rows: pd.DataFrame) -> pd.Series:
@@ -87,12 +87,12 @@ def view(frame: pd.DataFrame, kind: str) -> View:
         work = [
             Cell(DASH) if math.isnan(value) else Cell(count(value), value) for value in part["evaluations"]
         ]
-        rows.append((word(method), *cells, *work, word(kept_by(part) or DASH)))
+        rows.append((word(method), *cells, *work, word(kept_by(part))))
     heads = (
         Head("method", words=True),
         *(Head(f"{error:g}", words=True, group="time at error") for error in errors),
         *(Head(f"{error:g}", group="evaluations at error") for error in errors),
-        Head("keeps to round-off", words=True),
+        Head("laws kept to round-off", words=True),
     )
     meaning = (
         "Median time of a bare call at the coarsest setting found to reach the error; ×: over the cheapest."
