@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Outcome, Prepared, Refused, Request, steps_in
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
@@ -24,8 +24,6 @@ from contactbench.splitting.composition import Repeat, repeat
 
 #: evaluations written out in one turn of the compiled loop
 UNROLL = 32
-#: numbers of saved times a program is compiled for; the next larger one serves all in between
-CAPACITIES = (1, 64, 1024)
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
@@ -278,8 +276,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
         from contactbench.xla import jax
 
         super().__post_init__()
-        saves = len(self.n)
-        self.capacity = next((size for size in CAPACITIES if size >= saves), saves)
+        self.capacity = capacity(len(self.n))
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(self.spans(self.h, self.n))
 
