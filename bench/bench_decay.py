@@ -33,9 +33,7 @@ def ladder(profile):
 
 def to_the_end(scene, method, value, budget):
     """A run saved at the end alone, and what it cost."""
-    run = cb.prepare(
-        scene, method.name, save_at=[scene.t_end], max_steps=budget, **setting(method, value)
-    )
+    run = cb.prepare(scene, method.name, save_at=[scene.t_end], max_steps=budget, **setting(method, value))
     solution = run()
     return solution, run.count(solution.counts)
 
@@ -53,9 +51,7 @@ def value_at(scene, method, target, budget):
     if method.refuses(scene) is not None:
         return method.rtol_range[1] if method.adaptive else scene.t_end / SAVES
     if method.adaptive:
-        return tolerance_at(
-            lambda rtol: evaluations(scene, method, rtol, budget), target, method.rtol_range
-        )
+        return tolerance_at(lambda rtol: evaluations(scene, method, rtol, budget), target, method.rtol_range)
     return step_at(method, scene, target, SAVES)
 
 

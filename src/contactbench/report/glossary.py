@@ -17,7 +17,7 @@ Registries = Mapping[str, Mapping[str, Any]]
 def methods_view(methods: Mapping[str, Any]) -> View:
     rows = tuple(
         (
-            word(name), word(getattr(item, "family", "")), word(item.order or "variable"),
+            word(name), word(item.family), word(item.order or "variable"),
             word("adaptive" if item.adaptive else "fixed step"), word(", ".join(item.engines)), word(item.about),
         )
         for name, item in methods.items()
