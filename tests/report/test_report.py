@@ -219,7 +219,8 @@ def test_sections_nest_and_findings_name_their_exceptions():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(2.0, "2 s"), (1.5e-3, "1.5 ms"), (2e-5, "20 µs"), (float("nan"), "—")]
+    ("seconds", "text"),
+    [(2.0, "2 s"), (1.5e-3, "1.5 ms"), (2e-5, "20 µs"), (9.9999e-7, "1 µs"), (float("nan"), "—")],
 )
 def test_durations_are_readable(seconds, text):
     assert duration(seconds) == text

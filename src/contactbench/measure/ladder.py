@@ -62,6 +62,11 @@ def family(method: Any) -> str:
     return getattr(method, "family", "established")
 
 
+def stepping(method: Any) -> str:
+    """How a method gets from one time to another: by fixed steps, by adaptive ones, or exact: without any."""
+    return getattr(method, "stepping", "adaptive" if method.adaptive else "fixed")
+
+
 def carried(scene: Scene) -> tuple[str, ...]:
     """What a run is asked for where only the motion counts: no s, the attitude where J = R M is measured."""
     return ("R",) if "R" in scene.optional and scene.conformal_rate is not None else ()

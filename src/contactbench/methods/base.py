@@ -6,6 +6,7 @@ a one-line `about`, a `family` (contact, variational or established, which it is
     refuses(scene) -> str | None          why the scene is out of reach, or None
     prepare(Request) -> Prepared          compile once; the result is called many times
 
+A closed form, which has no steps, says so: ``stepping = "exact"``.
 Adaptive methods also give `rtol_range`, the tolerances they accept, and `stiff`.  `FixedStep`
 (fixed_step.py) implements most of it for a step map; see contact.py for a method that is data and
 sundials.py for one that is a solver.

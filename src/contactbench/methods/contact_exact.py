@@ -116,6 +116,7 @@ class ExactMethod(Adaptive):
     )
     engines: tuple[str, ...] = ("jax", "python")
     family: str = "contact"
+    stepping: str = "exact"
     stiff: bool = False
     contact: bool = True
     rtol_range: tuple[float, float] = (1e-13, 1e-1)
