@@ -14,7 +14,6 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 import pytest
 
-from cells import family
 from clock import Cell, Clock
 from contactbench.errors import BadInput
 from contactbench.measure.ladder import stepping
@@ -215,7 +214,7 @@ def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
 
     def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
         if "family" in which.columns and row["method"] in METHODS:
-            row = {"family": family(METHODS[row["method"]]), **row}
+            row = {"family": METHODS[row["method"]].family, **row}
         if "stepping" in which.columns:
             row = {"stepping": stepping(METHODS[row["method"]]), **row}
         return {**row, "profile": profile}

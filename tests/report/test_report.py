@@ -176,6 +176,9 @@ def test_the_glossary_has_every_method_scene_and_column():
     text = markdown.parts(glossary.sections(REGISTRIES))
     for name in (*cb.METHODS, *cb.SCENES):
         assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
+    for name, steps in (("contact-exact", "exact"), ("contact-adaptive", "adaptive"), ("rk4", "fixed")):
+        (line,) = re.findall(rf"^\| {name} .*$", text, re.M)
+        assert f"| {steps} " in line
     for table in TABLES.values():
         assert all(f"`{column}`" in text for column in table.columns)
 

@@ -18,7 +18,7 @@ Registries = Mapping[str, Mapping[str, Any]]
 def methods_view(methods: Mapping[str, Any]) -> View:
     rows = tuple(
         (
-            word(name), word(getattr(item, "family", "")), word(item.order or "variable"),
+            word(name), word(item.family), word(item.order or "variable"),
             word(stepping(item)), word(", ".join(item.engines)), word(item.about),
         )
         for name, item in methods.items()

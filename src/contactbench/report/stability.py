@@ -9,8 +9,7 @@ import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import EVALUATIONS, Field, standing
-from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.figures import stability as figures
 from contactbench.report.kept import bounded, called, drift_cell, laws, numbers
 from contactbench.report.numbers import count, many, names, scientific
 from contactbench.report.raw import raw
@@ -147,32 +146,6 @@ def blow_up_view(frame: pd.DataFrame) -> View | None:
     return View("blow_up", "Blow-up", meaning, tuple(heads), tuple(rows), "stability.csv")
 
 
-def hard_figure(frame: pd.DataFrame) -> Figure | None:
-    ok = frame[(frame["status"] == "ok") & frame["solution_error"].notna()]
-    panels = []
-    for scene in dict.fromkeys(ok["scene"]):
-        part = ok[ok["scene"] == scene].sort_values("rhs_equivalents", kind="stable")
-        curves = by_method(part, "rhs_equivalents", "solution_error")
-        panels.append(
-            Panel(
-                str(scene),
-                number_axis("evaluations"),
-                Axis("solution error", "log", limits=(1e-16, 1e6)),
-                curves,
-            )
-        )
-    if not panels:
-        return None
-    return Figure(
-        "hard_scenes",
-        "Hard scenes: error against evaluations",
-        tuple(panels),
-        "Runs that ended ok.",
-        4,
-        source="stability.csv",
-    )
-
-
 def findings(frames: Frames) -> list[Finding]:
     hard = frames["stability"]
     found = []
@@ -216,7 +189,7 @@ def sections(frames: Frames) -> list[Part]:
         f"{called(name)}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
         for name, c in laws(STABILITY, "stability").items()
     )
-    drawn, ends = hard_figure(hard), blow_up_view(hard)
+    drawn, ends = figures.hard(hard), blow_up_view(hard)
     parts: list[Part] = [
         Text(
             "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "

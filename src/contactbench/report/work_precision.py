@@ -9,8 +9,7 @@ import pandas as pd
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
 from contactbench.report.contest_views import costs_view, duel_view
-from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Figure, Panel
+from contactbench.report.figures import work_precision as figures
 from contactbench.report.numbers import count, duration, many, scientific, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
@@ -48,28 +47,6 @@ def endings_view(work: pd.DataFrame) -> View | None:
     kinds = ", ".join(f"{status} {n}" for status, n in part["status"].value_counts().items())
     meaning = f"{many(len(part), 'run')}: {kinds}."
     return View("endings", "Runs that did not end ok", meaning, heads, tuple(rows), SOURCE, detail=True)
-
-
-def figure(work: pd.DataFrame, scene: str) -> Figure | None:
-    """Cost against error for one scene, a panel for each kind of comparison."""
-    rows = contestants(work)
-    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
-    panels = []
-    for kind in KINDS:
-        part = rows[kind.engines(rows["engine"])]
-        if not kind.timed:  # the same counts on every engine: one curve
-            part = part.drop_duplicates(["method", "setting"])
-        part = part[part[kind.cost].notna()]
-        if len(part):
-            label = "median time per solve, ms" if kind.timed else "right-hand sides or equivalents"
-            curves = by_method(part, "solution_error", kind.cost, ("engine",), 1e3 if kind.timed else 1.0)
-            panels.append(Panel(kind.title, number_axis("solution error", True), number_axis(label), curves))
-    if not panels:
-        return None
-    caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
-    return Figure(
-        f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE
-    )
 
 
 def kernels_view(work: pd.DataFrame) -> View | None:
@@ -140,7 +117,7 @@ def noise_text(work: pd.DataFrame) -> Text:
 
 
 def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Section:
-    parts: list[Part | None] = [figure(work, scene)]
+    parts: list[Part | None] = [figures.figure(work, scene)]
     for field in fields:
         if scene in field.scenes:
             parts.append(costs_view(field, scene, SOURCE))
