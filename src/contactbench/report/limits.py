@@ -9,15 +9,10 @@ import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
 from contactbench.report.figures import stability as figures
-from contactbench.report.numbers import (
-    upper,
-)
+from contactbench.report.numbers import upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room
-from contactbench.results.tables import (
-    ONE_STEP,
-    STABILITY_LIMITS,
-)
+from contactbench.results.tables import ONE_STEP, STABILITY_LIMITS
 
 
 def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View | None:
