@@ -16,10 +16,9 @@ import numpy as np
 VISITS = 2
 #: seconds a round takes at least, so that the clock's resolution plays no part
 ROUND_SECONDS = 1e-3
-#: rounds of one visit
+#: rounds of one visit; where a single round is long what disturbs it averages out within it, and fewer do
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
-#: seconds of a call to which the state of the caches makes no difference
-LONG = 0.05
+LONG, FEWEST_LONG_ROUNDS = 0.1, 2
 SEED = 20
 
 Samples = list[float]  #: seconds per call, one number a round
@@ -44,8 +43,9 @@ def calls_a_round(once: float) -> int:
     return max(1, round(ROUND_SECONDS / once))
 
 
-def rounds_within(seconds: float, round_seconds: float, fewest: int = FEWEST_ROUNDS) -> int:
+def rounds_within(seconds: float, round_seconds: float) -> int:
     """How many rounds of one visit fit, within what is sensible."""
+    fewest = FEWEST_ROUNDS if round_seconds < LONG else FEWEST_LONG_ROUNDS
     return min(MOST_ROUNDS, max(fewest, round(seconds / round_seconds)))
 
 
@@ -76,13 +76,13 @@ class Race:
     def go(self, seconds: float) -> None:
         """Both visits, within about so many seconds.
 
-        A run that takes longer than its share has fewer rounds than the others, but one at each visit.
+        A run that takes longer than its share has fewer rounds than the others, no fewer than `rounds_within` says.
         """
         start, lengths = perf_counter(), self.warm_up()
         if not lengths:
             return
         share = max(0.0, seconds - perf_counter() + start) / VISITS / len(lengths)
-        rounds = [rounds_within(share, length, 1 if length > LONG else FEWEST_ROUNDS) for length in lengths]
+        rounds = [rounds_within(share, length) for length in lengths]
         shuffle, order, collects = random.Random(SEED), list(range(len(self.runs))), gc.isenabled()
         gc.disable()
         try:

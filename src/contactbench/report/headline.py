@@ -117,7 +117,11 @@ def sections(frames: Frames) -> list[Part]:
         parts.append(
             Section(lost.title, (Text(items=reasons(contests)), replace(lost, title="Where and by how much")))
         )
-    drawn = work_precision.figure(frames["work_precision"], DRAWN) if len(frames["work_precision"]) else None
+    drawn = (
+        work_precision.figures.figure(frames["work_precision"], DRAWN)
+        if len(frames["work_precision"])
+        else None
+    )
     return [*parts, drawn] if drawn else parts
 
 
