@@ -238,7 +238,6 @@ def test_text_page_and_plot_say_the_same(frame, tmp_path):
     assert "not claimed" in text
     assert "contact-exact: unsupported" in text
     assert "src=" not in page  # one file, nothing to fetch
-    assert "<link" not in page
     from contactbench.report.draw import drawn
 
     figure = show.figure(frame)

@@ -11,7 +11,8 @@ from tqdm import tqdm
 
 from contactbench.errors import BadInput, finite, positive
 from contactbench.measure.clock import Race
-from contactbench.methods.base import METHODS, lookup
+from contactbench.methods.base import METHODS
+from contactbench.methods.entry import lookup
 from contactbench.race.keeping import expected, laws_at
 from contactbench.race.scout import Attempt, Question, Scouted, ends, scout
 from contactbench.race.table import table

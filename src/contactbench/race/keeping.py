@@ -10,7 +10,8 @@ import pandas as pd
 from contactbench.errors import BadInput
 from contactbench.measure.ladder import setting
 from contactbench.measure.laws import Law, laws_of
-from contactbench.methods.base import METHODS, prepare
+from contactbench.methods.base import METHODS
+from contactbench.methods.entry import prepare
 from contactbench.race.scout import Attempt, Question, Scouted
 from contactbench.results.round_off import floor
 from contactbench.results.schema import Rule

@@ -16,8 +16,9 @@ import numpy as np
 
 from contactbench.measure.ladder import ENDS, carried, setting, tolerances, work_ladder
 from contactbench.measure.laws import observed
-from contactbench.methods.base import METHODS, Prepared, Refused, prepare
+from contactbench.methods.base import METHODS, Prepared, Refused
 from contactbench.methods.engines import ENGINES
+from contactbench.methods.entry import prepare
 from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status

@@ -7,7 +7,6 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.measure.ladder import family
 from contactbench.methods.base import METHODS
 from contactbench.race.keeping import kept, laws_shown
 from contactbench.race.scout import Attempt, Question, Scouted
@@ -36,7 +35,7 @@ def table(
             attempt = chosen.get((each.method, error))
             timed, kept_at = (times.get(id(attempt), {}), laws.get(id(attempt), {})) if attempt else ({}, {})
             rows.append({
-                "scene": question.scene.name, "method": each.method, "family": family(METHODS[each.method]),
+                "scene": question.scene.name, "method": each.method, "family": METHODS[each.method].family,
                 "engine": each.engine, "kind": each.kind, "error_asked": error,
                 **(reached(question, attempt) if attempt else unreached(question, each, error)),
                 "time_s": timed.get("time_median_s", math.nan),
