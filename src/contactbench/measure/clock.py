@@ -16,8 +16,9 @@ import numpy as np
 VISITS = 2
 #: seconds a round takes at least, so that the clock's resolution plays no part
 ROUND_SECONDS = 1e-3
-#: rounds of one visit
+#: rounds of one visit; where a single round is long what disturbs it averages out within it, and fewer do
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
+LONG, FEWEST_LONG_ROUNDS = 0.1, 2
 SEED = 20
 
 Samples = list[float]  #: seconds per call, one number a round
@@ -44,7 +45,8 @@ def calls_a_round(once: float) -> int:
 
 def rounds_within(seconds: float, round_seconds: float) -> int:
     """How many rounds of one visit fit, within what is sensible."""
-    return min(MOST_ROUNDS, max(FEWEST_ROUNDS, round(seconds / round_seconds)))
+    fewest = FEWEST_ROUNDS if round_seconds < LONG else FEWEST_LONG_ROUNDS
+    return min(MOST_ROUNDS, max(fewest, round(seconds / round_seconds)))
 
 
 class Race:
@@ -70,7 +72,7 @@ class Race:
         return total
 
     def go(self, seconds: float, tick: Callable[[], Any] = lambda: None) -> None:
-        """Both visits, within about so many seconds, but not fewer than `FEWEST_ROUNDS` rounds each."""
+        """Both visits, within about so many seconds, but no fewer rounds each than `rounds_within` says."""
         if not self.runs:
             return
         rounds = rounds_within(seconds / VISITS, self.warm_up())
