@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -39,14 +38,14 @@ def guides(curves: tuple[Curve, ...], claimed: dict[str, int]) -> Iterator[Curve
 def figure(frame: pd.DataFrame) -> Figure | None:
     """A panel for each scene; at each curve its extrapolated order."""
     ok = frame[frame["status"] == "ok"]
-    claimed = {m: int(p) for m, p in zip(ok["method"], ok["order_nominal"], strict=True) if not math.isnan(p)}
+    claimed = {m: int(p) for m, p in zip(ok["method"], ok["order_nominal"], strict=True) if pd.notna(p)}
     panels = []
     for scene in dict.fromkeys(ok["scene"]):
         part = ok[ok["scene"] == scene]
         orders = dict(zip(part["method"], part["order"], strict=True))
         curves = best_of_each(by_method(part, "step", "solution_error"), lowest, family_and_order)
         curves = tuple(
-            curve if math.isnan(orders[curve.method]) else replace(curve, note=f"{orders[curve.method]:.2f}")
+            curve if pd.isna(orders[curve.method]) else replace(curve, note=f"{orders[curve.method]:.2f}")
             for curve in curves
         )
         panels.append(

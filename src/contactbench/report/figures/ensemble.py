@@ -20,7 +20,10 @@ STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "shared steps"}
 
 def steps(rows: pd.DataFrame) -> str:
     """How many steps the runs of a curve take."""
-    few, many = rows["steps"].min(), rows["steps"].max()
+    known = [n for n in floats(rows["steps"]) if n == n]
+    if not known:
+        return "steps not told"
+    few, many = min(known), max(known)
     return f"{few:.0f} steps" if few == many else f"{few:.0f}–{many:.0f} steps"
 
 
@@ -31,14 +34,16 @@ def error_panel(part: pd.DataFrame) -> Panel:
         how = STEPS.get(str(variant), "")
         label = ", ".join(filter(None, [str(method), how]))
         for curve in by_method(rows, "solution_error", "each", scale=1e6):
-            told = tuple(f"{hint}, {n:.0f} steps" for hint, n in zip(curve.hints, rows["steps"], strict=True))
+            told = tuple(
+                f"{hint}, {n:.0f} steps" for hint, n in zip(curve.hints, floats(rows["steps"]), strict=True)
+            )
             note = f"({steps(rows)})"
             curves.append(replace(curve, label=label, note=note, hints=told))
     y, beyond = contest_ends(Axis("time per trajectory, µs", "log"), curves, 100.0)
     shown = best_of_each(curves, cheapest, lambda c: (family(c), c.label.partition(", ")[2]))
     number = part["trajectories"].max()
     return Panel(
-        f"{count(number)} trajectories, one core",
+        f"{count(float(number))} trajectories, one core",
         error_axis(part[["solution_error"]]),
         y,
         shown,
