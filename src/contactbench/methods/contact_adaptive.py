@@ -280,8 +280,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         r = self.request
         key = (r.scene.structure, r.carry, tangent)
         if key not in _loops:
-            elapsed, scene = stopwatch(), r.scene
-            assert isinstance(scene, Mechanical)
+            elapsed = stopwatch()
+            scene: Any = r.scene
             text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent))
             _loops[key] = compiled(text).run, elapsed()
         return _loops[key]
@@ -397,7 +397,7 @@ class AdaptiveContactMethod(Adaptive):
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
-        if not isinstance(scene, Mechanical):
+        if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
         return None
 

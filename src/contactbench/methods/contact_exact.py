@@ -16,7 +16,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
-from contactbench.scene import RigidBody, Scene
+from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.flows import FREE_COST, flows_of
 
@@ -122,7 +122,7 @@ class ExactMethod(Adaptive):
     tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
-        if isinstance(scene, RigidBody) and scene.isotropic:
+        if scene.kind == "isotropic body":
             return None
         return f"{self.name} solves rigid bodies with isotropic damping; scene {scene.name!r} is none"
 
