@@ -115,8 +115,24 @@ class Scene(System):
     """A system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
 
     A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes what is abstract here
-    as plain arithmetic on tuples of components.  The same functions then run on floats, arrays, traced, recorded
-    and mpmath numbers; so they must not branch on values.
+    and in `System`, and keeps these rules, which `contactbench.testing.check_scene` tests:
+
+     1. It declares itself: `name`, `t_end` > 0, `initial_fields` among its own fields, `optional` those of them
+        that a run may leave out.
+     2. ``pack`` and ``unpack`` are each other's inverse for every choice of optional fields, in the order of
+        ``labels``; a slope has the fields of its state.
+     3. ``with_numbers(numbers())`` is the same scene, of the same `structure`; each number that has a name is
+        changed by it in ``with_``.
+     4. Everything is plain arithmetic on tuples of components, without branches on values, so that it runs on
+        floats, arrays, traced, recorded and mpmath numbers, with the same result.
+     5. ``jacobian`` is the derivative of ``rhs``, where it `has_jacobian`.
+     6. Where it `is_contact`, the right-hand side X is the contact vector field of ``hamiltonian``: η(X) = −H
+        and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
+     7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`; the ``…_terms``
+        are no smaller than what they are the terms of.
+     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies; ``displaced`` leaves
+        along them.
+     9. ``exact``, where given, starts at the initial state and solves the equations.
     """
 
     s: float = 0.0
