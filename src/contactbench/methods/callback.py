@@ -12,8 +12,9 @@ from typing import Any
 
 from contactbench.methods.base import Request
 from contactbench.methods.variational import numerical_derivative, variational_request
-from contactbench.numbers.recording import CannotRecord, Recorded, Tape, executed, text_of
+from contactbench.numbers.recording import CannotRecord, Recorded, Tape, text_of
 from contactbench.numbers.recording import recorded as within
+from contactbench.numbers.source import executed
 from contactbench.scene import System
 
 
