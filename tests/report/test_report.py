@@ -176,6 +176,9 @@ def test_the_glossary_has_every_method_scene_and_column():
     text = markdown.parts(glossary.sections(REGISTRIES))
     for name in (*cb.METHODS, *cb.SCENES):
         assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
+    for name, steps in (("contact-exact", "exact"), ("contact-adaptive", "adaptive"), ("rk4", "fixed")):
+        (line,) = re.findall(rf"^\| {name} .*$", text, re.M)
+        assert f"| {steps} " in line
     for table in TABLES.values():
         assert all(f"`{column}`" in text for column in table.columns)
 
@@ -219,7 +222,8 @@ def test_sections_nest_and_findings_name_their_exceptions():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(2.0, "2 s"), (1.5e-3, "1.5 ms"), (2e-5, "20 µs"), (float("nan"), "—")]
+    ("seconds", "text"),
+    [(2.0, "2 s"), (1.5e-3, "1.5 ms"), (2e-5, "20 µs"), (9.9999e-7, "1 µs"), (float("nan"), "—")],
 )
 def test_durations_are_readable(seconds, text):
     assert duration(seconds) == text

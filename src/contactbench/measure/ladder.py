@@ -57,9 +57,9 @@ def setting(method: Any, value: float) -> dict[str, float]:
     return {"rtol": value} if method.adaptive else {"step": value}
 
 
-def family(method: Any) -> str:
-    """What a method is compared as; a plug-in that does not say is an established one."""
-    return getattr(method, "family", "established")
+def stepping(method: Any) -> str:
+    """How a method gets from one time to another: by fixed steps, by adaptive ones, or exact: without any."""
+    return "exact" if method.exact else "adaptive" if method.adaptive else "fixed"
 
 
 def carried(scene: Scene) -> tuple[str, ...]:

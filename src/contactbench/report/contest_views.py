@@ -7,10 +7,7 @@ from collections.abc import Callable, Iterable
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.contest import CONTACT, DECADES, TARGETS, Field, Lead
-from contactbench.report.numbers import (
-    power,
-    times,
-)
+from contactbench.report.numbers import power, times
 
 
 def said(tie: float) -> str:

@@ -10,23 +10,13 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import (
-    NAMED,
-)
+from contactbench.report.contest import NAMED
 from contactbench.report.figures import stability as figures
-from contactbench.report.numbers import (
-    count,
-    names,
-    scientific,
-    upper,
-)
+from contactbench.report.numbers import count, names, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room, Section
 from contactbench.results.round_off import STRUCTURE
-from contactbench.results.tables import (
-    DAMPING_RATES,
-    STRONG_DAMPING,
-)
+from contactbench.results.tables import DAMPING_RATES, STRONG_DAMPING
 
 #: errors whose ratio is within this are as good as equal
 ALIKE = 2.0
