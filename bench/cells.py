@@ -10,7 +10,7 @@ import numpy as np
 from contactbench.methods import METHODS
 from contactbench.scene import RigidBody, Scene
 from contactbench.scenes import standard_scenes
-from contactbench.solution import Counts, Solution
+from contactbench.solution import Counts, Solution, keywords, printed_setting
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -70,7 +70,7 @@ def save_times(scene: Scene) -> np.ndarray:
 
 
 def setting(method: Any, value: float) -> dict[str, float]:
-    return {"rtol": value} if method.adaptive else {"step": value}
+    return keywords(method.control, value)
 
 
 #: where an engine that is nobody's first choice is timed too
@@ -106,7 +106,7 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
     if method.refuses(scene):
         return None
     if "python" in engine:
-        per_step = PER_STEP.get(method.name, 1) if method.adaptive else method.per_step(scene)
+        per_step = method.per_step(scene) if method.control == "step" else PER_STEP.get(method.name, 1)
     else:
         per_step = IMPLICIT.get(method.name)
     evaluations = round(profile.callback_evaluations * max(1.0, min(scene.t_end, LONGEST) / LONG))
@@ -120,7 +120,7 @@ def family(method: Any) -> str:
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
     """The columns that say what was set: control, value, variant, and all of them printed."""
-    printed = f"{control}={value:.6g}"
+    printed = printed_setting(control, value)
     return {
         "control": control, "value": value, "variant": variant, "setting": f"{variant} {printed}".strip(),
     }  # fmt: skip

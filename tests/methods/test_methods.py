@@ -15,7 +15,7 @@ from contactbench.methods.fixed_step import FixedStep, trajectory
 from contactbench.solution import Status
 from contactbench.truth import blow_up_time
 
-FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
+FIXED = [m for m in cb.METHODS.values() if m.control == "step"]
 #: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
 PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
 BODY = cb.SCENES["rigid_body"].with_(

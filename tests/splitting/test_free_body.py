@@ -317,7 +317,7 @@ BODIES = [
 @pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
 def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
     times = scene.t_end * np.arange(11) / 10
-    solution = cb.solve(scene, "contact-exact", rtol=1e-6, save_at=times, engine=engine)
+    solution = cb.solve(scene, "contact-exact", save_at=times, engine=engine)
     assert solution.ok
     assert cb.LAWS["solution_error"](solution) < 1e-13  # the needle's phase of 700 leaves 3e-14
     for name in ("momentum_law", "attitude_drift", "hamiltonian_law", "energy_law_relative"):
@@ -329,31 +329,41 @@ def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scen
 
 
 def test_contact_exact_on_its_engines_and_from_other_data():
-    runs = [
-        cb.prepare(BODY, "contact-exact", rtol=1e-3, engine=e, save_at=[0.0, 1.0, 20.0])
-        for e in EXACT.engines
-    ]
+    runs = [cb.prepare(BODY, "contact-exact", engine=e, save_at=[0.0, 1.0, 20.0]) for e in EXACT.engines]
     other = {"M": (-0.4, 0.1, 0.9), "s": 0.3}
-    one, two = (run(**other) for run in runs)
-    np.testing.assert_allclose(one.y, two.y, rtol=0, atol=2e-15)
-    np.testing.assert_array_equal(one.y[0], one.y0)
-    assert cb.LAWS["solution_error"](one) < 1e-14
-    assert not np.array_equal(runs[0]().y, one.y)
+    first, *rest = (run(**other) for run in runs)
+    for one in rest:
+        np.testing.assert_allclose(one.y, first.y, rtol=0, atol=2e-15)
+        derivatives = [solution.differential.estimates for solution in (one, first)]
+        np.testing.assert_allclose(*derivatives, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(first.y[0], first.y0)
+    assert cb.LAWS["solution_error"](first) < 1e-14
+    assert not np.array_equal(runs[0]().y, first.y)
+
+
+@pytest.mark.parametrize("given", [{"step": 0.1}, {"rtol": 1e-6}, {"atol": 1e-6}], ids=str)
+def test_contact_exact_takes_neither_step_nor_tolerance(given):
+    assert (EXACT.control, EXACT.adaptive) == ("exact", False)
+    with pytest.raises(cb.BadInput, match="exact"):
+        cb.prepare(BODY, "contact-exact", **given)
+    solution = cb.solve(BODY, "contact-exact")
+    assert (solution.setting, solution.control, solution.value) == ("exact", "exact", 0.0)
+    assert len(solution.t) == 201
 
 
 @pytest.mark.parametrize("name", ["rigid_body_anisotropic", "particle", "quadratic_damping"])
 def test_contact_exact_refuses_what_it_has_no_formula_for(name):
-    solution = cb.solve(name, "contact-exact", rtol=1e-6, save_at=[1.0])
+    solution = cb.solve(name, "contact-exact", save_at=[1.0])
     assert solution.status is Status.unsupported
     assert name in solution.message
 
 
 def test_contact_exact_has_a_budget_and_an_end():
-    over = cb.solve(BODY, "contact-exact", rtol=1e-6, save_at=[1.0, 2.0, 3.0], max_steps=2)
+    over = cb.solve(BODY, "contact-exact", save_at=[1.0, 2.0, 3.0], max_steps=2)
     assert over.status is Status.budget
     runaway = BODY.with_(gamma=-50.0, t_end=20.0)
     for engine in EXACT.engines:
-        solution = cb.solve(runaway, "contact-exact", rtol=1e-6, save_at=[0.1, 20.0], engine=engine)
+        solution = cb.solve(runaway, "contact-exact", save_at=[0.1, 20.0], engine=engine)
         assert solution.status is Status.diverged
         assert np.isnan(solution.y[-1]).all()
 

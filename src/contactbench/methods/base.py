@@ -1,7 +1,8 @@
 """The contract of a method, and the registry.
 
-A method is an object with a `name`, its `engines` (the first is the default), `adaptive`, `order`,
-a one-line `about`, a `family` (contact, variational or established, which it is where a method does not say), and
+A method is an object with a `name`, its `engines` (the first is the default), its `control` (what is set:
+step, rtol, or exact, which is nothing), `adaptive` (control is rtol), `order`, a one-line `about`, a `family`
+(contact, variational or established, which it is where a method does not say), and
 
     refuses(scene) -> str | None          why the scene is out of reach, or None
     prepare(Request) -> Prepared          compile once; the result is called many times
@@ -25,10 +26,19 @@ import numpy as np
 from contactbench.errors import BadInput, Registry, positive
 from contactbench.methods.differences import differences
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Differential, Solution, Status, divergence_bound, first_divergence
+from contactbench.solution import (
+    EXACT,
+    Counts,
+    Differential,
+    Solution,
+    Status,
+    divergence_bound,
+    first_divergence,
+    printed_setting,
+)
 
 #: saved times when the caller names none: every k-th step with at most this many for fixed steps,
-#: this many equal intervals for adaptive methods
+#: this many equal intervals for others
 DEFAULT_SAVES = 1000
 ADAPTIVE_SAVES = 200
 DEFAULT_MAX_STEPS = 10**8
@@ -41,6 +51,7 @@ class Method(Protocol):
 
     name: str
     engines: tuple[str, ...]
+    control: str
     adaptive: bool
     order: int | None
     about: str
@@ -67,20 +78,18 @@ class Request:
 
     @property
     def control(self) -> str:
-        """What is set: "step" or "rtol"."""
-        return "rtol" if self.step is None else "step"
+        """What is set: "step", "rtol" or nothing, "exact"."""
+        return "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
 
     @property
     def value(self) -> float:
-        """To what it is set."""
-        value = self.rtol if self.step is None else self.step
-        assert value is not None  # `prepare` sees to it
-        return value
+        """To what it is set; 0 for nothing."""
+        return self.step or self.rtol or 0.0
 
     @cached_property
     def setting(self) -> str:
         """The setting as it is keyed in tables."""
-        return f"{self.control}={self.value:.6g}"
+        return printed_setting(self.control, self.value)
 
 
 @dataclass
@@ -123,7 +132,7 @@ class Prepared:
     @property
     def steps_follow_state(self) -> bool:
         """Whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
-        return self.request.step is None
+        return self.request.rtol is not None
 
     def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
         """dΦ of the map its user gets, or with the steps frozen.
@@ -258,6 +267,7 @@ class Refused(Prepared):
 class Adaptive:
     """Base of the solvers that choose their own steps from rtol."""
 
+    control = "rtol"
     adaptive = True
     family = "established"
 
@@ -294,8 +304,9 @@ def prepare(
         between saved times is divided into the fewest equal steps not longer than `step`.
     rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
         rtol instead of step chooses its step from pilots, which are part of every call and its counts.
+        An exact method takes neither.
     save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
-        most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
+        most 1001 of them, for fixed steps, and 201 equally spaced times for others.
     carry : which of s and R to integrate; by default all the scene has.
     engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
         or a force that branches on values cannot be compiled.
@@ -305,7 +316,11 @@ def prepare(
     scene, chosen = lookup(scene, method)
     if engine is not None and engine not in chosen.engines:
         raise BadInput(f"engine = {engine!r}: {method} runs on {', '.join(chosen.engines)}")
-    if chosen.adaptive:
+    if chosen.control == EXACT:
+        if not step is rtol is atol is None:
+            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
+            raise BadInput(f"{given}: {method} is exact and takes neither step nor tolerance")
+    elif chosen.adaptive:
         if step is not None:
             raise BadInput(f"step = {step!r}: {method} chooses its own steps; give rtol")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
@@ -348,7 +363,7 @@ def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[fl
 
 def _budget(method: Method, max_steps: int | None) -> int:
     if max_steps is None:
-        return ADAPTIVE_MAX_STEPS if method.adaptive else DEFAULT_MAX_STEPS
+        return DEFAULT_MAX_STEPS if method.control == "step" else ADAPTIVE_MAX_STEPS
     if isinstance(max_steps, bool) or int(max_steps) != max_steps or max_steps < 1:
         raise BadInput(f"max_steps = {max_steps!r}: must be a whole number ≥ 1")
     return int(max_steps)

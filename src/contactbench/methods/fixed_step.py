@@ -52,6 +52,7 @@ class FixedStep:
     contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
     symmetric: bool = False  # Φ_{−h} ∘ Φ_h = id
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
+    control = "step"
     adaptive = False
     #: tolerances from which a step can be chosen
     rtol_range = (1e-13, 1e-1)

@@ -8,6 +8,7 @@ from typing import Any
 from contactbench.report.model import Head, Part, Section, View, word
 from contactbench.report.numbers import upper
 from contactbench.results.schema import TABLES
+from contactbench.solution import STEPS
 
 #: one who asks for the glossary hands over the registries: the report itself knows no solvers
 Registries = Mapping[str, Mapping[str, Any]]
@@ -16,8 +17,8 @@ Registries = Mapping[str, Mapping[str, Any]]
 def methods_view(methods: Mapping[str, Any]) -> View:
     rows = tuple(
         (
-            word(name), word(getattr(item, "family", "")), word(item.order or "variable"),
-            word("adaptive" if item.adaptive else "fixed step"), word(", ".join(item.engines)), word(item.about),
+            word(name), word(getattr(item, "family", "")), word(item.order or ("variable" if item.adaptive else "—")),
+            word(STEPS[item.control]), word(", ".join(item.engines)), word(item.about),
         )
         for name, item in methods.items()
     )  # fmt: skip

@@ -41,6 +41,7 @@ from contactbench.report.raw import raw
 from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Column, Rule, Table
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE, LAWS_TIME
+from contactbench.solution import STEPS
 
 #: a run with a larger error than this does not follow the motion, whose condition number then says little
 WILD = 0.01
@@ -353,8 +354,8 @@ def scalar(row: pd.Series, name: str) -> float:
 
 def order_cell(frames: Frames, method: str, scene: str, control: str) -> Cell:
     """The extrapolated order of a method on a scene; why not, where there is none."""
-    if control == "rtol":
-        return Cell("adaptive")
+    if control != "step":
+        return Cell(STEPS[control])
     orders = frames.get("convergence", pd.DataFrame())
     here = orders[(orders["method"] == method) & (orders["scene"] == scene)] if len(orders) else orders
     if not len(here):
