@@ -171,26 +171,51 @@ def moved(inertia, M, t, xp):
     return free(scene, BodyState(tuple(M), (one, 0 * one, 0 * one, 0 * one)), t, xp)
 
 
+def truth_and_reach(inertia, M, t):
+    """M and R to 50 digits, and for each number its size and what one rounding of each datum changes."""
+    context, change = decimal_context(50), "1e-25"
+    exact = [context.mpf(v) for v in (*inertia, *M, t)]
+    truth = flat(moved(exact[:3], exact[3:6], exact[6], context))
+    spread = np.zeros(12)
+    for i in range(7):
+        other = [v * (1 + context.mpf(change)) if j == i else v for j, v in enumerate(exact)]
+        changed = flat(moved(other[:3], other[3:6], other[6], context))
+        spread += [float(abs(a - b) / context.mpf(change)) for a, b in zip(changed, truth, strict=True)]
+    return truth, spread + np.array([math.hypot(*M)] * 3 + [1.0] * 9)
+
+
+def assert_determined(x, inertia, M, t):
+    truth, reach = truth_and_reach(inertia, M, t)
+    error = np.array([float(abs(a - b)) for a, b in zip(flat(x), truth, strict=True)])
+    assert np.all(error < 16 * EPSILON * reach), (inertia, M, t)
+    np.testing.assert_allclose(rotate(x.R, x.M), M, rtol=0, atol=3e-15 * math.hypot(*M))
+
+
+def compiled_motion(inertia, M, t):
+    """The same by the numba engine, whose loops have a fixed length."""
+    scene = BODY.with_(inertia=tuple(inertia), M=tuple(M), gamma=0.0, t_end=t)
+    run = cb.prepare(scene, "contact-exact", save_at=[t], carry=("R",), engine="numba")
+    return scene.unpack(run.bare(run.start).tolist(), ("R",))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_double_precision_is_right_to_what_the_data_determine(kind):
     """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
     phase); J = R M and the lengths of M and R to round-off."""
-    context, change = decimal_context(50), "1e-25"
     for inertia, M, t in motions(kind, 12):
         L, x = math.hypot(*M), moved(inertia, M, t, math)
-        exact = [context.mpf(v) for v in (*inertia, *M, t)]
-        truth = flat(moved(exact[:3], exact[3:6], exact[6], context))
-        spread = np.zeros(12)
-        for i in range(7):
-            other = [v * (1 + context.mpf(change)) if j == i else v for j, v in enumerate(exact)]
-            changed = flat(moved(other[:3], other[3:6], other[6], context))
-            spread += [float(abs(a - b) / context.mpf(change)) for a, b in zip(changed, truth, strict=True)]
-        size = np.array([L] * 3 + [1.0] * 9)
-        error = np.array([float(abs(a - b)) for a, b in zip(flat(x), truth, strict=True)])
-        assert np.all(error < 16 * EPSILON * (size + spread)), (inertia, M, t)
-        np.testing.assert_allclose(rotate(x.R, x.M), M, rtol=0, atol=3e-15 * L)
+        assert_determined(x, inertia, M, t)
         assert abs(math.hypot(*x.M) / L - 1) < 1e-15
         assert abs(math.hypot(*x.R) - 1) < 1e-15
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
+    """As above, axes in order (one program) and times ahead."""
+    for inertia, M, t in motions(kind, 6):
+        order = sorted(range(3), key=lambda i: inertia[i])
+        inertia, M, t = [inertia[i] for i in order], [M[i] for i in order], abs(t)
+        assert_determined(compiled_motion(inertia, M, t), inertia, M, t)
 
 
 def test_a_body_exactly_on_its_middle_axis_stays_there():
