@@ -55,8 +55,6 @@ class Counts(NamedTuple):
 
 #: the control of a method that has neither step nor tolerance
 EXACT = "exact"
-#: what a method's steps are, by its control: what is set
-STEPS = {"step": "fixed step", "rtol": "adaptive", EXACT: "exact"}
 
 
 def printed_setting(control: str, value: float) -> str:

@@ -41,7 +41,8 @@ from contactbench.claims.rigid_body import body_flow_defect
 from contactbench.measure.laws import LAWS
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
-from contactbench.methods.fixed_step import FixedStep, trajectory
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.step_map import trajectory
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES
 from contactbench.splitting.flows import MECHANICAL, Flow

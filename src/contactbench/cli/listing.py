@@ -12,10 +12,10 @@ from contactbench.cli.parsing import Command
 def listing(arguments: argparse.Namespace) -> int:
     """Print scenes, methods, laws and claims, or one kind without heading and indentation."""
     import contactbench as cb
-    from contactbench.solution import STEPS
+    from contactbench.measure.ladder import stepping
 
     def method(item: Any) -> str:
-        kind = STEPS[item.control]
+        kind = {"fixed": "fixed step"}.get(stepping(item), stepping(item))
         order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
         return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {item.about}"
 

@@ -8,17 +8,19 @@ evaluation counts as the rotations it costs (see `FREE_COST`).
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, Method, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
+from contactbench.numbers.control import Repeat
 from contactbench.scene import RigidBody, Scene
-from contactbench.solution import EXACT, Counts, Status
-from contactbench.splitting.composition import Repeat
+from contactbench.solution import Counts, Status
 from contactbench.splitting.flows import FREE_COST, flows_of
 
 
@@ -35,9 +37,9 @@ class ExactRun(Prepared):
         """−γt, as every flow of the scene."""
         return -self.request.scene.conformal_rate * self.request.save_at
 
+    @abstractmethod
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Packed states at times > 0, as far as there are numbers for them; shape (k, d)."""
-        raise NotImplementedError
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         times = self.request.save_at
@@ -154,33 +156,38 @@ class ExactJax(ExactRun, CompiledRun):
 
 
 @dataclass(frozen=True)
-class ExactMethod:
+class ExactMethod(Method):
     """A closed form for any time: neither step nor tolerance."""
 
     name: str = "contact-exact"
-    order: int | None = None
     about: str = (
         "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
     )
+    order: int | None = None
     engines: tuple[str, ...] = ("numba", "jax", "python")
     family: str = "contact"
-    stiff: bool = False
     contact: bool = True
-    control = EXACT
-    adaptive = False
+    adaptive: bool = False
+    exact: bool = True
+    tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
         if isinstance(scene, RigidBody) and scene.isotropic:
             return None
         return f"{self.name} solves rigid bodies with isotropic damping; scene {scene.name!r} is none"
 
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        """Saved times are as many as steps."""
+        return FREE_COST if engine in CALLBACKS else None
+
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat) -> Any:
         """The state after the time nh, for engines that write loops of steps."""
         return evolved(scene, x, n * h, xp)
 
     def prepare(self, request: Request) -> Prepared:
-        run = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}[request.engine]
-        return run(self.name, request)
+        runs: dict[str, type[Any]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}
+        run: Prepared = runs[request.engine](self.name, request)
+        return run
 
 
 METHODS.add(ExactMethod())

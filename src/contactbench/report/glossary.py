@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from contactbench.report.model import Head, Part, Section, View, word
+from contactbench.measure.ladder import stepping
+from contactbench.report.cells import Head, View, word
 from contactbench.report.numbers import upper
+from contactbench.report.rooms import Part, Section
 from contactbench.results.schema import TABLES
-from contactbench.solution import STEPS
 
 #: one who asks for the glossary hands over the registries: the report itself knows no solvers
 Registries = Mapping[str, Mapping[str, Any]]
@@ -17,8 +18,8 @@ Registries = Mapping[str, Mapping[str, Any]]
 def methods_view(methods: Mapping[str, Any]) -> View:
     rows = tuple(
         (
-            word(name), word(getattr(item, "family", "")), word(item.order or ("variable" if item.adaptive else "—")),
-            word(STEPS[item.control]), word(", ".join(item.engines)), word(item.about),
+            word(name), word(item.family), word(item.order or "variable"),
+            word(stepping(item)), word(", ".join(item.engines)), word(item.about),
         )
         for name, item in methods.items()
     )  # fmt: skip
