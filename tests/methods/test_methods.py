@@ -35,6 +35,8 @@ on_particle = pytest.mark.parametrize("method", ON_PARTICLE, ids=lambda m: m.nam
 
 
 def setting(method, fine=False):
+    if method.exact:
+        return {}
     if method.adaptive:
         return {"rtol": 1e-11 if fine else 1e-7}
     return {"step": 0.002 if fine else 0.05}
