@@ -104,7 +104,7 @@ def test_work_precision(cell, profile, record, clock):
         record(WORK_PRECISION, **row, **clock.columns(None, cell[0]))
         return
     start = run.start
-    columns = clock.columns(lambda: run.bare(start), cell[0])
+    columns = clock.columns(lambda: run.bare(start), cell[0], row["first_call_s"])
     if columns and columns["time_median_s"] < SHORT:  # at every visit, so that the last one's stays
         columns["call_s"] = added(run, start)
     record(WORK_PRECISION, **row, **columns)

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.llvm import compiled
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.recording import (
@@ -322,13 +322,13 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         super().__post_init__()
         r = self.request
         options = [self.epsilon, self.span, r.max_steps]
-        self.fixed = jax.device_put(self.together(r.scene.numbers(), options, r.save_at))
+        self.fixed = jax.device_put(self.together(r.scene.numbers(), options, self.times()))
         self.program, self.compile_s = self.compiled(
             "run", self.flat(self._solve), self._own_start, self.fixed
         )
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method, len(self.request.save_at))
+        return (self.method, capacity(len(self.request.save_at)))
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Method, Outcome, Prepared, Request
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.numbers.control import Repeat
@@ -133,11 +133,11 @@ class ExactJax(ExactRun, CompiledRun):
         from contactbench.xla import jax
 
         super().__post_init__()
-        self.fixed = jax.device_put(self.together(self.request.scene.numbers(), self.request.save_at))
+        self.fixed = jax.device_put(self.together(self.request.scene.numbers(), self.times()))
         self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method, len(self.request.save_at))
+        return (self.method, capacity(len(self.request.save_at)))
 
     def states(self, y0: Any, fixed: Any) -> Any:
         from contactbench.xla import jax, jnp
@@ -152,7 +152,8 @@ class ExactJax(ExactRun, CompiledRun):
         return np.asarray(self.program(self.placed(y0), self.fixed))[-1]
 
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
-        return np.asarray(self.program(self.placed(y0), self.fixed))[-len(times) :]
+        states = np.asarray(self.program(self.placed(y0), self.fixed))
+        return states[: len(self.request.save_at)][-len(times) :]
 
 
 @dataclass(frozen=True)

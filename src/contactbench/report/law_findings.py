@@ -9,7 +9,7 @@ import pandas as pd
 
 from contactbench.measure.round_off import DECIDABLE
 from contactbench.report.contest import CONTACT, ESTABLISHED, families
-from contactbench.report.kept import called, keepers, measured, structural
+from contactbench.report.kept import OF_THE_STATE, called, decided, keepers, measured, structural
 from contactbench.report.numbers import many, names, rounded, scientific, upper
 from contactbench.report.rooms import Finding, Frames
 from contactbench.results.round_off import STRUCTURE
@@ -47,14 +47,12 @@ def of_contact_methods(frames: Frames, rows: pd.DataFrame) -> str:
     told, kept = int((~rows["undecided"]).sum()), int(rows["kept"].sum())
     open_ = len(rows) - told
     if rows["broken"].any():
-        rest = f", {many(open_, 'run')} decide nothing" if open_ else ""
-        return f"The contact methods keep it to round-off in {kept} of {told} runs{rest}; the exceptions are below."
+        rest = f"; {open_} more are undecided" if open_ else ""
+        return f"The contact methods keep it to round-off in {kept} of {told} runs{rest}. The exceptions are below."
     known = {m for m, family in families(frames).items() if family == CONTACT}
     who = "Every contact method" + (" it was measured for" if set(rows["method"]) < known else "")
     if open_:
-        return (
-            f"{who} keeps it to round-off in all {many(told, 'run')} that decide; {open_} do not, see below."
-        )
+        return f"{who} keeps it to round-off in all {many(told, 'run')} that can tell; {open_} more are undecided."
     return f"{who} keeps it to round-off at every setting on every scene."
 
 
@@ -138,7 +136,7 @@ def covers(rows: pd.DataFrame, frames: Frames, law: str) -> str:
     )
     if without := [m for m in tried if m not in set(rows["method"])]:
         said += f"; not measured: {names(without)}"
-    apart = rows["derivative"].str.startswith(BY_DIFFERENCES).fillna(False)
+    apart = rows["derivative"].str.startswith(BY_DIFFERENCES).fillna(False) & (law not in OF_THE_STATE)
     bars = rows["uncertainty"][apart & (rows["uncertainty"] > 0)]
     if apart.any():
         said += f"; {many(int(apart.sum()), 'run')} by differences of the solver"
@@ -174,16 +172,16 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
             continue
         nobody = set(methods) >= set(here["method"])
         who = "no contact method keeps it at every setting" if nobody else names(methods, 3)
-        instead = kept_instead(frames, law, str(scene), set(methods)) if nobody else []
+        instead = kept_instead(frames, law, str(scene), methods) if nobody else []
         cause = f", {rounded(worst['value'] / worst['bound'])} times the bound of round-off"
         if worst["solution_error"] > WILD:
             cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
         if worst["growth"] > GREW:
             cause += f", whose map grows by {rounded(worst['growth'])}"
         if instead:
-            cause += f" (what is kept there: {names(instead)})"
+            cause += f"; kept there: {names(instead)}"
         yield (
-            f"on `{scene}` {who}: up to {scientific(worst['value'])} in {many(len(rows), 'run')} "
+            f"on `{scene}` {who}: {many(len(rows), 'run')}, the largest deviation {scientific(worst['value'])} "
             f"({worst['method']}, {worst['setting']}){cause}"
         )
     slight = rest[near & ~rest["scene"].isin(set(rest[~near]["scene"]))]
@@ -206,15 +204,20 @@ def scenes_of(rows: pd.DataFrame) -> list[str]:
     return [f"`{scene}`" for scene in dict.fromkeys(rows["scene"])]
 
 
-def kept_instead(frames: Frames, law: str, scene: str, methods: set[str]) -> list[str]:
+def kept_instead(frames: Frames, law: str, scene: str, methods: list[str]) -> list[str]:
     """Labels of the other structural laws which all these methods keep on a scene, the steps held fixed or not."""
     found = []
     for name in structural():
         rows = measured(frames, name)
         rows = rows[(rows["scene"] == scene) & rows["method"].isin(methods)]
-        fixed = rows["kept"] | (rows["frozen"] <= rows["bound"])
-        if name != law and len(rows) and fixed.all():
-            found.append(called(name))
+        fixed = rows["kept"] | decided(rows["frozen"], rows["bound"])[0]
+        if name == law or not len(rows) or not fixed.all():
+            continue
+        moving = list(dict.fromkeys(rows[~rows["kept"]]["method"]))
+        blind = [method for method in dict.fromkeys(methods) if method not in set(rows["method"])]
+        but = [f"{names(moving)} with the steps held fixed"] if moving else []
+        but += [f"not measured for {names(blind)}"] if blind else []
+        found.append(called(name) + (f" ({'; '.join(but)})" if but else ""))
     return found
 
 

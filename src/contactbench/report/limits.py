@@ -31,7 +31,7 @@ def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View 
                 continue
             row = line.loc[gamma]
             theory = row["theory"] if column == "limit" else math.nan
-            known = "" if pd.isna(theory) else f" ({theory:.4g})"
+            known = "" if pd.isna(theory) else f" ({'∞' if math.isinf(theory) else f'{theory:.4g}'})"
             gaps = Mark.exception if column == "limit" and row["windows"] else None
             value = number(row[column], "{:.4g}".format, gaps)
             cells.append(replace(value, text=value.text + known))

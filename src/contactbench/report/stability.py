@@ -10,7 +10,7 @@ import pandas as pd
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import EVALUATIONS, Field, standing
 from contactbench.report.figures import stability as figures
-from contactbench.report.kept import bounded, called, drift_cell, laws, numbers
+from contactbench.report.kept import MEANINGS, bounded, called, drift_cell, laws, numbers
 from contactbench.report.numbers import count, many, names, scientific
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
@@ -77,7 +77,7 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
         Head("evaluations", "of the finest run that ended ok"), Head("why not ok", words=True),
     )  # fmt: skip
     meaning = " ".join(filter(None, [condition_note(part), left_out(here[here["status"] == "unsupported"])]))
-    return View(f"hard_{scene}", scene, meaning, heads, tuple(rows), "stability.csv")
+    return View(f"hard_{scene}", f"Errors and laws on {scene}", meaning, heads, tuple(rows), "stability.csv")
 
 
 def worst_cell(rows: pd.DataFrame, law: str) -> Cell:
@@ -161,7 +161,9 @@ def findings(frames: Frames) -> list[Finding]:
             + (f"All runs of {names(clean)} do." if clean else "No method has all of its runs among them.")
         )
         if len(most):
-            sentence += f" Most of the others: {names([f'{m} {n}' for m, n in most[:3].items()])}"
+            third = most.iloc[min(2, len(most) - 1)]
+            often = [f"{method} {n}" for method, n in most[most >= third].items()]
+            sentence += f" Most of the others: {names(often)}"
             kinds = bad["status"].value_counts()
             sentence += (
                 f"; by kind {names([f'{kind} {n}' for kind, n in kinds.items()])} (budget: our own limit)."
@@ -194,7 +196,8 @@ def sections(frames: Frames) -> list[Part]:
         Text(
             "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
             "in steps and evaluations; how each ended is part of the result. Which method is cheapest where is in "
-            "[README.md](README.md)."
+            "[README.md](README.md). Of a law that is kept or not, bold: every run keeps it to round-off. "
+            f"{MEANINGS['dagger']}. {MEANINGS['undecided']}."
         ),
         *([drawn] if drawn else []),
         *([ends] if ends else []),

@@ -74,7 +74,9 @@ def kernels_view(work: pd.DataFrame) -> View | None:
     )  # fmt: skip
     meaning = (
         "Fastest round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
-        "included, beside the same arithmetic as a C loop compiled by the machine's own compiler."
+        "included, beside the same arithmetic as a C loop, compiled by the machine's own compiler and called from "
+        "Python. "
+        "On short runs that call is most of the loop's time: only the long ones compare the arithmetic."
     )
     return View("kernels", "Compiled kernels beside a C loop", meaning, heads, tuple(rows), SOURCE)
 
