@@ -36,7 +36,7 @@ VARIATIONAL = ("scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "heyok
 CYRK = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cyrk-lsoda", "cyrk-radau")
 DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10)
-FIXED = [name for name, method in cb.METHODS.items() if not method.adaptive]
+FIXED = [name for name, method in cb.METHODS.items() if method.control == "step"]
 #: contact drift over rtol, at most: what a tolerance per step grows to over the run (T = 20; the
 #: worst seen is 370, cvode-bdf at 1e-10), with a factor 10 in hand
 GROWTH = 5e3

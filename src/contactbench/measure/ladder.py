@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.scene import RigidBody, Scene
+from contactbench.solution import keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -53,8 +54,8 @@ def save_times(scene: Scene) -> np.ndarray:
 
 
 def setting(method: Any, value: float) -> dict[str, float]:
-    """The keyword of `prepare` that sets a method: its tolerance or its step."""
-    return {"rtol": value} if method.adaptive else {"step": value}
+    """The keyword of `prepare` that sets a method: its tolerance or its step; none of an exact one."""
+    return keywords(method.control, value)
 
 
 def stepping(method: Any) -> str:

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from contactbench.measure.pullback import Pullback, growth, pullback
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.solution import Differential, Solution
 from contactbench.truth import reference
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LAWS = Registry("law")
 
@@ -366,6 +369,28 @@ def energy_increases(solution: Solution) -> float:
     energy = np.concatenate([[solution.scene.energy(solution.start())], energy])
     grows = np.diff(energy) > 4 * np.finfo(float).eps * np.abs(energy[:-1])  # more than round-off
     return float(np.count_nonzero(grows))
+
+
+# -- all of them, of one run -----------------------------------------------------------------------
+def kept_by(solution: Solution) -> pd.DataFrame:
+    """How far a run is from every law that its scene has and whose fields it carries.
+
+    Indexed by the law's name; columns: deviation (the maximum over the saved times), upper_bound (it is no
+    more than that: a derivative by differences did not resolve it), note (why there is no number), definition.
+    """
+    import pandas as pd
+
+    rows = {}
+    for item in laws_of(solution.scene):
+        if set(item.needs_on(solution.scene)) <= set(solution.carry):
+            try:
+                found, note = item.measured(solution), "" if solution.ok else str(solution.status)
+            except BadInput as error:  # no reference to compare with, or H(0) = 0
+                found, note = Measured(math.nan), str(error)
+            rows[item.name] = (found.value, found.bound, note, item.definition)
+    return pd.DataFrame.from_dict(
+        rows, orient="index", columns=["deviation", "upper_bound", "note", "definition"]
+    ).rename_axis("law")
 
 
 # -- all of them, as a row -------------------------------------------------------------------------

@@ -47,8 +47,9 @@ def prepare(
         between saved times is divided into the fewest equal steps not longer than `step`.
     rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
         rtol instead of step chooses its step from pilots, which are part of every call and its counts.
+        An exact method takes neither.
     save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
-        most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
+        most 1001 of them, for fixed steps, and 201 equally spaced times for others.
     carry : which of s and R to integrate; by default all the scene has.
     engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
         or a force that branches on values cannot be compiled.
@@ -58,7 +59,11 @@ def prepare(
     scene, chosen = lookup(scene, method)
     if engine is not None and engine not in chosen.engines:
         raise BadInput(f"engine = {engine!r}: {method} runs on {', '.join(chosen.engines)}")
-    if chosen.adaptive:
+    if chosen.exact:
+        if not step is rtol is atol is None:
+            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
+            raise BadInput(f"{given}: {method} is exact and takes neither step nor tolerance")
+    elif chosen.adaptive:
         if step is not None:
             raise BadInput(f"step = {step!r}: {method} chooses its own steps; give rtol")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
@@ -101,7 +106,7 @@ def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[fl
 
 def _budget(method: Method, max_steps: int | None) -> int:
     if max_steps is None:
-        return ADAPTIVE_MAX_STEPS if method.adaptive else DEFAULT_MAX_STEPS
+        return DEFAULT_MAX_STEPS if method.control == "step" else ADAPTIVE_MAX_STEPS
     if isinstance(max_steps, bool) or int(max_steps) != max_steps or max_steps < 1:
         raise BadInput(f"max_steps = {max_steps!r}: must be a whole number ≥ 1")
     return int(max_steps)

@@ -27,8 +27,8 @@ COMMON = {
     "engine": Column(
         "what runs it: numba, jax, python, c+python (compiled solver, Python callbacks), llvm, c, c++, mpmath"
     ),
-    "control": Column("what is set: step or rtol", rule=Rule.same),
-    "value": number("its value, in full", Rule.same, exact=True),
+    "control": Column("what is set: step, rtol or, of an exact method, nothing", rule=Rule.same),
+    "value": number("its value, in full; 0 for nothing", Rule.same, exact=True),
     "variant": Column("which of several ways to run it; of a C loop, the kernel", rule=Rule.same),
     "setting": Column("variant, control and value, printed"),
     "status": Column("ok, diverged, budget, failed, timeout, unsupported", rule=Rule.same),

@@ -137,6 +137,10 @@ def parts(scene: Scene) -> tuple[str, ...]:
     return ("turn", "top") if scene.isotropic else ("turn", "damp", "top")
 
 
+#: the paper's A, the flow of the kinetic energy, and C on a body, which has no B
+ON_BODY = {"drift": "free", "damp": "damp"}
+
+
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
     """The stages of one step on a scene."""
     if {name for name, _ in composition.stages} <= flows_of(scene).keys():
@@ -147,13 +151,7 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
         for k, alpha in enumerate(composition.alphas()):
             stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
         return merged(stages)
-    stages = []
-    for name, coefficient in composition.stages:  # a body has no kick; its drift is a palindrome
-        if name == "drift":
-            stages += [("turn", coefficient / 2), ("top", coefficient), ("turn", coefficient / 2)]
-        elif name == "damp":
-            stages.append((name, coefficient))
-    return merged(stages)
+    return merged((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
 
 
 @dataclass(frozen=True)

@@ -323,7 +323,8 @@ ISOTROPIC = BODY | {
 def flows_of(scene: Scene) -> dict[str, Flow]:
     """The subflows a scene has, by name; a body has no potential, hence no kick.
 
-    Compositions on bodies are made of `turn`, `top` and `damp`; the free body in closed form costs many rotations.
+    The paper's A on a body is `free`; compositions of higher order are made of `turn`, `top` and `damp`
+    instead, because the free body in closed form costs many rotations.
     """
     if isinstance(scene, Mechanical):
         return MECHANICAL
