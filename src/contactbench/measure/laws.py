@@ -308,6 +308,7 @@ def kept_by(solution: Solution) -> pd.DataFrame:
 DRIFT_COLUMNS = {
     "contact_drift_uncertainty": "error bar of contact_drift where the derivative is by differences; a "
     "drift below its error bar is given as their sum, an upper bound",
+    "distribution_drift_uncertainty": "the same for distribution_drift",
     "contact_drift_clamped": "saved times at which contact_drift is relative to a thousandth of the terms "
     "that cancel instead of to e^{−∫Γ'}‖η‖",
     "hamiltonian_law_clamped": "the same for hamiltonian_law",
@@ -331,13 +332,12 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
     for name, measured in found.items():
         if measured.clamped is not None and f"{name}_clamped" in DRIFT_COLUMNS:
             columns[f"{name}_clamped"] = measured.clamped
+        if measured.uncertainty is not None and f"{name}_uncertainty" in DRIFT_COLUMNS:
+            columns[f"{name}_uncertainty"] = measured.uncertainty
     if not scene.is_contact:
         return columns
     if without:
         return columns | {"derivative": f"not taken: {without}"}
-    drift = found["contact_drift"]
-    if drift.uncertainty is not None:
-        columns["contact_drift_uncertainty"] = drift.uncertainty
     if solution.differential.taken:
         columns["map_growth"] = growth(solution.differential)
     bounds = [name for name, measured in found.items() if measured.bound]
