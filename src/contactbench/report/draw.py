@@ -7,8 +7,11 @@ where they stand.
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +37,8 @@ SHADED = "#f0f4ff"
 #: inches around a panel: left, right, below, above; heads of figures, rows of the legend
 AROUND = (0.78, 0.16, 0.58, 0.3)
 REMARK, TITLE, LEGEND_ROW, HANDLE, LETTER, BAR = 0.17, 0.34, 0.24, 0.7, 0.075, 0.8
+#: figures that are worth starting processes for
+FEWEST_FOR_PROCESSES = 8
 OTHERS = "other methods"
 #: behind a name
 BEHIND = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
@@ -305,20 +310,40 @@ def digest_of(path: Path) -> str:
     return found[1] if found else ""
 
 
+def files(figure: Figure, folder: Path) -> list[Path]:
+    return [folder / f"{figure.name}.{kind}" for kind in ("svg", "png")]
+
+
+def current(figure: Figure, folder: Path) -> bool:
+    """Whether the files are there and show the figure as it is."""
+    paths = files(figure, folder)
+    return paths[1].exists() and digest_of(paths[0]) == digest(figure)
+
+
 def save(figure: Figure, folder: Path) -> list[Path]:
-    """Write FOLDER/NAME.svg and .png, unless they are there and show the same.
+    """Write FOLDER/NAME.svg and .png.
 
     Without timestamps, so that equal tables give equal files; the .svg carries the digest of what it shows.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{figure.name}.{kind}" for kind in ("svg", "png")]
-    said = digest(figure)
-    if paths[1].exists() and digest_of(paths[0]) == said:
-        return paths
     made = drawn(figure)
+    vector, picture = files(figure, folder)
     with plt.rc_context(RC):
         seen = Bbox.from_extents(0, float(made.get_gid() or 0), *made.get_size_inches())
-        made.savefig(paths[1], metadata={"Software": None}, bbox_inches=seen)
-        made.savefig(paths[0], metadata={"Date": None, "Identifier": said}, bbox_inches=seen)
+        made.savefig(picture, metadata={"Software": None}, bbox_inches=seen)
+        made.savefig(vector, metadata={"Date": None, "Identifier": digest(figure)}, bbox_inches=seen)
     plt.close(made)
-    return paths
+    return [vector, picture]
+
+
+def save_all(figures: Sequence[Figure], folder: Path) -> list[Path]:
+    """The same for many, on all cores this process may use; those whose files show them already are left."""
+    old = [figure for figure in figures if not current(figure, folder)]
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores == 1 or len(old) < FEWEST_FOR_PROCESSES:
+        for figure in old:
+            save(figure, folder)
+    else:
+        with ProcessPoolExecutor(min(cores, len(old)), multiprocessing.get_context("spawn")) as pool:
+            list(pool.map(save, old, [folder] * len(old)))
+    return [path for figure in figures for path in files(figure, folder)]
