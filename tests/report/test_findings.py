@@ -620,10 +620,9 @@ def test_how_much_of_an_ensemble_is_the_fixed_cost_of_a_call_is_said(fixed, shar
 
 # -- tables ----------------------------------------------------------------------------------------
 def test_a_closed_form_is_exact_and_not_adaptive():
-    common = {"control": "rtol", "cost": 30.0}
     rows = [
-        kept_row("central", "contact-exact", 1e-9, **common) | {"stepping": "exact"},
-        kept_row("central", "contact-c", 1e-9, **common) | {"stepping": "adaptive"},
+        kept_row("central", "contact-exact", 0, control="exact", cost=30.0),
+        kept_row("central", "contact-c", 1e-9, control="rtol", cost=30.0),
     ]
     view = equal_cost.overview(frames(decay_laws=rows))
     assert [line[1].text for line in view.rows] == ["exact", "adaptive"]
