@@ -67,10 +67,11 @@ class CompiledRun(Prepared):
 
         return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
 
-    def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], np.ndarray]:
+    def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
         """The three again: saved states (k, d), facts, last state (d,)."""
-        states = len(self.request.save_at) * d
-        return vector[:states].reshape(-1, d), vector[states:-d].tolist(), vector[-d:]
+        states = self._saves * d
+        told = vector[states:].tolist()
+        return vector[:states].reshape(-1, d), told[:-d], told[-d:]
 
     def placed(self, y0: np.ndarray) -> Any:
         """The initial state as the program takes it: the scene's own is moved once, not at every call."""

@@ -340,6 +340,14 @@ class JaxLoop(JaxSteps):
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return np.asarray(self.program(self.placed(y0), self.fixed))[len(self.n) - 1]
 
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        if self._saves == self.capacity == 1 and self.needed <= self.request.max_steps:
+            y = np.asarray(self.program(self.placed(y0), self.fixed))
+            out = self.at_end(y0, y[0].tolist(), y, self.totals)
+            if out.checked:  # else the step at which it diverged is to be found
+                return out
+        return super().integrate(y0)
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         fixed = self.fixed if n is self.n else self.spans(h, n)
         return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]

@@ -164,6 +164,11 @@ class CompiledCvodeRun(Prepared):
         if len(later) == 1:
             told = self._bare(y0)
             rows = told[None, KNOWN:]
+            flag, _, _, steps, evaluations, jacobians, rejected, *end = told.tolist()
+            if flag >= 0 and self._saves == 1:
+                return self.at_end(
+                    y0, end, rows, Counts(int(steps), int(evaluations), int(jacobians), int(rejected))
+                )
         else:
             rows = np.empty((len(later), self.size))
             told = self.at_times(s.memory, s.vector, s.y, y0, self.data, later, r.max_steps, rows)
