@@ -24,8 +24,8 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.gate import speed
+from contactbench.report.cells import DASH
 from contactbench.report.markdown import grid
-from contactbench.report.model import DASH
 from contactbench.results import provenance
 from contactbench.results.round_off import floor
 from contactbench.results.schema import PROFILES, TABLES, Rule, Table

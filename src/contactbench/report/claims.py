@@ -5,24 +5,9 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.report import paper_figures
-from contactbench.report.model import (
-    DASH,
-    ROOMS,
-    Cell,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    number,
-    slug,
-    word,
-)  # fmt: skip
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
+from contactbench.report.drawing import Figure
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, slug
 from contactbench.results.schema import SEPARATOR
 
 VERDICTS = {

@@ -8,27 +8,13 @@ from dataclasses import replace
 
 import pandas as pd
 
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import CONTACT
 from contactbench.report.curves import by_method, number_axis
-from contactbench.report.model import (
-    DASH,
-    ROOMS,
-    Cell,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Panel,
-    Part,
-    Room,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
+from contactbench.report.drawing import Figure, Panel
 from contactbench.report.numbers import names, upper
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room
 from contactbench.results.tables import CONVERGENCE
 
 #: a measured order further than this from the claimed one is an exception

@@ -4,30 +4,14 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.contest import COMPILED, DASHES, LIMIT, TARGETS, Cost, costs, error_heads, said
+from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
+from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs
+from contactbench.report.contest_views import DASHES, error_heads, said
 from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.model import (
-    ROOMS,
-    Axis,
-    Cell,
-    Curve,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Panel,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import count, duration, names, power, times
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import ENSEMBLE_TABLE
 

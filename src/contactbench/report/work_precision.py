@@ -6,36 +6,14 @@ from collections.abc import Iterable
 
 import pandas as pd
 
-from contactbench.report.contest import (
-    KINDS,
-    LIMIT,
-    Field,
-    contestants,
-    costs_view,
-    duel_view,
-    standing,
-)  # fmt: skip
+from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
+from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
+from contactbench.report.contest_views import costs_view, duel_view
 from contactbench.report.curves import by_method, number_axis
-from contactbench.report.model import (
-    ROOMS,
-    Cell,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Panel,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
+from contactbench.report.drawing import Figure, Panel
 from contactbench.report.numbers import count, duration, scientific, times
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import WORK_PRECISION
 
