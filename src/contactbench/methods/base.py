@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import hypot
 from time import perf_counter
 from typing import Any, Protocol, runtime_checkable
 
@@ -154,9 +155,8 @@ class Prepared:
         if not out.checked:
             out = audited(out, self._end)
         return Solution(
-            *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0,
-            lambda frozen: self.differential(y0, out, frozen), lambda: self.log_factor(y0, out.y), *self._set,
-        )  # fmt: skip
+            *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0, self, *self._set
+        )
 
     @cached_property
     def _asked(self) -> tuple[Scene, str, str, str, tuple[str, ...], np.ndarray]:
@@ -188,7 +188,7 @@ class Prepared:
         What `finished` says, sooner: the call of a short run is not to cost more than the run.
         """
         bound = self._own_bound if y0 is self._own_start else divergence_bound(y0[: self._motion])
-        if math.hypot(*end) <= bound:  # nan fails every comparison
+        if hypot(*end) <= bound:  # nan fails every comparison
             return Outcome(y, counts, Status.ok, "", self._end, True)
         return self.finished(y0, y, counts)
 

@@ -53,6 +53,7 @@ class CyrkRun(Prepared):
         self.to_end, self.at_times = cyrk_driver.to_end, cyrk_driver.at_times
         self.end, self.size = float(r.save_at[-1]), len(self._own_start)
         self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
+        self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
         r = self.request
@@ -63,15 +64,14 @@ class CyrkRun(Prepared):
         return self._bare(y0)[KNOWN:]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        r, later = self.request, self.later
-        final_only = len(later) == 1
-        if final_only:
+        if self.final_only:
             told = self._bare(y0)
             status, reached, saved, steps, evaluations, *end = told.tolist()
             rows = told[None, KNOWN:]
             if status == SUCCESS and self._saves == 1:
                 return self.at_end(y0, end, rows, self.counted(int(steps), int(evaluations)))
-        else:
+        r, later = self.request, self.later
+        if not self.final_only:
             rows = np.empty((len(later), self.size))
             told = self.at_times(
                 self.rhs, self.number, y0, self.data, later, r.rtol, r.atol, r.max_steps, rows
@@ -85,7 +85,7 @@ class CyrkRun(Prepared):
         if len(later) < len(r.save_at):
             rows = np.concatenate([y0[None], rows])
         counts = self.counted(int(steps), int(evaluations))
-        if not final_only:
+        if not self.final_only:
             counts = counts._replace(rejected=None)
         if status == SUCCESS:
             return self.finished(y0, rows, counts)
