@@ -7,7 +7,6 @@ from typing import Any
 
 from contactbench.measure.ladder import RTOLS as RTOLS
 from contactbench.measure.ladder import SAVES as SAVES
-from contactbench.measure.ladder import family as family
 from contactbench.measure.ladder import save_times as save_times
 from contactbench.measure.ladder import setting as setting
 from contactbench.measure.ladder import steps as steps
@@ -15,7 +14,7 @@ from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
 from contactbench.scene import Scene
 from contactbench.scenes import standard_scenes
-from contactbench.solution import Counts, Solution
+from contactbench.solution import Counts, Solution, printed_setting
 
 #: scenes of the experiments other than work–precision in the smoke profile
 SMOKE = ("particle",)
@@ -60,12 +59,6 @@ def engines(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-#: right-hand sides an adaptive method spends per step, where its step budget limits the run
-PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf": 2, "contact-adaptive": 12}
-#: an implicit step compiled by XLA takes about as long as two right-hand sides in Python
-IMPLICIT = {"diffrax-kvaerno5": 2}
-
-
 #: the profile's budget is meant for scenes up to this long; longer ones get more, but not without end
 LONG, LONGEST = 800.0, 2000.0
 
@@ -74,17 +67,14 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
     """Steps that keep one run below a second: a cell that would take longer ends as `budget`."""
     if method.refuses(scene):
         return None
-    if "python" in engine:
-        per_step = PER_STEP.get(method.name, 1) if method.adaptive else method.per_step(scene)
-    else:
-        per_step = IMPLICIT.get(method.name)
     evaluations = round(profile.callback_evaluations * max(1.0, min(scene.t_end, LONGEST) / LONG))
-    return evaluations // per_step if per_step else None
+    each = method.step_cost(scene, engine)
+    return None if each is None else evaluations // each
 
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
     """The columns that say what was set: control, value, variant, and all of them printed."""
-    printed = f"{control}={value:.6g}"
+    printed = printed_setting(control, value)
     return {
         "control": control, "value": value, "variant": variant, "setting": f"{variant} {printed}".strip(),
     }  # fmt: skip
@@ -96,7 +86,7 @@ def outcome(solution: Solution, counts: Counts | None = None, variant: str = "")
     return {
         "scene": solution.scene.name,
         "method": solution.method,
-        "family": family(METHODS[solution.method]),
+        "family": METHODS[solution.method].family,
         "engine": solution.engine,
         **controlled(solution.control, solution.value, variant),
         "status": str(solution.status),

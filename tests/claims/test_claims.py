@@ -12,13 +12,15 @@ import pytest
 
 from contactbench.claims import CLAIMS, Correction, Evidence, Verdict, body_stability, linearisation, verdict
 from contactbench.claims.curves import FIGURES, rows
-from contactbench.claims.integrator import threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
+from contactbench.claims.rigid_body import body_flow_defect
+from contactbench.claims.step_stability import threshold, unconditional_from
 from contactbench.cli import main
 from contactbench.methods import METHODS, c_functions, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method
 from contactbench.report import claims as room
-from contactbench.report import markdown, paper_figures
+from contactbench.report import markdown
+from contactbench.report.figures import paper
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
@@ -247,6 +249,19 @@ def test_wrong_action_in_drift_damp(ledger, monkeypatch, fresh):
     assert changes(ledger, "C26") == ("holds, corrected", "refuted")
 
 
+def test_wrong_action_in_the_free_body(monkeypatch):
+    """The paper's A on a body: what is measured beyond its claim fails."""
+    flow = flows.ISOTROPIC["free"]
+    assert body_flow_defect("free") < 1e-12
+
+    def wrong(scene, x, t, xp):
+        return flow.apply(scene, x, t, xp)._replace(s=x.s)
+
+    monkeypatch.setitem(flows.ISOTROPIC, "free", flow._replace(apply=wrong))
+    assert body_flow_defect("free") > 1e-3
+    assert "fails" in CLAIMS["C24"].row()["corrected_evidence"]
+
+
 def test_wrong_rate_in_damp(ledger, monkeypatch, fresh):
     """p is damped twice: J decays at the wrong rate."""
     twice = lambda new, old: new._replace(p=tuple(b * b / a for a, b in zip(old.p, new.p, strict=True)))  # noqa: E731
@@ -335,18 +350,14 @@ def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
 def test_figures(name, tmp_path):
     frame = merge(PAPER_FIGURES, rows(name), tmp_path)
     assert frame[["x", "y"]].map(math.isfinite).all(axis=None)
-    (figure,) = paper_figures.all_figures(frame)
+    (figure,) = paper.all_figures(frame)
     assert figure.name == name
     assert figure.panels
     assert all(panel.curves or panel.heat for panel in figure.panels)
 
 
 def test_every_figure_belongs_to_a_claim():
-    assert (
-        set(FIGURES)
-        == {name for item in CLAIMS.values() for name in item.figures}
-        == set(paper_figures.PLANS)
-    )
+    assert set(FIGURES) == {name for item in CLAIMS.values() for name in item.figures} == set(paper.PLANS)
 
 
 def test_command_line(capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
@@ -10,8 +11,17 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Prepared, stopwatch
+from contactbench.numbers.recording import CannotRecord
 
 _programs: dict[Any, tuple[Any, float]] = {}
+
+#: numbers of saved times a program is compiled for; the next larger one serves all in between
+CAPACITIES = (1, 64, 1024)
+
+
+def capacity(saves: int) -> int:
+    """The number of saved times of the program for so many."""
+    return next((size for size in CAPACITIES if size >= saves), saves)
 
 
 class XlaNumbers:
@@ -37,19 +47,19 @@ class CompiledRun(Prepared):
     """A run whose saved states are a JAX function of the packed initial state and other arguments.
 
     Everything numerical (initial data, parameters, steps, tolerances, saved times) is an argument:
-    a program is compiled once per scene structure and number of saved times, then shared.
+    a program is compiled once per scene structure and `capacity` for saved times, then shared.
     """
 
     #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
     fixed: Any
 
+    @abstractmethod
     def key(self) -> tuple[Any, ...]:
         """What the program depends on besides the scene's structure and the fields carried."""
-        raise NotImplementedError
 
+    @abstractmethod
     def states(self, y0: Any, fixed: Any) -> Any:
         """Saved states (k, d), traceable."""
-        raise NotImplementedError
 
     def together(self, *vectors: Any) -> np.ndarray:
         """Several arguments as one: what a short call costs is the number of its arguments."""
@@ -69,9 +79,14 @@ class CompiledRun(Prepared):
 
     def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
         """The three again: saved states (k, d), facts, last state (d,)."""
-        states = self._saves * d
-        told = vector[states:].tolist()
-        return vector[:states].reshape(-1, d), told[:-d], told[-d:]
+        saves = self._saves
+        told = vector[capacity(saves) * d :].tolist()
+        return vector[: saves * d].reshape(-1, d), told[:-d], told[-d:]
+
+    def times(self) -> np.ndarray:
+        """The saved times as a program takes them: the end again and again beyond those asked for."""
+        times = self.request.save_at
+        return np.pad(times, (0, capacity(len(times)) - len(times)), mode="edge")
 
     def placed(self, y0: np.ndarray) -> Any:
         """The initial state as the program takes it: the scene's own is moved once, not at every call."""
@@ -88,14 +103,20 @@ class CompiledRun(Prepared):
         return self.states(y0, fixed)
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-        """The program for a purpose, and the seconds it took to trace and compile."""
+        """The program for a purpose, and the seconds it took to trace and compile.
+
+        Raises `CannotRecord` where what is traced branches on values.
+        """
         from contactbench.xla import jax
 
         r = self.request
         key = (purpose, r.scene.structure, r.carry, *self.key())
         if key not in _programs:
             elapsed = stopwatch()
-            _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
+            try:
+                _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
+            except jax.errors.JAXTypeError as error:
+                raise CannotRecord(str(error).partition("\n")[0]) from error
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
@@ -113,4 +134,5 @@ class CompiledRun(Prepared):
         start = r.scene.unpack(tuple(y0.tolist()), r.carry)
         tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
         program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
-        return np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)
+        pushed = np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)
+        return pushed[: len(r.save_at)]

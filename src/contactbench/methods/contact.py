@@ -8,15 +8,14 @@ from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.scene import Mechanical, Scene
+from contactbench.numbers.control import Repeat, repeat
+from contactbench.scene import Scene
 from contactbench.splitting.composition import (
     Composition,
-    Repeat,
     advance,
     log_factor,
     plan,
     refusal,
-    repeat,
 )
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import COMPOSITIONS
@@ -43,7 +42,7 @@ class ContactMethod(FixedStep):
         return plan(self.composition, scene).count(flows_of(scene), self.kind_on(scene), n)
 
     def kind_on(self, scene: Scene) -> str:
-        return "gradient" if isinstance(scene, Mechanical) else "rotation"
+        return "gradient" if "kick" in flows_of(scene) else "rotation"
 
 
 def contact_method(composition: Composition) -> ContactMethod:

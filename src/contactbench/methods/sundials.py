@@ -17,7 +17,8 @@ import numpy as np
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
 from contactbench.methods.c_functions import c_functions, derivative
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
-from contactbench.methods.cvode_library import ADAMS, BDF, Library, Solver, library
+from contactbench.methods.cvode_library import ADAMS, BDF, Library, library
+from contactbench.methods.cvode_solver import Solver
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord
 from contactbench.solution import Counts, Status
@@ -209,10 +210,10 @@ class CvodeMethod(Adaptive):
     name: str
     kind: str
     about: str
-    stiff: bool = False
     order: int | None = None
     engines: tuple[str, ...] = ("c", "c+python")
     rtol_range: tuple[float, float] = (1e-14, 1e-1)
+    evaluations_per_step: int = 2
 
     def prepare(self, request: Request) -> Prepared:
         if request.engine == "c+python":
@@ -229,4 +230,4 @@ class CvodeMethod(Adaptive):
 METHODS.add(
     CvodeMethod("cvode-adams", "Adams", "variable-order Adams–Moulton, Newton with analytic Jacobian")
 )
-METHODS.add(CvodeMethod("cvode-bdf", "BDF", "variable-order BDF, Newton with analytic Jacobian", stiff=True))
+METHODS.add(CvodeMethod("cvode-bdf", "BDF", "variable-order BDF, Newton with analytic Jacobian"))

@@ -10,24 +10,13 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import (
-    NAMED,
-)
-from contactbench.report.curves import by_method
-from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.numbers import (
-    count,
-    names,
-    scientific,
-    upper,
-)
+from contactbench.report.contest import NAMED
+from contactbench.report.figures import stability as figures
+from contactbench.report.numbers import count, names, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room, Section
 from contactbench.results.round_off import STRUCTURE
-from contactbench.results.tables import (
-    DAMPING_RATES,
-    STRONG_DAMPING,
-)
+from contactbench.results.tables import DAMPING_RATES, STRONG_DAMPING
 
 #: errors whose ratio is within this are as good as equal
 ALIKE = 2.0
@@ -53,7 +42,7 @@ def rate_cell(rows: pd.DataFrame, column: str) -> Cell:
 def creep_views(frame: pd.DataFrame) -> Iterator[View]:
     """The slow rate of the overdamped oscillator."""
     creep = frame[frame["experiment"] == "overdamped"]
-    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: one is right."
+    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: 1 is exact."
     for control, key, title in (
         ("step", "damping_per_step", "γh = {:g}"),
         ("rtol", "value", "rtol = {:.0e}"),
@@ -194,7 +183,7 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
     yield View(
         "strong_usable", "Strong damping: where negative substeps stop paying",
         f"Damping between two evaluations, γh/evaluations, up to which a method is no less accurate than {BASE} at the "
-        "same cost (oscillator, ω = 1, over the time in which the motion falls by e; 0: nowhere). "
+        "same cost (oscillator, ω = 1, over the time in which the motion falls by a factor e; 0: nowhere). "
         "Substeps against time "
         "grow by e^{γ|a|h}.", (Head("method", words=True), *heads), rows, "strong_damping.csv",
     )  # fmt: skip
@@ -215,7 +204,7 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
         (Head("γh per evaluation", words=True), *(Head(h.label, words=True) for h in heads)), tuple(ranges),
         "strong_damping.csv",
     )  # fmt: skip
-    yield strong_figure(frame, gammas)
+    yield figures.strong(frame, gammas)
 
 
 def in_range(frame: pd.DataFrame, gamma: float, low: float, high: float) -> pd.Series:
@@ -223,27 +212,6 @@ def in_range(frame: pd.DataFrame, gamma: float, low: float, high: float) -> pd.S
     inside = frame["damping_per_evaluation"].between(low, high, inclusive="left")
     part = frame[(frame["gamma"] == gamma) & inside].assign(error=lambda f: f["error"].fillna(np.inf))
     return part.groupby("method", sort=False)["error"].median()
-
-
-def strong_figure(frame: pd.DataFrame, gammas: list[float]) -> Figure:
-    panels = []
-    for gamma in gammas:
-        part = frame[(frame["gamma"] == gamma) & (frame["error"] < 1e4)].sort_values(
-            "damping_per_evaluation", kind="stable"
-        )
-        panels.append(
-            Panel(f"γ = {gamma:g}", Axis("γh per evaluation", "log"), Axis("relative error", "log",
-                limits=(1e-16, 1e2)),
-                  by_method(part, "damping_per_evaluation", "error", every=4))
-        )  # fmt: skip
-    return Figure(
-        "strong_damping",
-        "Equal cost under strong damping",
-        tuple(panels),
-        STRONG_DAMPING.columns["error"].meaning,
-        2,
-        source="strong_damping.csv",
-    )
 
 
 def sections(frames: Frames) -> list[Part]:

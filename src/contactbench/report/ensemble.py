@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs
 from contactbench.report.contest_views import DASHES, error_heads, said
-from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.report.figures import ensemble as figures
+from contactbench.report.numbers import count, duration, many, names, power, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
@@ -19,7 +19,7 @@ SOURCE = "ensemble.csv"
 #: how the trajectories of a run share their work; the column `variant`
 SHAPES = {
     "vmap": "every trajectory has its own steps",
-    "shared": "those of a tile share their steps",
+    "shared": "the trajectories of a tile share their steps",
     "batch": "a vector register of trajectories",
     "passes": "every flow a loop over all trajectories",
     "plain": "drift and kick in one loop",
@@ -127,51 +127,33 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
     return View(f"ensemble_{question}", title, "Median of the whole call.", heads, tuple(rows), SOURCE)
 
 
-def figure(frame: pd.DataFrame) -> Figure | None:
-    """Time per trajectory against error; throughput against trajectories and against cores."""
-    panels = []
-    own = frame[frame["family"] != LIMIT]
-    part = asked(own, "error")
-    if len(part):
-        curves = [
-            Curve(c.x, c.y, c.label, c.method, dashed=str(variant) == "vmap", hints=c.hints)
-            for variant, rows in part.groupby("variant", sort=False)
-            for c in by_method(rows, "solution_error", "each", ("engine",), 1e6)
-        ]
-        panels.append(
-            Panel("one core (dashed: every trajectory its own steps)", number_axis("solution error", True),
-                  number_axis("time per trajectory, µs"), tuple(curves))
-        )  # fmt: skip
-    for question, by in (("size", "trajectories"), ("cores", "cores")):
-        part = asked(own, question).sort_values(by, kind="stable")
-        part = part.assign(gradients=part["evaluations"] * part["rate"])
-        if not len(part):
+def affine(line: pd.DataFrame) -> tuple[float, float]:
+    """Fixed seconds of a call and seconds per trajectory beyond, fitted to relative accuracy over their number."""
+    n, spent = line["trajectories"].to_numpy(dtype=float), line["time_median_s"].to_numpy(dtype=float)
+    weighted = np.stack([1 / spent, n / spent], axis=1)
+    fixed, each = np.linalg.lstsq(weighted, np.ones(len(n)), rcond=None)[0]
+    return max(float(fixed), 0.0), float(each)
+
+
+def overhead(frame: pd.DataFrame, part: pd.DataFrame) -> str:
+    """How much of the times at equal error is the fixed cost of a call, where it was measured."""
+    many_of = part["trajectories"].max()
+    said = []
+    for (method, setting), line in asked(frame, "size").groupby(["method", "setting"], sort=False):
+        if line["trajectories"].nunique() < 3:
             continue
-        curves = list(by_method(part, by, "gradients"))
-        if question == "cores":
-            for _, line in part.groupby("method", sort=False):
-                number_of = line["cores"].astype(float)
-                ideal = number_of * line["gradients"].iloc[0] / number_of.iloc[0]
-                curves.append(
-                    Curve(
-                        floats(number_of),
-                        floats(ideal),
-                        "proportional",
-                        role="reference",
-                        markers=False,
-                        dashed=True,
-                    )
-                )
-        axis = Axis(by, "log" if question == "size" else "linear")
-        panels.append(
-            Panel(
-                f"number of {by}",
-                axis,
-                Axis("gradients × trajectories per second", limits=(0, None)),
-                tuple(curves),
-            )
+        fixed, each = affine(line)
+        whole = fixed + many_of * each
+        said.append(
+            f"{method} at {setting} takes {duration(fixed)} a call and {duration(each)} a trajectory, so that "
+            f"{100 * fixed / whole:.0f} % of a call with {count(many_of)} are fixed"
         )
-    return Figure("ensemble", "Ensembles of the particle", tuple(panels), source=SOURCE) if panels else None
+    if not said:
+        return ""
+    return (
+        f" They are whole calls of {count(many_of)} trajectories, their fixed cost included: {names(said)}. "
+        "The cheaper the method, the less these times say about larger ensembles."
+    )
 
 
 def findings(frames: Frames) -> list[Finding]:
@@ -192,8 +174,8 @@ def findings(frames: Frames) -> list[Finding]:
             leaders.append(
                 f"{power(target)} {'tie: ' if len(first) > 1 else ''}{names(first)} {duration(reached[0][0])}"
             )
-    sentence = f"Least time per trajectory at equal error: {'; '.join(leaders)}."
-    covers = f"{part['method'].nunique()} methods, one core, {count(part['trajectories'].max())} trajectories"
+    sentence = f"Least time per trajectory at equal error: {'; '.join(leaders)}.{overhead(frame, part)}"
+    covers = f"{many(part['method'].nunique(), 'method')}, one core, {count(part['trajectories'].max())} trajectories"
     return [Finding("ensembles", "Ensembles", sentence, covers)] if leaders else []
 
 
@@ -205,7 +187,7 @@ def sections(frames: Frames) -> list[Part]:
         growth_view(frame, "size", "trajectories", "With the number of trajectories"),
         growth_view(frame, "cores", "cores", "With the number of cores"),
     )
-    drawn = figure(frame)
+    drawn = figures.figure(frame)
     bad = frames["ensemble"][frames["ensemble"]["status"] != "ok"]
     ends = tuple(f"{r['method']}, {r['setting']}: {r['status']}, {r['message']}" for _, r in bad.iterrows())
     return [

@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-import pandas as pd
-
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
-from contactbench.report.curves import by_method, number_axis, round_off
-from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.equal_cost import equal_cost_view
-from contactbench.report.kept import (
-    DAGGER,
-    FROZEN,
-    MEANINGS,
-    called,
-    laws,
-    measured,
-)
+from contactbench.report.figures import laws as figures
+from contactbench.report.kept import DAGGER, DOUBLE_DAGGER, FROZEN, MEANINGS, called, laws, measured
 from contactbench.report.law_findings import findings
-from contactbench.report.numbers import (
-    readable,
-    scientific,
-    upper,
-)
+from contactbench.report.numbers import readable, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room, Section, Text
 from contactbench.results.schema import Column, Rule
-from contactbench.results.tables import (
-    LAWS_TABLE,
-    LAWS_TIME,
-)
+from contactbench.results.tables import LAWS_TABLE
 
 
 def law_view(frames: Frames, law: str, column: Column) -> View | None:
@@ -48,21 +31,21 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
                 cells.append(Cell(DASH))
                 continue
             low, high = here["value"].min(), here["value"].max()
-            kept = structure and bool(here["kept"].all())
+            kept, ill = structure and bool(here["kept"].all()), structure and bool(here["ill"].any())
             clamped, vague = bool((here["clamped"] > 0).any()), bool(here["unsure"].any())
             whole = column.type == "whole"
             show = readable if whole else scientific
             text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
             text = ("≤ " if vague and not kept else "") + text
             cells.append(
-                Cell(text + (DAGGER if clamped else ""), high,
+                Cell(text + (DAGGER if clamped else "") + (DOUBLE_DAGGER if ill else ""), high,
                      marks(Mark.kept if kept else None, Mark.clamped if clamped else None))
             )  # fmt: skip
         lines.append(tuple(cells))
     label = called(law)
     meaning = f"{column.meaning}. {upper(MEANINGS['range'])}."
     if structure:
-        meaning += f" {upper(MEANINGS['kept'])}."
+        meaning += f" {upper(MEANINGS['kept'])}. {MEANINGS['undecided']}."
     if f"{law}_clamped" in frame:
         meaning += f" {MEANINGS['dagger']}."
     if f"{law}{FROZEN}" in frame:
@@ -72,57 +55,6 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
         )
     heads = (Head("method", words=True), *map(Head, scenes))
     return View(f"law_{law}", label, meaning, heads, tuple(lines), "laws.csv")
-
-
-#: columns of the table along time
-ALONG_TIME = {
-    "energy_deviation": "H0",
-    "hamiltonian_deviation": "contact Hamiltonian H",
-    "momentum_deviation": "momentum map J",
-    "contact_deviation": "contact form η",
-}
-
-
-def along_time(frame: pd.DataFrame, scene: str) -> Figure:
-    """The deviations from the H0, H, J and contact laws along time."""
-    rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
-    panels = tuple(
-        Panel(
-            title, Axis("t"), number_axis(LAWS_TIME.columns[column].meaning),
-            by_method(rows, "t", column, every=4), spans=(round_off("y"),),
-        )
-        for column, title in ALONG_TIME.items() if rows[column].notna().any()
-    )  # fmt: skip
-    caption = "Settings: " + ", ".join(dict.fromkeys(rows["setting"])) + ". Shaded: round-off."
-    return Figure(
-        f"laws_{scene}",
-        f"{scene}: deviation from each law along time",
-        panels,
-        caption,
-        len(panels),
-        source="laws_time.csv",
-    )
-
-
-def structure_figure(frame: pd.DataFrame) -> Figure | None:
-    """Structure against accuracy, same runs."""
-    ok = frame[frame["status"] == "ok"]
-    wanted = (("contact_drift", "central"), ("momentum_law", "rigid_body"))
-    panels = []
-    for law, scene in wanted:
-        rows = ok[(ok["scene"] == scene) & ok[law].notna()]
-        if len(rows):
-            label = called(law)
-            panels.append(
-                Panel(scene, number_axis("solution error", inverted=True), number_axis(label),
-                      by_method(rows, "solution_error", law), spans=(round_off("y"),))
-            )  # fmt: skip
-    if not panels:
-        return None
-    return Figure(
-        "structure", "Structure against accuracy, same runs", tuple(panels),
-        "A law that is kept by construction does not depend on the error. Shaded: round-off.", 2, source="laws.csv",
-    )  # fmt: skip
 
 
 def sections(frames: Frames) -> list[Part]:
@@ -135,11 +67,11 @@ def sections(frames: Frames) -> list[Part]:
         parts.append(Section("At equal cost", tuple(equal_cost_view(part, frames) for _, part in costs)))
     views = (law_view(frames, law, column) for law, column in laws(LAWS_TABLE).items())
     ranges: list[Part] = [view for view in views if view is not None]
-    drawn = structure_figure(frames["laws"])
+    drawn = figures.structure(frames["laws"])
     parts.append(Section("Law by law, over all settings", (*ranges, *([drawn] if drawn else []))))
     time = frames["laws_time"]
     scenes = dict.fromkeys(time[time["status"] == "ok"]["scene"]) if len(time) else {}
-    parts += [Section(f"Along time: {s}", (along_time(time, s),), choice="scene") for s in scenes]
+    parts += [Section(f"Along time: {s}", (figures.along_time(time, s),), choice="scene") for s in scenes]
     return [*parts, raw(LAWS_TABLE, frames["laws"])]
 
 

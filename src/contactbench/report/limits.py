@@ -8,17 +8,11 @@ from dataclasses import replace
 import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
-from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
-from contactbench.report.numbers import (
-    upper,
-)
+from contactbench.report.figures import stability as figures
+from contactbench.report.numbers import upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room
-from contactbench.results.tables import (
-    ONE_STEP,
-    STABILITY_LIMITS,
-)
+from contactbench.results.tables import ONE_STEP, STABILITY_LIMITS
 
 
 def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View | None:
@@ -37,7 +31,7 @@ def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View 
                 continue
             row = line.loc[gamma]
             theory = row["theory"] if column == "limit" else math.nan
-            known = "" if pd.isna(theory) else f" ({theory:.4g})"
+            known = "" if pd.isna(theory) else f" ({'∞' if math.isinf(theory) else f'{theory:.4g}'})"
             gaps = Mark.exception if column == "limit" and row["windows"] else None
             value = number(row[column], "{:.4g}".format, gaps)
             cells.append(replace(value, text=value.text + known))
@@ -80,67 +74,14 @@ def sections(frames: Frames) -> list[Part]:
     )
     return [
         *(view for view in views if view is not None),
-        limits_figure(frame),
-        *([radius_figure(radius)] if len(radius) else []),
+        figures.limits(frame),
+        *([figures.radius(radius)] if len(radius) else []),
         *(
             raw(table, frames[table.name])
             for table in (STABILITY_LIMITS, ONE_STEP)
             if len(frames[table.name])
         ),
     ]
-
-
-def limits_figure(frame: pd.DataFrame) -> Figure:
-    rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
-    rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
-    rows = rows.assign(
-        scaled=rows["limit"] * rows["omega"], each=rows["per_evaluation"] * rows["omega"],
-        known=rows["theory"] * rows["omega"]
-    )  # fmt: skip
-    theory = [
-        Curve(
-            floats(line["ratio"]),
-            floats(line["known"]),
-            "theory",
-            role="reference",
-            markers=False,
-            dashed=True,
-        )
-        for _, line in rows[rows["known"].notna()].groupby("method", sort=False)
-    ]
-    x = number_axis("γ/ω")
-    panels = (
-        Panel("per step", x, number_axis("ω × first unstable step"), (*by_method(rows, "ratio", "scaled"), *theory)),
-        Panel("per evaluation", x, number_axis("ω × first unstable step per evaluation"), by_method(rows,
-            "ratio", "each")),
-    )  # fmt: skip
-    return Figure(
-        "stability_map", "First loss of stability of q'' + γq' + ω²q = 0", panels,
-        "Larger is better. Curves that end: no limit found.", 2, source="stability_limits.csv",
-    )  # fmt: skip
-
-
-def radius_figure(frame: pd.DataFrame) -> Figure:
-    panels = []
-    for gamma in [g for g in (0.0, 0.1, 1.0, 10.0, 50.0) if g in set(frame["gamma"])]:
-        part = frame[frame["gamma"] == gamma].sort_values("step", kind="stable")
-        truth = part.drop_duplicates("step")
-        exact = Curve(
-            floats(truth["step"]),
-            floats(truth["true_radius"]),
-            "exact flow",
-            role="truth",
-            markers=False,
-            dashed=True,
-        )
-        panels.append(
-            Panel(f"γ = {gamma:g}", Axis("step size h", "log"), Axis("largest |eigenvalue|", limits=(0, 2)),
-                  (*by_method(part, "step", "radius", every=8), exact), spans=(Span("y", 1.0, 1.0),))
-        )  # fmt: skip
-    return Figure(
-        "one_step", "Spectral radius of the one-step map of the oscillator", tuple(panels),
-        "Below the exact flow: numerical damping; above: antidamping.", source="one_step.csv",
-    )  # fmt: skip
 
 
 ROOMS.add(

@@ -9,9 +9,8 @@ import pandas as pd
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
 from contactbench.report.contest_views import costs_view, duel_view
-from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Figure, Panel
-from contactbench.report.numbers import count, duration, scientific, times
+from contactbench.report.figures import work_precision as figures
+from contactbench.report.numbers import count, duration, many, scientific, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
@@ -30,50 +29,24 @@ def findings(frames: Frames) -> list[Finding]:
     return found
 
 
-def endings_view(work: pd.DataFrame, scene: str) -> View | None:
-    """The runs of a scene that did not end ok; one row per method where it is unsupported."""
+def endings_view(work: pd.DataFrame) -> View | None:
+    """The runs that did not end ok, on all scenes; one row per method and engines where it is unsupported."""
     part = contestants(work)
-    part = part[(part["scene"] == scene) & (part["status"] != "ok")]
+    part = part[part["status"] != "ok"]
     if not len(part):
         return None
+    keys = ["scene", "method", "status", "message"]
     rows = []
-    for (method, status, message), runs in part.groupby(
-        ["method", "status", "message"], sort=False, dropna=False
-    ):
+    for (scene, method, status, message), runs in part.groupby(keys, sort=False, dropna=False):
         settings = "all" if status == "unsupported" else ", ".join(dict.fromkeys(runs["setting"]))
-        rows.append(
-            (
-                word(method),
-                word(", ".join(dict.fromkeys(runs["engine"]))),
-                word(settings),
-                word(status),
-                word(message),
-            )
-        )
-    heads = tuple(Head(label, words=True) for label in ("method", "engine", "setting", "status", "why"))
-    return View(f"endings_{scene}", f"Runs on {scene} that did not end ok", "", heads, tuple(rows), SOURCE)
-
-
-def figure(work: pd.DataFrame, scene: str) -> Figure | None:
-    """Cost against error for one scene, a panel for each kind of comparison."""
-    rows = contestants(work)
-    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
-    panels = []
-    for kind in KINDS:
-        part = rows[kind.engines(rows["engine"])]
-        if not kind.timed:  # the same counts on every engine: one curve
-            part = part.drop_duplicates(["method", "setting"])
-        part = part[part[kind.cost].notna()]
-        if len(part):
-            label = "median time per solve, ms" if kind.timed else "right-hand sides or equivalents"
-            curves = by_method(part, "solution_error", kind.cost, ("engine",), 1e3 if kind.timed else 1.0)
-            panels.append(Panel(kind.title, number_axis("solution error", True), number_axis(label), curves))
-    if not panels:
-        return None
-    caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
-    return Figure(
-        f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE
+        engines = ", ".join(dict.fromkeys(runs["engine"]))
+        rows.append(tuple(map(word, (scene, method, engines, settings, status, message))))
+    heads = tuple(
+        Head(label, words=True) for label in ("scene", "method", "engine", "setting", "status", "why")
     )
+    kinds = ", ".join(f"{status} {n}" for status, n in part["status"].value_counts().items())
+    meaning = f"{many(len(part), 'run')}: {kinds}."
+    return View("endings", "Runs that did not end ok", meaning, heads, tuple(rows), SOURCE, detail=True)
 
 
 def kernels_view(work: pd.DataFrame) -> View | None:
@@ -101,7 +74,9 @@ def kernels_view(work: pd.DataFrame) -> View | None:
     )  # fmt: skip
     meaning = (
         "Fastest round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
-        "included, beside the same arithmetic as a C loop compiled by the machine's own compiler."
+        "included, beside the same arithmetic as a C loop, compiled by the machine's own compiler and called from "
+        "Python. "
+        "On short runs that call is most of the loop's time: only the long ones compare the arithmetic."
     )
     return View("kernels", "Compiled kernels beside a C loop", meaning, heads, tuple(rows), SOURCE)
 
@@ -144,13 +119,12 @@ def noise_text(work: pd.DataFrame) -> Text:
 
 
 def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Section:
-    parts: list[Part | None] = [figure(work, scene)]
+    parts: list[Part | None] = [figures.figure(work, scene)]
     for field in fields:
         if scene in field.scenes:
             parts.append(costs_view(field, scene, SOURCE))
         if scene in field.contested:
             parts.append(duel_view(field, scene, SOURCE))
-    parts.append(endings_view(work, scene))
     return Section(scene, tuple(part for part in parts if part is not None), choice="scene")
 
 
@@ -168,7 +142,9 @@ def sections(frames: Frames) -> list[Part]:
         ),
         *(scene_section(work, str(scene), fields) for scene in dict.fromkeys(work["scene"])),
     ]
-    parts += [view for view in (kernels_view(work), chosen_view(work)) if view is not None]
+    parts += [
+        view for view in (kernels_view(work), chosen_view(work), endings_view(work)) if view is not None
+    ]
     return [*parts, raw(WORK_PRECISION, work)]
 
 

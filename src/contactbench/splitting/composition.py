@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
+from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import BodyState, RigidBody, Scene
 from contactbench.splitting.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
 
@@ -129,11 +130,14 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
     return None
 
 
-def parts(scene: Scene) -> tuple[str, ...]:
-    """The flows χ is made of, in their order."""
-    if not isinstance(scene, RigidBody):
-        return ("kick", "drift_damp")
-    return ("turn", "top") if scene.isotropic else ("turn", "damp", "top")
+#: the flows χ is made of, in their order, by kind of scene
+PARTS = {
+    "mechanical": ("kick", "drift_damp"), "isotropic body": ("turn", "top"), "body": ("turn", "damp", "top"),
+}  # fmt: skip
+
+
+#: the paper's A, the flow of the kinetic energy, and C on a body, which has no B
+ON_BODY = {"drift": "free", "damp": "damp"}
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
@@ -141,18 +145,12 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
     if {name for name, _ in composition.stages} <= flows_of(scene).keys():
         return composition.stages
     if composition.two_part:
-        order = parts(scene)
+        order = PARTS[scene.kind]
         stages = []
         for k, alpha in enumerate(composition.alphas()):
             stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
         return merged(stages)
-    stages = []
-    for name, coefficient in composition.stages:  # a body has no kick; its drift is a palindrome
-        if name == "drift":
-            stages += [("turn", coefficient / 2), ("top", coefficient), ("turn", coefficient / 2)]
-        elif name == "damp":
-            stages.append((name, coefficient))
-    return merged(stages)
+    return merged((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
 
 
 @dataclass(frozen=True)
@@ -187,19 +185,6 @@ def plan(composition: Composition, scene: Scene) -> Plan:
     return Plan(merged((*before, first)), (*inner, *joint), merged((back, *before[::-1])), ())
 
 
-Repeat = Callable[[Any, Callable[[Any], Any], Any], Any]
-
-
-#: a `repeat` with a true attribute `roll` asks for loops over stages too
-
-
-def repeat(n: int, body: Callable[[Any], Any], x: Any) -> Any:
-    """n-fold application as a plain loop (the JAX engine passes its own)."""
-    for _ in range(n):
-        x = body(x)
-    return x
-
-
 def advance(
     composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
 ) -> Any:
@@ -213,7 +198,7 @@ def advance(
     steps = plan(composition, scene)
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
     constants = stage_constants((*opening, *inner, *closing, *joint), scene, h, xp)
-    rolled = getattr(repeat, "roll", False)
+    rolled = repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
         """The stages one after another: written out, or a loop over the period of their flows."""
@@ -308,7 +293,7 @@ def entry(constants: Any, i: Any) -> Any:
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
     """Whether `advance_by_the_clock` is the way."""
-    return composition.two_part and isinstance(scene, RigidBody) and scene.isotropic
+    return composition.two_part and scene.kind == "isotropic body"
 
 
 def advance_by_the_clock(
@@ -336,7 +321,7 @@ def advance_by_the_clock(
 
     def first_rounds(x: BodyState, clock: Any) -> BodyState:
         """All rounds of a step but its last: written out, or a loop where short code matters more."""
-        if not getattr(repeat, "roll", False):
+        if not repeat.over_stages:
             for k in range(rounds - 1):
                 x = both(x, clock * topped[k], clock * turned[k])
             return x
