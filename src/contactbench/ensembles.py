@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, finite, positive, unknown_name
+from contactbench.boundary import reported
+from contactbench.errors import BadInput, array, finite, positive, shown, switch, unknown_name, whole
 from contactbench.measure.deviation import conformal_deviation
 from contactbench.measure.laws import LAWS
 from contactbench.methods.base import METHODS, Refused
@@ -35,6 +36,8 @@ from contactbench.solution import DIVERGENCE, Counts, Status
 TILE = 64
 #: trajectories a device is handed at a time: enough for the call not to count
 CHUNK = {"cpu": 2**14, "gpu": 2**20}
+#: more than fit into any memory
+MOST_AT_ONCE = 10**12
 ENGINES = ("numba", "jax")
 AXIS = "trajectories"
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
@@ -122,7 +125,7 @@ def ensemble(
     scene, chosen = lookup(scene, method)
     if not isinstance(chosen, FixedStep):
         fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
-        raise BadInput(f"method = {method!r}: an ensemble takes a fixed-step method: {fixed}")
+        raise BadInput(f"method = {shown(method)}: an ensemble takes a fixed-step method: {fixed}")
     run = prepare(
         scene, method, step=positive("step", step), carry=carry, engine=chosen.engines[-1],
         save_at=[scene.t_end] if measure_at is None else measure_at,
@@ -130,18 +133,22 @@ def ensemble(
     if isinstance(run, Refused):
         raise BadInput(run.why)
     assert isinstance(run, FixedStepRun)
-    if engine not in (None, *ENGINES):
-        raise BadInput(f"engine = {engine!r}: an ensemble runs on {' or '.join(ENGINES)}")
+    if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
+        raise BadInput(f"engine = {shown(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
     request = run.request
-    if run.n.sum() > request.max_steps:
-        raise BadInput(f"step = {step!r}: {run.n.sum()} steps, of which {request.max_steps} are allowed")
-    y0, own = members(scene, request.carry, initial_conditions, parameters or {})
+    if run.needed > request.max_steps:
+        raise BadInput(f"step = {step!r}: {run.needed} steps, of which {request.max_steps} are allowed")
+    y0, own = members(scene, request.carry, initial_conditions, {} if parameters is None else parameters)
+    switch("keep", keep)
+    if progress is not None:
+        switch("progress", progress)
+    chunk = _chunk(chunk)
     names = [ENERGY, *decaying(scene, request.carry)]
     end = request.save_at[-1]
     rows, kept = [], []
     hide = None if progress is None else not progress
     with tqdm(total=y0.shape[1], unit="trajectory", unit_scale=True, disable=hide) as bar:
-        for y, measures, end_time in integrated(run, names, y0, own, _chunk(chunk), engine):
+        for y, measures, end_time in integrated(run, names, y0, own, chunk, engine):
             rows.append(tally(measures, end_time == end))
             if keep:
                 kept.append((y, measures, end_time))
@@ -157,9 +164,7 @@ def ensemble(
 
 
 def _chunk(value: int | None) -> int | None:
-    if value is not None and (isinstance(value, bool) or int(value) != value or value < 1):
-        raise BadInput(f"chunk = {value!r}: must be a whole number ≥ 1")
-    return value
+    return None if value is None else whole("chunk", value, MOST_AT_ONCE)
 
 
 # -- what goes in ----------------------------------------------------------------------------------
@@ -171,6 +176,8 @@ def members(
         given = {name: value for name, value in given._asdict().items() if value is not None}
     if not isinstance(given, Mapping):
         raise BadInput(f"initial_conditions = {type(given).__name__}: must be a State, BodyState or dict")
+    if not isinstance(parameters, Mapping):
+        raise BadInput(f"parameters = {shown(parameters)}: must be a dict of arrays by name")
     for name in given:
         if name not in scene.initial_fields:
             raise unknown_name(f"initial value of scene {scene.name!r}", name, scene.initial_fields)
@@ -212,10 +219,7 @@ def members(
 
 def _column(name: str, value: Any) -> np.ndarray:
     """A number or a one-dimensional array of finite numbers, or `BadInput`."""
-    try:
-        column = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise BadInput(f"{name} = {value!r}: must be a number or an array of numbers") from None
+    column = array(name, value, "a number or an array of numbers")
     if column.ndim > 1:
         raise BadInput(f"{name}: must be a number or an array (n,), got shape {column.shape}")
     if not np.isfinite(column).all():

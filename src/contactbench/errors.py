@@ -1,30 +1,62 @@
-"""The one exception users see for bad input, and the registry that raises it for unknown names."""
+"""The one exception users see for bad input, and the checks that raise it."""
 
 from __future__ import annotations
 
 import difflib
 import math
 import re
+import reprlib
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
+#: characters of a message at most
+LONGEST = 300
+#: of those, the last ones that are kept of a longer message: what is allowed stands at the end
+KEPT = 120
+#: characters at most of a value that is shown in a message
+SHOWN = 80
+
 
 class BadInput(ValueError):
-    """A value the library cannot work with; the message names it and what is allowed."""
+    """A value the library cannot work with; the message, one line, names it and what is allowed."""
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(message))
 
     def __str__(self) -> str:  # KeyError, a base of UnknownName, would print its repr
-        return str(self.args[0]) if self.args else ""
+        return str(self.args[0])
 
 
 class UnknownName(BadInput, KeyError):
     """A name that is in no registry; the message suggests the nearest one."""
 
 
+def one_line(message: object, longest: int = LONGEST) -> str:
+    """Text without line breaks or control characters, its middle left out where it is longer."""
+    text = "".join(c if c.isprintable() else " " for c in str(message))
+    text = " ".join(text.split())
+    if len(text) <= longest:
+        return text
+    kept = KEPT * longest // LONGEST
+    return f"{text[: longest - kept - 3]} … {text[-kept:]}"
+
+
+_SHORT = reprlib.Repr(maxlevel=3, maxtuple=8, maxlist=8, maxdict=4, maxset=4, maxstring=SHOWN, maxother=SHOWN)
+
+
+def shown(value: object) -> str:
+    """The repr of any value, short and on one line, whatever it is."""
+    return one_line(_SHORT.repr(value), SHOWN)
+
+
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName:
     names = list(allowed)
-    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return UnknownName(f"unknown {kind} {name!r}: {hint}choose from {', '.join(names)}")
+    plain = {known.lower(): known for known in names}
+    near = difflib.get_close_matches(name.lower(), plain, n=1, cutoff=0.5) if isinstance(name, str) else []
+    hint = f"did you mean {plain[near[0]]!r}? " if near else ""
+    return UnknownName(f"unknown {kind} {shown(name)}: {hint}choose from {', '.join(names)}")
 
 
 #: a name is also a key in tables, a part of file names and a word on the command line
@@ -42,6 +74,11 @@ class Registry(dict):
         self.kind = kind
         self.of: Any = of
 
+    def __getitem__(self, name: Any) -> Any:
+        if not isinstance(name, str):  # perhaps something that cannot be a key at all
+            raise unknown_name(self.kind, name, self)
+        return super().__getitem__(name)
+
     def __missing__(self, name: object) -> Any:
         raise unknown_name(self.kind, name, self)
 
@@ -52,9 +89,9 @@ class Registry(dict):
         """
         name = getattr(item, "name", None)
         if not isinstance(item, self.of) or name is None:
-            raise BadInput(f"{item!r} cannot be registered: it is no {self.kind}")
+            raise BadInput(f"{shown(item)} cannot be registered: it is no {self.kind}")
         if not isinstance(name, str) or not NAME.fullmatch(name):
-            raise BadInput(f"{self.kind} name {name!r}: must be letters, digits, '_', '.', '+', '-'")
+            raise BadInput(f"{self.kind} name {shown(name)}: must be letters, digits, '_', '.', '+', '-'")
         if item.name in self:
             raise BadInput(f"{self.kind} {item.name!r} is already registered")
         self[item.name] = item
@@ -62,31 +99,80 @@ class Registry(dict):
 
 
 def finite(name: str, value: Any) -> float:
-    """`value` as a finite float, or `BadInput`."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise BadInput(f"{name} = {value!r}: must be a finite number") from None
+    """`value` as a finite float, or `BadInput`: a real number, neither text nor an array."""
+    number = math.nan
+    if is_real(value):
+        try:
+            number = float(value)
+        except (TypeError, ValueError, OverflowError):
+            pass
     if not math.isfinite(number):
-        raise BadInput(f"{name} = {value!r}: must be a finite number")
+        raise BadInput(f"{name} = {shown(value)}: must be a finite number")
     return number
+
+
+def is_real(value: Any) -> bool:
+    """Whether a value is one real number: no text, no complex number, no date, no array."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.ndim == 0 and value.dtype.kind in "fiubO"
+    return not isinstance(value, str | bytes | bytearray | complex)
 
 
 def positive(name: str, value: Any) -> float:
     """`value` as a finite float > 0, or `BadInput`."""
     number = finite(name, value)
     if number <= 0:
-        raise BadInput(f"{name} = {value!r}: must be > 0")
+        raise BadInput(f"{name} = {shown(value)}: must be > 0")
     return number
+
+
+def whole(name: str, value: Any, most: int) -> int:
+    """`value` as an int from 1 to `most`, or `BadInput`."""
+    number = 0.0 if isinstance(value, bool) else finite(name, value)
+    if not 1 <= number <= most or number != int(number):
+        raise BadInput(f"{name} = {shown(value)}: must be a whole number ≥ 1, at most {most:.0e}")
+    return int(number)
+
+
+def array(name: str, value: Any, wanted: str) -> np.ndarray:
+    """`value` as an array of floats, or `BadInput`, which says what is `wanted`.
+
+    Complex numbers and dates are refused: as floats they would lose their imaginary part or unit.
+    """
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in "fiubO" or (given.dtype.kind == "O" and not all(map(is_real, given.flat))):
+            raise TypeError
+        return given.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        raise BadInput(f"{name} = {shown(value)}: must be {wanted}") from None
 
 
 def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...]:
     """`value` as a tuple of finite floats (of the given length), or `BadInput`."""
     try:
-        items = tuple(value) if not isinstance(value, str) else None
+        items = tuple(value) if not isinstance(value, str | bytes | dict | set) else None
     except TypeError:
         items = (value,)
     if items is None or (length is not None and len(items) != length) or not items:
         wanted = f"{length} numbers" if length is not None else "a sequence of numbers"
-        raise BadInput(f"{name} = {value!r}: must be {wanted}")
+        raise BadInput(f"{name} = {shown(value)}: must be {wanted}")
     return tuple(finite(f"{name}[{i}]", item) for i, item in enumerate(items))
+
+
+def function(name: str, value: Any) -> None:
+    """Raise `BadInput` unless `value` can be called."""
+    if not callable(value):
+        raise BadInput(f"{name} = {shown(value)}: must be a function")
+
+
+def text(name: str, value: Any) -> None:
+    """Raise `BadInput` unless `value` is a string."""
+    if not isinstance(value, str):
+        raise BadInput(f"{name} = {shown(value)}: must be a string")
+
+
+def switch(name: str, value: Any) -> None:
+    """Raise `BadInput` unless `value` is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise BadInput(f"{name} = {shown(value)}: must be True or False")

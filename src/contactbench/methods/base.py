@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, Registry
+from contactbench.boundary import reported
+from contactbench.errors import BadInput, Registry, shown
 from contactbench.methods.differences import differences
 from contactbench.methods.engines import CALLBACKS
 from contactbench.scene import Scene
@@ -219,10 +220,15 @@ class Prepared(ABC):
     def __call__(self, **data: Any) -> Solution:
         r = self.request
         if data:
-            y0 = np.array(r.scene.pack(r.scene.initial(r.carry, **r.scene.checked(data))), dtype=float)
+            start = r.scene.initial(r.carry, **r.scene.checked(data))
+            begins(r.scene, start)
+            y0 = np.array(r.scene.pack(start), dtype=float)
         else:
             y0 = self._own_start
-        out = self.integrate(y0)
+        try:
+            out = self.integrate(y0)
+        except BaseException as error:
+            raise reported(f"{self.method} on scene {r.scene.name!r}", error) from error.__cause__
         if not out.checked:
             out = audited(out, self._end)
         return Solution(
@@ -336,6 +342,23 @@ class Refused(Prepared):
     def integrate(self, y0: np.ndarray) -> Outcome:
         nothing = np.full((len(self.request.save_at), len(y0)), math.nan)
         return Outcome(nothing, Counts(), Status.unsupported, self.why, 0.0)
+
+
+def begins(scene: Scene, start: Any) -> None:
+    """Raise `BadInput` unless the equations have a finite slope at an initial state.
+
+    Some solvers, SciPy's among them, never return from a first step that is not a number.
+    """
+    try:
+        slope = [float(component) for component in scene.pack(scene.rhs(start))]
+    except (OverflowError, ZeroDivisionError, ValueError) as error:
+        if isinstance(error, BadInput):
+            raise
+        slope = [math.nan]
+    except BaseException as error:
+        raise reported(f"scene {scene.name!r}", error) from error.__cause__
+    if not math.isfinite(hypot(*slope)):
+        raise BadInput(f"initial data: the right-hand side of scene {scene.name!r} is not finite there: {shown(start)}")
 
 
 def stopwatch() -> Any:

@@ -8,14 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, positive
-from contactbench.methods.base import METHODS, Method, Prepared, Refused, Request
-from contactbench.methods.grid import default_times, saved_times
-from contactbench.scene import Scene
+from contactbench.boundary import reported
+from contactbench.errors import BadInput, positive, shown, whole
+from contactbench.methods.base import METHODS, Method, Prepared, Refused, Request, begins
+from contactbench.methods.first_step import try_step
+from contactbench.methods.grid import default_times, long_enough, saved_times
+from contactbench.methods.step_map import StepMap
+from contactbench.scene import Scene, verify
 from contactbench.solution import Solution
 
 DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
+#: the largest budget: a year at ten steps in a microsecond is less
+MOST_STEPS = 10**14
 
 
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
@@ -25,7 +30,7 @@ def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
     if isinstance(scene, str):
         scene = SCENES[scene]
     if not isinstance(scene, Scene):
-        raise BadInput(f"scene = {scene!r}: must be a scene or the name of one: {', '.join(SCENES)}")
+        raise BadInput(f"scene = {shown(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
     return scene, method if isinstance(method, Method) else METHODS[method]
 
 
@@ -57,38 +62,47 @@ def prepare(
     Raises `BadInput` for anything it cannot work with.
     """
     scene, chosen = lookup(scene, method)
-    if engine is not None and engine not in chosen.engines:
-        raise BadInput(f"engine = {engine!r}: {chosen.name} runs on {', '.join(chosen.engines)}")
+    if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
+        raise BadInput(f"engine = {shown(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
     if chosen.exact:
         if not step is rtol is atol is None:
-            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
-            raise BadInput(f"{given}: {chosen.name} is exact and takes neither step nor tolerance")
+            raise BadInput(f"{_given(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance")
     elif chosen.adaptive:
         if step is not None:
-            raise BadInput(f"step = {step!r}: {chosen.name} chooses its own steps; give rtol")
+            raise BadInput(f"step = {shown(step)}: {chosen.name} chooses its own steps; give rtol")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
     else:
         if atol is not None or (step is None) == (rtol is None):
-            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
             raise BadInput(
-                f"{given}: {chosen.name} has a fixed step; give step > 0, or rtol to have it chosen"
+                f"{_given(step, rtol, atol)}: {chosen.name} has a fixed step; give step > 0, or rtol to have it chosen"
             )
         if step is None:
             rtol, _ = _tolerances(chosen, rtol, None)
         else:
             step = positive("step", step)
     budget = _budget(chosen, max_steps)
-    times = default_times(scene, step, budget) if save_at is None else saved_times(save_at)
+    times = long_enough(default_times(scene, step, budget)) if save_at is None else saved_times(save_at)
     engines = chosen.engines if engine is None else (engine,)
     request = Request(scene, engines[0], scene.carry(carry), times, step, rtol, atol, budget)
     if (why := chosen.refuses(scene)) is not None:
         return Refused(chosen.name, request, why)
-    run = first = chosen.prepare(request)
-    for other in engines[1:]:
-        if not isinstance(run, Refused):
-            return run
-        run = chosen.prepare(replace(request, engine=other))
+    verify(scene)
+    begins(scene, scene.initial(request.carry))
+    if isinstance(chosen, StepMap):
+        try_step(chosen, scene, request.carry, step)
+    try:
+        run = first = chosen.prepare(request)
+        for other in engines[1:]:
+            if not isinstance(run, Refused):
+                return run
+            run = chosen.prepare(replace(request, engine=other))
+    except BaseException as error:
+        raise reported(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
     return first if isinstance(run, Refused) else run
+
+
+def _given(step: Any, rtol: Any, atol: Any) -> str:
+    return f"step = {shown(step)}, rtol = {shown(rtol)}, atol = {shown(atol)}"
 
 
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
@@ -109,6 +123,4 @@ def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[fl
 def _budget(method: Method, max_steps: int | None) -> int:
     if max_steps is None:
         return DEFAULT_MAX_STEPS if method.control == "step" else ADAPTIVE_MAX_STEPS
-    if isinstance(max_steps, bool) or int(max_steps) != max_steps or max_steps < 1:
-        raise BadInput(f"max_steps = {max_steps!r}: must be a whole number ≥ 1")
-    return int(max_steps)
+    return whole("max_steps", max_steps, MOST_STEPS)

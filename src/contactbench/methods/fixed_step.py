@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.methods.base import METHODS, Prepared, Refused, Request
+from contactbench.errors import NAME, BadInput, function, shown, switch, text, whole
+from contactbench.methods.base import FAMILIES, METHODS, Prepared, Refused, Request
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxLoop
 from contactbench.methods.numba_engine import NumbaLoop
@@ -33,6 +34,25 @@ class FixedStep(StepMap):
             return Refused(self.name, request, f"{what}: {why}")
 
 
+#: no method has more stages, nor a higher order
+MOST = 10**4
+
+
+def _one_of(allowed: tuple[str, ...]) -> Callable[[str, Any], None]:
+    def check(name: str, value: Any) -> None:
+        if not isinstance(value, str) or value not in allowed:
+            raise BadInput(f"{name} = {shown(value)}: must be one of {', '.join(allowed)}")
+
+    return check
+
+
+#: what a step map may declare, and the check of each
+CLAIMS: dict[str, Callable[[str, Any], None]] = {
+    "kind": _one_of(("rhs", "gradient", "rotation")), "family": _one_of(FAMILIES),
+    "contact": switch, "symmetric": switch, "factor": function,
+}  # fmt: skip
+
+
 def fixed_step(
     name: str, order: int, *, evaluations: int = 1, about: str = "", **claims: Any
 ) -> Callable[[Step], Step]:
@@ -40,9 +60,20 @@ def fixed_step(
 
     It then runs on every engine and appears in every table, figure and test.  `claims` are the
     properties it declares: kind, family, contact, symmetric, factor.
+    Raises `BadInput` for what is none of these.
     """
 
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise BadInput(f"method name {shown(name)}: must be letters, digits, '_', '.', '+', '-'")
+    order, evaluations = whole("order", order, MOST), whole("evaluations", evaluations, MOST)
+    text("about", about)
+    for claim, value in claims.items():
+        if claim not in CLAIMS:
+            raise BadInput(f"{shown(claim)}: a step map declares {', '.join(CLAIMS)}")
+        CLAIMS[claim](claim, value)
+
     def register(step: Step) -> Step:
+        function("step map", step)
         METHODS.add(FixedStep(name, order, step, evaluations, about=about, **claims))
         return step
 

@@ -34,17 +34,17 @@ class FixedStepRun(Prepared):
         """Divide every interval into the fewest equal steps not longer than `step`."""
         self.n = self.division(step)
         self.h = self.marks / self.n
-        self.totals, self.needed = self.cost(self.n), int(self.n.sum())
+        self.totals, self.needed = self.cost(self.n), total(self.n)
 
     def cost(self, n: np.ndarray) -> Counts:
         """Counts of intervals of n[k] steps; every interval starts afresh."""
-        steps = int(n.sum())
+        steps = total(n)
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, evaluations, 0, 0, self.kind)
 
     def steps_at(self, step: float) -> int:
         """How many steps a division by `step` makes."""
-        return int(self.division(step).sum())
+        return total(self.division(step))
 
     def division(self, step: float) -> np.ndarray:
         """Steps in each interval when divided by `step`."""
@@ -101,3 +101,8 @@ class FixedStepRun(Prepared):
         counts = self.cost(np.array([steps + 1]))
         message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
         return Outcome(out.y, counts, Status.diverged, message, end)
+
+
+def total(n: np.ndarray) -> int:
+    """Σ n[k], which may be more than an int64 holds: then about."""
+    return int(n.sum(dtype=float))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, array, shown
 from contactbench.scene import Scene
 
 #: saved times when the caller names none: every k-th step with at most this many for fixed steps,
@@ -28,19 +28,27 @@ def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
 
 
 def saved_times(save_at: Any) -> np.ndarray:
-    try:
-        times = np.atleast_1d(np.asarray(save_at, dtype=float))
-    except (TypeError, ValueError):
-        raise BadInput(f"save_at = {save_at!r}: must be increasing times") from None
+    times = np.atleast_1d(array("save_at", save_at, "increasing times"))
     if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
-        raise BadInput(f"save_at = {save_at!r}: must be finite times, at least one")
+        raise BadInput(f"save_at = {shown(save_at)}: must be finite times, at least one")
     if times[0] < 0 or np.any(np.diff(times) <= 0):
         raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
     if len(times) == 1 and times[0] == 0:
         raise BadInput("save_at: at least one time must be > 0")
+    return long_enough(times)
+
+
+def long_enough(times: np.ndarray) -> np.ndarray:
+    """The times, or `BadInput` where a run is so short that its steps would be zero."""
+    if times[-1] < SHORTEST_RUN:
+        raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     return times
 
 
+#: parts of a shorter run are no longer normal numbers
+SHORTEST_RUN = 1e-290
+#: more steps than any budget allows are counted as this many
+UNCOUNTED = 2**50
 #: how far the difference of two saved times may be off, in units of the last place of the later one: both are
 #: rounded, as a product or a sum of two, and so may be the spacing of the grid
 GRID_ULPS = 4
@@ -53,4 +61,5 @@ def steps_in(span: float, step: float, until: float | None = None) -> int:
     their round-off, which for short intervals late in a run is far above that of the interval itself.
     """
     round_off = GRID_ULPS * math.ulp(span if until is None else until)
-    return max(1, math.ceil((span * (1 - 1e-12) - round_off) / step))
+    ratio = (span * (1 - 1e-12) - round_off) / step
+    return max(1, math.ceil(ratio)) if ratio < UNCOUNTED else UNCOUNTED

@@ -5,6 +5,7 @@ Hairer, Nørsett, Wanner, Solving ODEs I, §II.5 (DOP853) and II, §IV.8 (Radau 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,11 @@ from contactbench.solution import Counts, Status
 
 #: evaluations DOP853 adds for the interpolant of a step
 INTERPOLANT = 3
+
+
+def starts(solver: Any) -> bool:
+    """Whether the first step is a number: SciPy tries steps that are none without end."""
+    return math.isfinite(solver.h_abs)
 
 
 @dataclass
@@ -40,6 +46,8 @@ class ScipyRun(Prepared):
         r = self.request
         options: dict[str, Any] = {} if self.jac is None else {"jac": self.jac}
         solver = self.solver(self.f, 0.0, y0, float(r.save_at[-1]), rtol=r.rtol, atol=r.atol, **options)
+        if not starts(solver):
+            return np.full_like(y0, math.nan)
         while solver.status == "running":
             solver.step()
         return solver.y
@@ -61,6 +69,8 @@ class ScipyRun(Prepared):
         solver, steps, interpolated, status, message = None, 0, 0, Status.ok, ""
         try:
             solver = self.solver(f, 0.0, y0, float(times[-1]), **options)
+            if not starts(solver):
+                raise OverflowError("the first step is not finite")
             while len(rows) < len(times):
                 if steps == r.max_steps:
                     status, message = Status.budget, f"max_steps = {r.max_steps} spent at t = {solver.t:.6g}"

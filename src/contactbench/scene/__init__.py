@@ -23,6 +23,7 @@ from contactbench.scene.algebra import (
     shifted,
 )
 from contactbench.scene.base import Scene, System
+from contactbench.scene.definition import verify
 from contactbench.scene.mechanical import Mechanical
 from contactbench.scene.rigid_body import RigidBody
 
@@ -42,4 +43,5 @@ __all__ = [
     "rotate",
     "rotation_matrix",
     "shifted",
+    "verify",
 ]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, array, shown
 
 Vector = tuple[Any, ...]
 
@@ -90,17 +90,15 @@ def rotate(R: Vector, v: Vector) -> Vector:
 
 def quaternion_of(value: Any) -> Vector:
     """An attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion."""
-    if np.ndim(value) == 0 and value == 1:
+    wanted = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix"
+    matrix = array("R", value, wanted)
+    if matrix.ndim == 0 and matrix == 1:
         return (1.0, 0.0, 0.0, 0.0)
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape == (4,) and abs(np.linalg.norm(array) - 1) < 1e-12:
-        return tuple(array.tolist())
-    if array.shape == (3, 3) and np.allclose(array.T @ array, np.eye(3), rtol=0, atol=1e-12):
+    if matrix.shape == (4,) and abs(np.linalg.norm(matrix) - 1) < 1e-12:
+        return tuple(matrix.tolist())
+    if matrix.shape == (3, 3) and np.allclose(matrix.T @ matrix, np.eye(3), rtol=0, atol=1e-12):
         from scipy.spatial.transform import Rotation
 
-        if np.linalg.det(array) > 0:
-            return tuple(Rotation.from_matrix(array).as_quat(scalar_first=True).tolist())
-    raise BadInput(f"R = {value!r}: must be 1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix")
+        if np.linalg.det(matrix) > 0:
+            return tuple(Rotation.from_matrix(matrix).as_quat(scalar_first=True).tolist())
+    raise BadInput(f"R = {shown(value)}: must be {wanted}")

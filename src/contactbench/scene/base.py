@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from contactbench.errors import BadInput, finite, unknown_name
+from contactbench.errors import BadInput, finite, function, shown, switch, text, unknown_name
 from contactbench.scene.algebra import Vector, shifted
 
 
@@ -30,11 +30,13 @@ class System(ABC):
         """The optional fields to integrate, validated; None means all the scene has."""
         if names is None:
             return self.optional
-        names = (names,) if isinstance(names, str) else tuple(names)
-        for name in names:
-            if name not in self.optional:
-                what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
-                raise BadInput(f"carry = {names!r}: scene {self.name!r} can carry {what}")
+        given = (names,) if isinstance(names, str) else names
+        if not isinstance(given, Sequence | set | frozenset | dict) or not all(
+            isinstance(name, str) and name in self.optional for name in given
+        ):
+            what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
+            raise BadInput(f"carry = {shown(names)}: scene {self.name!r} can carry {what}")
+        names = tuple(given)
         return tuple(name for name in self.optional if name in names or name in self.required)
 
     @property
@@ -143,6 +145,14 @@ class Scene(System):
     hard: bool = False
 
     initial_fields: ClassVar[tuple[str, ...]] = ()
+
+    def _check_kinds(self) -> None:
+        """Raise `BadInput` for a field that is of another kind altogether."""
+        text("name", self.name)
+        text("about", self.about)
+        switch("hard", self.hard)
+        if self.exact is not None:
+            function("exact", self.exact)
 
     def with_(self, **changes: Any) -> Self:
         """A copy with some parameters changed, any of them by keyword.

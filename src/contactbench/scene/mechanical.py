@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any, ClassVar, Self
 
-from contactbench.errors import BadInput, finite, positive, vector
+import numpy as np
+
+from contactbench.boundary import user_error
+from contactbench.errors import BadInput, finite, function, is_real, positive, shown, switch, vector
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Scene
 
@@ -39,6 +43,7 @@ class Mechanical(Scene):
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         fix = object.__setattr__
         fix(self, "q", vector("q", self.q))
         fix(self, "p", vector("p", self.p))
@@ -47,22 +52,45 @@ class Mechanical(Scene):
         for name in ("gamma", "kappa", "s"):
             fix(self, name, finite(name, getattr(self, name)))
         fix(self, "mass", positive("mass", self.mass))
-        fix(self, "inverse_mass", 1 / self.mass)
+        fix(self, "inverse_mass", finite(f"mass = {self.mass!r}: 1/mass", 1 / self.mass))
         fix(self, "t_end", positive("t_end", self.t_end))
         fix(self, "parameters", {k: finite(k, v) for k, v in self.parameters.items()})
-        self._check_dimension()
+        self._check_force()
 
-    def _check_dimension(self) -> None:
+    def _check_kinds(self) -> None:
+        super()._check_kinds()
+        function("potential", self.potential)
+        function("gradient", self.gradient)
+        if self.hessian is not None:
+            function("hessian", self.hessian)
+        switch("rotation_invariant", self.rotation_invariant)
+        names = self.parameters if isinstance(self.parameters, Mapping) else [None]
+        if not all(isinstance(name, str) and name.isidentifier() for name in names):
+            raise BadInput(f"parameters = {shown(self.parameters)}: must be a dict of numbers by name")
+
+    def _check_force(self) -> None:
+        """Whether the gradient at the initial position is n finite numbers."""
         try:
             force = self.gradient(self.q, **self.parameters)
-        except ZeroDivisionError:
-            raise BadInput(f"q = {self.q!r}: the force of scene {self.name!r} is singular there") from None
+        except (ZeroDivisionError, OverflowError):
+            raise BadInput(f"q = {shown(self.q)}: the force of scene {self.name!r} is singular there") from None
         except (ValueError, IndexError, TypeError) as error:
             raise BadInput(
-                f"q = {self.q!r}: wrong for scene {self.name!r}, whose gradient says: {error}"
-            ) from None
+                f"q = {shown(self.q)}: wrong for scene {self.name!r}, whose gradient says: "
+                f"{user_error(type(error).__name__, error)}"
+            ) from error
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise user_error(f"scene {self.name!r}", error) from error
+        if not isinstance(force, tuple | list | np.ndarray):
+            raise BadInput(f"gradient: must return {len(self.q)} numbers, a tuple; it returns {shown(force)}")
         if len(force) != len(self.q):
-            raise BadInput(f"q = {self.q!r}: scene {self.name!r} needs {len(force)} components")
+            raise BadInput(f"q = {shown(self.q)}: scene {self.name!r} needs {len(force)} components")
+        if not all(is_real(f) and hasattr(f, "__float__") for f in force):
+            raise BadInput(f"gradient: must return real numbers; it returns {shown(force)}")
+        if not all(isfinite(f) for f in force):
+            raise BadInput(f"q = {shown(self.q)}: the force of scene {self.name!r} is not finite there")
 
     @property
     def required(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, array, shown
 from contactbench.scene import Scene
 
 
@@ -70,10 +70,7 @@ class Reference:
 
 def checked_times(times: Any) -> np.ndarray:
     """`times` as a new float array of shape (k,), k ≥ 1, or `BadInput`."""
-    try:
-        t = np.atleast_1d(np.array(times, dtype=float))
-    except (TypeError, ValueError):
-        raise BadInput(f"times = {times!r}: must be finite numbers ≥ 0") from None
+    t = np.atleast_1d(array("times", times, "finite numbers ≥ 0"))
     if t.ndim != 1 or not t.size:
         raise BadInput(f"times: must be one number or a flat list of numbers, not of shape {t.shape}")
     for wrong in t[~(np.isfinite(t) & (t >= 0))][:1].tolist():

@@ -1,0 +1,128 @@
+"""Where other people's code is called: its errors are reported as theirs, its endless loops are ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sysconfig
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from contactbench.errors import BadInput, one_line
+
+#: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time
+VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
+DEFAULT_SECONDS = 60.0
+#: characters of another's message that are repeated
+REPEATED = 120
+#: where no user's code is: this package, Python's library, installed packages, generated programs
+_OURS = str(Path(__file__).parent) + os.sep
+_INSTALLED = tuple(
+    path + os.sep for path in {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+)
+
+
+class UserError(BadInput):
+    """An error in a user's function or plug-in; the exception itself is its `__cause__`."""
+
+
+class Overrun(BaseException):
+    """The time limit is over.  No `Exception`, which the code that is to be ended might catch."""
+
+
+def is_ours(function: Any) -> bool:
+    """Whether a function, or the class of an object, was written in this package."""
+    where = getattr(function, "__module__", None)
+    if not isinstance(where, str):  # functools.partial and the like
+        where = type(function).__module__
+    return where == "contactbench" or where.startswith("contactbench.")
+
+
+def frame_of(error: BaseException) -> traceback.FrameSummary | None:
+    """The innermost frame of a user's own code on the way to an error, or None."""
+    frames = traceback.extract_tb(error.__traceback__)
+    theirs = [
+        frame
+        for frame in frames
+        if not frame.filename.startswith(_OURS)
+        and (not frame.filename.startswith(_INSTALLED))
+        and not frame.filename.startswith("<frozen")
+        and not os.path.basename(frame.filename).startswith(("contactbench", "<contactbench", "program_"))
+    ]
+    return theirs[-1] if theirs else None
+
+
+def user_error(what: str, error: BaseException) -> UserError:
+    """The error as a line: whose it is, where it happened, what it says."""
+    if isinstance(error, Overrun):
+        says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
+    else:
+        says = f"{type(error).__name__}: {one_line(error, REPEATED)}"
+    frame = frame_of(error)
+    where = "" if frame is None else f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
+    made = UserError(f"{what}{where}: {says}")
+    made.__cause__ = error
+    return made
+
+
+def reported(what: str, error: BaseException) -> BaseException:
+    """The error as a `UserError` where it comes from a user's own code, else as it is."""
+    passed = isinstance(error, BadInput | KeyboardInterrupt | GeneratorExit)
+    return error if passed or frame_of(error) is None else user_error(what, error)
+
+
+@contextmanager
+def their_code(what: str, limited: bool = True) -> Iterator[None]:
+    """Whatever goes wrong inside, an exit or an endless loop included, is a `UserError` that names `what`."""
+    try:
+        with within(limit() if limited else 0.0):
+            yield
+    except (BadInput, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:
+        raise user_error(what, error) from error
+
+
+def limit() -> float:
+    """Seconds that a first evaluation may take."""
+    try:
+        seconds = float(os.environ.get(VARIABLE, DEFAULT_SECONDS))
+    except ValueError:
+        seconds = -1.0
+    if not 0 <= seconds < 1e9:
+        raise BadInput(f"{VARIABLE} = {os.environ[VARIABLE]}: must be seconds ≥ 0")
+    return seconds
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raise `Overrun` inside after so many seconds.
+
+    Only the main thread can be interrupted, and only where the system has timers; elsewhere there is no limit.
+    """
+    possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
+    if not seconds or not possible:
+        yield
+        return
+
+    def over(*_: Any) -> None:
+        raise Overrun
+
+    begun, (pending, interval) = perf_counter(), signal.getitimer(signal.ITIMER_REAL)
+    if pending and pending < seconds:  # an outer limit comes first
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, over)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        if pending:
+            signal.setitimer(signal.ITIMER_REAL, max(pending - (perf_counter() - begun), 1e-3), interval)

@@ -1,0 +1,168 @@
+"""Whether the functions of a user's scene fit each other: a gradient that is not the potential's, a Hessian
+that is not the gradient's, a symmetry that is not there.  A wrong one would be integrated without a word, the
+reference included.
+
+The check is by differences of the potential near the initial data, not by dual numbers, since a user's functions
+may be ones that these cannot pass through.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from contactbench.boundary import is_ours, their_code
+from contactbench.errors import BadInput, is_real, shown
+from contactbench.scene.base import Scene
+from contactbench.scene.mechanical import Mechanical
+
+#: points besides the initial one, and how far from it, in parts of the size of each component
+POINTS, SPREAD = 3, 0.1
+#: steps of the differences, in parts of that size; the one is used at which two estimates agree best
+STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
+#: a derivative is wrong when it is off by more than this part of its terms and by more than differences are
+TOLERANCE = 1e-6
+SAFETY = 8.0
+#: where differences are worse than this nothing can be said: a kink, a singularity
+UNSURE = 1e-3
+
+_verified: set[Any] = set()
+
+
+def verify(scene: Scene) -> None:
+    """Raise `BadInput` unless a scene's functions fit each other; once per definition.
+
+    The functions of this package have tests of their own.
+    """
+    if not isinstance(scene, Mechanical):
+        return
+    functions = (scene.potential, scene.gradient, scene.hessian)
+    if all(function is None or is_ours(function) for function in functions):
+        return
+    key = (scene.structure, tuple(scene.numbers()), scene.rotation_invariant)
+    if key not in _verified:
+        with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
+            _verify(scene)
+        _verified.add(key)
+
+
+def _verify(scene: Mechanical) -> None:
+    start = np.array(scene.q)
+    size = np.where(start == 0, np.abs(start).max() or 1.0, np.abs(start))
+    rng = np.random.default_rng(1)
+    _number(scene, start)  # the scene's own data: whatever is wrong here is told
+    for _ in range(POINTS):
+        q = start + SPREAD * size * rng.uniform(-1, 1, len(start))
+        direction = size * rng.uniform(0.5, 1, len(start)) * rng.choice([-1, 1], len(start))
+        try:
+            _gradient(scene, q, direction, size)
+            if scene.hessian is not None:
+                _hessian(scene, q, direction, size)
+        except BadInput:
+            raise
+        except (ArithmeticError, ValueError):  # outside the domain of the potential
+            continue
+        if scene.has_momentum_law:
+            _symmetry(scene, q)
+
+
+def _number(scene: Mechanical, q: np.ndarray) -> float:
+    """V(q), a real number."""
+    value = scene.V(tuple(q.tolist()))
+    if not is_real(value) or not hasattr(value, "__float__"):
+        raise BadInput(f"scene {scene.name!r}: its potential is {shown(value)} at q = {_at(q)}: must be a number")
+    return float(value)
+
+
+def _force(scene: Mechanical, q: np.ndarray) -> np.ndarray:
+    """∇V(q), n real numbers; a number of another length is told as soon as the scene is made."""
+    return np.array(scene.dV(tuple(q.tolist())), dtype=float)
+
+
+def _rows(scene: Mechanical, q: np.ndarray) -> np.ndarray:
+    """The Hessian at q, n rows of n real numbers."""
+    assert scene.hessian is not None
+    n, rows = len(q), scene.hessian(tuple(q.tolist()), **scene.parameters)
+    try:
+        array = np.array([list(row) for row in rows])
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (n, n) or array.dtype.kind not in "fiub":
+        raise BadInput(f"scene {scene.name!r}: its Hessian is {shown(rows)}: must be {n} rows of {n} real numbers")
+    return array.astype(float)
+
+
+def _gradient(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.ndarray) -> None:
+    def potential(q: np.ndarray) -> np.ndarray:
+        return np.array([_number(scene, q)])
+
+    given = _force(scene, q)
+    if _agree(potential, q, direction, np.array([given @ direction]), np.abs(given) @ np.abs(direction)):
+        return
+    found = [difference(potential, q, unit)[0][0] / unit[i] for i, unit in enumerate(np.diag(size))]
+    i = int(np.argmax(np.abs(found - given) * size))
+    raise BadInput(
+        f"scene {scene.name!r}: its gradient is not the potential's: component {i + 1} is {given[i]:.6g} at "
+        f"q = {_at(q)}, the derivative of the potential there {found[i]:.6g}"
+    )
+
+
+def _hessian(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.ndarray) -> None:
+    def gradient(q: np.ndarray) -> np.ndarray:
+        return _force(scene, q)
+
+    given = _rows(scene, q)
+    if _agree(gradient, q, direction, given @ direction, (np.abs(given) @ np.abs(direction)).max()):
+        return
+    found = np.array([difference(gradient, q, unit)[0] / unit[j] for j, unit in enumerate(np.diag(size))]).T
+    i, j = np.unravel_index(np.argmax(np.abs(found - given) * size), given.shape)
+    raise BadInput(
+        f"scene {scene.name!r}: its Hessian is not the gradient's derivative: entry ({i + 1}, {j + 1}) is "
+        f"{given[i, j]:.6g} at q = {_at(q)}, the derivative of the gradient there {found[i, j]:.6g}"
+    )
+
+
+def _symmetry(scene: Mechanical, q: np.ndarray) -> None:
+    """V(Rq) = V(q): ∇V is along q."""
+    force = _force(scene, q)
+    across = force - q * (q @ force) / (q @ q)
+    torque = float(np.linalg.norm(across) * np.linalg.norm(q))
+    if torque > TOLERANCE * float(np.linalg.norm(force) * np.linalg.norm(q)):
+        raise BadInput(
+            f"scene {scene.name!r}: rotation_invariant = True, but the potential exerts a torque, "
+            f"‖q × ∇V‖ = {torque:.6g} at q = {_at(q)}"
+        )
+
+
+def _agree(
+    f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray, given: np.ndarray, terms: float
+) -> bool:
+    """Whether `given` is the derivative of f along a direction, or differences cannot tell."""
+    found, error = difference(f, q, direction)
+    if not (np.isfinite(given).all() and np.isfinite(found).all()):
+        raise FloatingPointError
+    off = float(np.abs(found - given).max())
+    scale = max(terms, float(np.abs(found).max()))
+    return off <= TOLERANCE * scale + SAFETY * error or error > UNSURE * scale
+
+
+def difference(
+    f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The derivative of f along a direction by central differences of order 4, and about its error."""
+    best, error = np.full_like(f(q), math.nan), math.inf
+    for step in STEPS:
+        wide, narrow = (
+            (f(q + h * direction) - f(q - h * direction)) / (2 * h) for h in (step, step / 2)
+        )
+        gap = float(np.abs(wide - narrow).max())
+        if gap < error:
+            best, error = narrow + (narrow - wide) / 3, gap
+    return best, error
+
+
+def _at(q: np.ndarray) -> str:
+    return f"({', '.join(f'{x:.6g}' for x in q[:4])}{', …' if len(q) > 4 else ''})"
