@@ -13,6 +13,7 @@ import numpy as np
 
 import contactbench as cb
 from cells import outcome, save_times
+from contactbench.boundary import UserError
 from contactbench.measure.deviation import MEANINGFUL
 from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import slow_rate
@@ -30,6 +31,8 @@ class SolverError(Exception):
 def blamed_on_solver():
     try:
         yield
+    except UserError as error:  # a plug-in's solver
+        raise SolverError(str(error)) from error
     except cb.BadInput:  # a question nobody should have asked
         raise
     except Exception as error:

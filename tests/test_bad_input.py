@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import sys
 
+import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import ALL_SCENES
 from contactbench.cli import main
+from contactbench.scene import definition, verify
 
 CASES = [
     (("partcle", "rk4", {"step": 0.1}), "unknown scene 'partcle': did you mean 'particle'?"),
@@ -109,3 +113,199 @@ def test_command_line_lists_everything(capsys):
     out = capsys.readouterr().out
     for name in [*cb.SCENES, *cb.METHODS, *cb.LAWS]:
         assert f"  {name} " in out
+
+
+# -- what is lost or never ends --------------------------------------------------------------------
+LINES = {
+    "a complex ensemble": (
+        lambda: cb.ensemble("particle", "rk4", {"q": (np.ones(4) * 1j, 0.5)}, step=0.5),
+        "q[0] = array([0.+1.j, 0.+1.j, 0.+1.j, 0.+1.j]): must be a number or an array of numbers",
+    ),
+    "dates": (
+        lambda: cb.ensemble("particle", "rk4", {"q": (np.array(["2020"], "datetime64[Y]"), 0.5)}, step=0.5),
+        "must be a number or an array of numbers",
+    ),
+    "a complex number": (lambda: cb.solve("particle", "rk4", step=np.complex128(0.1)), "step = "),
+    "a number as text": (lambda: cb.solve("particle", "rk4", step="0.1"), "step = '0.1': must be a finite number"),
+    "a million names": (lambda: cb.solve("particle", "rk4", step=0.1, carry=np.ones(10**6)), "can carry s"),
+    "a large integer": (lambda: cb.solve("particle", "rk4", step=10**400), "must be a finite number"),
+    "one that cannot be printed": (lambda: cb.solve("particle", "rk4", step=10**5000), "step = <int>: must be"),
+    "no budget": (lambda: cb.solve("particle", "rk4", step=0.1, max_steps=math.nan), "max_steps = nan: must be"),
+    "no carry": (lambda: cb.solve("particle", "rk4", step=0.1, carry=5), "carry = 5: scene 'particle' can carry s"),
+    "no chunk": (lambda: cb.ensemble("particle", "rk4", {"s": np.ones(2)}, step=0.5, chunk="x"), "chunk = 'x'"),
+    "no parameters": (lambda: cb.SCENES["particle"].with_(parameters=5), "parameters = 5: must be a dict"),
+    "no potential": (lambda: cb.SCENES["particle"].with_(potential=1), "potential = 1: must be a function"),
+    "no mass": (lambda: cb.SCENES["particle"].with_(mass=5e-324), "mass = 5e-324"),
+    "no name": (lambda: cb.METHODS[[]], "unknown method []"),
+    "no order": (lambda: cb.fixed_step("x", None), "order = None"),
+    "no evaluations": (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
+    "a claim": (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
+    "far away": (lambda: cb.prepare("particle", "scipy-dop853", rtol=1e-6)(q=(1e160, 0.0)), "not finite there"),
+    "no end": (
+        lambda: cb.reference(cb.SCENES["particle"].with_(gamma=0.11), [1e9], seconds=3.0), "for all): allow it more",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("name", LINES)
+def test_it_is_refused_in_one_short_line(name):
+    call, says = LINES[name]
+    with pytest.raises(cb.BadInput) as caught:
+        call()
+    assert says in str(caught.value)
+    assert len(str(caught.value)) <= 300
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("options", [{"step": 1e-300}, {"step": 1e-5, "save_at": [1e300]}, {"step": 1e-20}])
+def test_a_run_of_too_many_steps_ends_as_budget(options):
+    assert cb.solve("particle", "rk4", **options).status is cb.Status.budget
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("method", ["scipy-dop853", "scipy-radau"])
+def test_a_first_step_that_is_no_number_ends_the_run(method):
+    """A slope that is finite at the start and not where the first step leads: SciPy's loop would not end."""
+    from contactbench.methods.scipy import starts
+
+    run = cb.prepare(cb.SCENES["particle"].with_(q=(1e100, 0.0)), method, rtol=1e-6, save_at=[1.0])
+    assert not run().ok
+    if method == "scipy-dop853":  # Radau refuses a Jacobian that is none
+        assert not starts(run.solver(lambda t, y: y * math.nan, 0.0, np.ones(1), 1.0))
+
+
+# -- a user's functions ----------------------------------------------------------------------------
+def user(**changes):
+    def potential(q):
+        x, y = q
+        return x * x / 2 + 2 * y * y + x * x * y
+
+    def gradient(q):
+        x, y = q
+        return (x + 2 * x * y, 4 * y + x * x)
+
+    def hessian(q):
+        x, y = q
+        return ((1 + 2 * y, 2 * x), (2 * x, 4.0))
+
+    given = {"potential": potential, "gradient": gradient, "hessian": hessian, **changes}
+    return cb.Mechanical(name="mine", q=(0.7, -0.4), p=(0.1, 0.3), gamma=0.1, t_end=1.0, **given)
+
+
+WRONG = {
+    "sign": ({"gradient": lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)}, "gradient is not the potential's: component 1 is"),
+    "factor": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 2 * q[1] + q[0] ** 2)}, "gradient is not the potential's: component 2 is"),
+    "missing term": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4 * q[1])}, "gradient is not the potential's: component 2 is"),
+    "small factor": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4.0001 * q[1] + q[0] ** 2)}, "component 2 is"),
+    "hessian": ({"hessian": lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))}, "Hessian is not the gradient's derivative: entry (2, 1) is"),
+    "shape": ({"hessian": lambda q: ((1.0, 2.0),)}, "must be 2 rows of 2 real numbers"),
+    "symmetry": ({"rotation_invariant": True}, "exerts a torque"),
+    "no number": ({"potential": lambda q: q}, "its potential is (0.7, -0.4)"),
+    "complex": ({"potential": lambda q: 1j * q[0]}, "must be a number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("first", ["solve", "reference", "ensemble"])
+def test_functions_that_do_not_fit_each_other_are_refused_with_both_numbers(name, first):
+    changes, says = WRONG[name]
+    scene = user(**changes)
+    with pytest.raises(cb.BadInput) as caught:
+        if first == "solve":
+            cb.solve(scene, "scipy-radau", rtol=1e-6)
+        elif first == "reference":
+            cb.reference(scene, [1.0])
+        else:
+            cb.ensemble(scene, "rk4", {"s": np.ones(2)}, step=0.5)
+    assert says in str(caught.value)
+    assert "scene 'mine'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"hessian": None}, {"potential": lambda q: 5.0 + q[0] ** 2 / 2 + 2 * q[1] ** 2 + q[0] ** 2 * q[1]}],
+)
+def test_functions_that_fit_are_taken(changes):
+    assert cb.solve(user(**changes), "rk4", step=0.1).ok
+
+
+@pytest.mark.parametrize("scene", ALL_SCENES, ids=lambda scene: scene.name)
+def test_every_scene_of_ours_fits(scene):
+    """What is not checked at run time is checked here, by the same rules."""
+    if isinstance(scene, cb.Mechanical):
+        definition._verify(scene)
+    else:
+        verify(scene)
+
+
+def test_a_definition_is_checked_once(monkeypatch):
+    calls = []
+    scene = user()
+    cb.solve(scene, "rk4", step=0.1)
+    monkeypatch.setattr(definition, "_verify", calls.append)
+    cb.solve(scene, "rk4", step=0.1)
+    cb.solve("particle", "rk4", step=0.1)
+    assert calls == []
+    cb.solve(scene.with_(gamma=0.2), "rk4", step=0.1)
+    assert len(calls) == 1
+
+
+ERRORS = {
+    "scene": (lambda: user(gradient=lambda q: q[5]), "q = (0.7, -0.4): wrong for scene 'mine'"),
+    "exit": (lambda: user(gradient=lambda q: sys.exit(0)), "scene 'mine', <lambda> (test_bad_input.py, line "),
+    "potential": (lambda: cb.solve(user(potential=lambda q: {}["a"]), "rk4", step=0.1), "KeyError: 'a'"),
+    "dict": (lambda: user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_an_error_of_a_users_function_is_told_as_theirs(name):
+    call, says = ERRORS[name]
+    with pytest.raises(cb.BadInput) as caught:
+        call()
+    assert says in str(caught.value)
+    assert "test_bad_input.py, line" in str(caught.value) or name == "dict"
+
+
+STEPS = {
+    "another shape": (lambda scene, x, h, xp: x._replace(q=(*x.q, 1.0)), "returns q = "),
+    "no s": (lambda scene, x, h, xp: x._replace(s=None), "returns s = None: must be a number"),
+    "no state": (lambda scene, x, h, xp: x.q, "must be a State"),
+    "complex": (lambda scene, x, h, xp: x._replace(s=1j), "returns s = 1j: must be a number"),
+    "a list": (lambda scene, x, h, xp: x._replace(q=list(x.q)), "must be 2 numbers, a tuple"),
+    "an error": (lambda scene, x, h, xp: {}["a"], "<lambda> (test_bad_input.py, line "),
+    "an exit": (lambda scene, x, h, xp: sys.exit(0), "SystemExit: 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@pytest.mark.parametrize("name", STEPS)
+def test_a_step_map_that_makes_no_state_is_refused(name, engine):
+    step, says = STEPS[name]
+    cb.fixed_step("mine", 1)(step)
+    try:
+        with pytest.raises(cb.BadInput) as caught:
+            cb.solve("particle", "mine", step=0.1, engine=engine)
+    finally:
+        del cb.METHODS["mine"]
+    assert says in str(caught.value)
+    assert "method 'mine'" in str(caught.value)
+
+
+def test_an_error_later_in_a_run_is_told_as_theirs():
+    left = [3]
+
+    def step(scene, x, h, xp):
+        left[0] -= 1
+        return x if left[0] else {}["a"]
+
+    cb.fixed_step("mine", 1)(step)
+    try:
+        with pytest.raises(
+            cb.BadInput, match=r"mine on scene 'particle', step \(test_bad_input.py, line \d+\): KeyError"
+        ):
+            cb.solve("particle", "mine", step=0.1, engine="python")
+    finally:
+        del cb.METHODS["mine"]

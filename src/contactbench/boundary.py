@@ -23,7 +23,8 @@ REPEATED = 120
 #: where no user's code is: this package, Python's library, installed packages, generated programs
 _OURS = str(Path(__file__).parent) + os.sep
 _INSTALLED = tuple(
-    path + os.sep for path in {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+    path + os.sep
+    for path in {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 )
 
 
@@ -64,7 +65,9 @@ def user_error(what: str, error: BaseException) -> UserError:
     else:
         says = f"{type(error).__name__}: {one_line(error, REPEATED)}"
     frame = frame_of(error)
-    where = "" if frame is None else f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
+    where = (
+        "" if frame is None else f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
+    )
     made = UserError(f"{what}{where}: {says}")
     made.__cause__ = error
     return made

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.boundary import reported
 from contactbench.errors import BadInput, array, finite, positive, shown, switch, unknown_name, whole
 from contactbench.measure.deviation import conformal_deviation
 from contactbench.measure.laws import LAWS

@@ -7,6 +7,7 @@ import math
 import re
 import reprlib
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ SHOWN = 80
 class BadInput(ValueError):
     """A value the library cannot work with; the message, one line, names it and what is allowed."""
 
-    def __init__(self, message: object = "") -> None:
+    def __init__(self, message: object) -> None:
         super().__init__(one_line(message))
 
     def __str__(self) -> str:  # KeyError, a base of UnknownName, would print its repr
@@ -48,7 +49,10 @@ _SHORT = reprlib.Repr(maxlevel=3, maxtuple=8, maxlist=8, maxdict=4, maxset=4, ma
 
 def shown(value: object) -> str:
     """The repr of any value, short and on one line, whatever it is."""
-    return one_line(_SHORT.repr(value), SHOWN)
+    try:
+        return one_line(_SHORT.repr(value), SHOWN)
+    except Exception:  # an int of thousands of digits, an object whose repr fails
+        return f"<{type(value).__name__}>"
 
 
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName:
@@ -102,10 +106,8 @@ def finite(name: str, value: Any) -> float:
     """`value` as a finite float, or `BadInput`: a real number, neither text nor an array."""
     number = math.nan
     if is_real(value):
-        try:
+        with suppress(TypeError, ValueError, OverflowError):
             number = float(value)
-        except (TypeError, ValueError, OverflowError):
-            pass
     if not math.isfinite(number):
         raise BadInput(f"{name} = {shown(value)}: must be a finite number")
     return number
@@ -158,6 +160,16 @@ def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...
         wanted = f"{length} numbers" if length is not None else "a sequence of numbers"
         raise BadInput(f"{name} = {shown(value)}: must be {wanted}")
     return tuple(finite(f"{name}[{i}]", item) for i, item in enumerate(items))
+
+
+def listed(name: str, value: Any, wanted: str) -> list[Any]:
+    """The items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
+    try:
+        if isinstance(value, str | bytes):
+            raise TypeError
+        return list(value)
+    except TypeError:
+        raise BadInput(f"{name} = {shown(value)}: must be {wanted}") from None
 
 
 def function(name: str, value: Any) -> None:

@@ -13,15 +13,18 @@ import hashlib
 import importlib.util
 import os
 import sys
-import traceback
 import warnings
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from contactbench.errors import BadInput, Registry
+from contactbench.boundary import frame_of, limit, their_code, user_error, within
+from contactbench.errors import BadInput, Registry, one_line
 from contactbench.methods import METHODS
+from contactbench.methods.first_step import try_step
+from contactbench.methods.step_map import StepMap
+from contactbench.scene import Scene, verify
 from contactbench.scenes import SCENES
 
 GROUPS: dict[str, Registry] = {"contactbench.methods": METHODS, "contactbench.scenes": SCENES}
@@ -37,7 +40,8 @@ _files: set[Path] = set()
 def load_file(path: Path | str) -> None:
     """Run a Python file that registers methods and scenes; a file given twice is run once.
 
-    Raises `BadInput`, with the file's own line, when it cannot be read, fails or registers nothing.
+    What it registers is evaluated once.  Raises `BadInput`, with the file's own line, when it cannot be read,
+    fails, ends the program, takes longer than `boundary.limit` or registers nothing.
     """
     path = Path(path)
     if not path.is_file():
@@ -46,12 +50,16 @@ def load_file(path: Path | str) -> None:
         return
     before = _registered()
     try:
-        _run(path.resolve())
-    except Exception as error:
-        raise BadInput(
-            f"plug-in {path}{_line(error, path)}: {type(error).__name__}: {_brief(error)}"
-        ) from error
-    if _registered() == before:
+        with within(limit()):
+            _run(path.resolve())
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise _failure(path, error) from error
+    new = _registered() - before
+    for name, _ in sorted(new):
+        try_out(next(registry[name] for registry in GROUPS.values() if name in registry))
+    if not new:
         raise BadInput(f"plug-in {path}: registers no method and no scene (cb.fixed_step, cb.SCENES.add)")
     _files.add(path.resolve())
     named = list(filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
@@ -76,17 +84,26 @@ def _run(path: Path) -> None:
     loader.exec_module(sys.modules[name])
 
 
-def _line(error: Exception, path: Path) -> str:
-    """`` line 7``: the last line of the file on the way to its error."""
+def _failure(path: Path, error: BaseException) -> BadInput:
+    """The error of a file as one line."""
     if isinstance(error, SyntaxError):
-        return f" line {error.lineno}"
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path.resolve())]
-    return f" line {frames[-1].lineno}" if frames else ""
+        return BadInput(f"plug-in {path} line {error.lineno}: SyntaxError: {error.msg}")
+    if isinstance(error, Exception):
+        frame = frame_of(error)
+        line = f" line {frame.lineno}" if frame and frame.filename == str(path.resolve()) else ""
+        return BadInput(f"plug-in {path}{line}: {type(error).__name__}: {one_line(error, 200)}")
+    return user_error(f"plug-in {path}", error)
 
 
-def _brief(error: Exception) -> str:
-    message = error.msg if isinstance(error, SyntaxError) else str(error)
-    return " ".join(message.split())
+def try_out(item: Any) -> None:
+    """Evaluate a scene's functions, or a step map on a scene, once: raises `BadInput` where that fails."""
+    if isinstance(item, Scene):
+        verify(item)
+    elif isinstance(item, StepMap):
+        with their_code(f"method {item.name!r}"):
+            scene = next((scene for scene in SCENES.values() if item.refuses(scene) is None), None)
+        if scene is not None:
+            try_step(item, scene, scene.carry(), None)
 
 
 def load_installed() -> None:
@@ -97,8 +114,11 @@ def load_installed() -> None:
     for group, registry in GROUPS.items():
         for point in entry_points(group=group):
             try:
-                _register(registry, point.load())
-            except Exception as error:
+                with within(limit()):
+                    _register(registry, point.load())
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:
                 _warn(f"entry point {point.name!r} of group {group!r} ({point.value})", error)
             else:
                 LOADED[f"{group}: {point.name}"] = _version(point)
@@ -109,8 +129,8 @@ def load_installed() -> None:
             _warn(f"{VARIABLE}={path}", error)
 
 
-def _warn(what: str, error: Exception) -> None:
-    message = f"{what} is left out: {type(error).__name__}: {_brief(error)}"
+def _warn(what: str, error: BaseException) -> None:
+    message = f"{what} is left out: {type(error).__name__}: {one_line(error, 200)}"
     warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 

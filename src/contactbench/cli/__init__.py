@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from typing import Any
 
+from contactbench.boundary import VARIABLE, limit
 from contactbench.cli import claim, compare, gate, listing, references, report, solve
 from contactbench.cli.parsing import PLUGIN, Parser
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, one_line
 
 #: in the order of --help
 COMMANDS = (listing, solve, compare, claim, report, gate, references)
@@ -30,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
   contactbench report --results results
 
 The tables come from the benchmark, `tox -e bench`.
-Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input.""",
+Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an error in a plug-in.""",
     )
     top.add_argument("--version", action="store_true", help="print the version and exit")
     top.set_defaults(run=None)
@@ -61,11 +63,13 @@ def overview(top: argparse.ArgumentParser, arguments: argparse.Namespace) -> int
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry point; bad input is one line on stderr and exit status 2."""
+    """Entry point; whatever goes wrong is one line on stderr and exit status 2."""
+    plugins, _ = PLUGIN.parse_known_args(argv)
+    arguments = (top := parser()).parse_args(argv)
     try:
-        plugins, _ = PLUGIN.parse_known_args(argv)
-        top = parser()
-        arguments = top.parse_args(argv)
+        if plugins.plugin_timeout is not None:
+            os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
+            limit()
         if plugins.plugin:
             from contactbench.plugins import load_file
 
@@ -75,15 +79,28 @@ def main(argv: list[str] | None = None) -> int:
         status = arguments.run(arguments) if arguments.run else overview(top, arguments)
         sys.stdout.flush()
     except BadInput as error:
-        print(f"contactbench: {error}", file=sys.stderr)
-        return 2
+        return failed(error, str(error), plugins.traceback)
     except BrokenPipeError:  # the reader has left, as in `contactbench list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
-        print(f"contactbench: {error}", file=sys.stderr)
-        return 2
+        return failed(error, str(error), plugins.traceback)
     except KeyboardInterrupt:
         print("contactbench: interrupted", file=sys.stderr)
         return 130
+    except BaseException as error:
+        if isinstance(error, SystemExit) and error.code not in (0, None):
+            raise  # ours, as when a job is cancelled; a command that is done returns
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{os.path.basename(last.filename)}, line {last.lineno}"
+        says = f"{type(error).__name__}: {error} ({where}; --traceback shows the rest)"
+        return failed(error, says, plugins.traceback)
     return status
+
+
+def failed(error: BaseException, message: str, whole: bool) -> int:
+    """Say on stderr what went wrong, in one line or with all that led to it."""
+    if whole:
+        traceback.print_exception(error)
+    print(f"contactbench: {one_line(message)}", file=sys.stderr)
+    return 2

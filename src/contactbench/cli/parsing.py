@@ -25,5 +25,11 @@ PLUGIN.add_argument(
     help="Python file that registers methods or scenes of your own; may be repeated",
 )  # fmt: skip
 
+PLUGIN.add_argument(
+    "--plugin-timeout", metavar="SECONDS",
+    help="for importing a plug-in and for each first evaluation of what it brings (default: 60; 0: any time)",
+)  # fmt: skip
+PLUGIN.add_argument("--traceback", action="store_true", help="show where an error comes from")
+
 #: ``command(name, run, about, examples) -> parser`` makes one more command
 Command = Callable[..., Any]

@@ -19,7 +19,7 @@ def assignments(pairs: list[str]) -> dict[str, Any]:
         name, _, text = pair.partition("=")
         try:
             changes[name] = json.loads(text)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             raise BadInput(
                 f"--set {pair}: must be name=value, the value a number or [list, of, numbers]"
             ) from None

@@ -358,7 +358,9 @@ def begins(scene: Scene, start: Any) -> None:
     except BaseException as error:
         raise reported(f"scene {scene.name!r}", error) from error.__cause__
     if not math.isfinite(hypot(*slope)):
-        raise BadInput(f"initial data: the right-hand side of scene {scene.name!r} is not finite there: {shown(start)}")
+        raise BadInput(
+            f"initial data: the right-hand side of scene {scene.name!r} is not finite there: {shown(start)}"
+        )
 
 
 def stopwatch() -> Any:

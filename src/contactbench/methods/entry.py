@@ -66,7 +66,9 @@ def prepare(
         raise BadInput(f"engine = {shown(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
     if chosen.exact:
         if not step is rtol is atol is None:
-            raise BadInput(f"{_given(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance")
+            raise BadInput(
+                f"{_given(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance"
+            )
     elif chosen.adaptive:
         if step is not None:
             raise BadInput(f"step = {shown(step)}: {chosen.name} chooses its own steps; give rtol")

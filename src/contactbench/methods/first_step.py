@@ -36,7 +36,13 @@ def try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float 
         raise BadInput(f"{what}: its step map returns {shown(after)}: must be a {type(x).__name__}")
     for name, old, new in zip(x._fields, x, after, strict=True):
         if not _alike(old, new):
-            wanted = f"{len(old)} numbers, a tuple" if isinstance(old, tuple) else "None" if old is None else "a number"
+            wanted = (
+                f"{len(old)} numbers, a tuple"
+                if isinstance(old, tuple)
+                else "None"
+                if old is None
+                else "a number"
+            )
             raise BadInput(f"{what}: its step map returns {name} = {shown(new)}: must be {wanted}")
     _tried.add(key)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactbench.methods.base import Outcome, Prepared
-from contactbench.methods.grid import steps_in
+from contactbench.methods.grid import UNCOUNTED, steps_in
 from contactbench.methods.step_map import StepMap
 from contactbench.solution import Counts, Status
 
@@ -72,7 +72,8 @@ class FixedStepRun(Prepared):
         r = self.request
         if self.needed > r.max_steps:
             nothing = np.empty((0, len(y0)))
-            message = f"{self.needed} steps needed, max_steps = {r.max_steps}"
+            needed = str(self.needed) if self.needed < UNCOUNTED else f"more than {UNCOUNTED:.0e}"
+            message = f"{needed} steps needed, max_steps = {r.max_steps}"
             return self.finished(y0, nothing, Counts(), Status.budget, message)
         y = self.intervals(y0, self.h, self.n)
         if self.saves_start:

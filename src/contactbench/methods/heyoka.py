@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib.util
 from copy import copy
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,7 @@ class TaylorRun(Prepared):
             _integrators[key] = integrator, elapsed()
         program, self.compile_s = _integrators[key]
         self.integrator = copy(program)
+        self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes = heyoka.taylor_outcome
         self.end, self.per_step = float(r.save_at[-1]), program.order + 1
 
@@ -78,6 +80,10 @@ class TaylorRun(Prepared):
         return ta.state.copy()
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        with self.alone:
+            return self._integrate(y0)
+
+    def _integrate(self, y0: np.ndarray) -> Outcome:
         r, ta = self.request, self.integrator
         ta.time = 0.0
         ta.state[:] = y0

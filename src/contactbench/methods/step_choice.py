@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from threading import Lock
 
 import numpy as np
 
@@ -49,9 +50,14 @@ class ChosenStep(Prepared):
         first = float(self.request.save_at[-1]) / FIRST
         self.run = self.engine_run(self.method, replace(self.request, step=first), self.method_)
         self.compile_s = self.run.compile_s
+        self.alone = Lock()  # one run to divide: calls from several threads take turns
         self.sensitivity_source = self.run.sensitivity_source
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        with self.alone:
+            return self._integrate(y0)
+
+    def _integrate(self, y0: np.ndarray) -> Outcome:
         step, evaluations = self.choose(y0)
         self.run.divide(step)
         out = self.run.integrate(y0)

@@ -10,6 +10,7 @@ CVODE stops after 500 steps by default and says so only in its result: the budge
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -149,6 +150,7 @@ class CompiledCvodeRun(Prepared):
             {"Adams": ADAMS, "BDF": BDF}[self.kind], functions, self.data, self.size, r.rtol, r.atol, self.end,
             SHORTEST * self.end,
         )  # fmt: skip
+        self.alone = Lock()  # one memory: calls from several threads take turns
         self.to_end, self.at_times = cvode_driver.to_end, cvode_driver.at_times
         self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
         self.final_only = len(self.later) == 1
@@ -162,6 +164,10 @@ class CompiledCvodeRun(Prepared):
         return self._bare(y0)[KNOWN:]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        with self.alone:
+            return self._integrate(y0)
+
+    def _integrate(self, y0: np.ndarray) -> Outcome:
         if self.final_only:
             told = self._bare(y0)
             rows = told[None, KNOWN:]

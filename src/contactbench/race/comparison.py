@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 from tqdm import tqdm
 
-from contactbench.errors import BadInput, finite, positive
+from contactbench.errors import BadInput, finite, listed, positive, shown, switch
 from contactbench.measure.clock import Race
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import lookup
@@ -54,19 +54,22 @@ def compare(
     Ctrl-C ends it with what there is.  Raises `BadInput`, also where no reference can be computed.
     """
     scene, _ = lookup(scene, next(iter(METHODS)))
-    names = list(dict.fromkeys(METHODS if methods is None else methods))
-    for name in names:
+    given = listed("methods", METHODS if methods is None else methods, "a list of names")
+    for name in given:
         METHODS[name]  # an unknown one raises
-    wanted = tuple(sorted({_error(error) for error in errors}, reverse=True))
+    names = list(dict.fromkeys(given))
+    asked = listed("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
+    wanted = tuple(sorted({_error(error) for error in asked}, reverse=True))
     if not wanted:
         raise BadInput("errors: at least one, as in errors=[1e-3, 1e-6]")
+    switch("progress", progress)
     return Comparison(scene, names, wanted, positive("budget", budget), progress).frame()
 
 
 def _error(value: Any) -> float:
     error = finite("error", value)
     if not 0 < error < 1:
-        raise BadInput(f"error = {value!r}: must be between 0 and 1, relative to the size of the motion")
+        raise BadInput(f"error = {shown(value)}: must be between 0 and 1, relative to the size of the motion")
     return error
 
 

@@ -73,7 +73,9 @@ def _number(scene: Mechanical, q: np.ndarray) -> float:
     """V(q), a real number."""
     value = scene.V(tuple(q.tolist()))
     if not is_real(value) or not hasattr(value, "__float__"):
-        raise BadInput(f"scene {scene.name!r}: its potential is {shown(value)} at q = {_at(q)}: must be a number")
+        raise BadInput(
+            f"scene {scene.name!r}: its potential is {shown(value)} at q = {_at(q)}: must be a number"
+        )
     return float(value)
 
 
@@ -91,7 +93,9 @@ def _rows(scene: Mechanical, q: np.ndarray) -> np.ndarray:
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.shape != (n, n) or array.dtype.kind not in "fiub":
-        raise BadInput(f"scene {scene.name!r}: its Hessian is {shown(rows)}: must be {n} rows of {n} real numbers")
+        raise BadInput(
+            f"scene {scene.name!r}: its Hessian is {shown(rows)}: must be {n} rows of {n} real numbers"
+        )
     return array.astype(float)
 
 
@@ -100,7 +104,9 @@ def _gradient(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.
         return np.array([_number(scene, q)])
 
     given = _force(scene, q)
-    if _agree(potential, q, direction, np.array([given @ direction]), np.abs(given) @ np.abs(direction)):
+    if _agree(
+        potential, q, direction, np.array([given @ direction]), float(np.abs(given) @ np.abs(direction))
+    ):
         return
     found = [difference(potential, q, unit)[0][0] / unit[i] for i, unit in enumerate(np.diag(size))]
     i = int(np.argmax(np.abs(found - given) * size))
@@ -115,7 +121,7 @@ def _hessian(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.n
         return _force(scene, q)
 
     given = _rows(scene, q)
-    if _agree(gradient, q, direction, given @ direction, (np.abs(given) @ np.abs(direction)).max()):
+    if _agree(gradient, q, direction, given @ direction, float((np.abs(given) @ np.abs(direction)).max())):
         return
     found = np.array([difference(gradient, q, unit)[0] / unit[j] for j, unit in enumerate(np.diag(size))]).T
     i, j = np.unravel_index(np.argmax(np.abs(found - given) * size), given.shape)
@@ -138,7 +144,11 @@ def _symmetry(scene: Mechanical, q: np.ndarray) -> None:
 
 
 def _agree(
-    f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray, given: np.ndarray, terms: float
+    f: Callable[[np.ndarray], np.ndarray],
+    q: np.ndarray,
+    direction: np.ndarray,
+    given: np.ndarray,
+    terms: float,
 ) -> bool:
     """Whether `given` is the derivative of f along a direction, or differences cannot tell."""
     found, error = difference(f, q, direction)
@@ -155,9 +165,7 @@ def difference(
     """The derivative of f along a direction by central differences of order 4, and about its error."""
     best, error = np.full_like(f(q), math.nan), math.inf
     for step in STEPS:
-        wide, narrow = (
-            (f(q + h * direction) - f(q - h * direction)) / (2 * h) for h in (step, step / 2)
-        )
+        wide, narrow = ((f(q + h * direction) - f(q - h * direction)) / (2 * h) for h in (step, step / 2))
         gap = float(np.abs(wide - narrow).max())
         if gap < error:
             best, error = narrow + (narrow - wide) / 3, gap

@@ -73,7 +73,9 @@ class Mechanical(Scene):
         try:
             force = self.gradient(self.q, **self.parameters)
         except (ZeroDivisionError, OverflowError):
-            raise BadInput(f"q = {shown(self.q)}: the force of scene {self.name!r} is singular there") from None
+            raise BadInput(
+                f"q = {shown(self.q)}: the force of scene {self.name!r} is singular there"
+            ) from None
         except (ValueError, IndexError, TypeError) as error:
             raise BadInput(
                 f"q = {shown(self.q)}: wrong for scene {self.name!r}, whose gradient says: "

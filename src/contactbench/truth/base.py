@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, shown
+from contactbench.errors import BadInput, array
 from contactbench.scene import Scene
 
 
@@ -35,14 +35,47 @@ class OutOfTime(BadInput):
 NEVER = math.inf
 
 
-def in_time(scene: Scene, deadline: float) -> None:
-    """Raise `OutOfTime` once the deadline is over."""
-    if perf_counter() > deadline:
-        faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
-        raise OutOfTime(
-            f"no reference for scene {scene.name!r} in the time it was given: allow it more, or choose an "
-            f"earlier t_end{faster}"
-        )
+#: seconds after which the rest of a computation is foreseen, and how many times its budget it may still need
+FORESEEN, HOPELESS = 2.0, 4.0
+
+
+class Stopwatch:
+    """The time of one computation of a scene over a span, and what all of it would take."""
+
+    def __init__(self, scene: Scene, span: float, deadline: float) -> None:
+        self.scene, self.span, self.deadline, self.begun = scene, span, deadline, perf_counter()
+
+    def is_over(self, t: float) -> bool:
+        """Whether the deadline has passed, or, seen from t, will pass long before the end."""
+        now = perf_counter()
+        if now <= self.deadline < NEVER and now - self.begun > FORESEEN:
+            return self.needed(t) > HOPELESS * (self.deadline - self.begun)
+        return now > self.deadline
+
+    def needed(self, t: float) -> float:
+        """Seconds for the whole span at the pace so far."""
+        return (perf_counter() - self.begun) * self.span / t if t > 0 else math.inf
+
+    def check(self, t: float) -> None:
+        """Raise `OutOfTime` if it is over."""
+        if self.is_over(t):
+            needed = self.needed(t)
+            pace = (
+                f" (t = {t:.3g} of {self.span:.3g} so far: about {spoken(needed)} for all)" if t > 0 else ""
+            )
+            faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
+            raise OutOfTime(
+                f"no reference for scene {self.scene.name!r} in the time it was given{pace}: allow it more, "
+                f"or choose an earlier t_end{faster}"
+            )
+
+
+def spoken(seconds: float) -> str:
+    """A duration in the unit that suits it."""
+    for unit, size in (("years", 3.156e7), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
 
 
 @dataclass(frozen=True)

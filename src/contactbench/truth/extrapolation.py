@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from contactbench.scene import Scene
-from contactbench.truth.base import NEVER, BlowUp, in_time, with_decimals
+from contactbench.truth.base import NEVER, BlowUp, Stopwatch, with_decimals
 from contactbench.truth.digits import Rows, decimal_context, distance
 from contactbench.truth.taylor import COLLAPSE
 
@@ -38,10 +38,10 @@ def extrapolation(
 
     now, y = context.mpf(0), twin.pack(twin.initial(carry))
     shortest, trial = collapse * context.mpf(times[-1]), context.mpf(times[-1])
-    rows = []
+    rows, watch = [], Stopwatch(scene, float(times[-1]), deadline)
     for time in map(context.mpf, times):
         while now < time:
-            in_time(scene, deadline)
+            watch.check(float(now))
             step = min(trial, time - now)
             column, result = extrapolated(slope, y, step, most, tolerance)
             if result is None:

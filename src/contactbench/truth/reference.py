@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput
-from contactbench.scene import Scene
+from contactbench.errors import BadInput, is_real, one_line, shown
+from contactbench.scene import Scene, verify
 from contactbench.truth.base import NEVER, BlowUp, Reference, checked_times, digest
 from contactbench.truth.closed_form import closed_form, closed_form_columns
 from contactbench.truth.digits import (
@@ -35,22 +35,30 @@ from contactbench.truth.taylor import heyoka_reads_rhs, taylor
 LIVE_BITS = (140, 300, 600)
 
 
+#: seconds that a live reference may take unless more are allowed
+LIVE_SECONDS = 300.0
+
 _cache: dict[Any, Reference] = {}
 
 
 def reference(
-    scene: Scene, times: Any, carry: Sequence[str] | None = None, seconds: float = NEVER
+    scene: Scene, times: Any, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
 ) -> Reference:
     """The truth of a scene at `times` (k,), any order, t ≥ 0; `carry` as in `solve`, default all.
 
-    seconds : how long a live computation may take, compilations not counted.
+    seconds : how long a live computation may take; it ends sooner where it is seen to need far more.
     A time within 4 units in the last place of a frozen grid time means that grid time.
     Raises `BadInput` for times that are negative or not finite, and when no reference can be
     computed: the trajectory blows up before the last time, or too few digits can be had; `OutOfTime`, one of
     them, when it would take too long.
     """
+    if not isinstance(scene, Scene):
+        raise BadInput(f"scene = {shown(scene)}: must be a scene, as in SCENES['particle']")
+    if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
+        raise BadInput(f"seconds = {shown(seconds)}: must be a number")
     carry = scene.carry(carry)
     t = checked_times(times)
+    verify(scene)
     key = (digest(scene), scene.structure, scene.exact, carry, t.tobytes())
     if key not in _cache:
         found = closed_form(scene, t, carry) or frozen(scene, t, carry)
@@ -120,7 +128,7 @@ def computations(
     except Exception as error:
         raise BadInput(
             f"no reference for scene {scene.name!r}: its equations fail in high precision "
-            f"({type(error).__name__}: {' '.join(str(error).split())[:200]})"
+            f"({type(error).__name__}: {one_line(error, 150)})"
         ) from error
 
 

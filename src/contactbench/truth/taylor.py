@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.base import NEVER, BlowUp, in_time, with_decimals
+from contactbench.truth.base import NEVER, BlowUp, Stopwatch, with_decimals
 from contactbench.truth.digits import Rows, decimal_context, distance
 
 MAX_STEPS = 1_000_000
@@ -52,9 +51,10 @@ def taylor(
     origin = [] if float(times[0]) == 0 else ["0.0"]
     grid = np.array([heyoka.real(t, bits) for t in [*origin, *times]])
     shortest = collapse * float(times[-1])
+    watch = Stopwatch(scene, float(times[-1]), deadline)
 
     def keep_going(integrator: Any) -> bool:
-        if perf_counter() > deadline:
+        if watch.is_over(float(integrator.time)):
             return False
         almost_there = float(times[-1]) - float(integrator.time) <= shortest
         return almost_there or float(integrator.last_h) > shortest
@@ -64,7 +64,7 @@ def taylor(
     if outcome == heyoka.taylor_outcome.step_limit:
         raise BadInput(f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed")
     if outcome != heyoka.taylor_outcome.time_limit:
-        in_time(scene, deadline)
+        watch.check(float(integrator.time))
         raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
 
