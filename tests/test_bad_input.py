@@ -194,31 +194,38 @@ def user(**changes):
     return cb.Mechanical(name="mine", q=(0.7, -0.4), p=(0.1, 0.3), gamma=0.1, t_end=1.0, **given)
 
 
+GRADIENT, HESSIAN = (
+    "gradient is not the potential's: component",
+    "Hessian is not the gradient's derivative: entry",
+)
 WRONG = {
-    "sign": ({"gradient": lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)}, "gradient is not the potential's: component 1 is"),
-    "factor": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 2 * q[1] + q[0] ** 2)}, "gradient is not the potential's: component 2 is"),
-    "missing term": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4 * q[1])}, "gradient is not the potential's: component 2 is"),
-    "small factor": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4.0001 * q[1] + q[0] ** 2)}, "component 2 is"),
-    "hessian": ({"hessian": lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))}, "Hessian is not the gradient's derivative: entry (2, 1) is"),
+    "sign": ({"gradient": lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)}, f"{GRADIENT} 1 is"),
+    "factor": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 2 * q[1] + q[0] ** 2)}, f"{GRADIENT} 2 is"),
+    "missing term": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4 * q[1])}, f"{GRADIENT} 2 is"),
+    "little": (
+        {"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4.0001 * q[1] + q[0] ** 2)},
+        f"{GRADIENT} 2 is",
+    ),
+    "hessian": ({"hessian": lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))}, f"{HESSIAN} (2, 1) is"),
     "shape": ({"hessian": lambda q: ((1.0, 2.0),)}, "must be 2 rows of 2 real numbers"),
     "symmetry": ({"rotation_invariant": True}, "exerts a torque"),
     "no number": ({"potential": lambda q: q}, "its potential is (0.7, -0.4)"),
     "complex": ({"potential": lambda q: 1j * q[0]}, "must be a number"),
-}  # fmt: skip
+}
+FIRST = {
+    "solve": lambda scene: cb.solve(scene, "scipy-radau", rtol=1e-6),
+    "reference": lambda scene: cb.reference(scene, [1.0]),
+    "ensemble": lambda scene: cb.ensemble(scene, "rk4", {"s": np.ones(2)}, step=0.5),
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
-@pytest.mark.parametrize("first", ["solve", "reference", "ensemble"])
+@pytest.mark.parametrize("first", FIRST)
 def test_functions_that_do_not_fit_each_other_are_refused_with_both_numbers(name, first):
     changes, says = WRONG[name]
     scene = user(**changes)
     with pytest.raises(cb.BadInput) as caught:
-        if first == "solve":
-            cb.solve(scene, "scipy-radau", rtol=1e-6)
-        elif first == "reference":
-            cb.reference(scene, [1.0])
-        else:
-            cb.ensemble(scene, "rk4", {"s": np.ones(2)}, step=0.5)
+        FIRST[first](scene)
     assert says in str(caught.value)
     assert "scene 'mine'" in str(caught.value)
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.boundary import UserError
 from contactbench.measure.ladder import ENDS, carried, setting, tolerances, work_ladder
 from contactbench.measure.laws import observed
 from contactbench.methods.base import METHODS, Prepared, Refused
@@ -140,6 +141,8 @@ def scout(question: Question, method: str, deadline: float) -> Scouted:
             refine(question, found, limit, error)
     except Unsupported as reason:
         found.why = ("unsupported", str(reason))
+    except UserError as error:
+        found.why = ("failed", str(error))
     except (
         CannotRecord,
         ImportError,
