@@ -12,9 +12,9 @@ import pytest
 
 from contactbench.claims import CLAIMS, Correction, Evidence, Verdict, body_stability, linearisation, verdict
 from contactbench.claims.curves import FIGURES, rows
-from contactbench.claims.integrator import threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.claims.rigid_body import body_flow_defect
+from contactbench.claims.step_stability import threshold, unconditional_from
 from contactbench.cli import main
 from contactbench.methods import METHODS, c_functions, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method

@@ -115,7 +115,8 @@ def test_where_the_solver_chooses_the_steps_both_drifts_are_told_and_differ(meth
     assert "central differences" in columns["derivative"]
     assert "steps frozen" in columns["derivative"]
     assert columns["contact_drift"] > 1.5 * columns["contact_drift_frozen"] > 0
-    assert 0 < columns["contact_drift_uncertainty"] < columns["contact_drift"] / 2
+    for law in ("contact_drift", "distribution_drift"):
+        assert 0 < columns[f"{law}_uncertainty"] < columns[law] / 2
 
 
 # -- differences of the solver ---------------------------------------------------------------------

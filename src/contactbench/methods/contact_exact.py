@@ -19,7 +19,7 @@ from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.numbers.control import Repeat
-from contactbench.scene import RigidBody, Scene
+from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.flows import FREE_COST, flows_of
 
@@ -173,7 +173,7 @@ class ExactMethod(Method):
     tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
-        if isinstance(scene, RigidBody) and scene.isotropic:
+        if scene.kind == "isotropic body":
             return None
         return f"{self.name} solves rigid bodies with isotropic damping; scene {scene.name!r} is none"
 
