@@ -296,7 +296,8 @@ def entry(constants: Any, i: Any) -> Any:
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
     """Whether `advance_by_the_clock` is the way."""
-    return composition.two_part and isinstance(scene, RigidBody) and scene.isotropic
+    ends_as_it_begins = len(composition.stages) % 2 == 1  # and so do its turns
+    return composition.two_part and ends_as_it_begins and isinstance(scene, RigidBody) and scene.isotropic
 
 
 def advance_by_the_clock(
