@@ -16,6 +16,7 @@ import contactbench as cb
 from cells import cells, outcome, setting, step_budget
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
+from contactbench.solution import EXACT
 from equal_cost import step_at, tolerance_at
 
 SCENES = ("particle", "central", "rigid_body")
@@ -50,6 +51,8 @@ def value_at(scene, method, target, budget):
     """The step or tolerance at which a run costs so many right-hand sides."""
     if method.refuses(scene) is not None:
         return method.rtol_range[1] if method.adaptive else scene.t_end / SAVES
+    if method.control == EXACT:
+        return 0.0
     if method.adaptive:
         return tolerance_at(lambda rtol: evaluations(scene, method, rtol, budget), target, method.rtol_range)
     return step_at(method, scene, target, SAVES)
@@ -74,8 +77,7 @@ def test_decay_laws(cell, profile, record):
     budget = step_budget(profile, scene, method, method.engines[0])
     value = value_at(scene, method, cost * scene.t_end, budget)
     solution, counts = to_the_end(scene, method, value, budget)
-    control = "rtol" if method.adaptive else "step"
-    row = outcome(solution, counts) | {"cost": cost, "control": control, "value": value}
+    row = outcome(solution, counts) | {"cost": cost, "control": method.control, "value": value}
     if solution.ok:
         row |= laws_row(scene, method, value, budget)
     record(DECAY_LAWS, **row)

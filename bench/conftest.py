@@ -25,6 +25,8 @@ from contactbench.results.store import OldTable, read
 from contactbench.xla import jax
 
 SHUFFLE_SEED = 20
+#: what this process may use before it is bound to one of them
+CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 REPOSITORY = Path(__file__).resolve().parents[1]
 #: what the first visits to timed cells leave to the second
 VISITED = pytest.StashKey[dict[Any, Cell]]()
@@ -89,8 +91,7 @@ def pin_to_one_core(which: int) -> None:
     """XLA sizes its thread pool by the cores it may use, and handing parts of a small program to another
     thread costs more than running them (up to 70 µs a call, measured)."""
     if hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[which % len(cores)]})
+        os.sched_setaffinity(0, {CORES[which % len(CORES)]})
         jax.config.update("jax_num_cpu_devices", 1)  # contactbench, imported before, took one for every core
 
 
@@ -260,6 +261,8 @@ def write_report(results: Path) -> None:
     from contactbench.report import write
     from contactbench.scenes import SCENES
 
+    if CORES:  # nothing is timed any more
+        os.sched_setaffinity(0, CORES)
     write.report(results, {"methods": METHODS, "scenes": SCENES})
     readme = REPOSITORY / "README.md"
     if results == REPOSITORY / "results" and readme.exists():

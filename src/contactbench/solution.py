@@ -56,6 +56,20 @@ class Counts(NamedTuple):
         return self.evaluations / 2 if self.kind == "rotation" else float(self.evaluations)
 
 
+#: the control of a method that has neither step nor tolerance
+EXACT = "exact"
+
+
+def printed_setting(control: str, value: float) -> str:
+    """What is set and to what, as tables say it."""
+    return control if control == EXACT else f"{control}={value:.6g}"
+
+
+def keywords(control: str, value: float) -> dict[str, Any]:
+    """The keywords of `prepare` that set it."""
+    return {} if control == EXACT else {control: value}
+
+
 class Differential(NamedTuple):
     """The derivative of the saved states of a numerical map along the m tangents at the start.
 

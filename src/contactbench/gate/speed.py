@@ -29,6 +29,7 @@ from filelock import FileLock, Timeout
 
 from contactbench.errors import BadInput
 from contactbench.results.statistics import PairedRatio, paired_ratio, timing
+from contactbench.solution import printed_setting
 
 LIMIT = 1.25
 ROUNDS = 15
@@ -53,7 +54,7 @@ class Cell:
 
     @property
     def setting(self) -> str:
-        return f"{self.control}={self.value:.6g}"
+        return printed_setting(self.control, self.value)
 
     def request(self) -> dict[str, Any]:
         return asdict(self)

@@ -30,8 +30,9 @@ def pin(core: int | None) -> None:
 def prepared(cell: dict[str, Any]) -> tuple[Callable[[], Any], int]:
     """A warm prepared call, and how many of it fill a repeat."""
     import contactbench as cb
+    from contactbench.solution import keywords
 
-    scene, options = cb.SCENES[cell["scene"]], {cell["control"]: cell["value"]}
+    scene, options = cb.SCENES[cell["scene"]], keywords(cell["control"], cell["value"])
     run = cb.prepare(
         scene, cell["method"], engine=cell["engine"], carry=cell["carry"], save_at=[scene.t_end], **options
     )

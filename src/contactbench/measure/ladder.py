@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.scene import RigidBody, Scene
+from contactbench.scene import Scene
+from contactbench.solution import keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -35,7 +36,7 @@ def work_ladder(scene: Scene, order: int) -> list[float]:
     """
     if order < 6:
         fine = steps(scene, 9)
-        return [fine[0] * 5, fine[0] * 2.5, *fine] if isinstance(scene, RigidBody) else fine
+        return [fine[0] * 5, fine[0] * 2.5, *fine] if scene.kind != "mechanical" else fine
     coarse = steps(scene, 1)[0] * 4
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]
@@ -53,8 +54,8 @@ def save_times(scene: Scene) -> np.ndarray:
 
 
 def setting(method: Any, value: float) -> dict[str, float]:
-    """The keyword of `prepare` that sets a method: its tolerance or its step."""
-    return {"rtol": value} if method.adaptive else {"step": value}
+    """The keyword of `prepare` that sets a method: its tolerance or its step; none of an exact one."""
+    return keywords(method.control, value)
 
 
 def stepping(method: Any) -> str:

@@ -183,6 +183,9 @@ class Limit:
 
 def ladder(question: Question, found: Scouted, limit: Limit) -> Iterator[Attempt]:
     item = METHODS[found.method]
+    if item.exact:  # nothing to be set
+        yield attempt(question, found, limit, 0.0)
+        return
     values = tolerances(item) if item.adaptive else work_ladder(question.scene, item.order or 1)
     if item.adaptive and item.rtol_range[0] < values[-1]:
         values = [*values, item.rtol_range[0]]

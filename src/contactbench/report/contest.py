@@ -295,11 +295,7 @@ def standing(field: Field) -> tuple[str, str] | None:
         own = [contests[scene, t] for t in TARGETS if contests[scene, t].outcome]
         if own and all(c.outcome == "win" for c in own):
             known = [c.ratio for c in own if math.isfinite(c.ratio)]
-            by = (
-                f" ({times(min(known))} to {times(max(known))} ahead of the best other method)"
-                if known
-                else ""
-            )
+            by = f" (the best other method costs {times(min(known))} to {times(max(known))})" if known else ""
             won.append(f"`{scene}`{by}")
     if won:
         sentence += f" A contact method is cheapest at every error on {names(won)}."

@@ -19,7 +19,7 @@ SOURCE = "ensemble.csv"
 #: how the trajectories of a run share their work; the column `variant`
 SHAPES = {
     "vmap": "every trajectory has its own steps",
-    "shared": "those of a tile share their steps",
+    "shared": "the trajectories of a tile share their steps",
     "batch": "a vector register of trajectories",
     "passes": "every flow a loop over all trajectories",
     "plain": "drift and kick in one loop",

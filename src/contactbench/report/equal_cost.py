@@ -89,7 +89,7 @@ def equal_cost(part: pd.DataFrame) -> str:
         spent.append(f"`{scene}` {low if low == high else f'{low} to {high}'}")
     return (
         "Largest deviation over the run, every method at the same number of evaluations, or as near to it as its "
-        f"steps and tolerances allow ({', '.join(spent)}); one with far fewer is at its tightest tolerance. "
+        f"steps and tolerances allow ({', '.join(spent)}); one with far fewer is exact or at its tightest tolerance. "
         "Order: measured, extrapolated; *exact*: a closed form without steps. "
         f"Bold, J law and contact drift only: at round-off, that is at most {scientific(STRUCTURE, 0)}, or ε times the "
         "evaluations (for η times the growth of the map) where that is more. A method that preserves the law is there "
