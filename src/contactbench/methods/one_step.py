@@ -15,15 +15,8 @@ from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.entry import lookup
 from contactbench.methods.step_map import StepMap
-from contactbench.numbers.recording import (
-    PREAMBLE,
-    Recorded,
-    RecordedNumbers,
-    Tape,
-    needed,
-    recorded,
-    text_of,
-)
+from contactbench.numbers.recording import Recorded, RecordedNumbers, Tape, recorded, text_of
+from contactbench.numbers.source import PREAMBLE, needed
 from contactbench.scene import Scene
 
 
