@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
-from contactbench.results.schema import KEY, Column, Rule, table
+from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
 
 def number(meaning: str, rule: Rule | None = None, exact: bool = False) -> Column:
@@ -135,7 +135,6 @@ DECAY_LAWS = table(
         **COMMON,
         "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
         "cost": number("right-hand sides per unit of time asked for"),
-        "stepping": Column("fixed or adaptive steps, or exact: a closed form without steps"),
         "solution_error": ERROR,
         **{
             name: law_columns()[name]
@@ -157,7 +156,14 @@ WORK_PRECISION = table(
             "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run", Rule.error
         ),
         **COUNTS,
-        "compile_s": seconds("trace and compile, once per scene structure (once per tolerance for heyoka)"),
+        SPREAD: number(
+            "largest over fewest evaluations, less 1, of runs whose initial data differ by a few roundings; of "
+            "solvers that choose their order"
+        ),
+        "compile_s": seconds(
+            "trace and compile, once per scene structure (once per tolerance for heyoka); a program that an "
+            "earlier process has compiled is loaded"
+        ),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
