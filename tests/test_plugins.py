@@ -77,11 +77,11 @@ def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
 
 def test_the_tests_take_it_in(example):
     done = run(
-        "pytest", "tests/methods/test_methods.py", "--plugin", example, "-q", "-p", "no:cacheprovider",
-        "-k", "my-method and (order_on or symmetric)",
+        "pytest", "tests/methods/test_contract.py", "tests/scene/test_scene_contract.py", "--plugin", example, "-q",
+        "-p", "no:cacheprovider", "-k", "(my-method and python) or my-scene",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "6 passed" in done.stdout
+    assert "4 passed" in done.stdout
 
 
 def test_the_command_line_takes_it_anywhere_on_the_line(example):
