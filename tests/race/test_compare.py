@@ -131,11 +131,10 @@ def test_a_reference_that_would_take_too_long_is_refused():
 
 def test_it_writes_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    results = REPOSITORY / "results"
-    before = {path: path.stat().st_mtime_ns for path in results.iterdir()}
+    before = {path: path.stat().st_mtime_ns for path in REPOSITORY.glob("*/*.csv")}  # tables and references
     cb.compare("particle", ["rk4"], (1e-2,), budget=5.0)
     assert not list(tmp_path.iterdir())
-    assert before == {path: path.stat().st_mtime_ns for path in results.iterdir()}
+    assert before == {path: path.stat().st_mtime_ns for path in REPOSITORY.glob("*/*.csv")}
 
 
 # -- interruption, budget --------------------------------------------------------------------------

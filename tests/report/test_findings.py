@@ -361,6 +361,12 @@ def test_win_tie_and_loss_of_the_contact_methods(factor, outcome):
     assert bool(reasons([field])) == (outcome == "loss")
 
 
+def test_losses_are_counted_among_the_pairs_that_some_method_reaches():
+    rows = [r for m, f in (("contact-a", 2.0), ("rk4", 1.0)) for r in costs(m, f, finest=1e-10)]
+    (sentence,) = reasons([Field(table("work_precision", rows), COMPILED)])
+    assert "3 of 3 pairs of scene and error lost" in sentence
+
+
 def test_measured_noise_widens_a_tie_in_time_and_not_in_evaluations():
     rows = [*costs("contact-a"), *costs("rk4", 1.5)]
     noisy = table("work_precision", [r | {"time_repeat_ratio": 1.8} for r in rows])
@@ -577,6 +583,10 @@ def test_where_negative_substeps_stop_paying():
         for m, es in errors.items() for d, e in zip(grid, es, strict=True)
     ]  # fmt: skip
     assert damping.usable(table("strong_damping", rows), "contact-rkn6", 1.0) == 1e-2
+    late = [r | {"error": e} for r, e in zip(rows[4:], [1e-5, 1e-5, 1e-5, 1e-5], strict=True)]
+    assert (
+        damping.usable(table("strong_damping", [*rows[:4], *late]), "contact-rkn6", 1.0) == 0
+    )  # worse at first
     alone = table("strong_damping", [r for r in rows if r["method"] == "contact-rkn6"])
     assert list(damping.strong_parts(alone)) == []  # nothing to compare with
 
@@ -620,10 +630,9 @@ def test_how_much_of_an_ensemble_is_the_fixed_cost_of_a_call_is_said(fixed, shar
 
 # -- tables ----------------------------------------------------------------------------------------
 def test_a_closed_form_is_exact_and_not_adaptive():
-    common = {"control": "rtol", "cost": 30.0}
     rows = [
-        kept_row("central", "contact-exact", 1e-9, **common) | {"stepping": "exact"},
-        kept_row("central", "contact-c", 1e-9, **common) | {"stepping": "adaptive"},
+        kept_row("central", "contact-exact", 0, control="exact", cost=30.0),
+        kept_row("central", "contact-c", 1e-9, control="rtol", cost=30.0),
     ]
     view = equal_cost.overview(frames(decay_laws=rows))
     assert [line[1].text for line in view.rows] == ["exact", "adaptive"]

@@ -273,7 +273,8 @@ def reasons(fields: Iterable[Field]) -> tuple[str, ...]:
             f"`{scene}`" for scene in field.contested
             if {contests[scene, t].outcome for t in TARGETS} - {""} == {"loss"}
         ]  # fmt: skip
-        sentence = f"**{field.kind.title}**: {len(lost)} of {len(contests)} lost, {by_error}"
+        pairs = tally(contests.values()).decided
+        sentence = f"**{field.kind.title}**: {len(lost)} of {pairs} pairs of scene and error lost, {by_error}"
         said.append(sentence + (f"; at every error on {names(always)}." if always else "."))
     return tuple(said)
 

@@ -135,7 +135,6 @@ DECAY_LAWS = table(
         **COMMON,
         "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
         "cost": number("right-hand sides per unit of time asked for"),
-        "stepping": Column("fixed or adaptive steps, or exact: a closed form without steps"),
         "solution_error": ERROR,
         **{
             name: law_columns()[name]
