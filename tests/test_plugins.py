@@ -108,7 +108,7 @@ def registries(monkeypatch):
 FAILURES = {
     "syntax": ("x = (", "line 1: SyntaxError"),
     "exception": ("import contactbench as cb\n\ncb.SCENES['partcle']", "line 3: UnknownName: unknown scene"),
-    "nothing": ("x = 1", "registers no method and no scene"),
+    "nothing": ("x = 1", "registers nothing"),
     "no scene": ("import contactbench as cb\ncb.SCENES.add(3)", "line 2: BadInput: 3 cannot be registered"),
     "no method": ("import contactbench as cb\ncb.METHODS.add(cb.SCENES['central'])", "it is no method"),
     "taken": ("import contactbench as cb\ncb.SCENES.add(cb.SCENES['central'])", "'central' is already registered"),

@@ -31,7 +31,7 @@ CASES = (
 )
 #: on which runs that are asked for more than there is end
 ESCAPE = "escape"
-BUDGET = 7
+BUDGET = 2
 #: parts of the span of a coarse and a fine step; tolerances likewise
 STEPS, RTOLS = {"coarse": 80, "fine": 1280}, {"coarse": 1e-5, "fine": 1e-9}
 #: two ways of the same arithmetic; error over tolerance, at most, of a run this short
