@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from contactbench.measure.law import Law
 from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
-from contactbench.results.schema import KEY, Column, Rule, table
+from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
 
 def number(meaning: str, rule: Rule | None = None, exact: bool = False) -> Column:
@@ -175,7 +175,14 @@ WORK_PRECISION = table(
             "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run", Rule.error
         ),
         **COUNTS,
-        "compile_s": seconds("trace and compile, once per scene structure (once per tolerance for heyoka)"),
+        SPREAD: number(
+            "largest over fewest evaluations, less 1, of runs whose initial data differ by a few roundings; of "
+            "solvers that choose their order"
+        ),
+        "compile_s": seconds(
+            "trace and compile, once per scene structure (once per tolerance for heyoka); a program that an "
+            "earlier process has compiled is loaded"
+        ),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
