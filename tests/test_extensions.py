@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -69,11 +70,10 @@ def test_a_question_has_its_document_its_figure_its_finding_and_a_place_on_the_p
 
 @pytest.mark.parametrize(("file", "column"), [("laws", "mean_position"), ("half_life", "half_life")])
 def test_the_gate_sees_what_moved(results, file, column, tmp_path):
-    for path in results.glob("*.csv"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    moved = pd.read_csv(tmp_path / f"{file}.csv")
+    fresh = shutil.copytree(results, tmp_path / "fresh")
+    moved = pd.read_csv(fresh / f"{file}.csv")
     moved[column] *= 10
-    moved.to_csv(tmp_path / f"{file}.csv", index=False)
+    moved.to_csv(fresh / f"{file}.csv", index=False)
     compare = ("gate", "--only", "accuracy", "--baseline", results, "--fresh")
     contactbench(*compare, results)
-    assert column in contactbench(*compare, tmp_path, code=1)
+    assert column in contactbench(*compare, fresh, code=1)
