@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, word
 from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Figure, Panel
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
 from contactbench.report.numbers import count, duration, names, scientific
 from contactbench.report.page import Said, page
@@ -104,6 +105,16 @@ def view(frame: pd.DataFrame, kind: str) -> View:
 def views(frame: pd.DataFrame) -> list[View]:
     found = [view(frame, kind) for kind in TITLES if (frame["kind"] == kind).any()]
     return [each for each in found if each.rows]
+
+
+#: an axis of costs ends at so many times the least cost of the smallest error: what is dearer is no contest
+CONTEST = 300.0
+
+
+def ending(label: str, errors: pd.Series, costs: pd.Series) -> Axis:
+    """An axis of costs that ends where the contest does."""
+    most = CONTEST * float(costs[errors <= errors.min() * 1e3].min())
+    return replace(number_axis(label), limits=(None, min(most, 2 * float(costs.max()))))
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:

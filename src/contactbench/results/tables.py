@@ -46,6 +46,7 @@ COUNTS = {
         "evaluations on the scale of one right-hand side (two rotations count as one)", Rule.count
     ),
     "jacobians": whole("Jacobian evaluations", Rule.count),
+    "rejected": whole("rejected steps of an adaptive method; empty where the solver does not tell them"),
 }  # fmt: skip
 
 ERROR = number("max ‖y − y*‖ / max ‖y*‖", Rule.error)
@@ -185,6 +186,16 @@ WORK_PRECISION = table(
         ),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
+        "fixed_s": seconds(
+            "what a call takes however short the run: from runs over a fifth of the span and all of it, "
+            "time = fixed + marginal · T; negative where later steps are dearer"
+        ),
+        "fixed_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_s": seconds("what a unit of the scene's time takes, over the last four fifths of the span"),
+        "marginal_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_repeat_ratio": seconds(
+            "marginal_s of the second measurement over that of the first: its noise"
+        ),
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
     },
 )
