@@ -114,7 +114,7 @@ CONTEST = 300.0
 def ending(label: str, errors: pd.Series, costs: pd.Series) -> Axis:
     """An axis of costs that ends where the contest does."""
     most = CONTEST * float(costs[errors <= errors.min() * 1e3].min())
-    return replace(number_axis(label), limits=(None, min(most, 2 * float(costs.max()))))
+    return replace(number_axis(label), within=(None, most))
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:
@@ -128,19 +128,14 @@ def figure(frame: pd.DataFrame) -> Figure | None:
         if len(part):
             curves = by_method(part, "error_reached", "time_s", scale=1e3)
             best = best_of_each(curves, cheapest)
-            panels.append(Panel(title, number_axis("error", True), number_axis("time per solve, ms"), best))
+            cost = ending("time per solve, ms", part["error_reached"], 1e3 * part["time_s"])
+            panels.append(Panel(title, number_axis("error", True), cost, best))
     if len(tried) and (tried["status"] == "ok").any():
         ok = tried[(tried["status"] == "ok") & tried["evaluations"].notna()].copy()
         ok["error"] = np.maximum(ok["error"], frame.attrs["reference"]["error"])
         curves = by_method(ok.sort_values("value", ascending=False, kind="stable"), "error", "evaluations")
-        panels.append(
-            Panel(
-                "Evaluations",
-                number_axis("error", True),
-                number_axis("evaluations"),
-                best_of_each(curves, cheapest),
-            )
-        )
+        cost = ending("evaluations", ok["error"], ok["evaluations"])
+        panels.append(Panel("Evaluations", number_axis("error", True), cost, best_of_each(curves, cheapest)))
     if not panels:
         return None
     scene = frame["scene"].iloc[0]
