@@ -16,10 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.control import choose, negligible, plain, scan
+from contactbench.numbers.control import choose, plain, scan
 
 NODES, ITERATIONS = 16, 6
-POINTS, WEIGHTS = (column.tolist() for column in np.polynomial.legendre.leggauss(NODES))
+_X, _W = np.polynomial.legendre.leggauss(NODES)
+#: of the rule on [0, 1]
+POINTS, WEIGHTS = ((1 + _X) / 2).tolist(), (_W / 2).tolist()
 #: parts of a step, each with a rate r of its own
 PANELS = 2
 
@@ -60,8 +62,7 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
         """The integral of k up to tau."""
         if hasattr(xp, "quad"):
             return xp.quad(pace, [0, tau])
-        half = tau / 2
-        return half * sum(w * pace(half * (1 + x)) for x, w in zip(POINTS, WEIGHTS, strict=True))
+        return tau * sum(w * pace(tau * x) for x, w in zip(POINTS, WEIGHTS, strict=True))
 
     def nearer(tau: Any) -> Any:
         return tau - (spent(tau) - h) / pace(tau)
@@ -71,7 +72,7 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
     before, tau = 0 * h, h
     for _ in range(ITERATIONS if not hasattr(xp, "quad") else 2 * ITERATIONS):
         before, tau = tau, nearer(tau)
-        if negligible(before - tau):
+        if tau == before:
             break
     return at(tau)
 
