@@ -33,14 +33,15 @@ SAMPLE = 4
 STEPS = {
     "contact-strang": (0.1, 0.02, 0.004, 0.001),
     "contact-bm4": (0.8, 0.4, 0.16, 0.05),
-    "contact-rkn6": (1.25, 0.8, 0.4, 0.16),
-    "contact-rkn8": (1.25, 0.8, 0.4, 0.2),
+    "contact-rkn6": (1.25, 0.8, 0.4, 0.16, 0.08),
+    "contact-rkn8": (1.25, 0.8, 0.4, 0.2, 0.16),
     "rk4": (0.2, 0.08, 0.04, 0.01),
 }
 PEERS = [
     ("diffrax-tsit5", "jax", "vmap"), ("diffrax-tsit5", "jax", "shared"),
     ("diffrax-dopri8", "jax", "vmap"), ("diffrax-dopri8", "jax", "shared"),
     ("heyoka-taylor", "llvm", "batch"),
+    ("cyrk-dop853", "c++", "loop"), ("cyrk-vern8", "c++", "loop"), ("cvode-adams", "c", "loop"),
 ]  # fmt: skip
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 OURS = "contact-rkn6"

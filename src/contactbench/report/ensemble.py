@@ -21,6 +21,7 @@ SHAPES = {
     "vmap": "every trajectory has its own steps",
     "shared": "the trajectories of a tile share their steps",
     "batch": "a vector register of trajectories",
+    "loop": "one trajectory after the other in compiled code",
     "passes": "every flow a loop over all trajectories",
     "plain": "drift and kick in one loop",
     "tiled": "all steps of some trajectories before the next",
