@@ -109,15 +109,15 @@ def spread(
     def begin(k: int) -> Future[Any]:
         nonlocal own_threads
         part = slice(k * size, (k + 1) * size)
-        given = y0[:, part], {place: values[part] for place, values in own.items()}
+        given, numbers = y0[:, part], {place: values[part] for place, values in own.items()}
         if own_threads is None:
             try:
-                return executor.submit(task, *given)
+                return executor.submit(task, given, numbers)
             except BrokenExecutor as error:
                 said = f"{type(executor).__name__} is broken: {error}; this process goes on alone"
                 warnings.warn(said, RuntimeWarning, stacklevel=2)
                 own_threads = ThreadPoolExecutor()
-        return own_threads.submit(task, *given)
+        return own_threads.submit(task, given, numbers)
 
     try:
         pending = {begin(k): k for k in range(-(-y0.shape[1] // size))}
