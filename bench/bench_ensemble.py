@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import cells, controlled, family
+from cells import cells, controlled
 from clock import VISITS
 from contactbench.ensembles import ENGINES
 from contactbench.results.tables import ENSEMBLE_TABLE
@@ -111,7 +111,7 @@ def prepared_row(cell):
     scene = cb.SCENES[name]
     row = {
         "question": question, "scene": name, "method": method,
-        "family": family(cb.METHODS[method]) if method in cb.METHODS else "limit",
+        "family": cb.METHODS[method].family if method in cb.METHODS else "limit",
         "engine": engine, **controlled(control, value, variant), "trajectories": n, "cores": cores,
     }  # fmt: skip
     made = prepared(scene, method, engine, variant, value, initial(scene, n))

@@ -18,6 +18,7 @@ import pytest
 import contactbench as cb
 from cells import RTOLS, cells, controlled, engines, outcome, step_budget, work_ladder
 from clock import VISITS
+from contactbench.measure.ladder import ENDS, LOOSEST, carried
 from contactbench.measure.laws import absolute_error
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import standard_scenes
@@ -25,11 +26,8 @@ from limit import KERNELS, kernel
 
 pytestmark = pytest.mark.timed
 
-ENDS = 5
 #: a fixed-step method that is also run to tolerances, its pilots counted and timed
 CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"), [1e-4, 1e-6, 1e-8, 1e-10]
-#: beside the tolerances of `RTOLS`: some methods are a thousand times more accurate than asked
-LOOSEST = 1e-1
 
 
 def ladder(profile):
@@ -60,11 +58,6 @@ def limits(profile):
         for method in KERNELS
         for k in ((-1, -3) if profile.points > 1 else (-3,))
     ]
-
-
-def carried(scene):
-    """The question asks for the motion: no s, and the attitude only where J = R M is measured."""
-    return ("R",) if "R" in scene.optional and scene.conformal_rate is not None else ()
 
 
 def error(solutions):

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
+from contactbench.measure.ladder import RTOLS as RTOLS
+from contactbench.measure.ladder import SAVES as SAVES
+from contactbench.measure.ladder import save_times as save_times
+from contactbench.measure.ladder import setting as setting
+from contactbench.measure.ladder import steps as steps
+from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
-from contactbench.scene import RigidBody, Scene
+from contactbench.scene import Scene
 from contactbench.scenes import standard_scenes
 from contactbench.solution import Counts, Solution
 
-#: saved times per run: few enough to be step boundaries of every step size of the ladder
-SAVES = 25
-#: coarsest step; below it a ladder halves
-COARSEST = 0.8
 #: scenes of the experiments other than work–precision in the smoke profile
 SMOKE = ("particle",)
-RTOLS = [10.0**-k for k in range(3, 14)]
 
 
 def cells(ladder: Any, group: Callable[[tuple], str] | None = None, visits: int = 1) -> Callable[..., Any]:
@@ -42,37 +41,6 @@ def scenes(profile: Any) -> list[str]:
     return list(SMOKE) if profile.points == 1 else [scene.name for scene in standard_scenes()]
 
 
-def steps(scene: Scene, count: int) -> list[float]:
-    """Halving steps t_end/(25·2^k), the coarsest not above 0.8."""
-    n = SAVES
-    while scene.t_end / n > COARSEST:
-        n *= 2
-    return [scene.t_end / (n * 2**k) for k in range(count)]
-
-
-def work_ladder(scene: Scene, order: int) -> list[float]:
-    """About ten steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
-
-    Halving from 0.8, on a body from 4; from order 6 on by √2 from 3.2 at most: where errors are 10⁻² or
-    10⁻³.  High orders go not as far down, because finer steps meet round-off.
-    """
-    if order < 6:
-        fine = steps(scene, 9)
-        return [fine[0] * 5, fine[0] * 2.5, *fine] if isinstance(scene, RigidBody) else fine
-    coarse = steps(scene, 1)[0] * 4
-    counts = [5 * max(1, round(scene.t_end / coarse / 5 * 2 ** (k / 2))) for k in range(11)]
-    return [scene.t_end / n for n in dict.fromkeys(counts)]
-
-
-def save_times(scene: Scene) -> np.ndarray:
-    """The 25 times every ladder has in common, on the grid of the frozen references."""
-    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
-
-
-def setting(method: Any, value: float) -> dict[str, float]:
-    return {"rtol": value} if method.adaptive else {"step": value}
-
-
 #: where an engine that is nobody's first choice is timed too
 CROSS_CHECKED = "particle"
 
@@ -91,12 +59,6 @@ def engines(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-#: right-hand sides an adaptive method spends per step, where its step budget limits the run
-PER_STEP = {"scipy-dop853": 13, "scipy-radau": 9, "cvode-adams": 2, "cvode-bdf": 2, "contact-adaptive": 12}
-#: an implicit step compiled by XLA takes about as long as two right-hand sides in Python
-IMPLICIT = {"diffrax-kvaerno5": 2}
-
-
 #: the profile's budget is meant for scenes up to this long; longer ones get more, but not without end
 LONG, LONGEST = 800.0, 2000.0
 
@@ -105,17 +67,9 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
     """Steps that keep one run below a second: a cell that would take longer ends as `budget`."""
     if method.refuses(scene):
         return None
-    if "python" in engine:
-        per_step = PER_STEP.get(method.name, 1) if method.adaptive else method.per_step(scene)
-    else:
-        per_step = IMPLICIT.get(method.name)
     evaluations = round(profile.callback_evaluations * max(1.0, min(scene.t_end, LONGEST) / LONG))
-    return evaluations // per_step if per_step else None
-
-
-def family(method: Any) -> str:
-    """What a method is compared as; a plug-in that does not say is an established one."""
-    return getattr(method, "family", "established")
+    each = method.step_cost(scene, engine)
+    return None if each is None else evaluations // each
 
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
@@ -132,7 +86,7 @@ def outcome(solution: Solution, counts: Counts | None = None, variant: str = "")
     return {
         "scene": solution.scene.name,
         "method": solution.method,
-        "family": family(METHODS[solution.method]),
+        "family": METHODS[solution.method].family,
         "engine": solution.engine,
         **controlled(solution.control, solution.value, variant),
         "status": str(solution.status),

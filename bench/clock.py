@@ -11,15 +11,7 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
-VISITS = 2
-#: seconds a round takes at least, so that the clock's resolution plays no part
-ROUND_SECONDS = 1e-3
-#: rounds of one visit
-FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
-
-Samples = list[float]  #: seconds per call, one number a round
+from contactbench.measure.clock import VISITS, Samples, calls_a_round, rounds_within, time_columns
 
 
 @dataclass
@@ -72,23 +64,8 @@ class Clock:
         run()
         once = perf_counter() - start
         cell = self.cells[self.key]
-        iterations = cell.iterations if cell.measured else max(1, round(ROUND_SECONDS / once))
-        wanted = round(self.profile.seconds / VISITS / (iterations * once))
-        rounds = min(MOST_ROUNDS, max(FEWEST_ROUNDS, wanted))
+        iterations = cell.iterations if cell.measured else calls_a_round(once)
+        rounds = rounds_within(self.profile.seconds / VISITS, iterations * once)
         self.benchmark.group = group
         self.benchmark.pedantic(run, rounds=rounds, iterations=iterations)
         return list(self.benchmark.stats.stats.data), iterations
-
-
-def time_columns(measured: list[Samples], iterations: int) -> dict[str, Any]:
-    """The time columns from the samples of one or two visits."""
-    together = np.concatenate(measured)
-    low, median, high = np.percentile(together, (25, 50, 75)).tolist()
-    times = {
-        "time_min_s": float(together.min()), "time_median_s": median, "time_iqr_s": high - low,
-        "rounds": len(together), "iterations": iterations,
-    }  # fmt: skip
-    if len(measured) == VISITS:
-        first, second = map(np.median, measured)
-        times["time_repeat_ratio"] = float(second / first)
-    return times

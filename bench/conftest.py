@@ -14,7 +14,6 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 import pytest
 
-from cells import family
 from clock import Cell, Clock
 from contactbench.errors import BadInput
 from contactbench.methods import METHODS
@@ -214,7 +213,7 @@ def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
 
     def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
         if "family" in which.columns and row["method"] in METHODS:
-            row = {"family": family(METHODS[row["method"]]), **row}
+            row = {"family": METHODS[row["method"]].family, **row}
         return {**row, "profile": profile}
 
     return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)

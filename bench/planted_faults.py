@@ -17,8 +17,9 @@ from contactbench.methods import METHODS
 from contactbench.methods.base import Prepared, Request
 from contactbench.methods.contact import ContactMethod, contact_method
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Scene
-from contactbench.splitting.composition import ONE, Composition, Repeat, balanced, palindrome, repeat
+from contactbench.splitting.composition import ONE, Composition, balanced, palindrome
 from contactbench.splitting.tables import COMPOSITIONS, STRANG
 
 LARGER = Fraction(1001, 1000)

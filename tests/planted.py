@@ -34,7 +34,7 @@ class Misbehaving(Prepared):
 
 
 class Planted(Adaptive):
-    order, stiff, rtol_range, engines, about = None, False, (1e-14, 1e-1), ("python",), "planted"
+    rtol_range, engines, about = (1e-14, 1e-1), ("python",), "planted"
 
     def __init__(self, name):
         self.name = name

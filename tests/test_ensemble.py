@@ -16,8 +16,9 @@ import contactbench as cb
 from cases import TILTED, USER, in_mp, pairs, random_state
 from contactbench.ensembles import TILE
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.numbers.control import Repeat, repeat
 from contactbench.solution import Status
-from contactbench.splitting.composition import advance, refusal, repeat, shortest_period
+from contactbench.splitting.composition import advance, refusal, shortest_period
 from contactbench.splitting.tables import COMPOSITIONS
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
@@ -99,10 +100,7 @@ def test_the_laws_a_scene_has_are_measured_and_no_others():
 def test_rolling_the_stages_changes_nothing(composition, scene, mp50):
     """The loop over the period of a step's flows against the step written out, to 45 digits."""
 
-    def rolled(n, body, x):
-        return repeat(n, body, x)
-
-    rolled.roll = True
+    rolled = Repeat(repeat, over_stages=True)
     exact, x = in_mp(scene, random_state(scene, 1))
     h = mp50.mpf("0.2")
     ends = [advance(composition, exact, x, h, 3, mp50, loop) for loop in (repeat, rolled)]

@@ -19,9 +19,12 @@ import numpy as np
 from contactbench.errors import BadInput, finite, positive, unknown_name
 from contactbench.measure.deviation import conformal_deviation
 from contactbench.measure.laws import LAWS
-from contactbench.methods.base import METHODS, Refused, lookup, prepare
+from contactbench.methods.base import METHODS, Refused
 from contactbench.methods.compiled import XlaNumbers
-from contactbench.methods.fixed_step import FixedStep, FixedStepRun, rolled
+from contactbench.methods.entry import lookup, prepare
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.jax_engine import rolled
 from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.numbers.recording import CannotRecord

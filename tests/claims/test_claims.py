@@ -18,7 +18,8 @@ from contactbench.cli import main
 from contactbench.methods import METHODS, c_functions, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method
 from contactbench.report import claims as room
-from contactbench.report import markdown, paper_figures
+from contactbench.report import markdown
+from contactbench.report.figures import paper
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
@@ -335,18 +336,14 @@ def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
 def test_figures(name, tmp_path):
     frame = merge(PAPER_FIGURES, rows(name), tmp_path)
     assert frame[["x", "y"]].map(math.isfinite).all(axis=None)
-    (figure,) = paper_figures.all_figures(frame)
+    (figure,) = paper.all_figures(frame)
     assert figure.name == name
     assert figure.panels
     assert all(panel.curves or panel.heat for panel in figure.panels)
 
 
 def test_every_figure_belongs_to_a_claim():
-    assert (
-        set(FIGURES)
-        == {name for item in CLAIMS.values() for name in item.figures}
-        == set(paper_figures.PLANS)
-    )
+    assert set(FIGURES) == {name for item in CLAIMS.values() for name in item.figures} == set(paper.PLANS)
 
 
 def test_command_line(capsys):

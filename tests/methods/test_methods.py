@@ -10,8 +10,9 @@ import pytest
 import contactbench as cb
 from cases import USER, in_mp, pairs
 from contactbench.measure.order import fit_order
-from contactbench.methods.base import steps_in
-from contactbench.methods.fixed_step import FixedStep, trajectory
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.grid import steps_in
+from contactbench.methods.step_map import trajectory
 from contactbench.solution import Status
 from contactbench.truth import blow_up_time
 

@@ -7,7 +7,20 @@ import re
 
 import pytest
 
-from contactbench.report import convergence, ensemble, headline, laws, stability, work_precision
+from contactbench.report import (
+    convergence,
+    damping,
+    ensemble,
+    equal_cost,
+    headline,
+    kept,
+    law_findings,
+    laws,
+    limits,
+    stability,
+    work_precision,
+)
+from contactbench.report.cells import DASH, Mark
 from contactbench.report.contest import (
     CALLED_BACK,
     COMPILED,
@@ -15,15 +28,11 @@ from contactbench.report.contest import (
     KINDS,
     TARGETS,
     Field,
-    costs_view,
-    duel_view,
-    losses_view,
     reasons,
     standing,
     tally,
-    winners_view,
 )
-from contactbench.report.model import DASH, Mark
+from contactbench.report.contest_views import costs_view, duel_view, losses_view, winners_view
 from frames import frames, row, table
 
 ROUND = 3e-15
@@ -34,7 +43,7 @@ def said(finding):
 
 
 # -- laws ------------------------------------------------------------------------------------------
-def kept(scene="central", method="contact-a", value=0.1, **more):
+def kept_row(scene="central", method="contact-a", value=0.1, **more):
     return row(scene, method, value, solution_error=1e-3, momentum_law=ROUND, contact_drift=ROUND, **more)
 
 
@@ -43,16 +52,16 @@ def broken(scene="central", method="rk4", value=0.1, drift=1e-3, **more):
 
 
 LAWS = [
-    kept(),
-    kept(value=0.2),
-    kept(method="contact-b"),
+    kept_row(),
+    kept_row(value=0.2),
+    kept_row(method="contact-b"),
     broken(),
     broken("rigid_body", "heyoka-taylor", 1e-9, 7e-13 * 10),
 ]
 
 
 def law(name, **tables):
-    return next(f for f in laws.findings(frames(**tables)) if f.name == f"law_{name}")
+    return next(f for f in law_findings.findings(frames(**tables)) if f.name == f"law_{name}")
 
 
 def test_every_contact_method_keeps_a_law_when_every_row_says_so():
@@ -73,7 +82,9 @@ def test_one_contradicting_row_changes_the_sentence_and_is_named(where):
 
 
 def test_another_method_that_keeps_a_law_is_named():
-    finding = law("contact_drift", laws=[*LAWS, kept(method="herglotz1"), kept("rigid_body", "herglotz1")])
+    finding = law(
+        "contact_drift", laws=[*LAWS, kept_row(method="herglotz1"), kept_row("rigid_body", "herglotz1")]
+    )
     assert "herglotz1 keep" in finding.sentence
     assert "No further method keeps it at every setting" in finding.sentence
 
@@ -87,7 +98,7 @@ def test_the_least_drift_of_the_others_is_over_all_scenes_and_settings_and_says_
 
 
 def test_only_the_true_map_counts_and_the_frozen_one_is_the_cause():
-    moving = kept(method="contact-c", control="rtol", value=1e-4) | {
+    moving = kept_row(method="contact-c", control="rtol", value=1e-4) | {
         "contact_drift": 1.35e-5,
         "contact_drift_frozen": ROUND,
     }
@@ -103,7 +114,7 @@ def test_only_the_true_map_counts_and_the_frozen_one_is_the_cause():
 
 def test_where_no_contact_method_keeps_a_law_it_says_what_they_keep_there():
     quadratic = [
-        kept("quadratic_damping", m)
+        kept_row("quadratic_damping", m)
         | {"momentum_law": 0.28, "contact_drift": 0.28, "distribution_drift": ROUND}
         for m in ("contact-a", "contact-b")
     ]
@@ -116,7 +127,11 @@ def test_where_no_contact_method_keeps_a_law_it_says_what_they_keep_there():
 
 
 def test_round_off_is_bounded_by_the_condition_number_or_it_is_an_exception():
-    magnified = kept("kepler_drag") | {"contact_drift": 1e-9, "condition_number": 1e6, "evaluations": 1000}
+    magnified = kept_row("kepler_drag") | {
+        "contact_drift": 1e-9,
+        "condition_number": 1e6,
+        "evaluations": 1000,
+    }
     finding = law("contact_drift", laws=LAWS, stability=[magnified])
     assert "up to: `kepler_drag` 1.0e-09 (growth 1.0e+06)" in said(finding)
     assert "Every contact method keeps it" in finding.sentence
@@ -140,7 +155,7 @@ def test_an_upper_bound_is_no_least_drift():
 
 
 def test_what_was_not_measured_is_said():
-    blind = kept(method="contact-c") | {"contact_drift": None}
+    blind = kept_row(method="contact-c") | {"contact_drift": None}
     finding = law("contact_drift", laws=[*LAWS, blind])
     assert "not measured: contact-c" in finding.covers
     assert finding.sentence.startswith("Every contact method it was measured for keeps it")
@@ -148,28 +163,28 @@ def test_what_was_not_measured_is_said():
 
 def test_h_is_kept_by_nobody_and_how_far_the_contact_methods_are_off_is_said():
     rows = [
-        kept("particle") | {"hamiltonian_law": 0.15, "energy_law": 0.02},
+        kept_row("particle") | {"hamiltonian_law": 0.15, "energy_law": 0.02},
         broken("particle") | {"hamiltonian_law": 1e-3},
     ]
-    (finding,) = (f for f in laws.findings(frames(laws=rows)) if f.name == "energies")
+    (finding,) = (f for f in law_findings.findings(frames(laws=rows)) if f.name == "energies")
     assert (
         "H law: no method keeps it to round-off; the contact methods are up to 1.5e-01 off (contact-a on `particle`"
         in finding.sentence
     )
     rows[0]["hamiltonian_law"] = ROUND
-    (finding,) = (f for f in laws.findings(frames(laws=rows)) if f.name == "energies")
+    (finding,) = (f for f in law_findings.findings(frames(laws=rows)) if f.name == "energies")
     assert "H law: contact-a keeps it" in finding.sentence
 
 
 def test_clamped_and_uncertain_entries_are_marked():
-    clamped = kept() | {"contact_drift": 0.5, "contact_drift_clamped": 3}
-    view = laws.law_view(frames(laws=[clamped]), "contact_drift", laws.structural()["contact_drift"])
+    clamped = kept_row() | {"contact_drift": 0.5, "contact_drift_clamped": 3}
+    view = laws.law_view(frames(laws=[clamped]), "contact_drift", kept.structural()["contact_drift"])
     (cell,) = view.rows[0][1:]
     assert cell.text == "5.0e-01†"
     assert cell.marks == {Mark.clamped}
     rows = [clamped, broken(drift=1e-8) | {"contact_drift_uncertainty": 2e-9}]
     equal = frames(decay_laws=[r | {"cost": 30.0} for r in rows])
-    shown = laws.equal_cost_view(equal["decay_laws"], equal)
+    shown = equal_cost.equal_cost_view(equal["decay_laws"], equal)
     assert [r[-1].text for r in shown.rows] == ["5.0e-01†", "1.0e-08 ± 2e-09"]
     assert Mark.kept in shown.rows[0][-2].marks  # its J law
 
@@ -177,7 +192,7 @@ def test_clamped_and_uncertain_entries_are_marked():
 def test_the_table_that_stands_first_has_order_and_laws_of_every_method():
     rows = [
         r | {"cost": 30.0, "rhs_equivalents": 800.0, "energy_law": 1e-4, "hamiltonian_law": 2e-4}
-        for s in ("central", "rigid_body") for r in (kept(s), broken(s))
+        for s in ("central", "rigid_body") for r in (kept_row(s), broken(s))
     ]  # fmt: skip
     orders = [
         row("central", "contact-a", h, solution_error=h**2, order=2.0, last_slope=1.98, order_nominal=2)
@@ -197,14 +212,14 @@ def test_the_table_that_stands_first_has_order_and_laws_of_every_method():
 
 def test_the_cost_that_most_methods_meet_is_shown_first():
     rows = [
-        kept() | {"cost": 30.0},
-        kept() | {"cost": 100.0},
+        kept_row() | {"cost": 30.0},
+        kept_row() | {"cost": 100.0},
         broken() | {"cost": 30.0},
         broken() | {"cost": 100.0},
     ]
-    assert set(laws.chosen_cost(table("decay_laws", rows))["cost"]) == {100.0}
+    assert set(equal_cost.chosen_cost(table("decay_laws", rows))["cost"]) == {100.0}
     rows[3]["status"] = "failed"
-    assert set(laws.chosen_cost(table("decay_laws", rows))["cost"]) == {30.0}
+    assert set(equal_cost.chosen_cost(table("decay_laws", rows))["cost"]) == {30.0}
 
 
 # -- order -----------------------------------------------------------------------------------------
@@ -355,7 +370,7 @@ def test_hard_scenes_are_compared_at_equal_error_and_not_at_the_finest_setting()
             *costs("heyoka-taylor", 1.0, "saddle_edge", finest=1e-10),
         ]
     ]
-    view = winners_view(Field(table("stability", rows), EVALUATIONS), "w", "t", "", stability.problem)
+    view = winners_view(Field(table("stability", rows), EVALUATIONS), "w", "t", "", headline.problem)
     (line,) = view.rows
     assert line[0].text == "at the edge of escape (`saddle_edge`)"
     assert ["heyoka-taylor" in c.text for c in line[1:]] == [True, True, True, False]
@@ -370,10 +385,10 @@ def test_rates_are_compared_at_equal_cost_and_ties_are_named():
         row("overdamped", "rk4", 0.5, **common, damping_per_step=25.0, evaluations=200, rate_error=1.5e-4),
         row("overdamped", "scipy-radau", 1e-9, control="rtol", **common, evaluations=2000, rate_error=1e-10),
     ]
-    view = stability.rates_view(table("damping_rates", rows))
+    view = damping.rates_view(table("damping_rates", rows))
     assert "tie: contact-a and rk4 1.0e-04" in view.rows[0][1].text  # ten times dearer is no equal cost
     rows[2]["evaluations"] = 210
-    view = stability.rates_view(table("damping_rates", rows))
+    view = damping.rates_view(table("damping_rates", rows))
     assert "scipy-radau 1.0e-10" in view.rows[0][1].text
 
 
@@ -407,14 +422,14 @@ def test_blow_up_is_one_line_per_method():
 
 
 def test_the_first_loss_of_stability_is_marked_where_there_are_windows():
-    limits = [
+    rows = [
         {"method": "contact-bm6", "family": "contact", "gamma": 0.0, "omega": 1.0, "limit": 3.134,
             "windows": "3.134…3.163"},
         {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.785, "windows": ""},
     ]  # fmt: skip
-    view = stability.limit_view(table("stability_limits", limits), "limit", "limits", "t")
+    view = limits.limit_view(table("stability_limits", rows), "limit", "limits", "t")
     assert [Mark.exception in r[1].marks for r in view.rows] == [True, False]
-    assert stability.windows_view(table("stability_limits", limits)).rows[0][-1].text == "3.134…3.163"
+    assert limits.windows_view(table("stability_limits", rows)).rows[0][-1].text == "3.134…3.163"
 
 
 def test_where_negative_substeps_stop_paying():
@@ -425,9 +440,9 @@ def test_where_negative_substeps_stop_paying():
             "radius": 1.0}
         for m, es in errors.items() for d, e in zip(grid, es, strict=True)
     ]  # fmt: skip
-    assert stability.usable(table("strong_damping", rows), "contact-rkn6", 1.0) == 1e-2
+    assert damping.usable(table("strong_damping", rows), "contact-rkn6", 1.0) == 1e-2
     alone = table("strong_damping", [r for r in rows if r["method"] == "contact-rkn6"])
-    assert list(stability.strong_parts(alone)) == []  # nothing to compare with
+    assert list(damping.strong_parts(alone)) == []  # nothing to compare with
 
 
 # -- ensembles -------------------------------------------------------------------------------------

@@ -12,25 +12,10 @@ from html.parser import HTMLParser
 import pytest
 
 from contactbench.report import page
+from contactbench.report.cells import Head, Mark, View, number, word
+from contactbench.report.drawing import Axis, Curve, Figure, Heat, Note, Panel, Span
 from contactbench.report.look import METHODS, SPARE, look
-from contactbench.report.model import (
-    Axis,
-    Curve,
-    Figure,
-    Finding,
-    Head,
-    Heat,
-    Mark,
-    Note,
-    Panel,
-    Room,
-    Section,
-    Span,
-    Text,
-    View,
-    number,
-    word,
-)
+from contactbench.report.rooms import Finding, Room, Section, Text
 
 VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path", "use"}
 NAMES = ("contact-strang", "rk4", "heyoka-taylor", "my-own")

@@ -14,23 +14,10 @@ import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench.gate.accuracy import accuracy
 from contactbench.report import glossary, markdown, write
-from contactbench.report.model import (
-    ROOMS,
-    Cell,
-    Figure,
-    Finding,
-    Head,
-    Mark,
-    Section,
-    Text,
-    View,
-    figures,
-    number,
-    rooms,
-    slug,
-    word,
-)
+from contactbench.report.cells import Cell, Head, Mark, View, number, word
+from contactbench.report.drawing import Figure
 from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.report.rooms import ROOMS, Finding, Section, Text, figures, rooms, slug
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read
 from contactbench.results.tables import CONVERGENCE, WORK_PRECISION
@@ -112,6 +99,12 @@ SOME = {
     "laws": [row("central", "contact-a", 0.1, solution_error=1e-3, contact_drift=1e-15, momentum_law=1e-15)],
     "convergence": [row("particle", "contact-a", 0.1, solution_error=1e-3, order=2.0, order_nominal=2, step=0.1)],
     "stability": [row("critical", "rk4", 0.1, solution_error=1e-3, rhs_equivalents=10.0)],
+    "stability_limits": [{"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8,
+        "windows": ""}],
+    "damping_rates": [
+        row("overdamped", "rk4", 0.1, experiment="overdamped", t_end=100.0, damping_per_step=5.0, evaluations=10,
+            ratio=1.0, rate_error=1e-3)
+    ],
     "ensemble": [
         row("particle", "rk4", 0.1, question="error", solution_error=1e-3, trajectories=10, cores=1, evaluations=10,
             time_median_s=1.0, time_min_s=1.0)
@@ -161,7 +154,7 @@ def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit
     text = markdown.document(ROOMS["headline"], ROOMS["headline"].sections(everything))
     lines = [line for line in text.splitlines() if line]
     documents = [room.file for room in rooms(everything) if room.name != "headline"]
-    assert len(documents) == 7
+    assert len(documents) == 9
     for line, name in zip(lines[1:], documents, strict=False):
         assert f"[{name}]({name})" in line
     assert "dimensionless" in text

@@ -40,7 +40,8 @@ from contactbench.claims.orders import (
 from contactbench.measure.laws import LAWS
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
-from contactbench.methods.fixed_step import FixedStep, trajectory
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.step_map import trajectory
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES
 from contactbench.splitting.flows import MECHANICAL, Flow

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 
 from contactbench.report.markdown import escaped, grid
-from contactbench.report.model import DASH
+from contactbench.report.cells import DASH
 
 #: lines that are not red listed at most
 LISTED = 20

@@ -14,7 +14,8 @@ from contactbench.methods import (
     diffrax,
     heyoka,
 )
-from contactbench.methods.base import METHODS, prepare, solve
+from contactbench.methods.base import METHODS
+from contactbench.methods.entry import prepare, solve
 from contactbench.methods.fixed_step import fixed_step
 
 __all__ = ["METHODS", "fixed_step", "prepare", "solve"]

@@ -1,55 +1,109 @@
 """The contract of a method, and the registry.
 
-A method is an object with a `name`, its `engines` (the first is the default), `adaptive`, `order`,
-a one-line `about`, a `family` (contact, variational or established, which it is where a method does not say), and
-
-    refuses(scene) -> str | None          why the scene is out of reach, or None
-    prepare(Request) -> Prepared          compile once; the result is called many times
-
-Adaptive methods also give `rtol_range`, the tolerances they accept, and `stiff`.  `FixedStep`
-(fixed_step.py) implements most of it for a step map; see contact.py for a method that is data and
-sundials.py for one that is a solver.
+`METHODS` holds everything that is compared.  What a method must be, and what experiments, laws and tables rely
+on, are the numbered rules of `Method`; `contactbench.testing.check_method` tests every one of them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, Registry, positive
+from contactbench.errors import BadInput, Registry
 from contactbench.methods.differences import differences
+from contactbench.methods.engines import CALLBACKS
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Differential, Solution, Status, divergence_bound, first_divergence
 
-#: saved times when the caller names none: every k-th step with at most this many for fixed steps,
-#: this many equal intervals for adaptive methods
-DEFAULT_SAVES = 1000
-ADAPTIVE_SAVES = 200
-DEFAULT_MAX_STEPS = 10**8
-ADAPTIVE_MAX_STEPS = 10**6
+#: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
+#: for differential equations at large
+FAMILIES = ("contact", "variational", "established")
 
 
-@runtime_checkable
-class Method(Protocol):
-    """What `METHODS` holds; see the module's docstring."""
+class Method(ABC):
+    """What can be compared with the other methods.
+
+    To bring a step map ``(scene, x, h, xp) -> x``, use `fixed_step` or subclass `FixedStep`; to bring a solver
+    that chooses its own steps, subclass `Adaptive` and write `prepare`.  Everything else here has a default.
+
+     1. It declares itself: `name` (a key in tables and a word on the command line), `about` (one line with its
+        source), `family` (one of `FAMILIES`), `engines` (keys of `engines.ENGINES`, the default first), `order`.
+     2. ``refuses(scene)`` is None or one sentence: why the scene is out of reach.  A run of a refused scene ends
+        `unsupported` with that sentence, and never raises.
+     3. ``prepare(request)`` does all that depends on scene, setting and saved times alone (recording, compiling,
+        allocating); where that fails for one engine it returns `Refused`, and the next engine is tried.  The
+        result is called any number of times, with other initial data if wanted; no call leaves a trace: equal
+        data, equal bits.
+     4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.
+     5. ``bare(y0)`` is the solver's own call, by its fastest way: the last state of the run to within the
+        roundings of another way to the same time.  It is what is timed.
+     6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between saved times and no
+        longer than `step`, and the error falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and
+        `atol`, and says in `tolerance` what they bound; the error falls as they do.  `exact`: takes them
+        likewise, has no truncation error, and gives the same result for all.
+     7. `max_steps` is never exceeded: a run that needs more ends as `budget`, and the states it did not reach
+        are NaN.  So are they after `diverged` (which comes with the time, to the step) and `failed`.
+     8. `Counts.evaluations` are all evaluations that a run made, of the kind the counts name, those for a
+        Jacobian, an interpolant or a pilot included; None where the solver does not say and
+        ``Prepared.count`` finds it out or cannot.
+     9. All engines compute the same: to round-off where the steps are given, else within the tolerance.
+    10. Claims hold on every scene that is not refused, and are not left out where they hold: `contact` (every
+        run is a composition of contact maps whose factors are those of the exact flow), `symmetric`
+        (Φ_{−h} ∘ Φ_h = id).
+    11. Where `Prepared.sensitivity_source` says how, `sensitivity` is the derivative of the saved states of the
+        map of the steps taken, along the scene's tangents.
+    12. ``step_cost(scene, engine)`` is about what a step costs where the right-hand side is called back from
+        Python, in right-hand sides; None where a step is so cheap that no experiment need limit their number.
+    """
 
     name: str
-    engines: tuple[str, ...]
-    adaptive: bool
-    order: int | None
     about: str
+    family: str = "established"
+    engines: tuple[str, ...]
+    #: of convergence; None where it varies
+    order: int | None
+    #: whether it takes rtol and chooses its own steps
+    adaptive: bool
+    #: whether there is no truncation error: the tolerance changes nothing
+    exact: bool = False
+    contact: bool = False
+    symmetric: bool = False
+    rtol_range: tuple[float, float] = (1e-13, 1e-1)
+    #: what rtol and atol bound
+    tolerance: str
 
-    def refuses(self, scene: Scene) -> str | None: ...
-    def prepare(self, request: Request) -> Prepared: ...
+    def refuses(self, scene: Scene) -> str | None:
+        """Why the scene is out of reach, or None."""
+        return None
+
+    @abstractmethod
+    def prepare(self, request: Request) -> Prepared:
+        """A run for the request, compiled."""
+
+    @abstractmethod
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        """About the right-hand sides, called back from Python, that a step costs as much as."""
 
 
 METHODS = Registry("method", Method)
+
+
+class Adaptive(Method):
+    """Base of the solvers that choose their own steps from rtol."""
+
+    adaptive = True
+    tolerance = "the local error of a step, by rtol |y| + atol in every component"
+    #: right-hand sides of a typical step
+    evaluations_per_step: int = 1
+
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        return self.evaluations_per_step if engine in CALLBACKS else None
 
 
 @dataclass(frozen=True)
@@ -63,7 +117,7 @@ class Request:
     step: float | None = None
     rtol: float | None = None
     atol: float | None = None
-    max_steps: int = DEFAULT_MAX_STEPS
+    max_steps: int = 10**8
 
     @property
     def control(self) -> str:
@@ -84,17 +138,22 @@ class Request:
 
 
 @dataclass
-class Prepared:
-    """A compiled solver: call it, with other initial data if you like, to get a `Solution`."""
+class Prepared(ABC):
+    """A compiled solver: call it, with other initial data if you like, to get a `Solution`.
+
+    A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; `count` where
+    a run does not tell its cost; and, where its map can be differentiated, `sensitivity` (or `linearised`)
+    together with `sensitivity_source`.
+    """
 
     method: str
     request: Request
     #: seconds spent tracing and compiling; zero where nothing is compiled
     compile_s: float = field(default=0.0, kw_only=True)
 
+    @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:
         """Run from a packed initial state."""
-        raise NotImplementedError
 
     @property
     def start(self) -> np.ndarray:
@@ -110,7 +169,7 @@ class Prepared:
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         """(k, d, m): derivative of the saved states along the scene's m tangents at y0, steps held fixed."""
-        raise NotImplementedError
+        raise BadInput(f"{self.method} ({self.request.engine}): its map cannot be differentiated")
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Saved states (k, d) and their derivative (k, d, m), of one and the same numerical map.
@@ -253,145 +312,6 @@ class Refused(Prepared):
     def integrate(self, y0: np.ndarray) -> Outcome:
         nothing = np.full((len(self.request.save_at), len(y0)), math.nan)
         return Outcome(nothing, Counts(), Status.unsupported, self.why, 0.0)
-
-
-class Adaptive:
-    """Base of the solvers that choose their own steps from rtol."""
-
-    adaptive = True
-    family = "established"
-
-    def refuses(self, scene: Scene) -> str | None:
-        return None
-
-
-def lookup(scene: Scene | str, method: str) -> tuple[Scene, Method]:
-    """Scene and method by name, `UnknownName` with a suggestion otherwise."""
-    from contactbench.scenes import SCENES
-
-    if isinstance(scene, str):
-        scene = SCENES[scene]
-    if not isinstance(scene, Scene):
-        raise BadInput(f"scene = {scene!r}: must be a scene or the name of one: {', '.join(SCENES)}")
-    return scene, METHODS[method]
-
-
-def prepare(
-    scene: Scene | str,
-    method: str,
-    *,
-    step: float | None = None,
-    rtol: float | None = None,
-    atol: float | None = None,
-    save_at: Sequence[float] | np.ndarray | None = None,
-    carry: Sequence[str] | None = None,
-    engine: str | None = None,
-    max_steps: int | None = None,
-) -> Prepared:
-    """A solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
-
-    step : step size of a fixed-step method.  Steps never straddle a saved time: each interval
-        between saved times is divided into the fewest equal steps not longer than `step`.
-    rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
-        rtol instead of step chooses its step from pilots, which are part of every call and its counts.
-    save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
-        most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
-    carry : which of s and R to integrate; by default all the scene has.
-    engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
-        or a force that branches on values cannot be compiled.
-    max_steps : budget; a run that needs more ends with status `budget`.
-    Raises `BadInput` for anything it cannot work with.
-    """
-    scene, chosen = lookup(scene, method)
-    if engine is not None and engine not in chosen.engines:
-        raise BadInput(f"engine = {engine!r}: {method} runs on {', '.join(chosen.engines)}")
-    if chosen.adaptive:
-        if step is not None:
-            raise BadInput(f"step = {step!r}: {method} chooses its own steps; give rtol")
-        step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
-    else:
-        if atol is not None or (step is None) == (rtol is None):
-            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
-            raise BadInput(f"{given}: {method} has a fixed step; give step > 0, or rtol to have it chosen")
-        if step is None:
-            rtol, _ = _tolerances(chosen, rtol, None)
-        else:
-            step = positive("step", step)
-    budget = _budget(chosen, max_steps)
-    times = _default_times(scene, step, budget) if save_at is None else _times(save_at)
-    engines = chosen.engines if engine is None else (engine,)
-    request = Request(scene, engines[0], scene.carry(carry), times, step, rtol, atol, budget)
-    if (why := chosen.refuses(scene)) is not None:
-        return Refused(chosen.name, request, why)
-    run = first = chosen.prepare(request)
-    for other in engines[1:]:
-        if not isinstance(run, Refused):
-            return run
-        run = chosen.prepare(replace(request, engine=other))
-    return first if isinstance(run, Refused) else run
-
-
-def solve(scene: Scene | str, method: str, **options: Any) -> Solution:
-    """Solve a scene once; takes the keywords of `prepare`."""
-    return prepare(scene, method, **options)()
-
-
-def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[float, float]:
-    if rtol is None:
-        raise BadInput(f"rtol is missing: {method.name} is adaptive; give rtol")
-    rtol = positive("rtol", rtol)
-    low, high = method.rtol_range
-    if not low <= rtol <= high:
-        raise BadInput(f"rtol = {rtol!r}: {method.name} takes {low:g} to {high:g}")
-    return rtol, rtol if atol is None else positive("atol", atol)
-
-
-def _budget(method: Method, max_steps: int | None) -> int:
-    if max_steps is None:
-        return ADAPTIVE_MAX_STEPS if method.adaptive else DEFAULT_MAX_STEPS
-    if isinstance(max_steps, bool) or int(max_steps) != max_steps or max_steps < 1:
-        raise BadInput(f"max_steps = {max_steps!r}: must be a whole number ≥ 1")
-    return int(max_steps)
-
-
-def _default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
-    if step is None:
-        return np.linspace(0.0, scene.t_end, ADAPTIVE_SAVES + 1)
-    n = steps_in(scene.t_end, step)
-    if n > budget:  # will end as `budget`; no grid of that size is needed
-        return np.array([scene.t_end])
-    stride = -(-n // DEFAULT_SAVES)
-    marks = np.append(np.arange(0, n, stride), n)
-    return marks * (scene.t_end / n)
-
-
-def _times(save_at: Any) -> np.ndarray:
-    try:
-        times = np.atleast_1d(np.asarray(save_at, dtype=float))
-    except (TypeError, ValueError):
-        raise BadInput(f"save_at = {save_at!r}: must be increasing times") from None
-    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
-        raise BadInput(f"save_at = {save_at!r}: must be finite times, at least one")
-    if times[0] < 0 or np.any(np.diff(times) <= 0):
-        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
-    if len(times) == 1 and times[0] == 0:
-        raise BadInput("save_at: at least one time must be > 0")
-    return times
-
-
-#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
-#: rounded, as a product or a sum of two, and so may be the spacing of the grid
-GRID_ULPS = 4
-
-
-def steps_in(span: float, step: float, until: float | None = None) -> int:
-    """The fewest equal steps that cover `span` without exceeding `step` (up to round-off).
-
-    until : the time at which the interval ends, by default `span`.  The difference of two saved times has
-    their round-off, which for short intervals late in a run is far above that of the interval itself.
-    """
-    round_off = GRID_ULPS * math.ulp(span if until is None else until)
-    return max(1, math.ceil((span * (1 - 1e-12) - round_off) / step))
 
 
 def stopwatch() -> Any:

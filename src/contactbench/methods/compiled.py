@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Prepared, stopwatch
+from contactbench.numbers.recording import CannotRecord
 
 _programs: dict[Any, tuple[Any, float]] = {}
 
@@ -43,13 +45,13 @@ class CompiledRun(Prepared):
     #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
     fixed: Any
 
+    @abstractmethod
     def key(self) -> tuple[Any, ...]:
         """What the program depends on besides the scene's structure and the fields carried."""
-        raise NotImplementedError
 
+    @abstractmethod
     def states(self, y0: Any, fixed: Any) -> Any:
         """Saved states (k, d), traceable."""
-        raise NotImplementedError
 
     def together(self, *vectors: Any) -> np.ndarray:
         """Several arguments as one: what a short call costs is the number of its arguments."""
@@ -87,14 +89,20 @@ class CompiledRun(Prepared):
         return self.states(y0, fixed)
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-        """The program for a purpose, and the seconds it took to trace and compile."""
+        """The program for a purpose, and the seconds it took to trace and compile.
+
+        Raises `CannotRecord` where what is traced branches on values.
+        """
         from contactbench.xla import jax
 
         r = self.request
         key = (purpose, r.scene.structure, r.carry, *self.key())
         if key not in _programs:
             elapsed = stopwatch()
-            _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
+            try:
+                _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
+            except jax.errors.JAXTypeError as error:
+                raise CannotRecord(str(error).partition("\n")[0]) from error
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:

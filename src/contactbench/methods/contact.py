@@ -8,15 +8,14 @@ from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Mechanical, Scene
 from contactbench.splitting.composition import (
     Composition,
-    Repeat,
     advance,
     log_factor,
     plan,
     refusal,
-    repeat,
 )
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import COMPOSITIONS

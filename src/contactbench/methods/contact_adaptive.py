@@ -21,6 +21,7 @@ saved.  The tolerance sets ε = AIM · rtol^{1/6}: it is the size of the error, 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -115,10 +116,10 @@ class AdaptiveContactRun(Prepared):
     #: how `sensitivity` with frozen=False differentiates
     map_source = ""
 
+    @abstractmethod
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         """As in `Prepared`; with frozen=False through the density too, which is differentiable where the
         number of steps does not change."""
-        raise NotImplementedError
 
     def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
         source = self.sensitivity_source if frozen else self.map_source
@@ -392,8 +393,8 @@ class AdaptiveContactMethod(Adaptive):
     order: int | None = 6
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
     engines: tuple[str, ...] = ("numba", "jax", "python")
-    stiff: bool = False
-    rtol_range: tuple[float, float] = (1e-13, 1e-1)
+    evaluations_per_step: int = 12
+    tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
         if not isinstance(scene, Mechanical):
@@ -401,7 +402,11 @@ class AdaptiveContactMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        loops = {"numba": AdaptiveNumbaLoop, "jax": AdaptiveJaxLoop, "python": AdaptivePythonLoop}
+        loops: dict[str, type[AdaptiveContactRun]] = {
+            "numba": AdaptiveNumbaLoop,
+            "jax": AdaptiveJaxLoop,
+            "python": AdaptivePythonLoop,
+        }
         try:
             return loops[request.engine](self.name, request)
         except CannotRecord as why:

@@ -8,6 +8,7 @@ as the rotations it costs (see `FREE_COST`).
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,9 +39,9 @@ class ExactRun(Prepared):
         """−γt, as every flow of the scene."""
         return -self.request.scene.conformal_rate * self.request.save_at
 
+    @abstractmethod
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Packed states at times > 0, as far as there are numbers for them; shape (k, d)."""
-        raise NotImplementedError
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         times = self.request.save_at
@@ -110,15 +111,15 @@ class ExactJax(ExactRun, CompiledRun):
 @dataclass(frozen=True)
 class ExactMethod(Adaptive):
     name: str = "contact-exact"
-    order: int | None = None
     about: str = (
         "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
     )
+    order: int | None = None
     engines: tuple[str, ...] = ("jax", "python")
     family: str = "contact"
-    stiff: bool = False
     contact: bool = True
-    rtol_range: tuple[float, float] = (1e-13, 1e-1)
+    exact: bool = True
+    tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
         if isinstance(scene, RigidBody) and scene.isotropic:

@@ -114,7 +114,6 @@ class CyrkMethod(Adaptive):
     order: int | None
     about: str
     stages: int | None = None
-    stiff: bool = False
     engines: tuple[str, ...] = ("c++",)
     rtol_range: tuple[float, float] = (1e-13, 1e-1)  # CyRK clamps anything below 100 ε
 
@@ -140,6 +139,6 @@ for _method in (
     CyrkMethod("cyrk-vern8", "Vern8", 8, "Verner's explicit Runge–Kutta 8(7), C++", stages=13),
     CyrkMethod("cyrk-tsit5", "Tsit5", 5, "Tsitouras' explicit Runge–Kutta 5(4), C++", stages=6),
     CyrkMethod("cyrk-lsoda", "LSODA", None, "Adams or BDF, chosen as it goes (ODEPACK), C++"),
-    CyrkMethod("cyrk-radau", "RADAU", 5, "implicit Radau IIA, Jacobian by differences, C++", stiff=True),
+    CyrkMethod("cyrk-radau", "RADAU", 5, "implicit Radau IIA, Jacobian by differences, C++"),
 ):
     METHODS.add(_method)

@@ -14,6 +14,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun
+from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
 #: a step this small against the span hardly moves the clock: the solver is at a singularity
@@ -140,12 +141,12 @@ class DiffraxRun(CompiledRun):
 
 @dataclass(frozen=True)
 class DiffraxMethod(Adaptive):
-    """per_step: right-hand sides per attempted step (all are first-same-as-last)."""
+    """stages : right-hand sides per attempted step (all are first-same-as-last)."""
 
     name: str
     solver_name: str
     order: int
-    per_step: int
+    stages: int
     about: str
     stiff: bool = False
     engines: tuple[str, ...] = ("jax",)
@@ -165,7 +166,11 @@ class DiffraxMethod(Adaptive):
 
     def evaluations(self, accepted: int, rejected: int) -> int | None:
         """Right-hand sides of an explicit method: stages per attempt, and the very first slope."""
-        return None if self.stiff else (accepted + rejected) * self.per_step + 1
+        return None if self.stiff else (accepted + rejected) * self.stages + 1
+
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        """An implicit step compiled by XLA takes about as long as two right-hand sides in Python."""
+        return 2 if self.stiff else None
 
     def prepare(self, request: Request) -> Prepared:
         return DiffraxRun(self.name, request, self)

@@ -18,8 +18,8 @@ from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Mechanical, Scene, State
-from contactbench.splitting.composition import Repeat, repeat
 from contactbench.splitting.flows import drift
 
 

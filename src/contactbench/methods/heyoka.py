@@ -108,10 +108,9 @@ class TaylorRun(Prepared):
 @dataclass(frozen=True)
 class TaylorMethod(Adaptive):
     name: str = "heyoka-taylor"
-    order: int | None = None
     about: str = "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)"
+    order: int | None = None
     engines: tuple[str, ...] = ("llvm",)
-    stiff: bool = False
     rtol_range: tuple[float, float] = (2.3e-16, 1e-1)
 
     def refuses(self, scene: Scene) -> str | None:

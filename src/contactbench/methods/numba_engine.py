@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Outcome, stopwatch
-from contactbench.methods.fixed_step import FixedStep, FixedStepRun
+from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.llvm import compiled
+from contactbench.methods.step_map import StepMap
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.program import Program, record
 from contactbench.scene import Scene
@@ -41,7 +42,7 @@ class Loop:
 _loops: dict[Any, Loop] = {}
 
 
-def loop_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+def loop_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
     """The loop of a method on a scene.
 
     tangent : packed states are followed by a tangent vector, which is carried along.

@@ -113,6 +113,7 @@ class ScipyMethod(Adaptive):
     about: str = ""
     engines: tuple[str, ...] = ("python",)
     rtol_range: tuple[float, float] = (1e-13, 1e-1)  # SciPy clamps anything below 100 ε
+    evaluations_per_step: int = 13
 
     def prepare(self, request: Request) -> Prepared:
         import scipy.integrate
@@ -123,4 +124,9 @@ class ScipyMethod(Adaptive):
 METHODS.add(
     ScipyMethod("scipy-dop853", "DOP853", 8, stages=12, about="explicit Runge–Kutta 8(5,3), Python callbacks")
 )
-METHODS.add(ScipyMethod("scipy-radau", "Radau", 5, stiff=True, about="implicit Radau IIA, analytic Jacobian"))
+METHODS.add(
+    ScipyMethod(
+        "scipy-radau", "Radau", 5, stiff=True, evaluations_per_step=9,
+        about="implicit Radau IIA, analytic Jacobian",
+    )
+)  # fmt: skip

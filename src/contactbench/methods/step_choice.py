@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactbench.methods.base import Outcome, Prepared
-from contactbench.methods.fixed_step import FixedStep, FixedStepRun
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.step_map import StepMap
 from contactbench.solution import Status
 
 #: error aimed at, as a part of the tolerance
@@ -40,7 +41,7 @@ class ChosenStep(Prepared):
     #: the state decides on a whole number of steps, which a small change of it leaves as it is
     steps_follow_state = False
 
-    method_: FixedStep
+    method_: StepMap
     engine_run: type[FixedStepRun]
 
     def __post_init__(self) -> None:

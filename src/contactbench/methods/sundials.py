@@ -203,10 +203,10 @@ class CvodeMethod(Adaptive):
     name: str
     kind: str
     about: str
-    stiff: bool = False
     order: int | None = None
     engines: tuple[str, ...] = ("c", "c+python")
     rtol_range: tuple[float, float] = (1e-14, 1e-1)
+    evaluations_per_step: int = 2
 
     def prepare(self, request: Request) -> Prepared:
         if request.engine == "c+python":
@@ -223,4 +223,4 @@ class CvodeMethod(Adaptive):
 METHODS.add(
     CvodeMethod("cvode-adams", "Adams", "variable-order Adams–Moulton, Newton with analytic Jacobian")
 )
-METHODS.add(CvodeMethod("cvode-bdf", "BDF", "variable-order BDF, Newton with analytic Jacobian", stiff=True))
+METHODS.add(CvodeMethod("cvode-bdf", "BDF", "variable-order BDF, Newton with analytic Jacobian"))

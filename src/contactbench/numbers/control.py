@@ -8,10 +8,36 @@ compiled loops.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 #: turns after which a loop over plain numbers is given up: a thousand digits take forty
 ENDLESS = 200
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """``repeat(n, body, x)``: n-fold application, by the kind of loop an engine has.
+
+    over_stages : the loops over the stages of a step are to be such loops too, for short code.
+    """
+
+    loop: Callable[[Any, Callable[[Any], Any], Any], Any]
+    over_stages: bool = False
+
+    def __call__(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+        return self.loop(n, body, x)
+
+
+def turns(n: int, body: Callable[[Any], Any], x: Any) -> Any:
+    """x after n turns of ``x = body(x)``."""
+    for _ in range(n):
+        x = body(x)
+    return x
+
+
+#: a plain loop; compiled engines pass their own
+repeat = Repeat(turns)
 
 
 def plain(xp: Any) -> bool:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from contactbench.numbers.control import Repeat
 from contactbench.numbers.recording import (
     Block,
     CannotRecord,
@@ -177,11 +178,7 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     given = [tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(numbers)]
     h, n = tape.assign("spans[u, 0]", "f", tape.root), tape.assign("int(spans[u, 1])", "i", tape.root)
     state = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(d)]
-
-    def loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-        return tape.repeat(n, body, x)
-
-    loop.roll = True  # type: ignore[attr-defined]
+    loop = Repeat(tape.repeat, over_stages=True)
     end = recorded(lambda: advance(given, h, n, state, RecordedArrays(tape), loop))
     if len(end) != d:
         raise CannotRecord(f"a step from {d} components to {len(end)}")

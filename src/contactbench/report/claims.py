@@ -4,25 +4,10 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report import paper_figures
-from contactbench.report.model import (
-    DASH,
-    ROOMS,
-    Cell,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    number,
-    slug,
-    word,
-)  # fmt: skip
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
+from contactbench.report.drawing import Figure
+from contactbench.report.figures import paper
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, slug
 from contactbench.results.schema import SEPARATOR
 
 VERDICTS = {
@@ -128,7 +113,7 @@ def findings(frames: Frames) -> list[Finding]:
 
 def sections(frames: Frames) -> list[Part]:
     frame = frames["claims"]
-    drawn = {figure.name: figure for figure in paper_figures.all_figures(frames["paper_figures"])}
+    drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
     fell = frame[
         frame["verdict"].isin([name for name in VERDICTS if name != "holds"]) & (frame["correction"] != "")
     ]

@@ -15,8 +15,15 @@ from functools import cached_property
 
 import pandas as pd
 
-from contactbench.report.model import DASH, Cell, Frames, Head, Mark, View, marks, word
-from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.report.cells import DASH
+from contactbench.report.numbers import (
+    count,
+    duration,
+    names,
+    power,
+    times,
+)
+from contactbench.report.rooms import Frames
 from contactbench.results.statistics import TIE, cost_to_reach, noise, verdict
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -254,129 +261,6 @@ def camps(contests: Iterable[Lead]) -> dict[str, int]:
             best = str(contest.best(contact=False))
             wins[best] = wins.get(best, 0) + 1
     return dict(sorted(wins.items(), key=lambda item: -item[1]))
-
-
-# -- views -----------------------------------------------------------------------------------------
-def said(tie: float) -> str:
-    return f"Costs within {100 * (tie - 1):.0f} % of each other are a tie."
-
-
-DASHES = (
-    f"{DASH}: no setting tried is as accurate; budget, timeout: a finer setting was cut off by our own limit. "
-    "≤: every setting tried is more accurate than asked, and this is the cheapest."
-)
-
-
-def error_heads(words: bool = False) -> list[Head]:
-    return [Head(f"error {power(target)}", words=words) for target in TARGETS]
-
-
-def leading(contest: Lead, contact: bool) -> Mark | None:
-    """The mark of a camp's best."""
-    if contest.outcome == "tie":
-        return Mark.tie
-    return Mark.best if contest.outcome == ("win" if contact else "loss") else None
-
-
-def winners_view(
-    field: Field, name: str, title: str, source: str, called: Callable[[str], str] = str
-) -> View:
-    """Per scene and error the cheapest, those that tie with it, and the next; marked where a contact method leads.
-
-    called : what a scene is called.
-    """
-    rows = []
-    for scene in field.contested:
-        contests = [field.leads[scene, target] for target in TARGETS]
-        if not any(c.decided for c in contests):
-            continue
-        cells = (Cell(c.text(field.kind.show), marks=marks(leading(c, contact=True))) for c in contests)
-        rows.append((word(called(scene)), *cells))
-    heads = (Head("scene", words=True), *error_heads(words=True))
-    meaning = (
-        f"{field.kind.about} The cheapest at each error, then the next beyond a tie. "
-        f"{said(field.margin)} {DASHES}"
-    )
-    return View(name, title, meaning, heads, tuple(rows), source)
-
-
-def costs_view(field: Field, scene: str, source: str) -> View:
-    """What each error costs each method on a scene; the cheapest in bold, ties marked."""
-    contests = {target: field.leads[scene, target] for target in TARGETS}
-    rows = []
-    for method in field.methods:
-        cells = []
-        for contest in contests.values():
-            own = contest.costs.get(method) or contest.missing.get(method)
-            if own is None:
-                break
-            first = (Mark.best if len(contest.first) == 1 else Mark.tie) if method in contest.first else None
-            value = own.value if own.reached else None
-            cells.append(
-                Cell(own.text(field.kind.show), value, marks(first, Mark.bound if own.bound else None))
-            )
-        else:
-            rows.append((word(method), *cells))
-    meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
-    title = f"{field.kind.title} on {scene}"
-    heads = (Head("method", words=True), *error_heads())
-    return View(f"{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
-
-
-def duel_view(field: Field, scene: str, source: str, targets: Iterable[float] = DECADES) -> View:
-    """Decade by decade the best contact method beside the best other."""
-    rows = []
-    for target in targets:
-        contest = field.leads[scene, target]
-        cells = []
-        for contact in (True, False):
-            best = contest.best(contact)
-            if best is None:
-                camp = (
-                    c.reason for m, c in contest.missing.items() if (contest.family[m] == CONTACT) == contact
-                )
-                cells.append(word(", ".join(sorted(set(camp) - {DASH})) or DASH))
-            else:
-                text = f"{best} {contest.costs[best].text(field.kind.show)}"
-                cells.append(Cell(text, marks=marks(leading(contest, contact))))
-        finite = math.isfinite(contest.ratio) and contest.ratio > 0
-        ratio = Cell(times(contest.ratio), contest.ratio) if finite else Cell(DASH)
-        rows.append((word(power(target)), *cells, ratio, word(CHEAPER[contest.outcome])))
-    heads = (
-        Head("error", words=True), Head("best contact method", words=True), Head("best other method", words=True),
-        Head("other / contact", "cost of the best other method in units of the best contact method"),
-        Head("cheaper", words=True),
-    )  # fmt: skip
-    title = f"{field.kind.title} on {scene}: the best of each camp"
-    meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
-    return View(f"duel_{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
-
-
-CHEAPER = {"win": CONTACT, "loss": "other", "tie": "tie", "": DASH}
-
-
-def losses_view(fields: Iterable[Field], name: str, source: str) -> View:
-    """Every scene and error at which another method is cheaper than every contact method, kind by kind."""
-    rows = []
-    for field in fields:
-        for scene in field.contested:
-            cells = []
-            for target in TARGETS:
-                contest = field.leads[scene, target]
-                if contest.outcome != "loss":
-                    cells.append(Cell(""))
-                    continue
-                other, alone = str(contest.best(contact=False)), contest.ratio == 0
-                text = f"{other}, alone" if alone else f"{other} {times(1 / contest.ratio)}"
-                cells.append(Cell(text, None if alone else 1 / contest.ratio))
-            if any(cell.text for cell in cells):
-                rows.append((word(field.kind.title), word(scene), *cells))
-    heads = (Head("compared", words=True), Head("scene", words=True), *error_heads())
-    meaning = (
-        "What the best contact method costs in units of the cheapest other method. Blank: a contact method is "
-        "cheapest, or it is a tie, or nobody gets there. Alone: no contact method reaches the error."
-    )
-    return View(name, "Where the contact methods lose", meaning, heads, tuple(rows), source)
 
 
 def reasons(fields: Iterable[Field]) -> tuple[str, ...]:

@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import pandas as pd
 
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import CONTACT
-from contactbench.report.curves import by_method, number_axis
-from contactbench.report.model import (
-    DASH,
-    ROOMS,
-    Cell,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Panel,
-    Part,
-    Room,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
+from contactbench.report.figures import convergence as figures
 from contactbench.report.numbers import names, upper
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room
 from contactbench.results.tables import CONVERGENCE
 
 #: a measured order further than this from the claimed one is an exception
@@ -76,23 +59,6 @@ def view(frame: pd.DataFrame, name: str, title: str, meaning: str, cell: Callabl
     return View(name, title, meaning, heads, tuple(rows), "convergence.csv")
 
 
-def figure(frame: pd.DataFrame) -> Figure | None:
-    ok = frame[frame["status"] == "ok"]
-    panels = []
-    for scene in dict.fromkeys(ok["scene"]):
-        part = ok[ok["scene"] == scene]
-        orders = dict(zip(part["method"], part["order"], strict=True))
-        curves = tuple(
-            curve if math.isnan(orders[curve.method]) else replace(curve, note=f"{orders[curve.method]:.2f}")
-            for curve in by_method(part, "step", "solution_error")
-        )
-        panels.append(Panel(scene, number_axis("step size h"), number_axis("solution error"), curves))
-    if not panels:
-        return None
-    caption = "The number at each curve is its extrapolated order."
-    return Figure("convergence", "Error against step size", tuple(panels), caption, source="convergence.csv")
-
-
 def findings(frames: Frames) -> list[Finding]:
     fit = fits(frames["convergence"])
     known = fit[(fit["status"] == "ok") & fit["order"].notna()]
@@ -136,7 +102,7 @@ def sections(frames: Frames) -> list[Part]:
         frame, "last_slopes", "Last pairwise slope", f"{upper(meaning['last_slope'])}: what was measured, "
         "before any extrapolation.", lambda row: number(row["last_slope"], "{:.3f}".format),
     )  # fmt: skip
-    drawn = figure(frame)
+    drawn = figures.figure(frame)
     return [orders, slopes, *([drawn] if drawn else []), raw(CONVERGENCE, frame)]
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from contactbench.report.model import Axis, Curve, Span
+from contactbench.report.drawing import Axis, Curve, Span
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17

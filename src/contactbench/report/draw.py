@@ -18,8 +18,8 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure as Drawn
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
+from contactbench.report.drawing import Axis, Curve, Figure, Heat, Panel
 from contactbench.report.look import ROLES, look
-from contactbench.report.model import Axis, Curve, Figure, Heat, Panel
 
 SHADED = "#f0f4ff"
 PANEL = (4.5, 3.9)  #: inches

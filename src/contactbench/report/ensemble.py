@@ -4,30 +4,13 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.contest import COMPILED, DASHES, LIMIT, TARGETS, Cost, costs, error_heads, said
-from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.model import (
-    ROOMS,
-    Axis,
-    Cell,
-    Curve,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Panel,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
+from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
+from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs
+from contactbench.report.contest_views import DASHES, error_heads, said
+from contactbench.report.figures import ensemble as figures
 from contactbench.report.numbers import count, duration, names, power, times
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import ENSEMBLE_TABLE
 
@@ -143,53 +126,6 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
     return View(f"ensemble_{question}", title, "Median of the whole call.", heads, tuple(rows), SOURCE)
 
 
-def figure(frame: pd.DataFrame) -> Figure | None:
-    """Time per trajectory against error; throughput against trajectories and against cores."""
-    panels = []
-    own = frame[frame["family"] != LIMIT]
-    part = asked(own, "error")
-    if len(part):
-        curves = [
-            Curve(c.x, c.y, c.label, c.method, dashed=str(variant) == "vmap", hints=c.hints)
-            for variant, rows in part.groupby("variant", sort=False)
-            for c in by_method(rows, "solution_error", "each", ("engine",), 1e6)
-        ]
-        panels.append(
-            Panel("one core (dashed: every trajectory its own steps)", number_axis("solution error", True),
-                  number_axis("time per trajectory, µs"), tuple(curves))
-        )  # fmt: skip
-    for question, by in (("size", "trajectories"), ("cores", "cores")):
-        part = asked(own, question).sort_values(by, kind="stable")
-        part = part.assign(gradients=part["evaluations"] * part["rate"])
-        if not len(part):
-            continue
-        curves = list(by_method(part, by, "gradients"))
-        if question == "cores":
-            for _, line in part.groupby("method", sort=False):
-                number_of = line["cores"].astype(float)
-                ideal = number_of * line["gradients"].iloc[0] / number_of.iloc[0]
-                curves.append(
-                    Curve(
-                        floats(number_of),
-                        floats(ideal),
-                        "proportional",
-                        role="reference",
-                        markers=False,
-                        dashed=True,
-                    )
-                )
-        axis = Axis(by, "log" if question == "size" else "linear")
-        panels.append(
-            Panel(
-                f"number of {by}",
-                axis,
-                Axis("gradients × trajectories per second", limits=(0, None)),
-                tuple(curves),
-            )
-        )
-    return Figure("ensemble", "Ensembles of the particle", tuple(panels), source=SOURCE) if panels else None
-
-
 def findings(frames: Frames) -> list[Finding]:
     frame = timed(frames["ensemble"])
     part = asked(frame, "error")
@@ -221,7 +157,7 @@ def sections(frames: Frames) -> list[Part]:
         growth_view(frame, "size", "trajectories", "With the number of trajectories"),
         growth_view(frame, "cores", "cores", "With the number of cores"),
     )
-    drawn = figure(frame)
+    drawn = figures.figure(frame)
     bad = frames["ensemble"][frames["ensemble"]["status"] != "ok"]
     ends = tuple(f"{r['method']}, {r['setting']}: {r['status']}, {r['message']}" for _, r in bad.iterrows())
     return [

@@ -4,20 +4,9 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.model import (
-    ROOMS,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Part,
-    Room,
-    Text,
-    View,
-    number,
-    word,
-)  # fmt: skip
+from contactbench.report.cells import Head, Mark, View, number, word
 from contactbench.report.numbers import count, duration, upper
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Text
 
 ABOUT = (
     "The gate compares a version of the code with the one before: its errors, counts and structure with the committed "

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from contactbench.report.model import Head, Part, Section, View, word
+from contactbench.report.cells import Head, View, word
 from contactbench.report.numbers import upper
+from contactbench.report.rooms import Part, Section
 from contactbench.results.schema import TABLES
 
 #: one who asks for the glossary hands over the registries: the report itself knows no solvers
@@ -16,7 +17,7 @@ Registries = Mapping[str, Mapping[str, Any]]
 def methods_view(methods: Mapping[str, Any]) -> View:
     rows = tuple(
         (
-            word(name), word(getattr(item, "family", "")), word(item.order or "variable"),
+            word(name), word(item.family), word(item.order or "variable"),
             word("adaptive" if item.adaptive else "fixed step"), word(", ".join(item.engines)), word(item.about),
         )
         for name, item in methods.items()

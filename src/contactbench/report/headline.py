@@ -12,30 +12,11 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.report import laws, stability, work_precision
-from contactbench.report.contest import (
-    COMPILED,
-    EVALUATIONS,
-    KINDS,
-    TARGETS,
-    Field,
-    duel_view,
-    losses_view,
-    reasons,
-    winners_view,
-)
-from contactbench.report.model import (
-    ROOMS,
-    Finding,
-    Frames,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    rooms,
-    spoken,
-)  # fmt: skip
+from contactbench.report import damping, equal_cost, work_precision
+from contactbench.report.cells import View
+from contactbench.report.contest import COMPILED, EVALUATIONS, KINDS, TARGETS, Field, reasons
+from contactbench.report.contest_views import duel_view, losses_view, winners_view
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, rooms, spoken
 
 UNITS = "All quantities are dimensionless, as in the paper; times are of the machine that results/README.md names."
 SOURCES = "work_precision.csv, stability.csv"
@@ -43,6 +24,31 @@ SOURCES = "work_precision.csv, stability.csv"
 DUELS = ("particle_long", "rigid_body")
 #: the scene whose figure stands here
 DRAWN = "particle"
+
+
+#: what a scene stands for; others are known by their name alone
+PROBLEMS = {
+    "particle": "one short run, smooth forces",
+    "particle_long": "a long run, weak damping",
+    "rigid_body": "a damped rigid body",
+    "kepler_drag": "close encounters, an eccentric orbit",
+    "stiff_spring": "two time scales, the fast one alive",
+    "needle": "a very slender body",
+    "tumbling": "a body tumbling about its unstable axis",
+    "overdamped": "strong damping",
+    "critical": "critical damping",
+    "weak_damping": "hardly any damping",
+    "weak_damping_particle": "hardly any damping, several degrees of freedom",
+    "saddle_edge": "at the edge of escape",
+    "quadratic_damping": "damping that is quadratic in s",
+}
+
+
+def problem(scene: str) -> str:
+    said = PROBLEMS.get(scene) or (
+        "friction about some axes only" if scene.startswith("singular_damping") else ""
+    )
+    return f"{said} (`{scene}`)" if said else f"`{scene}`"
 
 
 def all_findings(frames: Frames) -> list[Finding]:
@@ -64,7 +70,7 @@ def documents(frames: Frames) -> Text:
 
 def glance(frames: Frames) -> tuple[View, ...]:
     """The table that stands first."""
-    view = laws.overview(frames)
+    view = equal_cost.overview(frames)
     return () if view is None else (view,)
 
 
@@ -93,10 +99,10 @@ def fields(frames: Frames) -> list[Field]:
 def sections(frames: Frames) -> list[Part]:
     contests, rates = fields(frames), frames["damping_rates"]
     winners: list[Part] = [
-        winners_view(f, f"winners_{f.kind.name}", f.kind.title, SOURCES, stability.problem) for f in contests
+        winners_view(f, f"winners_{f.kind.name}", f.kind.title, SOURCES, problem) for f in contests
     ]
     if len(rates):
-        winners.append(stability.rates_view(rates))
+        winners.append(damping.rates_view(rates))
     parts: list[Part] = [
         documents(frames),
         Text(
@@ -111,7 +117,11 @@ def sections(frames: Frames) -> list[Part]:
         parts.append(
             Section(lost.title, (Text(items=reasons(contests)), replace(lost, title="Where and by how much")))
         )
-    drawn = work_precision.figure(frames["work_precision"], DRAWN) if len(frames["work_precision"]) else None
+    drawn = (
+        work_precision.figures.figure(frames["work_precision"], DRAWN)
+        if len(frames["work_precision"])
+        else None
+    )
     return [*parts, drawn] if drawn else parts
 
 

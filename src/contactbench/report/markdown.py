@@ -5,19 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 
-from contactbench.report.model import (
-    Cell,
-    Figure,
-    Finding,
-    Head,
-    Mark,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    spoken,
-)
+from contactbench.report.cells import Cell, Head, Mark, View
+from contactbench.report.drawing import Figure
+from contactbench.report.rooms import Finding, Part, Room, Section, Text, spoken
 
 #: marks that are seen in a document
 STRONG = (Mark.best, Mark.kept)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.model import Head, View, number, word
+from contactbench.report.cells import Head, View, number, word
 from contactbench.report.numbers import readable, upper
 from contactbench.results.schema import Table
 

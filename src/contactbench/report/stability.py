@@ -1,66 +1,41 @@
-"""Hard scenes and stability limits: how every method ends, and what follows for practice."""
+"""Hard scenes: how every method ends, and at what error and cost."""
 
 from __future__ import annotations
-
-import itertools
-import math
-from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.contest import EVALUATIONS, NAMED, Field, standing
-from contactbench.report.curves import by_method, floats, number_axis
-from contactbench.report.laws import bounded, called, drift_cell, laws, numbers
-from contactbench.report.model import (
-    DASH,
-    ROOMS,
-    Axis,
-    Cell,
-    Curve,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Panel,
-    Part,
-    Room,
-    Section,
-    Span,
-    Text,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
-from contactbench.report.numbers import count, names, scientific, upper
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
+from contactbench.report.contest import (
+    EVALUATIONS,
+    Field,
+    standing,
+)
+from contactbench.report.figures import stability as figures
+from contactbench.report.kept import (
+    bounded,
+    called,
+    drift_cell,
+    laws,
+    numbers,
+)
+from contactbench.report.numbers import (
+    count,
+    names,
+    scientific,
+)
 from contactbench.report.raw import raw
-from contactbench.results.round_off import STRUCTURE
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.schema import Rule
 from contactbench.results.tables import (
-    DAMPING_RATES,
-    ONE_STEP,
     STABILITY,
-    STABILITY_LIMITS,
-    STRONG_DAMPING,
-)  # fmt: skip
+)
 
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
-#: errors whose ratio is within this are as good as equal
-ALIKE = 2.0
-#: a method may cost this much more than the others and still be at equal cost
-AFFORDABLE = 1.15
-#: γh per evaluation is sorted into ranges with these borders
-DAMPING_RANGES = (0.0, 0.01, 0.1, 1.0, 10.0, math.inf)
-#: with which the others are compared under strong damping: a composition without steps against time
-BASE = "contact-strang"
 RUNGS = ("coarse", "medium", "fine")
 
 
-# -- how it ends -----------------------------------------------------------------------------------
 def rungs(frame: pd.DataFrame) -> list[str]:
     """Names for the settings of a ladder, coarse to fine."""
     most = int(frame.groupby(["scene", "method", "engine"]).size().max()) if len(frame) else 0
@@ -156,386 +131,6 @@ def blow_up_view(frame: pd.DataFrame) -> View | None:
     return View("blow_up", "Blow-up", meaning, heads, tuple(rows), "stability.csv")
 
 
-# -- limits ----------------------------------------------------------------------------------------
-def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View | None:
-    """Methods × damping of one limit at ω = 1; theory in parentheses beside the first loss of stability."""
-    one = frame[(frame["omega"] == 1.0) & frame[column].notna()]
-    if not len(one):
-        return None
-    gammas = sorted(one["gamma"].unique())
-    rows = []
-    for method, mine in one.groupby("method", sort=False):
-        line = mine.set_index("gamma")
-        cells = [word(method)]
-        for gamma in gammas:
-            if gamma not in line.index:
-                cells.append(Cell(DASH))
-                continue
-            row = line.loc[gamma]
-            theory = row["theory"] if column == "limit" else math.nan
-            known = "" if pd.isna(theory) else f" ({theory:.4g})"
-            gaps = Mark.exception if column == "limit" and row["windows"] else None
-            value = number(row[column], "{:.4g}".format, gaps)
-            cells.append(replace(value, text=value.text + known))
-        rows.append(tuple(cells))
-    heads = (Head("method", words=True), *(Head(f"γ = {g:g}") for g in gammas))
-    meaning = f"{upper(STABILITY_LIMITS.columns[column].meaning)}; q'' + γq' + q = 0."
-    if column == "limit":
-        meaning += (
-            " In parentheses what theory gives. Marked: larger steps are stable again, see the windows."
-        )
-    return View(name, title, meaning, heads, tuple(rows), "stability_limits.csv")
-
-
-def windows_view(frame: pd.DataFrame) -> View | None:
-    rows = [
-        (
-            word(r["method"]),
-            number(r["gamma"], "{:g}".format),
-            number(r["limit"], "{:.4g}".format),
-            word(r["windows"]),
-        )
-        for _, r in frame[(frame["omega"] == 1.0) & (frame["windows"] != "")].iterrows()
-    ]
-    if not rows:
-        return None
-    heads = (
-        Head("method", words=True), Head("γ"), Head("first loss of stability"), Head("unstable steps", words=True),
-    )  # fmt: skip
-    meaning = f"{upper(STABILITY_LIMITS.columns['windows'].meaning)}; ω = 1."
-    return View("windows", "Windows of instability", meaning, heads, tuple(rows), "stability_limits.csv")
-
-
-def limits_section(frame: pd.DataFrame, radius: pd.DataFrame) -> Iterator[Part]:
-    views = (
-        limit_view(frame, "limit", "limits", "First loss of stability"),
-        windows_view(frame),
-        limit_view(frame, "limit_kernel", "limits_kernel", "Processed methods saved at the end only"),
-        limit_view(frame, "limit_saved", "limits_saved", "Processed methods saved at every step"),
-    )
-    yield from (view for view in views if view is not None)
-    if len(frame):
-        yield limits_figure(frame)
-    if len(radius):
-        yield radius_figure(radius)
-
-
-# -- rates of damping ------------------------------------------------------------------------------
-def rate_cell(rows: pd.DataFrame, column: str) -> Cell:
-    if not len(rows):
-        return Cell(DASH)
-    row = rows.iloc[0]
-    if row["status"] != "ok":
-        return Cell(
-            str(row["status"]), marks=marks(Mark.none if row["status"] == "unsupported" else Mark.bad)
-        )
-    return number(row[column], "{:.4g}".format if column == "ratio" else scientific)
-
-
-def creep_views(frame: pd.DataFrame) -> Iterator[View]:
-    """The slow rate of the overdamped oscillator."""
-    creep = frame[frame["experiment"] == "overdamped"]
-    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: one is right."
-    for control, key, title in (
-        ("step", "damping_per_step", "γh = {:g}"),
-        ("rtol", "value", "rtol = {:.0e}"),
-    ):
-        part = creep[creep["control"] == control]
-        if not len(part):
-            continue
-        columns = sorted(part[key].dropna().unique(), reverse=True)
-        rows = [
-            (word(method), *(rate_cell(mine[mine[key] == c], "ratio") for c in columns))
-            for method, mine in part.groupby("method", sort=False)
-        ]
-        heads = (Head("method", words=True), *(Head(title.format(c)) for c in columns))
-        kind = "fixed steps" if control == "step" else "adaptive"
-        yield View(
-            f"creep_{control}",
-            f"Overdamped: the slow rate, {kind}",
-            meaning,
-            heads,
-            tuple(rows),
-            "damping_rates.csv",
-        )
-
-
-def fading_view(frame: pd.DataFrame) -> View | None:
-    """The rate of weak damping at about equal cost."""
-    weak = frame[frame["experiment"] == "weak"]
-    if not len(weak):
-        return None
-    questions = list(dict.fromkeys(zip(weak["scene"], weak["t_end"], strict=True)))
-    rows = []
-    for method, mine in weak.groupby("method", sort=False):
-        cells = [word(method)]
-        for scene, span in questions:
-            here = mine[(mine["scene"] == scene) & (mine["t_end"] == span)]
-            spent = here["evaluations"].iloc[0] if len(here) and here["status"].iloc[0] == "ok" else None
-            cells += [rate_cell(here, "rate_error"), number(spent, count)]
-        rows.append(tuple(cells))
-    heads = [Head("method", words=True)]
-    for scene, span in questions:
-        group = f"{scene}, T = {span:.0e}"
-        heads += [
-            Head("error", DAMPING_RATES.columns["rate_error"].meaning, group=group),
-            Head("evaluations", group=group),
-        ]
-    meaning = (
-        "|measured/true − 1| of the rate at which H0 falls, γ = 10⁻⁵, at about the same number of "
-        "evaluations for every "
-        "method, or as near to that as its tolerances come."
-    )
-    return View(
-        "fading",
-        "Weak damping: the rate at equal cost",
-        meaning,
-        tuple(heads),
-        tuple(rows),
-        "damping_rates.csv",
-    )
-
-
-# -- strong damping --------------------------------------------------------------------------------
-def usable(frame: pd.DataFrame, method: str, gamma: float) -> float:
-    """The largest γh per evaluation up to which the method is never worse than the base; 0 if nowhere."""
-    part = frame[frame["gamma"] == gamma].pivot_table(
-        index="damping_per_evaluation", columns="method", values="error", dropna=False
-    )
-    worse = (part[method] > part[BASE] * 1.001).to_numpy()
-    grid = part.index.to_numpy()
-    start = int(np.argmax(~worse)) if (~worse).any() else None
-    if start is None or start > len(grid) // 2:
-        return 0.0
-    behind = np.flatnonzero(worse[start:])
-    return float(grid[-1] if not len(behind) else grid[start + behind[0] - 1])
-
-
-def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
-    if BASE not in set(frame["method"]):  # all others are compared with it
-        return
-    gammas = sorted(frame["gamma"].unique())
-    heads = tuple(Head(f"γ = {g:g}") for g in gammas)
-    rows = tuple(
-        (word(method), *(number(usable(frame, method, g), "{:.2g}".format) for g in gammas))
-        for method in dict.fromkeys(frame["method"]) if method != BASE
-    )  # fmt: skip
-    yield View(
-        "strong_usable", "Strong damping: where negative substeps stop paying",
-        f"Damping between two evaluations, γh/evaluations, up to which a method is no less accurate than {BASE} at the "
-        "same cost (oscillator, ω = 1, over the time in which the motion falls by e; 0: nowhere). "
-        "Substeps against time "
-        "grow by e^{γ|a|h}.", (Head("method", words=True), *heads), rows, "strong_damping.csv",
-    )  # fmt: skip
-    ranges = []
-    for low, high in itertools.pairwise(DAMPING_RANGES):
-        label = (
-            f"below {high:g}"
-            if low == 0
-            else f"above {low:g}"
-            if math.isinf(high)
-            else f"{low:g} to {high:g}"
-        )
-        ranges.append((word(label), *(alike_cell(in_range(frame, g, low, high)) for g in gammas)))
-    yield View(
-        "strong_best", "Strong damping: the most accurate fixed-step method at equal cost",
-        f"Median error in each range of γh per evaluation, oscillator; methods within a factor of {ALIKE:g} are named "
-        f"together. {DASH}: no error below one.",
-        (Head("γh per evaluation", words=True), *(Head(h.label, words=True) for h in heads)), tuple(ranges),
-        "strong_damping.csv",
-    )  # fmt: skip
-    yield strong_figure(frame, gammas)
-
-
-def in_range(frame: pd.DataFrame, gamma: float, low: float, high: float) -> pd.Series:
-    """Median error of every method in a range of damping per evaluation."""
-    inside = frame["damping_per_evaluation"].between(low, high, inclusive="left")
-    part = frame[(frame["gamma"] == gamma) & inside].assign(error=lambda f: f["error"].fillna(np.inf))
-    return part.groupby("method", sort=False)["error"].median()
-
-
-def alike_cell(errors: pd.Series) -> Cell:
-    """The most accurate, and those within ALIKE of it; all that is round-off is alike."""
-    errors = errors[errors < 1].sort_values(kind="stable")
-    if not len(errors):
-        return Cell(DASH)
-    first = [str(m) for m in errors.index[errors <= max(STRUCTURE, ALIKE * errors.iloc[0])]]
-    tied = len(first) > 1
-    text = f"tie: {names(first, NAMED)}" if tied else first[0]
-    least = float(errors.iloc[0])
-    return Cell(f"{text} {scientific(least)}", least, marks(Mark.tie if tied else Mark.best))
-
-
-# -- which integrator for which problem ------------------------------------------------------------
-#: what a scene stands for; others are known by their name alone
-PROBLEMS = {
-    "particle": "one short run, smooth forces",
-    "particle_long": "a long run, weak damping",
-    "rigid_body": "a damped rigid body",
-    "kepler_drag": "close encounters, an eccentric orbit",
-    "stiff_spring": "two time scales, the fast one alive",
-    "needle": "a very slender body",
-    "tumbling": "a body tumbling about its unstable axis",
-    "overdamped": "strong damping",
-    "critical": "critical damping",
-    "weak_damping": "hardly any damping",
-    "weak_damping_particle": "hardly any damping, several degrees of freedom",
-    "saddle_edge": "at the edge of escape",
-    "quadratic_damping": "damping that is quadratic in s",
-}
-
-
-def problem(scene: str) -> str:
-    said = PROBLEMS.get(scene) or (
-        "friction about some axes only" if scene.startswith("singular_damping") else ""
-    )
-    return f"{said} (`{scene}`)" if said else f"`{scene}`"
-
-
-def rates_view(frame: pd.DataFrame) -> View:
-    """Errors of damping rates at equal cost, each question with its ties."""
-    rows = []
-    creep = frame[(frame["experiment"] == "overdamped") & (frame["status"] == "ok")]
-    for damping in sorted(creep["damping_per_step"].dropna().unique(), reverse=True):
-        fixed = creep[creep["damping_per_step"] == damping]
-        budget = AFFORDABLE * float(fixed["evaluations"].max())
-        adaptive = creep[creep["damping_per_step"].isna() & (creep["evaluations"] <= budget)]
-        rows.append(
-            (
-                word(f"slow rate of creep, γh = {damping:g}"),
-                *at_equal_cost(pd.concat([fixed, adaptive]), budget),
-            )
-        )
-    weak = frame[(frame["experiment"] == "weak") & (frame["status"] == "ok")]
-    for (scene, span), part in weak.groupby(["scene", "t_end"], sort=False):
-        steps = part[part["control"] == "step"]
-        budget = AFFORDABLE * float((steps if len(steps) else part)["evaluations"].max())
-        rows.append(
-            (
-                word(f"rate of weak damping, `{scene}`, T = {span:.0e}"),
-                *at_equal_cost(part[part["evaluations"] <= budget], budget),
-            )
-        )
-    heads = (Head("rate", words=True), Head("most accurate", words=True), Head("evaluations allowed"))
-    meaning = (
-        "Error of a measured damping rate. Compared at equal cost: an adaptive method takes part "
-        "with its settings that "
-        f"cost no more than {100 * (AFFORDABLE - 1):.0f} % above the dearest fixed-step run. Methods "
-        "within a factor of "
-        f"{ALIKE:g} are a tie."
-    )
-    return View(
-        "advice_rates", "Which integrator for damping rates", meaning, heads, tuple(rows), "damping_rates.csv"
-    )
-
-
-def at_equal_cost(rows: pd.DataFrame, budget: float) -> tuple[Cell, Cell]:
-    errors = rows.groupby("method", sort=False)["rate_error"].min()
-    return alike_cell(errors.astype(float)), number(budget, count)
-
-
-# -- figures ---------------------------------------------------------------------------------------
-def hard_figure(frame: pd.DataFrame) -> Figure | None:
-    ok = frame[(frame["status"] == "ok") & frame["solution_error"].notna()]
-    panels = []
-    for scene in dict.fromkeys(ok["scene"]):
-        part = ok[ok["scene"] == scene].sort_values("rhs_equivalents", kind="stable")
-        curves = by_method(part, "rhs_equivalents", "solution_error")
-        panels.append(
-            Panel(
-                str(scene),
-                number_axis("evaluations"),
-                Axis("solution error", "log", limits=(1e-16, 1e6)),
-                curves,
-            )
-        )
-    if not panels:
-        return None
-    return Figure(
-        "hard_scenes",
-        "Hard scenes: error against evaluations",
-        tuple(panels),
-        "Runs that ended ok.",
-        4,
-        source="stability.csv",
-    )
-
-
-def limits_figure(frame: pd.DataFrame) -> Figure:
-    rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
-    rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
-    rows = rows.assign(
-        scaled=rows["limit"] * rows["omega"], each=rows["per_evaluation"] * rows["omega"],
-        known=rows["theory"] * rows["omega"]
-    )  # fmt: skip
-    theory = [
-        Curve(
-            floats(line["ratio"]),
-            floats(line["known"]),
-            "theory",
-            role="reference",
-            markers=False,
-            dashed=True,
-        )
-        for _, line in rows[rows["known"].notna()].groupby("method", sort=False)
-    ]
-    x = number_axis("γ/ω")
-    panels = (
-        Panel("per step", x, number_axis("ω × first unstable step"), (*by_method(rows, "ratio", "scaled"), *theory)),
-        Panel("per evaluation", x, number_axis("ω × first unstable step per evaluation"), by_method(rows,
-            "ratio", "each")),
-    )  # fmt: skip
-    return Figure(
-        "stability_map", "First loss of stability of q'' + γq' + ω²q = 0", panels,
-        "Larger is better. Curves that end: no limit found.", 2, source="stability_limits.csv",
-    )  # fmt: skip
-
-
-def radius_figure(frame: pd.DataFrame) -> Figure:
-    panels = []
-    for gamma in [g for g in (0.0, 0.1, 1.0, 10.0, 50.0) if g in set(frame["gamma"])]:
-        part = frame[frame["gamma"] == gamma].sort_values("step", kind="stable")
-        truth = part.drop_duplicates("step")
-        exact = Curve(
-            floats(truth["step"]),
-            floats(truth["true_radius"]),
-            "exact flow",
-            role="truth",
-            markers=False,
-            dashed=True,
-        )
-        panels.append(
-            Panel(f"γ = {gamma:g}", Axis("step size h", "log"), Axis("largest |eigenvalue|", limits=(0, 2)),
-                  (*by_method(part, "step", "radius", every=8), exact), spans=(Span("y", 1.0, 1.0),))
-        )  # fmt: skip
-    return Figure(
-        "one_step", "Spectral radius of the one-step map of the oscillator", tuple(panels),
-        "Below the exact flow: numerical damping; above: antidamping.", source="one_step.csv",
-    )  # fmt: skip
-
-
-def strong_figure(frame: pd.DataFrame, gammas: list[float]) -> Figure:
-    panels = []
-    for gamma in gammas:
-        part = frame[(frame["gamma"] == gamma) & (frame["error"] < 1e4)].sort_values(
-            "damping_per_evaluation", kind="stable"
-        )
-        panels.append(
-            Panel(f"γ = {gamma:g}", Axis("γh per evaluation", "log"), Axis("relative error", "log",
-                limits=(1e-16, 1e2)),
-                  by_method(part, "damping_per_evaluation", "error", every=4))
-        )  # fmt: skip
-    return Figure(
-        "strong_damping",
-        "Equal cost under strong damping",
-        tuple(panels),
-        STRONG_DAMPING.columns["error"].meaning,
-        2,
-        source="strong_damping.csv",
-    )
-
-
-# -- the room --------------------------------------------------------------------------------------
 def findings(frames: Frames) -> list[Finding]:
     hard = frames["stability"]
     found = []
@@ -578,7 +173,7 @@ def sections(frames: Frames) -> list[Part]:
         f"{called(name)}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
         for name, c in laws(STABILITY, "stability").items()
     )
-    drawn, ends = hard_figure(hard), blow_up_view(hard)
+    drawn, ends = figures.hard(hard), blow_up_view(hard)
     parts: list[Part] = [
         Text(
             "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
@@ -589,28 +184,16 @@ def sections(frames: Frames) -> list[Part]:
         *([ends] if ends else []),
         map_view(hard),
     ]
-    limits = tuple(limits_section(frames["stability_limits"], frames["one_step"]))
-    rates = [*creep_views(frames["damping_rates"]), fading_view(frames["damping_rates"])]
-    strong = tuple(strong_parts(frames["strong_damping"]))
-    if limits:
-        parts.append(Section("Stability limits", limits))
-    if any(rates):
-        parts.append(Section("Rates of damping", tuple(v for v in rates if v is not None)))
-    if strong:
-        parts.append(Section("Strong damping", strong))
     scenes = tuple(
         Section(scene, (scene_view(hard, scene),), choice="scene") for scene in dict.fromkeys(hard["scene"])
     )
     parts.append(Section("Scene by scene", (Text(items=meanings), *scenes)))
-    tables = (STABILITY, STABILITY_LIMITS, DAMPING_RATES, ONE_STEP, STRONG_DAMPING)
-    return [*parts, *(raw(t, frames[t.name]) for t in tables if len(frames[t.name]))]
+    return [*parts, raw(STABILITY, hard)]
 
 
 ROOMS.add(
     Room(
-        "stability", "Numerical stability on hard cases",
-        "hard scenes, stability limits, damping rates", 50,
-        ("stability", "stability_limits", "one_step", "damping_rates", "strong_damping"),
-        sections, findings,
+        "stability", "Numerical stability on hard scenes", "how every method ends on the hard scenes, at what error",
+        50, ("stability",), sections, findings,
     )
 )  # fmt: skip

@@ -6,36 +6,13 @@ from collections.abc import Iterable
 
 import pandas as pd
 
-from contactbench.report.contest import (
-    KINDS,
-    LIMIT,
-    Field,
-    contestants,
-    costs_view,
-    duel_view,
-    standing,
-)  # fmt: skip
-from contactbench.report.curves import by_method, number_axis
-from contactbench.report.model import (
-    ROOMS,
-    Cell,
-    Figure,
-    Finding,
-    Frames,
-    Head,
-    Mark,
-    Panel,
-    Part,
-    Room,
-    Section,
-    Text,
-    View,
-    marks,
-    number,
-    word,
-)  # fmt: skip
+from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
+from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
+from contactbench.report.contest_views import costs_view, duel_view
+from contactbench.report.figures import work_precision as figures
 from contactbench.report.numbers import count, duration, scientific, times
 from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import WORK_PRECISION
 
@@ -74,28 +51,6 @@ def endings_view(work: pd.DataFrame, scene: str) -> View | None:
         )
     heads = tuple(Head(label, words=True) for label in ("method", "engine", "setting", "status", "why"))
     return View(f"endings_{scene}", f"Runs on {scene} that did not end ok", "", heads, tuple(rows), SOURCE)
-
-
-def figure(work: pd.DataFrame, scene: str) -> Figure | None:
-    """Cost against error for one scene, a panel for each kind of comparison."""
-    rows = contestants(work)
-    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
-    panels = []
-    for kind in KINDS:
-        part = rows[kind.engines(rows["engine"])]
-        if not kind.timed:  # the same counts on every engine: one curve
-            part = part.drop_duplicates(["method", "setting"])
-        part = part[part[kind.cost].notna()]
-        if len(part):
-            label = "median time per solve, ms" if kind.timed else "right-hand sides or equivalents"
-            curves = by_method(part, "solution_error", kind.cost, ("engine",), 1e3 if kind.timed else 1.0)
-            panels.append(Panel(kind.title, number_axis("solution error", True), number_axis(label), curves))
-    if not panels:
-        return None
-    caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
-    return Figure(
-        f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE
-    )
 
 
 def kernels_view(work: pd.DataFrame) -> View | None:
@@ -166,7 +121,7 @@ def noise_text(work: pd.DataFrame) -> Text:
 
 
 def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Section:
-    parts: list[Part | None] = [figure(work, scene)]
+    parts: list[Part | None] = [figures.figure(work, scene)]
     for field in fields:
         if scene in field.scenes:
             parts.append(costs_view(field, scene, SOURCE))

@@ -8,8 +8,9 @@ from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.report import draw, glossary, headline, markdown, page
-from contactbench.report.model import Figure, Frames, figures, rooms
+from contactbench.report.drawing import Figure
 from contactbench.report.page import Said
+from contactbench.report.rooms import Frames, figures, rooms
 from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, replacing

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
+from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import BodyState, RigidBody, Scene
 from contactbench.splitting.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
 
@@ -187,19 +188,6 @@ def plan(composition: Composition, scene: Scene) -> Plan:
     return Plan(merged((*before, first)), (*inner, *joint), merged((back, *before[::-1])), ())
 
 
-Repeat = Callable[[Any, Callable[[Any], Any], Any], Any]
-
-
-#: a `repeat` with a true attribute `roll` asks for loops over stages too
-
-
-def repeat(n: int, body: Callable[[Any], Any], x: Any) -> Any:
-    """n-fold application as a plain loop (the JAX engine passes its own)."""
-    for _ in range(n):
-        x = body(x)
-    return x
-
-
 def advance(
     composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
 ) -> Any:
@@ -213,7 +201,7 @@ def advance(
     steps = plan(composition, scene)
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
     constants = stage_constants((*opening, *inner, *closing, *joint), scene, h, xp)
-    rolled = getattr(repeat, "roll", False)
+    rolled = repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
         """The stages one after another: written out, or a loop over the period of their flows."""
@@ -336,7 +324,7 @@ def advance_by_the_clock(
 
     def first_rounds(x: BodyState, clock: Any) -> BodyState:
         """All rounds of a step but its last: written out, or a loop where short code matters more."""
-        if not getattr(repeat, "roll", False):
+        if not repeat.over_stages:
             for k in range(rounds - 1):
                 x = both(x, clock * topped[k], clock * turned[k])
             return x

@@ -23,20 +23,10 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 
+from contactbench.report.cells import Cell, View
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import METHODS, ROLES, look
-from contactbench.report.model import (
-    Axis,
-    Cell,
-    Curve,
-    Figure,
-    Finding,
-    Panel,
-    Room,
-    Section,
-    Text,
-    View,
-    figures,
-)
+from contactbench.report.rooms import Finding, Room, Section, Text, figures
 
 #: contrast a line must have on the dark page (WCAG 2.2, 1.4.3; graphical objects need 3)
 CONTRAST = 4.5
@@ -56,7 +46,7 @@ SCHEME = re.compile(r"\s*(?!https?:)[a-z][a-z0-9+.-]*:", re.IGNORECASE)
 
 
 def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
-    """Inline Markdown (see model.py) as HTML, everything else escaped.
+    """Inline Markdown (see rooms.py) as HTML, everything else escaped.
 
     addresses : where documents are on this page (file name → anchor); other files are linked beside it.
     """

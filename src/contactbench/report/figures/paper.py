@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.curves import floats
-from contactbench.report.model import Axis, Curve, Figure, Heat, Note, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Heat, Note, Panel
 
 UNIT = (-1.0, 1.0)
 SPHERE_TICKS = ((-1.0, "−1"), (0.0, "0"), (1.0, "1"))

@@ -1,0 +1,7 @@
+"""``python -m contactbench.cli``."""
+
+import sys
+
+from contactbench.cli import main
+
+sys.exit(main())

@@ -1,0 +1,50 @@
+"""``contactbench report``: documents, figures and page from the tables."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from contactbench.cli.parsing import Command
+from contactbench.errors import BadInput
+
+
+def report(arguments: argparse.Namespace) -> int:
+    """Write markdown, figures and the page from the CSV tables, or say which are not what the tables say."""
+    import contactbench as cb
+    from contactbench.report import check, write
+
+    registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
+    if not list(arguments.results.glob("*.csv")):
+        raise BadInput(
+            f"--results {arguments.results}: no tables there; run the benchmark first (tox -e bench)"
+        )
+    if arguments.check:
+        found = check.differing(arguments.results, arguments.readme, registries)
+        print("\n".join(found) or "Documents, figures and tables agree.")
+        return 1 if found else 0
+    for path in write.report(arguments.results, registries):
+        print(path)
+    if arguments.readme:
+        write.into_readme(arguments.readme, arguments.results)
+        print(arguments.readme)
+    return 0
+
+
+def add(command: Command) -> None:
+    """The command and its options."""
+    write = command(
+        "report", report, "markdown, figures and report.html from the CSV tables alone",
+        """examples:
+  contactbench report
+  contactbench report --results /tmp/mine
+  contactbench report --check --readme README.md
+
+Nothing is solved: every number is read from the tables.  report.html is one page that needs no network.""",
+    )  # fmt: skip
+    write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
+    write.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
+    write.add_argument(
+        "--check", action="store_true",
+        help="write nothing; name each file that is not what the tables give, exit status 1 if there is one",
+    )  # fmt: skip

@@ -1,0 +1,97 @@
+"""``contactbench solve``: one scene, one method, once."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from contactbench.cli.parsing import Command
+from contactbench.errors import BadInput
+
+
+def assignments(pairs: list[str]) -> dict[str, Any]:
+    """``name=value`` arguments; a value is JSON (a number or a list of numbers)."""
+    changes = {}
+    for pair in pairs:
+        name, _, text = pair.partition("=")
+        try:
+            changes[name] = json.loads(text)
+        except json.JSONDecodeError:
+            raise BadInput(
+                f"--set {pair}: must be name=value, the value a number or [list, of, numbers]"
+            ) from None
+        if isinstance(changes[name], list):
+            changes[name] = tuple(changes[name])
+    return changes
+
+
+def solve(arguments: argparse.Namespace) -> int:
+    """Solve a scene once and print where it ended."""
+    import contactbench as cb
+
+    scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
+    if arguments.t_end is not None:
+        scene = scene.with_(t_end=arguments.t_end)
+    options = {k: getattr(arguments, k) for k in ("step", "rtol", "engine", "max_steps")}
+    solution = cb.solve(
+        scene, arguments.method, save_at=[scene.t_end], **{k: v for k, v in options.items() if v is not None}
+    )
+    print(json.dumps(summary(solution), allow_nan=False) if arguments.json else described(summary(solution)))
+    return 0 if solution.ok else 1
+
+
+def summary(solution: Any) -> dict[str, Any]:
+    """Final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
+    scene, out = solution.scene, {}
+    if solution.ok:
+        state = scene.unpack(tuple(solution.y[-1].tolist()), solution.carry)
+        momentum = scene.momentum(state)
+        out = {
+            "state": dict(zip(solution.labels, solution.y[-1].tolist(), strict=True)),
+            "H0": scene.energy(state),
+            "H": scene.hamiltonian(state) if scene.is_contact else None,
+            "J": None if momentum is None else list(momentum),
+        }
+    return {
+        "scene": scene.name,
+        "method": solution.method,
+        "engine": solution.engine,
+        "setting": solution.setting,
+        "status": str(solution.status),
+        "message": solution.message,
+        "t": solution.end_time,
+        **out,
+        "counts": solution.counts._asdict(),
+    }
+
+
+def described(summary: dict[str, Any]) -> str:
+    """One line per entry."""
+    return "\n".join(f"{key:8} {value}" for key, value in summary.items() if value not in (None, ""))
+
+
+def add(command: Command) -> None:
+    """The command and its options."""
+    one = command(
+        "solve", solve, "solve one scene with one method and print where it ended",
+        """examples:
+  contactbench solve particle contact-strang --step 0.01
+  contactbench solve particle contact-rkn6 --rtol 1e-8           the step chosen from pilots
+  contactbench solve particle cvode-bdf --rtol 1e-8 --t-end 100
+  contactbench solve particle rk4 --step 0.01 --set gamma=0.3 --set q=[1,0.5] --json | jq .H0
+
+Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input.""",
+    )  # fmt: skip
+    one.add_argument("scene", help="its name (contactbench list scenes)")
+    one.add_argument("method", help="its name (contactbench list methods)")
+    one.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="change a parameter: a number or a list [1,2]; may be repeated",
+    )  # fmt: skip
+    one.add_argument("--step", type=float, help="step size (fixed-step methods)")
+    one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
+    one.add_argument("--t-end", type=float, help="end time")
+    one.add_argument("--engine", help="numba, jax or python, where a method has several")
+    one.add_argument("--max-steps", type=int, help="step budget")
+    one.add_argument("--json", action="store_true", help="print one JSON object")

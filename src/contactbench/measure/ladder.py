@@ -1,0 +1,67 @@
+"""The settings a method is tried at: steps that halve, tolerances by decades, from coarse to fine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from contactbench.scene import RigidBody, Scene
+
+#: saved times per run: few enough to be step boundaries of every step size of the ladder
+SAVES = 25
+#: end times over whose runs the largest error is taken
+ENDS = 5
+#: coarsest step; below it a ladder halves
+COARSEST = 0.8
+RTOLS = [10.0**-k for k in range(3, 14)]
+#: beside the tolerances of `RTOLS`: some methods are a thousand times more accurate than asked
+LOOSEST = 1e-1
+
+
+def steps(scene: Scene, count: int) -> list[float]:
+    """Halving steps t_end/(25·2^k), the coarsest not above 0.8."""
+    n = SAVES
+    while scene.t_end / n > COARSEST:
+        n *= 2
+    return [scene.t_end / (n * 2**k) for k in range(count)]
+
+
+def work_ladder(scene: Scene, order: int) -> list[float]:
+    """About ten steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
+
+    Halving from 0.8, on a body from 4; from order 6 on by √2 from 3.2 at most: where errors are 10⁻² or
+    10⁻³.  High orders go not as far down, because finer steps meet round-off.
+    """
+    if order < 6:
+        fine = steps(scene, 9)
+        return [fine[0] * 5, fine[0] * 2.5, *fine] if isinstance(scene, RigidBody) else fine
+    coarse = steps(scene, 1)[0] * 4
+    counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
+    return [scene.t_end / n for n in dict.fromkeys(counts)]
+
+
+def tolerances(method: Any) -> list[float]:
+    """The decades within the range of an adaptive method, the loosest first."""
+    low, high = method.rtol_range
+    return [rtol for rtol in (LOOSEST, *RTOLS) if low <= rtol <= high]
+
+
+def save_times(scene: Scene) -> np.ndarray:
+    """The 25 times every ladder has in common, on the grid of the frozen references."""
+    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
+
+
+def setting(method: Any, value: float) -> dict[str, float]:
+    """The keyword of `prepare` that sets a method: its tolerance or its step."""
+    return {"rtol": value} if method.adaptive else {"step": value}
+
+
+def family(method: Any) -> str:
+    """What a method is compared as; a plug-in that does not say is an established one."""
+    return getattr(method, "family", "established")
+
+
+def carried(scene: Scene) -> tuple[str, ...]:
+    """What a run is asked for where only the motion counts: no s, the attitude where J = R M is measured."""
+    return ("R",) if "R" in scene.optional and scene.conformal_rate is not None else ()

@@ -1,0 +1,107 @@
+"""From a question to a prepared solver: every argument checked, engines tried in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from contactbench.errors import BadInput, positive
+from contactbench.methods.base import METHODS, Method, Prepared, Refused, Request
+from contactbench.methods.grid import default_times, saved_times
+from contactbench.scene import Scene
+from contactbench.solution import Solution
+
+DEFAULT_MAX_STEPS = 10**8
+ADAPTIVE_MAX_STEPS = 10**6
+
+
+def lookup(scene: Scene | str, method: str) -> tuple[Scene, Method]:
+    """Scene and method by name, `UnknownName` with a suggestion otherwise."""
+    from contactbench.scenes import SCENES
+
+    if isinstance(scene, str):
+        scene = SCENES[scene]
+    if not isinstance(scene, Scene):
+        raise BadInput(f"scene = {scene!r}: must be a scene or the name of one: {', '.join(SCENES)}")
+    return scene, METHODS[method]
+
+
+def prepare(
+    scene: Scene | str,
+    method: str,
+    *,
+    step: float | None = None,
+    rtol: float | None = None,
+    atol: float | None = None,
+    save_at: Sequence[float] | np.ndarray | None = None,
+    carry: Sequence[str] | None = None,
+    engine: str | None = None,
+    max_steps: int | None = None,
+) -> Prepared:
+    """A solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
+
+    step : step size of a fixed-step method.  Steps never straddle a saved time: each interval
+        between saved times is divided into the fewest equal steps not longer than `step`.
+    rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
+        rtol instead of step chooses its step from pilots, which are part of every call and its counts.
+    save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
+        most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
+    carry : which of s and R to integrate; by default all the scene has.
+    engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
+        or a force that branches on values cannot be compiled.
+    max_steps : budget; a run that needs more ends with status `budget`.
+    Raises `BadInput` for anything it cannot work with.
+    """
+    scene, chosen = lookup(scene, method)
+    if engine is not None and engine not in chosen.engines:
+        raise BadInput(f"engine = {engine!r}: {method} runs on {', '.join(chosen.engines)}")
+    if chosen.adaptive:
+        if step is not None:
+            raise BadInput(f"step = {step!r}: {method} chooses its own steps; give rtol")
+        step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
+    else:
+        if atol is not None or (step is None) == (rtol is None):
+            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
+            raise BadInput(f"{given}: {method} has a fixed step; give step > 0, or rtol to have it chosen")
+        if step is None:
+            rtol, _ = _tolerances(chosen, rtol, None)
+        else:
+            step = positive("step", step)
+    budget = _budget(chosen, max_steps)
+    times = default_times(scene, step, budget) if save_at is None else saved_times(save_at)
+    engines = chosen.engines if engine is None else (engine,)
+    request = Request(scene, engines[0], scene.carry(carry), times, step, rtol, atol, budget)
+    if (why := chosen.refuses(scene)) is not None:
+        return Refused(chosen.name, request, why)
+    run = first = chosen.prepare(request)
+    for other in engines[1:]:
+        if not isinstance(run, Refused):
+            return run
+        run = chosen.prepare(replace(request, engine=other))
+    return first if isinstance(run, Refused) else run
+
+
+def solve(scene: Scene | str, method: str, **options: Any) -> Solution:
+    """Solve a scene once; takes the keywords of `prepare`."""
+    return prepare(scene, method, **options)()
+
+
+def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[float, float]:
+    if rtol is None:
+        raise BadInput(f"rtol is missing: {method.name} is adaptive; give rtol")
+    rtol = positive("rtol", rtol)
+    low, high = method.rtol_range
+    if not low <= rtol <= high:
+        raise BadInput(f"rtol = {rtol!r}: {method.name} takes {low:g} to {high:g}")
+    return rtol, rtol if atol is None else positive("atol", atol)
+
+
+def _budget(method: Method, max_steps: int | None) -> int:
+    if max_steps is None:
+        return ADAPTIVE_MAX_STEPS if method.adaptive else DEFAULT_MAX_STEPS
+    if isinstance(max_steps, bool) or int(max_steps) != max_steps or max_steps < 1:
+        raise BadInput(f"max_steps = {max_steps!r}: must be a whole number ≥ 1")
+    return int(max_steps)

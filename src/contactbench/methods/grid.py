@@ -1,0 +1,56 @@
+"""Saved times, and how many equal steps lead from one to the next."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from contactbench.errors import BadInput
+from contactbench.scene import Scene
+
+#: saved times when the caller names none: every k-th step with at most this many for fixed steps,
+#: this many equal intervals for adaptive methods
+DEFAULT_SAVES = 1000
+ADAPTIVE_SAVES = 200
+
+
+def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
+    if step is None:
+        return np.linspace(0.0, scene.t_end, ADAPTIVE_SAVES + 1)
+    n = steps_in(scene.t_end, step)
+    if n > budget:  # will end as `budget`; no grid of that size is needed
+        return np.array([scene.t_end])
+    stride = -(-n // DEFAULT_SAVES)
+    marks = np.append(np.arange(0, n, stride), n)
+    return marks * (scene.t_end / n)
+
+
+def saved_times(save_at: Any) -> np.ndarray:
+    try:
+        times = np.atleast_1d(np.asarray(save_at, dtype=float))
+    except (TypeError, ValueError):
+        raise BadInput(f"save_at = {save_at!r}: must be increasing times") from None
+    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
+        raise BadInput(f"save_at = {save_at!r}: must be finite times, at least one")
+    if times[0] < 0 or np.any(np.diff(times) <= 0):
+        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
+    if len(times) == 1 and times[0] == 0:
+        raise BadInput("save_at: at least one time must be > 0")
+    return times
+
+
+#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
+#: rounded, as a product or a sum of two, and so may be the spacing of the grid
+GRID_ULPS = 4
+
+
+def steps_in(span: float, step: float, until: float | None = None) -> int:
+    """The fewest equal steps that cover `span` without exceeding `step` (up to round-off).
+
+    until : the time at which the interval ends, by default `span`.  The difference of two saved times has
+    their round-off, which for short intervals late in a run is far above that of the interval itself.
+    """
+    round_off = GRID_ULPS * math.ulp(span if until is None else until)
+    return max(1, math.ceil((span * (1 - 1e-12) - round_off) / step))

@@ -1,0 +1,121 @@
+"""The JAX engine of the fixed-step methods: a loop over steps inside a scan over the saved times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.numbers.control import Repeat, repeat
+
+#: evaluations written out in one turn of the compiled loop
+UNROLL = 32
+#: numbers of saved times a program is compiled for; the next larger one serves all in between
+CAPACITIES = (1, 64, 1024)
+
+
+def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+    """x after n turns of ``x = body(x)``."""
+    from contactbench.xla import lax
+
+    return lax.fori_loop(0, n, lambda _, x: body(x), x)
+
+
+#: loops over stages too: the shortest code
+rolled = Repeat(compiled_loop, over_stages=True)
+
+
+def unrolled(together: int) -> Repeat:
+    """`repeat` as a compiled loop with several steps, stages written out, in a turn."""
+
+    def loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+        x = compiled_loop(n // together, lambda x: repeat(together, body, x), x)
+        return x if together == 1 else compiled_loop(n % together, body, x)
+
+    return Repeat(loop)
+
+
+class JaxSteps(FixedStepRun, CompiledRun):
+    """The steps as a loop inside a scan over the saved times, to be compiled, and their derivative."""
+
+    sensitivity_source = "forward-mode AD through the numerical map"
+
+    def __post_init__(self) -> None:
+        from contactbench.xla import jax
+
+        super().__post_init__()
+        saves = len(self.n)
+        self.capacity = next((size for size in CAPACITIES if size >= saves), saves)
+        # on the device once: converting them at every call would cost as much as a short run
+        self.fixed = jax.device_put(self.spans(self.h, self.n))
+
+    def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """The arguments of the program; intervals beyond those asked for have no steps."""
+        padded = np.zeros((2, self.capacity))
+        padded[:, : len(n)] = h, n
+        return self.together(self.request.scene.numbers(), *padded)
+
+    def divide(self, step: float) -> None:
+        super().divide(step)
+        if hasattr(self, "fixed"):  # a step for one call: not worth moving ahead of it
+            self.fixed = self.spans(self.h, self.n)
+
+    def key(self) -> tuple[Any, ...]:
+        return (self.method_, self.capacity)
+
+    def differentiable(self, y0: Any, fixed: Any) -> Any:
+        """The same map as shorter code: stages in loops, one step a turn.  Slower, but its derivative
+        compiles in a fraction of the time."""
+        return self.states(y0, fixed, short=True)
+
+    def states(self, y0: Any, fixed: Any, short: bool = False) -> Any:
+        from contactbench.xla import jnp, lax
+
+        numbers, h, n = self.apart(fixed)
+        r, xp = self.request, XlaNumbers()
+        scene = r.scene.with_numbers(list(numbers))
+        loop = rolled if short else unrolled(self.steps_a_turn())
+
+        def interval(x: Any, span: Any) -> Any:
+            h, n = span
+            x = self.method_.advance(scene, x, h, n, xp, loop)
+            return x, jnp.stack(scene.pack(x))
+
+        return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n.astype(int)))[1]
+
+    def steps_a_turn(self) -> int:
+        """Steps written out per turn of the loop: a turn costs XLA some 4 ns whatever it does."""
+        return max(1, UNROLL // self.each_step)
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        derivative = super().sensitivity(y0)[: len(self.n)]
+        if not self.saves_start:
+            return derivative
+        scene = self.request.scene
+        start = scene.unpack(tuple(y0.tolist()), self.request.carry)
+        return np.concatenate([np.array([scene.pack(v) for v in scene.tangents(start)]).T[None], derivative])
+
+    @cached_property
+    def steps(self) -> tuple[Any, float]:
+        """The compiled program, and the seconds it took."""
+        return self.compiled("run", self.states, self._own_start, self.fixed)
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        program, fixed = self.steps[0], self.fixed if n is self.n else self.spans(h, n)
+        return np.asarray(program(self.placed(y0), fixed))[: len(n)]
+
+
+class JaxLoop(JaxSteps):
+    """The compiled steps."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _, self.compile_s = self.steps
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        program, _ = self.steps
+        return np.asarray(program(self.placed(y0), self.fixed))[len(self.n) - 1]

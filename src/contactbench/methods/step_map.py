@@ -1,0 +1,89 @@
+"""What a fixed-step method declares and computes, whatever engine runs it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from contactbench.methods.base import Method
+from contactbench.methods.engines import CALLBACKS
+from contactbench.numbers.control import Repeat, repeat
+from contactbench.scene import Scene
+
+Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
+Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
+
+
+@dataclass(frozen=True)
+class StepMap(Method):
+    """A one-step method given by its step map ``step(scene, x, h, xp) -> x``.
+
+    The map is written on the scene's own components, so it runs on Python floats, NumPy arrays (an ensemble),
+    mpmath numbers, traced and recorded numbers alike; xp is the number namespace that goes with them.
+
+    evaluations : of `kind` per step.  A method that can merge the end of one step with the start of the next
+    overrides `advance` and `counts` (see contact.py).
+    """
+
+    name: str
+    order: int
+    step: Step
+    evaluations: int = 1
+    #: what is counted: "rhs", "gradient" or "rotation"
+    kind: str = "rhs"
+    about: str = ""
+    engines: tuple[str, ...] = ("numba", "jax", "python")
+    family: str = "established"
+    contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
+    symmetric: bool = False
+    factor: Factor | None = None  # every step is a conformal contact map with this factor instead
+    adaptive = False
+    tolerance = (
+        "the largest error over the saved times, relative to the largest state: pilots choose the step"
+    )
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        """n ≥ 1 steps of size h."""
+        return repeat(n, lambda x: self.step(scene, x, h, xp), x)
+
+    def conformal_factor(self, scene: Scene, h: Any, xp: Any = math) -> Any | None:
+        """The constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None where none is claimed."""
+        if self.refuses(scene) is not None or scene.conformal_rate is None:
+            return None
+        if self.factor is not None:
+            return self.factor(scene, h, xp)
+        return xp.exp(-scene.conformal_rate * h) if self.contact else None
+
+    def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
+        """Log of the conformal factor of n steps of size h from x; None where the steps are no contact maps.
+
+        nan where the factor is negative, as that of a Herglotz step may be.
+        """
+        factor = self.conformal_factor(scene, h)
+        if factor is None:
+            return None
+        return n * math.log(factor) if factor > 0 else math.nan
+
+    def counts(self, scene: Scene, n: int) -> int:
+        """Evaluations in n uninterrupted steps."""
+        return n * self.evaluations
+
+    def per_step(self, scene: Scene) -> int:
+        """Evaluations of a step in the middle of a run."""
+        return self.counts(scene, 2) - self.counts(scene, 1)
+
+    def kind_on(self, scene: Scene) -> str:
+        """What `counts` counts on this scene."""
+        return self.kind
+
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        return self.per_step(scene) if engine in CALLBACKS else None
+
+
+def trajectory(method: StepMap, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
+    """States after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
+    for h, n in spans:
+        x = method.advance(scene, x, h, n, xp)
+        yield x

@@ -1,0 +1,139 @@
+"""Order and decay laws of every method at equal cost: the table that stands first, and one per scene and cost."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
+from contactbench.report.kept import (
+    MEANINGS,
+    at_equal_cost,
+    bounded,
+    called,
+    drift_cell,
+    numbers,
+)
+from contactbench.report.numbers import (
+    count,
+    scientific,
+)
+from contactbench.report.rooms import Frames
+from contactbench.results.round_off import STRUCTURE
+from contactbench.results.tables import (
+    DECAY_LAWS,
+    LAWS_TABLE,
+)
+
+#: scenes of the table that stands first, and the scene whose order is quoted where only one is
+FIRST = ("central", "rigid_body")
+
+
+def order_cell(frames: Frames, method: str, scene: str, control: str) -> Cell:
+    """The extrapolated order of a method on a scene; why not, where there is none."""
+    if control == "rtol":
+        return Cell("adaptive")
+    orders = frames.get("convergence", pd.DataFrame())
+    here = orders[(orders["method"] == method) & (orders["scene"] == scene)] if len(orders) else orders
+    if not len(here):
+        return Cell(DASH)
+    first = here.iloc[0]
+    if pd.isna(first["order"]):
+        return Cell(str(first["status"]) if first["status"] != "ok" else "no range")
+    return number(first["order"], "{:.2f}".format)
+
+
+def chosen_cost(frame: pd.DataFrame) -> pd.DataFrame:
+    """Of the costs every method was asked for, the rows of the one that most can meet; of equals the largest."""
+    met = frame[frame["status"] == "ok"].groupby("cost").size()
+    return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
+
+
+def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
+    """Order and decay laws of every method at equal cost: the table that stands first."""
+    rows_of = chosen_cost(frames["decay_laws"])
+    scenes = tuple(scene for scene in scenes if scene in set(rows_of["scene"]))
+    if not scenes:
+        return None
+    part = rows_of[rows_of["scene"].isin(scenes)]
+    shown = {
+        scene: [
+            law for law in at_equal_cost() if law in part and part[part["scene"] == scene][law].notna().any()
+        ]
+        for scene in scenes
+    }
+    heads = [Head("method", words=True)]
+    for scene in scenes:
+        heads.append(Head("order", "order of convergence, extrapolated", group=scene))
+        heads += [Head(called(law), LAWS_TABLE.columns[law].meaning, group=scene) for law in shown[scene]]
+    part = bounded(part)
+    rows = []
+    for method in dict.fromkeys(part["method"]):
+        cells = [word(method)]
+        for scene in scenes:
+            here = part[(part["method"] == method) & (part["scene"] == scene)]
+            cells.append(
+                order_cell(frames, str(method), scene, here["control"].iloc[0]) if len(here) else Cell(DASH)
+            )
+            for law in shown[scene]:
+                if not len(here) or here["status"].iloc[0] == "unsupported":
+                    cells.append(Cell(DASH))
+                elif here["status"].iloc[0] != "ok":
+                    cells.append(Cell(str(here["status"].iloc[0]), marks=marks(Mark.none)))
+                else:
+                    cells.append(drift_cell(here.iloc[0], law))
+        rows.append(tuple(cells))
+    return View(
+        "overview",
+        "Order and decay laws at equal cost",
+        equal_cost(part),
+        tuple(heads),
+        tuple(rows),
+        "decay_laws.csv",
+    )
+
+
+def equal_cost(part: pd.DataFrame) -> str:
+    """What equal cost was, scene by scene, and how to read the entries."""
+    spent = []
+    for scene, rows in part[part["status"] == "ok"].groupby("scene", sort=False):
+        cost = numbers(rows, "rhs_equivalents").dropna()
+        low, high = count(cost.min()), count(cost.max())
+        spent.append(f"`{scene}` {low if low == high else f'{low} to {high}'}")
+    return (
+        "Largest deviation over the run, every method at the same number of evaluations, or as near to it as its steps "
+        f"and tolerances allow ({', '.join(spent)}): "
+        "where fewer are told, no tolerance of the method spends more. "
+        f"Bold, J law and contact drift only: at most {scientific(STRUCTURE, 0)}. "
+        f"H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}} (J with the true J "
+        "where a torque acts). "
+        f"{MEANINGS['dagger']}."
+    )
+
+
+def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
+    """One scene at one cost, with the setting taken and what it came to."""
+    scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
+    part = bounded(part)
+    shown = [law for law in at_equal_cost() if law in part and part[law].notna().any()]
+    rows = []
+    for _, row in part.iterrows():
+        lead = (word(row["method"]), word(row["engine"]), word(row["setting"]))
+        if row["status"] != "ok":
+            blanks = (
+                Cell(str(row["status"]), marks=marks(Mark.none)),
+                *(Cell("") for _ in range(len(shown) + 2)),
+            )
+            rows.append((*lead, *blanks))
+            continue
+        rows.append((
+            *lead, number(row["rhs_equivalents"], count), order_cell(frames, str(row["method"]), scene, row["control"]),
+            number(row["solution_error"], scientific), *(drift_cell(row, law) for law in shown),
+        ))  # fmt: skip
+    heads = (
+        Head("method", words=True), Head("engine", words=True), Head("setting", words=True),
+        Head("evaluations", DECAY_LAWS.columns["rhs_equivalents"].meaning), Head("order"),
+        Head("solution error", DECAY_LAWS.columns["solution_error"].meaning),
+        *(Head(called(law), LAWS_TABLE.columns[law].meaning) for law in shown),
+    )  # fmt: skip
+    title = f"{scene}, {cost:g} evaluations per unit of time"
+    return View(f"equal_cost_{scene}_{cost:g}", title, equal_cost(part), heads, tuple(rows), "decay_laws.csv")

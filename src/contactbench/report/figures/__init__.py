@@ -1,0 +1,1 @@
+"""The figures of the rooms as data; draw.py and the page draw them."""

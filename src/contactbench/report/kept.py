@@ -1,0 +1,149 @@
+"""What a structural law is, and when a run keeps it.
+
+A law is kept when its deviation is round-off: 10⁻¹², or what rounding every evaluation comes to; the round-off
+of a law of the derivative grows with the numerical map, how far stands in the table (`map_growth`), and where it
+does not, with the motion (`condition_number`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from contactbench.measure.round_off import round_off_bound
+from contactbench.report.cells import DASH, Cell, Mark, marks
+from contactbench.report.contest import LIMIT
+from contactbench.report.numbers import (
+    scientific,
+)
+from contactbench.report.rooms import Frames
+from contactbench.results.round_off import STRUCTURE
+from contactbench.results.schema import Column, Rule, Table
+from contactbench.results.tables import (
+    DECAY_LAWS,
+    LAWS_TABLE,
+)
+
+#: laws of the state alone: the sensitivity of the motion does not magnify their round-off
+OF_THE_STATE = ("momentum_law", "attitude_drift")
+#: up to so many error bars a deviation by differences is no more than an upper bound
+UNSURE = 2.0
+FROZEN = "_frozen"
+DAGGER = "†"
+ENERGIES = ("energy_law", "hamiltonian_law")
+MEANINGS = {
+    "kept": "bold: kept to round-off at every setting tried, however inaccurate the solution",
+    "range": f"smallest … largest over the settings tried; {DASH}: the law is not defined there, or not measured",
+    "dagger": f"{DAGGER}: where a quantity has all but vanished, its deviation is relative to a "
+    "thousandth of the terms that cancel",
+}
+
+
+def laws(table: Table, view: str = "laws") -> dict[str, Column]:
+    """The laws a table shows in a view, with their columns."""
+    return {name: column for name, column in table.columns.items() if view in column.shown}
+
+
+def structural(table: Table = LAWS_TABLE) -> dict[str, Column]:
+    """The laws of the map itself that a method either keeps or does not, whatever its error."""
+    return {n: c for n, c in laws(table).items() if c.rule is Rule.structure and not n.endswith(FROZEN)}
+
+
+def at_equal_cost() -> list[str]:
+    """The laws of the table at equal cost, in its order."""
+    return [
+        n
+        for n in DECAY_LAWS.columns
+        if n in laws(LAWS_TABLE) and n != "solution_error" and not n.endswith(FROZEN)
+    ]
+
+
+def called(law: str) -> str:
+    """The short name of a law in plain text."""
+    label = LAWS_TABLE.columns[law].label
+    return label if label and "$" not in label else law.replace("_", " ")
+
+
+def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
+    """A column as floats, `default` where it is blank or missing."""
+    if column not in rows:
+        return pd.Series(default, rows.index, dtype=float)
+    return pd.to_numeric(rows[column], errors="coerce").astype(float).fillna(default)
+
+
+def growth(rows: pd.DataFrame, law: str) -> pd.Series:
+    """What the round-off of a law grows by: with the map where that was measured, else with the motion."""
+    if law in OF_THE_STATE:
+        return pd.Series(1.0, rows.index)
+    motion = numbers(rows, "condition_number", 1.0)
+    return np.maximum(1.0, numbers(rows, "map_growth").fillna(motion))
+
+
+def bound(rows: pd.DataFrame, law: str) -> pd.Series:
+    """Up to what a deviation from a law is round-off, row by row."""
+    return np.maximum(STRUCTURE, round_off_bound(growth(rows, law), numbers(rows, "evaluations", 0.0)))
+
+
+MEASURED = [
+    "scene", "method", "family", "setting", "solution_error", "value", "bound", "growth", "frozen", "unsure",
+    "clamped",
+]  # fmt: skip
+
+
+def measured(frames: Frames, law: str) -> pd.DataFrame:
+    """All rows of all tables that have a value of the law: columns value, bound, frozen, unsure beside theirs."""
+    parts = []
+    for name in ("laws", "stability"):
+        frame = frames.get(name, pd.DataFrame())
+        if not len(frame) or law not in frame:
+            continue
+        part = frame[(frame["status"] == "ok") & frame[law].notna() & (frame["family"] != LIMIT)]
+        uncertainty, values = numbers(part, f"{law}_uncertainty", 0.0), numbers(part, law)
+        parts.append(
+            part.assign(
+                value=values, bound=bound(part, law), growth=growth(part, law),
+                frozen=numbers(part, law + FROZEN), unsure=(uncertainty > 0) & (values <= UNSURE * uncertainty),
+                clamped=numbers(part, f"{law}_clamped", 0.0),
+            )
+        )  # fmt: skip
+    if not parts:
+        return pd.DataFrame(columns=[*MEASURED, "kept"])
+    rows = pd.concat([part.reindex(columns=MEASURED) for part in parts], ignore_index=True)
+    return rows.assign(kept=rows["value"] <= rows["bound"], unsure=rows["unsure"].astype(bool))
+
+
+def keepers(rows: pd.DataFrame) -> list[str]:
+    """The methods that keep the law in every row they have."""
+    kept = rows.groupby("method", sort=False)["kept"].all()
+    return [str(method) for method in kept.index[kept]]
+
+
+def bounded(frame: pd.DataFrame) -> pd.DataFrame:
+    """The frame with a column `LAW_bound` for each structural law it has: up to what it is round-off."""
+    return frame.assign(**{f"{law}_bound": bound(frame, law) for law in structural() if law in frame})
+
+
+def drift_cell(row: pd.Series, law: str) -> Cell:
+    """One deviation: with its error bar where that is a tenth of it or more, and a dagger where clamped.
+
+    row : of a frame that is `bounded`.
+    """
+    value = row.get(law)
+    if value is None or pd.isna(value):
+        return Cell(DASH, hint=str(row.get("derivative", "")) if law.endswith("drift") else "")
+    value = float(value)
+    error, limit = (scalar(row, f"{law}_{name}") for name in ("uncertainty", "bound"))
+    clamped = scalar(row, f"{law}_clamped") > 0
+    kept = law in structural() and value <= limit
+    vague = error > 0 and value <= UNSURE * error
+    bar = f" ± {scientific(error, 0)}" if not vague and error >= value / 10 and error > 0 else ""
+    return Cell(
+        f"{'≤ ' if vague else ''}{scientific(value)}{bar}{DAGGER if clamped else ''}", value,
+        marks(Mark.kept if kept else None, Mark.clamped if clamped else None, Mark.bound if vague else None),
+    )  # fmt: skip
+
+
+def scalar(row: pd.Series, name: str) -> float:
+    """A number of a row, 0 where it is blank."""
+    value = row.get(name)
+    return 0.0 if value is None or pd.isna(value) else float(value)
