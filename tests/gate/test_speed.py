@@ -85,7 +85,11 @@ def test_the_committed_tables_give_every_method_and_scene_a_call():
     assert {(c.method, c.engine) for c in cells} >= set(
         zip(mine["method"], mine["engine"], strict=True)
     ) - set(zip(*(mine[mine["scene"] == "central"][n] for n in ("method", "engine")), strict=True))
-    assert {cell.method for cell in cells if cell.saves == MANY} >= {"contact-rkn6", "scipy-dop853", "heyoka-taylor"}
+    assert {cell.method for cell in cells if cell.saves == MANY} >= {
+        "contact-rkn6",
+        "scipy-dop853",
+        "heyoka-taylor",
+    }
 
 
 CELLS = [Cell("particle", "contact-strang", "python", "step", 0.1, ())]
@@ -223,9 +227,7 @@ def clocked(monkeypatch, tmp_path):
 def test_turns_are_shuffled_and_paired(clocked):
     """Timed in turns by a clock that drifts: the ratio does not see the drift."""
     factor = {"base": 1.0, "head": 1.5}
-    found, asked = clocked(
-        lambda name, cell, k: factor[name] * 1e-3 * (1 + cell) * np.exp(k / 50), CELLS * 4
-    )
+    found, asked = clocked(lambda name, cell, k: factor[name] * 1e-3 * (1 + cell) * np.exp(k / 50), CELLS * 4)
     for ratio in found.ratios.values():
         assert ratio.ratio == pytest.approx(1.5, rel=0.03)
         assert ratio.rounds == speed.ROUNDS

@@ -203,7 +203,8 @@ ENSEMBLE_TABLE = table(
             "max ‖y(T) − y*(T)‖ / max ‖y*(T)‖ over the first four trajectories", Rule.error
         ),
         "member_deviation": number(
-            "max ‖y(T) − y₁(T)‖ / max ‖y₁(T)‖ over all trajectories, y₁ the run of each by itself with the same steps",
+            "max ‖y(T) − y₁(T)‖ / max ‖y₁(T)‖ over all trajectories, y₁ the run of each by itself: with the same fixed "
+            "steps; of a method that chooses them the most accurate run of heyoka-taylor; blank where that takes long",
             Rule.structure,
         ),
         "steps": whole("accepted steps of one trajectory, the most taken by any where they differ", Rule.count),
@@ -216,6 +217,22 @@ ENSEMBLE_TABLE = table(
     },
     key=(*KEY, "question", "trajectories", "cores"),
 )  # fmt: skip
+
+DEFINITIONS = table(
+    "definitions",
+    "what every scene and every method is, in a digest of its own numbers and not of anything measured",
+    {
+        "scene": Column("name of the scene; blank in the row of a method"),
+        "method": Column("name of the method; blank in the row of a scene"),
+        "declared": Column("what it declares, as data", rule=Rule.same),
+        "digest": Column(
+            "of a scene's numbers and functions, of a method's steps, with 50 digits: the same on every machine",
+            rule=Rule.same,
+        ),
+    },
+    key=("scene", "method"),
+    version=1,
+)
 
 CLAIMS_TABLE = table(
     "claims",
