@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import contactbench as cb
-from cells import cells, controlled, outcome, save_times, pairs, setting, steps
+from cells import cells, controlled, outcome, pairs, save_times, setting, steps
 from contactbench.measure.order import fit_order
 from contactbench.measure.precision import error_at
 from contactbench.results.tables import CONVERGENCE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from cells import cells, outcome, save_times, pairs, setting, step_budget, steps
+from cells import cells, outcome, pairs, save_times, setting, step_budget, steps
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.tables import COMMON, LAWS_TABLE, LAWS_TIME
 

@@ -12,7 +12,6 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-import gate_selfcheck
 from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions, speed
 from contactbench.gate.workload import MANY, Cell, workload
@@ -22,6 +21,7 @@ from contactbench.results.store import merge, read
 from contactbench.results.tables import WORK_PRECISION
 from made_up import folder, row
 from planted_faults import plugin
+from selfcheck_faults import SPENT
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -318,7 +318,7 @@ def test_a_suspect_is_red_when_three_pairs_of_processes_agree(agreeing, verdicts
 
 @pytest.mark.parametrize("fault", ["compilation", "memory left behind"])
 def test_compilation_and_memory_are_planted_in_one_of_two_trees(fault, copy, tmp_path, monkeypatch):
-    (planted,) = (f.planted for f in gate_selfcheck.SPENT if f.measure == fault)
+    (planted,) = (f.planted for f in SPENT if f.measure == fault and f.seen)
     monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "more.py", planted.format(tree=str(copy)))))
     cells = [Cell("particle", "contact-strang", "numba", "step", 0.4, ())]
     verdict = judge.slower(copy, cells, "HEAD")
