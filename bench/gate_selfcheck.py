@@ -301,7 +301,8 @@ def spent_rows(work: pd.DataFrame, scratch: Path) -> Iterator[Row]:
         for fault in batch:
             mine = [
                 line for line in found.lines
-                if line.red and line.measure == fault.measure and (line.method, line.scene) == (fault.method, fault.scene)
+                if line.red and line.measure == fault.measure
+                and (line.method, line.scene) == (fault.method, fault.scene)
                 and ("saved times" in line.setting) == (fault.saves > 1)
             ]  # fmt: skip
             judged = [(bool(mine), said(mine[0]) if mine else "")]

@@ -127,7 +127,8 @@ SPENT = (
         "contact-strang",
     ),
     Spent(
-        "twice as slow on one scene only", "slower_sometimes('rk4', 2.0, 'central', 1, '{tree}')", "time", "rk4", "central",
+        "twice as slow on one scene only", "slower_sometimes('rk4', 2.0, 'central', 1, '{tree}')", "time", "rk4",
+        "central",
     ),
     Spent(
         "twice as slow with many saved times only", "slower_sometimes('rk4', 2.0, 'particle', 100, '{tree}')", "time",

@@ -34,7 +34,10 @@ ROWS = (
     ]),
     (CONVERGENCE, [
         row(step=0.1, solution_error=1e-5, pairwise_order=4.01, in_fit=True, order=4.0, order_nominal=4),
-        row(setting="step=0.8", step=0.8, solution_error=0.2, pairwise_order=2.0, in_fit=False, order=4.0, order_nominal=4),
+        row(
+            setting="step=0.8", step=0.8, solution_error=0.2, pairwise_order=2.0, in_fit=False, order=4.0,
+            order_nominal=4,
+        ),
         row(
             "contact-o8", "step=0.03125", engine="mpmath", step=0.03125, solution_error=1e-20,
             pairwise_order=8.0, in_fit=True, order=8.0, order_nominal=8,

@@ -77,7 +77,9 @@ FAULTS = {
     "a fitted order": (
         lambda t, r: {**r, "order": 3.9} if t is CONVERGENCE and not r["in_fit"] else r, "rk4", "order",
     ),
-    "an adaptive solver's count": (setting(WORK_PRECISION, "cvode-adams", evaluations=728), "cvode-adams", "evaluations"),
+    "an adaptive solver's count": (
+        setting(WORK_PRECISION, "cvode-adams", evaluations=728), "cvode-adams", "evaluations",
+    ),
     "what is carried": (setting(WORK_PRECISION, "rk4", carried="q p s"), "rk4", "carried"),
     "a row of a larger profile only": (setting(LAWS_TABLE, "rk4", profile="full"), "rk4", "profile"),
     "a row of no profile": (setting(LAWS_TABLE, "rk4", profile=""), "rk4", "profile"),
@@ -195,6 +197,10 @@ def figure(**more):
     return {"figure": "f", "panel": "p", "curve": "c", "kind": "method", "profile": "smoke", **more}
 
 
+def claim(**more):
+    return {"id": "C02", "status": "ok", "profile": "smoke", **more}
+
+
 #: rows of other tables, what moves in them, and how far it may and may not
 MOVES = {
     "a point of a figure": (
@@ -210,11 +216,11 @@ MOVES = {
         "member_deviation", 5e-13, 3e-12,
     ),
     "what a lower bound measures": (
-        CLAIMS_TABLE, [{"id": "C02", "status": "ok", "relation": "≥", "bound": 1.9, "measured": 2.0, "profile": "smoke"}],
+        CLAIMS_TABLE, [claim(relation="≥", bound=1.9, measured=2.0)],
         "measured", 2.01, 2.03,
     ),
     "what an upper bound measures": (
-        CLAIMS_TABLE, [{"id": "C02", "status": "ok", "relation": "≤", "bound": 0.01, "measured": 2e-3, "profile": "smoke"}],
+        CLAIMS_TABLE, [claim(relation="≤", bound=0.01, measured=2e-3)],
         "measured", 3.8e-3, 5e-3,
     ),
 }  # fmt: skip

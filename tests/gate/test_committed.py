@@ -213,13 +213,13 @@ def damaged(name, old, new):
 #: what is done to a folder, and the one line that comes of it
 DAMAGE = {
     "no environment": (lambda r: (r / "environment.json").unlink(), "environment.json: missing; the folder holds no"),
-    "odd environment": (lambda r: (r / "environment.json").write_text("[1]"), "environment.json, run 1: '1' is no record"),
+    "odd environment": (lambda r: (r / "environment.json").write_text("[1]"), "run 1: '1' is no record"),
     "broken environment": (
         lambda r: (r / "environment.json").write_text('{"runs": [\n{"profile": smoke}]}'),
         "environment.json, line 2, column 13: Expecting value",
     ),
     "a record with other types": (
-        damaged("environment.json", '"packages": {"jax": "1"}', '"packages": "jax"'), "environment.json, run 1: 'packages'",
+        damaged("environment.json", '"packages": {"jax": "1"}', '"packages": "jax"'), "run 1: 'packages'",
     ),
     "foreign table": (lambda r: LAWS_TABLE.path(r).write_text("a,b\n1,2\n"), "columns are not those of table 'laws'"),
     "a word among numbers": (
@@ -229,10 +229,10 @@ DAMAGE = {
         damaged("laws.csv", "1e-05", "inf"), "laws.csv, line 3, column 'solution_error': 'inf' is no finite number",
     ),
     "half a step": (
-        damaged("work_precision.csv", ",200,", ",25.5,"), "work_precision.csv, line 2, column 'steps': '25.5' is no whole number",
+        damaged("work_precision.csv", ",200,", ",25.5,"), "line 2, column 'steps': '25.5' is no whole number",
     ),
     "neither true nor false": (
-        damaged("convergence.csv", "True", "perhaps"), "convergence.csv, line 3, column 'in_fit': 'perhaps' is no True or False",
+        damaged("convergence.csv", "True", "perhaps"), "line 3, column 'in_fit': 'perhaps' is no True or False",
     ),
     "the same row twice": (
         lambda r: LAWS_TABLE.path(r).write_text(

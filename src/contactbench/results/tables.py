@@ -251,7 +251,9 @@ CLAIMS_TABLE = table(
         "verdict": Column(
             "holds; holds, corrected; refuted: computed from the measurements", rule=Rule.same
         ),
-        "correction_kind": Column("repairs (substance survives), replaces (contradicts), sharpens, extends", rule=Rule.same),
+        "correction_kind": Column(
+            "repairs (substance survives), replaces (contradicts), sharpens, extends", rule=Rule.same
+        ),
         "correction": words("the corrected statement"),
         "corrected_quantity": words("what was measured of it"),
         "corrected_measured": number("its value", Rule.measured),
@@ -397,11 +399,15 @@ STRONG_DAMPING = table(
         ),
         "step": number("step size h", Rule.value),
         "error": number(
-            "‖M − Φ_T‖₂/‖Φ_T‖₂ of a run M over the time T in which the motion falls by e, the end saved", Rule.error, infinite=True
+            "‖M − Φ_T‖₂/‖Φ_T‖₂ of a run M over the time T in which the motion falls by e, the end saved",
+            Rule.error,
+            infinite=True,
         ),
         "error_saved": number("the same of a processed method where every step is saved", Rule.error, infinite=True),
         "radius": number(
-            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel", Rule.value, infinite=True
+            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel",
+            Rule.value,
+            infinite=True,
         ),
     },
     key=("method", "gamma", "damping_per_evaluation"),
