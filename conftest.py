@@ -1,8 +1,36 @@
-"""``--plugin FILE``, for the benchmark and the tests alike: a user's own methods and scenes join in."""
+"""For the benchmark and the tests alike: ``--plugin FILE``, by which a user's own methods and scenes join in,
+and one cache of the programs that JAX compiles, shared by all processes of a run and by the runs after it."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+from pathlib import Path
+
 import pytest
+
+
+def keep_compiled_programs() -> None:
+    """Let JAX keep its programs beside numba's, every one of them; a choice already made stands.
+
+    JAX itself does not tell processors apart, as numba does: the folder's name does.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+    from platformdirs import user_cache_path
+
+    processor = f"{get_host_cpu_name()} {get_host_cpu_features().flatten()}"
+    chosen = os.environ.get("CONTACTBENCH_CACHE")
+    folder = Path(chosen) if chosen else user_cache_path("contactbench")
+    os.environ.update(
+        JAX_COMPILATION_CACHE_DIR=str(folder / "xla" / hashlib.sha256(processor.encode()).hexdigest()[:16]),
+        JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0",
+        JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES="-1",
+    )
+
+
+keep_compiled_programs()  # JAX reads its settings when it is imported, here and in every process started from here
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -19,15 +19,15 @@ def ladder(profile):
 @cells(ladder)
 def test_laws(cell, profile, record):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
-    values = RTOLS if method.adaptive else steps(scene, 6)[::2]
-    shown = values[1]
+    values = {"step": steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])
+    shown = values[1:2] or values
     for value in values:
         budget = step_budget(profile, scene, method, method.engines[0])
         solution = cb.solve(
             scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)
         )
         record(LAWS_TABLE, **outcome(solution), saved_times=len(solution.t), **row(solution))
-        if value == shown and solution.ok:
+        if value in shown and solution.ok:
             for moment in along_time(solution):
                 record(LAWS_TIME, **moment)
 

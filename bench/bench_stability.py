@@ -26,6 +26,7 @@ from contactbench.measure.stability import (
 )
 from contactbench.results.tables import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.scenes import hard_scenes
+from contactbench.solution import EXACT
 from hard_cells import SolverError, overdamped_row, stability_row, weak_row
 
 #: seconds after which a call hangs; the dearest, over 10⁵ units of time, takes about twenty
@@ -58,7 +59,9 @@ def brief(profile):
 
 def settings(scene, method):
     """(kind, value) of each rung of a method's ladder."""
-    if method.adaptive:
+    if method.control == EXACT:
+        values = [(EXACT, 0.0)]
+    elif method.adaptive:
         finest = method.rtol_range[0]
         values = [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
     elif method.refuses(scene):
@@ -111,11 +114,12 @@ def rate_calls(cell, profile):
     key = {"method": method.name, "engine": method.engines[0], "status": "failed"}
     if which == "overdamped":
         scene = cb.SCENES[which]
-        values = [("rtol", r) for r in CREEP_RTOLS] if method.adaptive else [
-            ("step", damping / scene.gamma) for damping in DAMPING_PER_STEP
-        ]  # fmt: skip
+        values = {
+            "step": [damping / scene.gamma for damping in DAMPING_PER_STEP], "rtol": CREEP_RTOLS, EXACT: [0.0],
+        }[method.control]  # fmt: skip
         budget = budget_of(profile, scene, method)
-        for kind, value in values:
+        for value in values:
+            kind = method.control
             row = key | {
                 "experiment": "overdamped", "scene": which, **controlled(kind, value), "t_end": scene.t_end,
             }  # fmt: skip
@@ -130,7 +134,7 @@ def budget_of(profile, scene, method):
     """Three times the evaluations of a timed run: these are hard."""
     steps = step_budget(profile, scene, method, method.engines[0])
     if steps is None:
-        return 1_000_000 if method.adaptive else None
+        return None if method.control == "step" else 1_000_000
     return 3 * steps
 
 

@@ -22,6 +22,7 @@ from contactbench.measure.ladder import ENDS, LOOSEST, carried
 from contactbench.measure.laws import absolute_error
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import standard_scenes
+from contactbench.solution import EXACT, keywords
 from limit import KERNELS, kernel
 
 pytestmark = pytest.mark.timed
@@ -36,14 +37,15 @@ def ladder(profile):
     for scene in standard_scenes():
         for name, engine in engines(scene):
             method = cb.METHODS[name]
-            if method.adaptive:
+            if method.control == EXACT:
+                values = [0.0]
+            elif method.adaptive:
                 values = profile.choose([rtol for rtol in RTOLS if rtol >= method.rtol_range[0]])
                 if profile.points > 1 and method.rtol_range[1] >= LOOSEST:
                     values = [LOOSEST, *values]
             else:
                 values = profile.choose(work_ladder(scene, method.order))
-            control = "rtol" if method.adaptive else "step"
-            rows += [(scene.name, name, engine, control, value) for value in values]
+            rows += [(scene.name, name, engine, method.control, value) for value in values]
     engine = cb.METHODS[CHOSEN].engines[0]
     for scene in CHOSEN_ON:
         rows += [(scene, CHOSEN, engine, "rtol", rtol) for rtol in profile.choose(CHOSEN_RTOLS)]
@@ -71,7 +73,7 @@ def prepared(cell, profile):
     scene, method, engine, control, value = cell
     scene, method = cb.SCENES[scene], cb.METHODS[method]
     options = {
-        control: value,
+        **keywords(control, value),
         "engine": engine,
         "carry": carried(scene),
         "max_steps": step_budget(profile, scene, method, engine),
@@ -86,7 +88,7 @@ def prepared(cell, profile):
         "compile_s": run.compile_s,
         "first_call_s": perf_counter() - start,
     }
-    variant = "chosen" if control == "rtol" and not method.adaptive else ""
+    variant = "" if control == method.control else "chosen"
     if not solution.ok:
         return outcome(solution, variant=variant) | row, None
     earlier = [scene.t_end * k / ENDS for k in range(1, ENDS)]
@@ -102,7 +104,7 @@ def test_work_precision(cell, profile, record, clock):
         record(WORK_PRECISION, **row, **clock.columns(None, cell[0]))
         return
     start = run.start
-    columns = clock.columns(lambda: run.bare(start), cell[0])
+    columns = clock.columns(lambda: run.bare(start), cell[0], row["first_call_s"])
     if columns and columns["time_median_s"] < SHORT:  # at every visit, so that the last one's stays
         columns["call_s"] = added(run, start)
     record(WORK_PRECISION, **row, **columns)

@@ -14,7 +14,7 @@ from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
 from contactbench.scene import Scene
 from contactbench.scenes import standard_scenes
-from contactbench.solution import Counts, Solution
+from contactbench.solution import Counts, Solution, printed_setting
 
 #: in the smoke profile every method on one scene, and on every other scene one of ours and one of theirs
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
@@ -81,7 +81,7 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
     """The columns that say what was set: control, value, variant, and all of them printed."""
-    printed = f"{control}={value:.6g}"
+    printed = printed_setting(control, value)
     return {
         "control": control, "value": value, "variant": variant, "setting": f"{variant} {printed}".strip(),
     }  # fmt: skip

@@ -6,19 +6,24 @@ it for its errors and counts, and times it; the second times the same prepared s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
-from contactbench.measure.clock import VISITS, Samples, calls_a_round, rounds_within, time_columns
+from contactbench.measure.clock import LONG, VISITS, Samples, calls_a_round, rounds_within, time_columns
 
 
 @dataclass
 class Cell:
-    """What the first visit leaves to the second: what the cell prepared, and what the clock said."""
+    """What the first visit leaves to the second: what the cell prepared, and what the clock said.
+
+    once : seconds a call takes, about; nan while nobody knows.
+    """
 
     made: Any
+    once: float = math.nan
     measured: list[Samples] = field(default_factory=list)
     iterations: int = 1
 
@@ -42,11 +47,18 @@ class Clock:
             self.cells[self.key] = Cell(make())
         return self.cells[self.key].made
 
-    def columns(self, run: Callable[[], Any] | None, group: str) -> dict[str, Any]:
-        """The time columns, from all visits so far; none where there is nothing to run."""
+    def columns(
+        self, run: Callable[[], Any] | None, group: str, first_call_s: float = math.nan
+    ) -> dict[str, Any]:
+        """The time columns, from all visits so far; none where there is nothing to run.
+
+        first_call_s : what a call of this run took a moment ago, at the first visit.
+        """
         if run is None or self.benchmark.disabled:
             self.cells.pop(self.key)
             return {}
+        if math.isnan(self.cells[self.key].once):
+            self.cells[self.key].once = first_call_s
         return self.add(*self.rounds(run, group))
 
     def add(self, samples: Samples, iterations: int) -> dict[str, Any]:
@@ -59,13 +71,17 @@ class Clock:
         return time_columns(cell.measured, cell.iterations)
 
     def rounds(self, run: Callable[[], Any], group: str) -> tuple[Samples, int]:
-        """Rounds of about a millisecond, as many as the profile fills, after a warm-up."""
-        start = perf_counter()
-        run()
-        once = perf_counter() - start
+        """Rounds of about a millisecond, as many as the profile fills, after a warm-up.
+
+        A run that is long warms itself up.
+        """
         cell = self.cells[self.key]
-        iterations = cell.iterations if cell.measured else calls_a_round(once)
-        rounds = rounds_within(self.profile.seconds / VISITS, iterations * once)
+        if not cell.once > LONG:
+            start = perf_counter()
+            run()
+            cell.once = perf_counter() - start
+        iterations = cell.iterations if cell.measured else calls_a_round(cell.once)
+        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once)
         self.benchmark.group = group
         self.benchmark.pedantic(run, rounds=rounds, iterations=iterations)
         return list(self.benchmark.stats.stats.data), iterations

@@ -17,6 +17,7 @@ import pytest
 
 from clock import Cell, Clock
 from contactbench.errors import BadInput
+from contactbench.measure.ladder import stepping
 from contactbench.methods import METHODS
 from contactbench.results import journal, provenance
 from contactbench.results.schema import PROFILES as NAMES
@@ -228,6 +229,8 @@ def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
     def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
         if "family" in which.columns and row["method"] in METHODS:
             row = {"family": METHODS[row["method"]].family, **row}
+        if "stepping" in which.columns:
+            row = {"stepping": stepping(METHODS[row["method"]]), **row}
         return {**row, "profile": profile}
 
     return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)

@@ -17,6 +17,7 @@ from contactbench.measure.deviation import MEANINGFUL
 from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import slow_rate
 from contactbench.results.tables import DAMPING_RATES
+from contactbench.solution import keywords
 from contactbench.truth import blow_up_time, condition_number
 from equal_cost import tolerance_at
 
@@ -62,7 +63,12 @@ def stability_row(scene, method, engine, kind, value, max_steps):
     scene = cb.SCENES[scene]
     with blamed_on_solver():
         run = cb.prepare(
-            scene, method, engine=engine, save_at=save_times(scene), max_steps=max_steps, **{kind: value}
+            scene,
+            method,
+            engine=engine,
+            save_at=save_times(scene),
+            max_steps=max_steps,
+            **keywords(kind, value),
         )
         solution = run()
     found = blow_up_time(scene) if solution.status is not cb.Status.unsupported else None
@@ -105,7 +111,7 @@ def overdamped_row(method, kind, value, max_steps):
     """The rate of creep between t_end/2 and t_end over the true slow rate."""
     scene = cb.SCENES["overdamped"]
     ends = [scene.t_end / 2, scene.t_end]
-    solution = solve(scene, method, save_at=ends, carry=(), max_steps=max_steps, **{kind: value})
+    solution = solve(scene, method, save_at=ends, carry=(), max_steps=max_steps, **keywords(kind, value))
     row = rate_row("overdamped", solution, scene.t_end, slow_rate(scene.gamma))
     row["damping_per_step"] = scene.gamma * value if kind == "step" else math.nan
     if solution.ok:
@@ -184,7 +190,8 @@ def weak_row(scene, method, t_end):
     scene = cb.SCENES[scene].with_(t_end=t_end)
     chosen = cb.METHODS[method]
     if chosen.refuses(scene) is not None:
-        setting = {"rtol": chosen.rtol_range[1]} if chosen.adaptive else {"step": 1 / COST}
+        value = chosen.rtol_range[1] if chosen.adaptive else 1 / COST
+        setting = keywords(chosen.control, value)
         return rate_row("weak", solve(scene, method, **setting), t_end, math.nan)
     times = t_end * np.arange(1, SAMPLES + 1) / SAMPLES
     if chosen.adaptive:

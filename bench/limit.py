@@ -27,16 +27,15 @@ def library() -> ctypes.CDLL | str:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return "no C compiler on this machine"
-    target = Path(tempfile.mkdtemp(prefix="contactbench-")) / "limit.so"
     source = Path(__file__).with_name("limit.c")
-    done = subprocess.run(
-        [compiler, *FLAGS, "-o", target, source], capture_output=True, text=True, timeout=120
-    )
-    return (
-        ctypes.CDLL(str(target))
-        if done.returncode == 0
-        else f"{compiler} failed: {done.stderr.strip()[:200]}"
-    )
+    with tempfile.TemporaryDirectory(prefix="contactbench-", ignore_cleanup_errors=True) as folder:
+        target = Path(folder) / "limit.so"  # needed no longer than until it is loaded
+        done = subprocess.run(
+            [compiler, *FLAGS, "-o", target, source], capture_output=True, text=True, timeout=120
+        )
+        if done.returncode != 0:
+            return f"{compiler} failed: {done.stderr.strip()[:200]}"
+        return ctypes.CDLL(str(target))
 
 
 def constants(method: str, scene, step: float) -> tuple[str, int, list[np.ndarray]]:

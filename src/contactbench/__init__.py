@@ -1,14 +1,20 @@
 """contactbench: contact splitting integrators against the established ones, measured."""
 
+from typing import TYPE_CHECKING, Any
+
 from contactbench.ensembles import Ensemble, ensemble
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.plugins import load_installed
+from contactbench.results.shipped import results
 from contactbench.scene import Mechanical, RigidBody, shifted
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import reference
+
+if TYPE_CHECKING:
+    from contactbench.race.comparison import compare
 
 __all__ = [
     "LAWS",
@@ -22,13 +28,25 @@ __all__ = [
     "Solution",
     "Status",
     "UnknownName",
+    "compare",
     "ensemble",
     "fixed_step",
     "prepare",
     "reference",
+    "results",
     "shifted",
     "solve",
 ]
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """What needs pandas and matplotlib, imported when first asked for."""
+    if name == "compare":
+        from contactbench.race.comparison import compare as found
+
+        return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 load_installed()

@@ -7,12 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene, rotation_matrix
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Status(StrEnum):
@@ -51,6 +54,20 @@ class Counts(NamedTuple):
         if self.evaluations is None:
             return None
         return self.evaluations / 2 if self.kind == "rotation" else float(self.evaluations)
+
+
+#: the control of a method that has neither step nor tolerance
+EXACT = "exact"
+
+
+def printed_setting(control: str, value: float) -> str:
+    """What is set and to what, as tables say it."""
+    return control if control == EXACT else f"{control}={value:.6g}"
+
+
+def keywords(control: str, value: float) -> dict[str, Any]:
+    """The keywords of `prepare` that set it."""
+    return {} if control == EXACT else {control: value}
 
 
 class Differential(NamedTuple):
@@ -92,7 +109,7 @@ def closest(gaps: np.ndarray) -> np.ndarray:
     return np.argmin(np.where(np.isnan(gaps), np.inf, gaps), axis=0)
 
 
-@dataclass
+@dataclass(repr=False)
 class Solution:
     """Saved states of one run.
 
@@ -125,6 +142,28 @@ class Solution:
     @property
     def ok(self) -> bool:
         return self.status is Status.ok
+
+    def __repr__(self) -> str:
+        """One line: what was run, how it ended, what it cost."""
+        kind, n = self.counts.kind, self.counts.evaluations
+        cost = "" if n is None else f", {n} evaluations ({kind})"
+        why = f": {self.message}" if self.message else ""
+        return (
+            f"<Solution of {self.scene.name} by {self.method} ({self.engine}, {self.setting}): "
+            f"{self.status}{why}, {len(self.t)} states to t = {self.end_time:g}{cost}>"
+        )
+
+    def to_frame(self) -> pd.DataFrame:
+        """The saved states, a row for each time: t, then the components by name (q1, …, p1, …, s)."""
+        import pandas as pd
+
+        return pd.DataFrame({"t": self.t, **dict(zip(self.labels, self.y.T, strict=True))})
+
+    def laws(self) -> pd.DataFrame:
+        """Every law that applies to this run: see `contactbench.measure.laws.kept_by`."""
+        from contactbench.measure.laws import kept_by
+
+        return kept_by(self)
 
     @cached_property
     def differential(self) -> Differential:

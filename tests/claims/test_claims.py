@@ -12,8 +12,9 @@ import pytest
 
 from contactbench.claims import CLAIMS, Correction, Evidence, Verdict, body_stability, linearisation, verdict
 from contactbench.claims.curves import FIGURES, rows
-from contactbench.claims.integrator import threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
+from contactbench.claims.rigid_body import body_flow_defect
+from contactbench.claims.step_stability import threshold, unconditional_from
 from contactbench.cli import main
 from contactbench.methods import METHODS, c_functions, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method
@@ -246,6 +247,19 @@ def test_wrong_action_in_drift_damp(ledger, monkeypatch, fresh):
     mutated_flow(monkeypatch, "drift_damp", lambda new, old: new._replace(s=old.s))
     assert changes(ledger, "C24") == ("holds", "refuted")
     assert changes(ledger, "C26") == ("holds, corrected", "refuted")
+
+
+def test_wrong_action_in_the_free_body(monkeypatch):
+    """The paper's A on a body: what is measured beyond its claim fails."""
+    flow = flows.ISOTROPIC["free"]
+    assert body_flow_defect("free") < 1e-12
+
+    def wrong(scene, x, t, xp):
+        return flow.apply(scene, x, t, xp)._replace(s=x.s)
+
+    monkeypatch.setitem(flows.ISOTROPIC, "free", flow._replace(apply=wrong))
+    assert body_flow_defect("free") > 1e-3
+    assert "fails" in CLAIMS["C24"].row()["corrected_evidence"]
 
 
 def test_wrong_rate_in_damp(ledger, monkeypatch, fresh):

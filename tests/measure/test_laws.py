@@ -11,7 +11,8 @@ import pytest
 import contactbench as cb
 from cases import USER, by_name
 from contactbench.measure.deviation import conformal_deviation, relative_deviation
-from contactbench.measure.laws import Gate, laws_of, momentum_deviation, row
+from contactbench.measure.law import Gate
+from contactbench.measure.laws import laws_of, momentum_deviation, row
 from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)

@@ -13,7 +13,7 @@ from cases import CONTACT_SCENES, USER, by_name, in_mp, pairs, random_state
 from contactbench.measure.pullback import pullback
 from contactbench.scene import dot
 
-FIXED = [method for method in cb.METHODS.values() if not method.adaptive]
+FIXED = [method for method in cb.METHODS.values() if method.control == "step"]
 HERGLOTZ = [cb.METHODS["herglotz1"], cb.METHODS["herglotz2"]]
 each = pytest.mark.parametrize("method", HERGLOTZ, ids=lambda m: m.name)
 SCENES = [cb.SCENES["particle"].with_(mass=1.7), cb.SCENES["oscillator"].with_(gamma=2.0), USER]

@@ -16,7 +16,7 @@ from contactbench.methods.step_map import trajectory
 from contactbench.solution import Status
 from contactbench.truth import blow_up_time
 
-FIXED = [m for m in cb.METHODS.values() if not m.adaptive]
+FIXED = [m for m in cb.METHODS.values() if m.control == "step"]
 #: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
 PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
 BODY = cb.SCENES["rigid_body"].with_(
@@ -35,6 +35,8 @@ on_particle = pytest.mark.parametrize("method", ON_PARTICLE, ids=lambda m: m.nam
 
 
 def setting(method, fine=False):
+    if method.exact:
+        return {}
     if method.adaptive:
         return {"rtol": 1e-11 if fine else 1e-7}
     return {"step": 0.002 if fine else 0.05}

@@ -16,7 +16,8 @@ from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
 from contactbench.numbers.program import record
-from contactbench.numbers.recording import ALIASES, FUNCTIONS, CannotRecord, executed, source
+from contactbench.numbers.recording import ALIASES, FUNCTIONS, CannotRecord
+from contactbench.numbers.source import executed, source
 from contactbench.solution import Status
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]

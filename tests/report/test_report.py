@@ -22,6 +22,7 @@ from contactbench.results.schema import TABLES
 from contactbench.results.store import read
 from contactbench.results.tables import CONVERGENCE, WORK_PRECISION
 from contactbench.scenes import hard_scenes, standard_scenes
+from contactbench.scenes.closed_form import damped_oscillator
 from frames import frames, row
 
 SMALL = "particle and not long and not limit and (strang or rk4 or cvode or heyoka)"
@@ -176,6 +177,9 @@ def test_the_glossary_has_every_method_scene_and_column():
     text = markdown.parts(glossary.sections(REGISTRIES))
     for name in (*cb.METHODS, *cb.SCENES):
         assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
+    for name, steps in (("contact-exact", "exact"), ("contact-adaptive", "adaptive"), ("rk4", "fixed")):
+        (line,) = re.findall(rf"^\| {name} .*$", text, re.M)
+        assert f"| {steps} " in line
     for table in TABLES.values():
         assert all(f"`{column}`" in text for column in table.columns)
 
@@ -219,7 +223,8 @@ def test_sections_nest_and_findings_name_their_exceptions():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(2.0, "2 s"), (1.5e-3, "1.5 ms"), (2e-5, "20 µs"), (float("nan"), "—")]
+    ("seconds", "text"),
+    [(2.0, "2 s"), (1.5e-3, "1.5 ms"), (2e-5, "20 µs"), (9.9999e-7, "1 µs"), (float("nan"), "—")],
 )
 def test_durations_are_readable(seconds, text):
     assert duration(seconds) == text
@@ -257,9 +262,14 @@ def test_no_measured_number_stands_outside_the_computed_part_of_the_readme():
         r"\d(?:\.\d+)?e-\d+|\d+(?:\.\d+)? ?[µmn]s\b|×\s?\d+(?:\.\d+)?\b|\d+(?:\.\d+)?×", prose
     )
     assert not measured
-    words = {7: "seven", 16: "sixteen"}
+    words = {5: "five", 7: "seven", 16: "sixteen"}
     assert f"on {words[len(standard_scenes())]} scenes" in prose
     assert f"on {words[len(hard_scenes())]} hard scenes" in prose
+    frozen = {path.stem for path in (REPOSITORY / "references").glob("*.csv")}
+    assert f"true trajectories of {len(frozen)} of the {len(cb.SCENES)} scenes" in prose
+    rest = [cb.SCENES[name] for name in cb.SCENES if name not in frozen]
+    assert f"The other {words[len(rest)]} are linear oscillators" in prose
+    assert all(scene.exact is damped_oscillator for scene in rest)
 
 
 def test_the_computed_part_replaces_what_stands_between_the_marks(tmp_path, results):

@@ -7,22 +7,21 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.results.statistics import cost_at_error, cost_to_reach, paired_ratio, timing
+from contactbench.results.statistics import cost_to_reach, paired_ratio, timing
 
 
-def test_cost_at_error_interpolates_inside_and_refuses_outside():
+def test_a_cost_is_interpolated_inside_and_refused_beyond_the_most_accurate():
     errors, costs = [1e-2, 1e-4, 1e-6], [1.0, 10.0, 100.0]  # cost = error^{-1/2}/10
-    assert cost_at_error(errors, costs, 1e-3) == pytest.approx(10**0.5)
-    assert cost_at_error(errors, costs, 1e-6) == pytest.approx(100)
-    assert math.isnan(cost_at_error(errors, costs, 1e-7))
-    assert math.isnan(cost_at_error(errors, costs, 0.1))
-    assert math.isnan(cost_at_error([], [], 0.1))
+    assert cost_to_reach(errors, costs, 1e-3) == pytest.approx(10**0.5)
+    assert cost_to_reach(errors, costs, 1e-6) == pytest.approx(100)
+    assert math.isnan(cost_to_reach(errors, costs, 1e-7))
+    assert math.isnan(cost_to_reach([], [], 0.1))
 
 
 def test_a_setting_that_costs_more_for_less_does_not_count():
-    assert cost_at_error([1e-2, 1e-3, 1e-4], [1.0, 500.0, 10.0], 1e-3) == pytest.approx(10**0.5)
+    assert cost_to_reach([1e-2, 1e-3, 1e-4], [1.0, 500.0, 10.0], 1e-3) == pytest.approx(10**0.5)
     # an accurate setting that is cheaper than all others
-    assert cost_at_error([1e-2, 1e-4], [500.0, 10.0], 1e-3) == pytest.approx(10.0)
+    assert cost_to_reach([1e-2, 1e-4], [500.0, 10.0], 1e-3) == pytest.approx(10.0)
 
 
 def test_who_is_more_accurate_than_asked_pays_for_the_cheapest_setting():

@@ -17,7 +17,10 @@ UNDERFLOW = BODY.with_(name="underflow", gamma=50.0, t_end=100.0)
 SPLIT = [m for m in cb.METHODS.values() if getattr(m, "composition", None) and m.composition.two_part]
 SPLIT = [m for m in SPLIT if m.refuses(BODY) is None]
 
+EXACT_DRIFT = [cb.METHODS[name] for name in ("contact-printed", "contact-abc")]
+
 each = pytest.mark.parametrize("method", SPLIT, ids=lambda m: m.name)
+every = pytest.mark.parametrize("method", [*EXACT_DRIFT, *SPLIT], ids=lambda m: m.name)
 
 
 @each
@@ -29,7 +32,7 @@ def test_a_symmetric_body_is_solved_exactly_at_any_step(method, inertia):
     assert cb.LAWS["solution_error"](solution) < 1e-13
 
 
-@each
+@every
 @pytest.mark.parametrize("scene", [TUMBLING, NEEDLE, UNDAMPED, UNDERFLOW], ids=lambda s: s.name)
 def test_momentum_attitude_and_contact_form_are_kept_on_hard_data(method, scene):
     """s carried; a hundred steps.  Round-off of the contact form grows with the derivative of the map,
@@ -60,7 +63,7 @@ def test_the_axes_may_come_in_any_order(inertia):
     np.testing.assert_allclose(renamed.R, plain.R[:, order][:, :, order], rtol=0, atol=1e-13)
 
 
-@each
+@every
 def test_a_body_at_rest_stays_and_has_a_derivative(method):
     scene = BODY.with_(M=(0.0, 0.0, 0.0))
     solution = cb.solve(scene, method.name, step=0.5, save_at=[1.0, 2.0])
@@ -75,3 +78,31 @@ def test_a_step_as_long_as_the_decay_is_no_trouble():
     for engine in ("jax", "python"):
         solution = cb.solve(scene, "contact-o8", step=50.0, save_at=[50.0, 100.0], engine=engine)
         assert cb.LAWS["solution_error"](solution) < 1e-12
+
+
+# -- the paper's scheme, whose A on a body is the free body itself --------------------------------------
+@pytest.mark.parametrize("method", EXACT_DRIFT, ids=lambda m: m.name)
+@pytest.mark.parametrize("engine", ["numba", "python"])
+def test_the_printed_scheme_on_a_body_is_exact_but_for_its_clock(method, engine):
+    """A_τ and C commute up to the clock of A: M and R are those of the true body at a time of its own.
+
+    Printed, right to left, C comes before A: n steps run the free body for h (e^{−γh} + e^{−2γh} + …); the
+    palindrome has half a step before and half after each C.
+    """
+    h, n = 0.4, 50
+    solution = cb.solve(BODY, method.name, step=h, save_at=[h * n], engine=engine)
+    ticks = np.exp(-BODY.gamma * h * np.arange(n + 1))
+    weights = {"contact-printed": [0.0] + [1.0] * n, "contact-abc": [0.5] + [1.0] * (n - 1) + [0.5]}
+    clock = h * np.dot(weights[method.name], ticks)
+    free_time = -np.log1p(-BODY.gamma * clock) / BODY.gamma  # φ(t) = clock
+    exact = cb.solve(BODY, "contact-exact", save_at=[free_time], engine=engine)
+    grown = np.exp(BODY.gamma * np.array([h * n, free_time]))
+    np.testing.assert_allclose(grown[0] * solution.M, grown[1] * exact.M, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(solution.R, exact.R, rtol=0, atol=1e-13)
+    assert abs(free_time - h * n) > 1e-3
+
+
+@pytest.mark.parametrize("method", EXACT_DRIFT, ids=lambda m: m.name)
+def test_without_damping_the_printed_scheme_on_a_body_is_exact_at_any_step(method):
+    solution = cb.solve(UNDAMPED, method.name, step=5.0, save_at=[5.0, 20.0])
+    assert cb.LAWS["solution_error"](solution) < 1e-13

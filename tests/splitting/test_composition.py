@@ -74,8 +74,14 @@ def test_counts_are_the_calls_really_made(composition, scene, monkeypatch):
             calls[0] += 1
             return turned(*arguments)
 
+        def counting_free(*arguments):
+            calls[0] += flows.FREE_COST
+            return flows.free(*arguments)
+
         for module in (flows, contactbench.splitting.composition):
             monkeypatch.setattr(module, "rotation", counting)
+        for table in (flows.BODY, flows.ISOTROPIC):
+            monkeypatch.setitem(table, "free", table["free"]._replace(apply=counting_free))
         advance(composition, scene, random_state(scene), 0.1, 7, math)
         assert plan(composition, scene).count(flows_of(scene), "rotation", 7) == calls[0]
 

@@ -171,26 +171,51 @@ def moved(inertia, M, t, xp):
     return free(scene, BodyState(tuple(M), (one, 0 * one, 0 * one, 0 * one)), t, xp)
 
 
+def truth_and_reach(inertia, M, t):
+    """M and R to 50 digits, and for each number its size and what one rounding of each datum changes."""
+    context, change = decimal_context(50), "1e-25"
+    exact = [context.mpf(v) for v in (*inertia, *M, t)]
+    truth = flat(moved(exact[:3], exact[3:6], exact[6], context))
+    spread = np.zeros(12)
+    for i in range(7):
+        other = [v * (1 + context.mpf(change)) if j == i else v for j, v in enumerate(exact)]
+        changed = flat(moved(other[:3], other[3:6], other[6], context))
+        spread += [float(abs(a - b) / context.mpf(change)) for a, b in zip(changed, truth, strict=True)]
+    return truth, spread + np.array([math.hypot(*M)] * 3 + [1.0] * 9)
+
+
+def assert_determined(x, inertia, M, t):
+    truth, reach = truth_and_reach(inertia, M, t)
+    error = np.array([float(abs(a - b)) for a, b in zip(flat(x), truth, strict=True)])
+    assert np.all(error < 16 * EPSILON * reach), (inertia, M, t)
+    np.testing.assert_allclose(rotate(x.R, x.M), M, rtol=0, atol=3e-15 * math.hypot(*M))
+
+
+def compiled_motion(inertia, M, t):
+    """The same by the numba engine, whose loops have a fixed length."""
+    scene = BODY.with_(inertia=tuple(inertia), M=tuple(M), gamma=0.0, t_end=t)
+    run = cb.prepare(scene, "contact-exact", save_at=[t], carry=("R",), engine="numba")
+    return scene.unpack(run.bare(run.start).tolist(), ("R",))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_double_precision_is_right_to_what_the_data_determine(kind):
     """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
     phase); J = R M and the lengths of M and R to round-off."""
-    context, change = decimal_context(50), "1e-25"
     for inertia, M, t in motions(kind, 12):
         L, x = math.hypot(*M), moved(inertia, M, t, math)
-        exact = [context.mpf(v) for v in (*inertia, *M, t)]
-        truth = flat(moved(exact[:3], exact[3:6], exact[6], context))
-        spread = np.zeros(12)
-        for i in range(7):
-            other = [v * (1 + context.mpf(change)) if j == i else v for j, v in enumerate(exact)]
-            changed = flat(moved(other[:3], other[3:6], other[6], context))
-            spread += [float(abs(a - b) / context.mpf(change)) for a, b in zip(changed, truth, strict=True)]
-        size = np.array([L] * 3 + [1.0] * 9)
-        error = np.array([float(abs(a - b)) for a, b in zip(flat(x), truth, strict=True)])
-        assert np.all(error < 16 * EPSILON * (size + spread)), (inertia, M, t)
-        np.testing.assert_allclose(rotate(x.R, x.M), M, rtol=0, atol=3e-15 * L)
+        assert_determined(x, inertia, M, t)
         assert abs(math.hypot(*x.M) / L - 1) < 1e-15
         assert abs(math.hypot(*x.R) - 1) < 1e-15
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
+    """As above, axes in order (one program) and times ahead."""
+    for inertia, M, t in motions(kind, 6):
+        order = sorted(range(3), key=lambda i: inertia[i])
+        inertia, M, t = [inertia[i] for i in order], [M[i] for i in order], abs(t)
+        assert_determined(compiled_motion(inertia, M, t), inertia, M, t)
 
 
 def test_a_body_exactly_on_its_middle_axis_stays_there():
@@ -317,7 +342,7 @@ BODIES = [
 @pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
 def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
     times = scene.t_end * np.arange(11) / 10
-    solution = cb.solve(scene, "contact-exact", rtol=1e-6, save_at=times, engine=engine)
+    solution = cb.solve(scene, "contact-exact", save_at=times, engine=engine)
     assert solution.ok
     assert cb.LAWS["solution_error"](solution) < 1e-13  # the needle's phase of 700 leaves 3e-14
     for name in ("momentum_law", "attitude_drift", "hamiltonian_law", "energy_law_relative"):
@@ -329,31 +354,41 @@ def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scen
 
 
 def test_contact_exact_on_its_engines_and_from_other_data():
-    runs = [
-        cb.prepare(BODY, "contact-exact", rtol=1e-3, engine=e, save_at=[0.0, 1.0, 20.0])
-        for e in EXACT.engines
-    ]
+    runs = [cb.prepare(BODY, "contact-exact", engine=e, save_at=[0.0, 1.0, 20.0]) for e in EXACT.engines]
     other = {"M": (-0.4, 0.1, 0.9), "s": 0.3}
-    one, two = (run(**other) for run in runs)
-    np.testing.assert_allclose(one.y, two.y, rtol=0, atol=2e-15)
-    np.testing.assert_array_equal(one.y[0], one.y0)
-    assert cb.LAWS["solution_error"](one) < 1e-14
-    assert not np.array_equal(runs[0]().y, one.y)
+    first, *rest = (run(**other) for run in runs)
+    for one in rest:
+        np.testing.assert_allclose(one.y, first.y, rtol=0, atol=2e-15)
+        derivatives = [solution.differential.estimates for solution in (one, first)]
+        np.testing.assert_allclose(*derivatives, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(first.y[0], first.y0)
+    assert cb.LAWS["solution_error"](first) < 1e-14
+    assert not np.array_equal(runs[0]().y, first.y)
+
+
+@pytest.mark.parametrize("given", [{"step": 0.1}, {"rtol": 1e-6}, {"atol": 1e-6}], ids=str)
+def test_contact_exact_takes_neither_step_nor_tolerance(given):
+    assert (EXACT.control, EXACT.adaptive) == ("exact", False)
+    with pytest.raises(cb.BadInput, match="exact"):
+        cb.prepare(BODY, "contact-exact", **given)
+    solution = cb.solve(BODY, "contact-exact")
+    assert (solution.setting, solution.control, solution.value) == ("exact", "exact", 0.0)
+    assert len(solution.t) == 201
 
 
 @pytest.mark.parametrize("name", ["rigid_body_anisotropic", "particle", "quadratic_damping"])
 def test_contact_exact_refuses_what_it_has_no_formula_for(name):
-    solution = cb.solve(name, "contact-exact", rtol=1e-6, save_at=[1.0])
+    solution = cb.solve(name, "contact-exact", save_at=[1.0])
     assert solution.status is Status.unsupported
     assert name in solution.message
 
 
 def test_contact_exact_has_a_budget_and_an_end():
-    over = cb.solve(BODY, "contact-exact", rtol=1e-6, save_at=[1.0, 2.0, 3.0], max_steps=2)
+    over = cb.solve(BODY, "contact-exact", save_at=[1.0, 2.0, 3.0], max_steps=2)
     assert over.status is Status.budget
     runaway = BODY.with_(gamma=-50.0, t_end=20.0)
     for engine in EXACT.engines:
-        solution = cb.solve(runaway, "contact-exact", rtol=1e-6, save_at=[0.1, 20.0], engine=engine)
+        solution = cb.solve(runaway, "contact-exact", save_at=[0.1, 20.0], engine=engine)
         assert solution.status is Status.diverged
         assert np.isnan(solution.y[-1]).all()
 

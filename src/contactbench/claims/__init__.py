@@ -4,11 +4,14 @@ Each module registers its own; the registry is in the order of the ids.
 """
 
 from contactbench.claims import (  # noqa: F401
+    body_equilibria,
     body_stability,
+    discrete_herglotz,
     experiment,
     geometry,
     integrator,
     rigid_body,
+    step_stability,
     symmetry,
 )
 from contactbench.claims.ledger import CLAIMS, Claim, Correction, Evidence, Measurement, Verdict, verdict

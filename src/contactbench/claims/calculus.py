@@ -149,3 +149,8 @@ def turned_left(axis: Any, angle: Any, R: Any) -> Any:
     """The attitude after a further rotation in space: R → Rot(axis, angle) R."""
     half = angle / 2
     return quaternion_product((jnp.cos(half), *(jnp.sin(half) * c for c in axis)), R)
+
+
+def one_step(method: Any, scene: Any, h: float) -> Any:
+    """Φ_h as a JAX map of (q, p, s)."""
+    return lambda y: packed(method.advance(scene, canonical(y), h, 1, jnp))

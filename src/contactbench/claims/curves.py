@@ -12,9 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.claims.body_stability import SPECTRUM, direction_growths
+from contactbench.claims.body_equilibria import direction_growths
 from contactbench.claims.experiment import NOMINAL
-from contactbench.claims.linearisation import INERTIA, body, border, criterion, growths, momentum_rate
+from contactbench.claims.linearisation import (
+    INERTIA,
+    SPECTRUM,
+    body,
+    border,
+    criterion,
+    growths,
+    momentum_rate,
+)
 from contactbench.claims.orders import (
     ABC,
     ENERGY_LADDER,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded when first used
 
+from contactbench.measure.laws import LAWS
 from contactbench.measure.order import fit_order
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step import FixedStep
@@ -91,6 +92,27 @@ def energy_errors(
         run = solve(scene, name, step=h, save_at=t, carry=carry, engine="python")
         errors[h] = float(np.abs(value(run.states()) - truth).max())
     return errors
+
+
+BODY, BODY_STEPS = "rigid_body", (20, 40, 80, 160)
+
+
+def body_run(name: str, steps: int) -> Any:
+    """M at five times over the span of the body."""
+    scene = SCENES[BODY]
+    t = scene.t_end * np.arange(1, 6) / 5
+    return solve(scene, name, step=scene.t_end / steps, save_at=t, carry=())
+
+
+def body_energy_error(name: str, h: float) -> float:
+    """max |H0(t) e^{2γt}/H0(0) − 1|."""
+    run = body_run(name, round(SCENES[BODY].t_end / h))
+    return float(LAWS["energy_law_relative"](run))
+
+
+def body_errors(name: str) -> dict[float, float]:
+    """The solution error against the step."""
+    return {1 / n: float(LAWS["solution_error"](body_run(name, n))) for n in BODY_STEPS}
 
 
 LOCAL_STEPS = (0.008, 0.004, 0.002, 0.001)

@@ -8,12 +8,12 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from contactbench.cli import claim, gate, listing, references, report, solve
+from contactbench.cli import claim, compare, gate, listing, references, report, solve
 from contactbench.cli.parsing import PLUGIN, Parser
 from contactbench.errors import BadInput
 
 #: in the order of --help
-COMMANDS = (listing, solve, claim, report, gate, references)
+COMMANDS = (listing, solve, compare, claim, report, gate, references)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -25,6 +25,7 @@ def parser() -> argparse.ArgumentParser:
   contactbench list methods
   contactbench solve particle contact-strang --step 0.01
   contactbench solve particle my-method --step 0.01 --plugin my.py
+  contactbench compare particle
   contactbench claim C25
   contactbench report --results results
 

@@ -12,11 +12,12 @@ from contactbench.cli.parsing import Command
 def listing(arguments: argparse.Namespace) -> int:
     """Print scenes, methods, laws and claims, or one kind without heading and indentation."""
     import contactbench as cb
+    from contactbench.measure.ladder import stepping
 
     def method(item: Any) -> str:
-        kind = "adaptive" if item.adaptive else "fixed step"
-        order = f"order {item.order}" if item.order else "variable order"
-        return f"{order}, {kind}, {'/'.join(item.engines)}: {item.about}"
+        kind = {"fixed": "fixed step"}.get(stepping(item), stepping(item))
+        order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
+        return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {item.about}"
 
     def claims() -> dict[str, str]:
         from contactbench.claims import CLAIMS

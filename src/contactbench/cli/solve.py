@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+from pathlib import Path
 from typing import Any
 
 from contactbench.cli.parsing import Command
@@ -34,11 +36,58 @@ def solve(arguments: argparse.Namespace) -> int:
     if arguments.t_end is not None:
         scene = scene.with_(t_end=arguments.t_end)
     options = {k: getattr(arguments, k) for k in ("step", "rtol", "engine", "max_steps")}
-    solution = cb.solve(
-        scene, arguments.method, save_at=[scene.t_end], **{k: v for k, v in options.items() if v is not None}
-    )
-    print(json.dumps(summary(solution), allow_nan=False) if arguments.json else described(summary(solution)))
+    options = {k: v for k, v in options.items() if v is not None}
+    if not (arguments.laws or arguments.plot or arguments.out):  # only the end matters
+        options["save_at"] = [scene.t_end]
+    solution = cb.solve(scene, arguments.method, **options)
+    if arguments.out:
+        solution.to_frame().to_csv(arguments.out, index=False, lineterminator="\n")
+    if arguments.plot:
+        plot(solution, arguments.plot)
+    said = summary(solution)
+    laws = solution.laws() if arguments.laws else None
+    if arguments.json:
+        known = {} if laws is None else {"laws": deviations(laws)}
+        print(json.dumps(said | known, allow_nan=False))
+    else:
+        print(described(said))
+        for law in () if laws is None else laws.itertuples():
+            bound = "≤ " if law.upper_bound else ""
+            print(f"{law.Index:26} {bound}{law.deviation:.1e}  {law.note or law.definition}")
     return 0 if solution.ok else 1
+
+
+def deviations(laws: Any) -> dict[str, float | None]:
+    """By name; null for what is not known."""
+    return {name: value if math.isfinite(value) else None for name, value in laws["deviation"].items()}
+
+
+def plot(solution: Any, path: Path) -> None:
+    """The motion and the energies against time."""
+    from contactbench.report.draw import drawn
+    from contactbench.report.drawing import Axis, Curve, Figure, Panel
+
+    t, scene, states = tuple(solution.t.tolist()), solution.scene, solution.states()
+    energies = {"H0": scene.energy(states)}
+    if scene.is_contact and states.s is not None:
+        energies["H"] = scene.hamiltonian(states)
+    columns = dict(zip(solution.labels, solution.y.T, strict=True))
+    groups = [
+        {name: column for name, column in columns.items() if name[0] == letter}
+        for letter in dict.fromkeys(name[0] for name in columns)
+    ]
+    panels = [
+        Panel(
+            "", Axis("t"), Axis(", ".join(group)),
+            tuple(
+                Curve(t, tuple(values.tolist()), label=name, role=f"shade {i % 5}", markers=False)
+                for i, (name, values) in enumerate(group.items())
+            ),
+        )
+        for group in [*groups, energies]
+    ]  # fmt: skip
+    title = f"{scene.name}: {solution.method}, {solution.setting}"
+    drawn(Figure("run", title, tuple(panels), legend="each", across=2)).savefig(path)
 
 
 def summary(solution: Any) -> dict[str, Any]:
@@ -79,6 +128,7 @@ def add(command: Command) -> None:
   contactbench solve particle contact-strang --step 0.01
   contactbench solve particle contact-rkn6 --rtol 1e-8           the step chosen from pilots
   contactbench solve particle cvode-bdf --rtol 1e-8 --t-end 100
+  contactbench solve central contact-strang --step 0.01 --laws --plot run.svg --out run.csv
   contactbench solve particle rk4 --step 0.01 --set gamma=0.3 --set q=[1,0.5] --json | jq .H0
 
 Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input.""",
@@ -94,4 +144,9 @@ Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input
     one.add_argument("--t-end", type=float, help="end time")
     one.add_argument("--engine", help="numba, jax or python, where a method has several")
     one.add_argument("--max-steps", type=int, help="step budget")
+    one.add_argument("--laws", action="store_true", help="how far the run is from every law of the scene")
+    one.add_argument(
+        "--plot", type=Path, metavar="FILE", help="motion and energies over time (.svg, .png, .pdf)"
+    )
+    one.add_argument("--out", type=Path, metavar="FILE", help="the saved states as CSV")
     one.add_argument("--json", action="store_true", help="print one JSON object")

@@ -72,9 +72,10 @@ def gone(table: Table, before: pd.DataFrame, missing: pd.DataFrame) -> Iterator[
         if name not in table.columns or not len(left):
             continue
         had, lost = before[name].value_counts(), missing[name].value_counts()
-        for value in (value for value in lost.index if value and lost[value] == had[value]):
+        for value in (str(value) for value in lost.index if value and lost[value] == had[value]):
             line = Line(f"{name} in {table.name}", f"{had[value]} rows", "none", "", "missing", True)
-            yield math.inf, replace(line, table=table.name, **{name: str(value)})
+            line = replace(line, table=table.name)
+            yield math.inf, replace(line, scene=value) if name == "scene" else replace(line, method=value)
             left = left[left[name] != value]
     for _, row in left.iterrows():
         line = Line(f"row of {table.name}", "present", "missing", "", "missing", True)

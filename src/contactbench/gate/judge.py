@@ -74,7 +74,7 @@ def tables_against(
     before, lines = committed.old_tables(old, changed)
     head = tables(results)
     lines += committed.record_lines(results, head)
-    told = []
+    told: list[str] = []
     for name, table in TABLES.items():
         lines += committed.differences(table, before[name], head[name], name in changed)
         told += filter(None, [committed.described(table, before[name], head[name])])

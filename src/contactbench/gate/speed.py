@@ -141,8 +141,8 @@ class Side:
 
     def costs(self) -> Costs:
         answer = self._answer()
-        by_cell = ({int(i): v for i, v in answer[name].items()} for name in ("compile", "leaked"))
-        return Costs(*by_cell, answer["peak"])
+        compiled, leaked = ({int(i): v for i, v in answer[name].items()} for name in ("compile", "leaked"))
+        return Costs(compiled, leaked, answer["peak"])
 
     def _say(self, what: Any) -> None:
         assert self.process.stdin is not None

@@ -8,6 +8,8 @@ from typing import Any
 
 import pandas as pd
 
+from contactbench.solution import printed_setting
+
 #: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
 SCENES = ("particle", "particle_long", "rigid_body")
 #: the methods that are timed on every other scene too, and the scene of the runs with many saved times
@@ -36,7 +38,7 @@ class Cell:
     @property
     def setting(self) -> str:
         many = f", {self.saves} saved times" if self.saves > 1 else ""
-        return f"{self.control}={self.value:.6g}{many}"
+        return f"{printed_setting(self.control, self.value)}{many}"
 
     def request(self) -> dict[str, Any]:
         return asdict(self)
@@ -49,7 +51,8 @@ def workload(work: pd.DataFrame, scenes: Sequence[str] = SCENES) -> list[Cell]:
     """
     timed = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= LONGEST)]
     slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
-    cells, many = [], {}
+    cells: list[Cell] = []
+    many: dict[str, Cell] = {}
     for _, row in slowest.sort_index().iterrows():
         carry = tuple(field for field in ("s", "R") if field in row["carried"].split())
         words = row["scene"], row["method"], row["engine"], row["control"], float(row["value"]), carry

@@ -16,8 +16,9 @@ import numpy as np
 VISITS = 2
 #: seconds a round takes at least, so that the clock's resolution plays no part
 ROUND_SECONDS = 1e-3
-#: rounds of one visit
+#: rounds of one visit; where a single round is long what disturbs it averages out within it, and fewer do
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
+LONG, FEWEST_LONG_ROUNDS = 0.1, 2
 SEED = 20
 
 Samples = list[float]  #: seconds per call, one number a round
@@ -44,7 +45,8 @@ def calls_a_round(once: float) -> int:
 
 def rounds_within(seconds: float, round_seconds: float) -> int:
     """How many rounds of one visit fit, within what is sensible."""
-    return min(MOST_ROUNDS, max(FEWEST_ROUNDS, round(seconds / round_seconds)))
+    fewest = FEWEST_ROUNDS if round_seconds < LONG else FEWEST_LONG_ROUNDS
+    return min(MOST_ROUNDS, max(fewest, round(seconds / round_seconds)))
 
 
 class Race:
@@ -60,35 +62,48 @@ class Race:
         self.iterations = [1] * len(self.runs)
         self.measured: list[list[Samples]] = [[] for _ in self.runs]
 
-    def warm_up(self) -> float:
-        """Seconds that a round of all runs takes."""
-        total = 0.0
+    def warm_up(self) -> list[float]:
+        """Seconds that a round of each run takes; a long call is warm after one."""
+        rounds = []
         for i, run in enumerate(self.runs):
-            once = min(_seconds(run, 1) for _ in range(2))
+            once = _seconds(run, 1)
+            if once < LONG:
+                once = min(once, _seconds(run, 1))
             self.iterations[i] = calls_a_round(once)
-            total += once * self.iterations[i]
-        return total
+            rounds.append(once * self.iterations[i])
+        return rounds
 
-    def go(self, seconds: float, tick: Callable[[], Any] = lambda: None) -> None:
-        """Both visits, within about so many seconds, but not fewer than `FEWEST_ROUNDS` rounds each."""
-        if not self.runs:
+    def go(self, seconds: float) -> None:
+        """Both visits, within about so many seconds.
+
+        A run that takes longer than its share has fewer rounds than the others, no fewer than `rounds_within` says.
+        """
+        start, lengths = perf_counter(), self.warm_up()
+        if not lengths:
             return
-        rounds = rounds_within(seconds / VISITS, self.warm_up())
+        share = max(0.0, seconds - perf_counter() + start) / VISITS / len(lengths)
+        rounds = [rounds_within(share, length) for length in lengths]
         shuffle, order, collects = random.Random(SEED), list(range(len(self.runs))), gc.isenabled()
         gc.disable()
         try:
             for visit in range(VISITS):
-                for _ in range(rounds):
+                until = perf_counter() + max(0.0, start + seconds - perf_counter()) / (VISITS - visit)
+                for turn in range(max(rounds)):
+                    if turn >= FEWEST_ROUNDS and perf_counter() > until:
+                        break
                     shuffle.shuffle(order)
                     for i in order:
-                        sample = _seconds(self.runs[i], self.iterations[i])
-                        if len(self.measured[i]) == visit:
-                            self.measured[i].append([])
-                        self.measured[i][visit].append(sample)
-                    tick()
+                        if turn < rounds[i]:
+                            self._round(i, visit)
         finally:
             if collects:
                 gc.enable()
+
+    def _round(self, i: int, visit: int) -> None:
+        sample = _seconds(self.runs[i], self.iterations[i])
+        if len(self.measured[i]) == visit:
+            self.measured[i].append([])
+        self.measured[i][visit].append(sample)
 
     def columns(self, i: int) -> dict[str, Any]:
         """The time columns of run i, empty where it was not timed."""

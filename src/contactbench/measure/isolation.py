@@ -109,48 +109,41 @@ class Worker:
 class Workers:
     """A few worker processes that take calls in order: ``submit(limit, function, *arguments) -> Future``.
 
-    Calls of one `group` go to one worker one after another.  A future raises `TimedOut`, `Died`, or
+    A future raises `TimedOut`, `Died`, or
     what the function raised.  function and arguments must be picklable.
     Close it, or use it as a context manager: no process is left behind.
     """
 
     def __init__(self, cores: Iterable[int | None]) -> None:
-        self.groups: queue.SimpleQueue[list[Any] | None] = queue.SimpleQueue()
+        self.calls: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
         self.closed = False
         self.threads = [threading.Thread(target=self._run, args=(core,), daemon=True) for core in cores]
         for thread in self.threads:
             thread.start()
 
     def submit(self, limit: float, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """One call, a group of its own."""
-        (future,) = self.submit_group([(limit, function, *arguments)])
+        """The call, for the next worker that is free."""
+        future: Future[Any] = Future()
+        self.calls.put((future, limit, function, arguments))
         return future
-
-    def submit_group(self, calls: Iterable[tuple[Any, ...]]) -> list[Future[Any]]:
-        """Calls (limit, function, *arguments) for one worker, which may keep what they share warm."""
-        jobs: list[Any] = [
-            (Future(), limit, function, tuple(arguments)) for limit, function, *arguments in calls
-        ]
-        self.groups.put(jobs)
-        return [job[0] for job in jobs]
 
     def _run(self, core: int | None) -> None:
         worker: Worker | None = None
-        while (jobs := self.groups.get()) is not None:
-            for future, limit, function, arguments in jobs:
-                if self.closed or not future.set_running_or_notify_cancel():
-                    future.cancel()
-                    continue
-                try:
-                    worker = worker or Worker(core)
-                    fine, value = worker.call(function, arguments, limit)
-                except BaseException as error:  # the worker is lost, the next call gets a new one
-                    if worker is not None:
-                        worker.stop()
-                    worker = None
-                    future.set_exception(error)
-                else:
-                    future.set_result(value) if fine else future.set_exception(value)
+        while (job := self.calls.get()) is not None:
+            future, limit, function, arguments = job
+            if self.closed or not future.set_running_or_notify_cancel():
+                future.cancel()
+                continue
+            try:
+                worker = worker or Worker(core)
+                fine, value = worker.call(function, arguments, limit)
+            except BaseException as error:  # the worker is lost, the next call gets a new one
+                if worker is not None:
+                    worker.stop()
+                worker = None
+                future.set_exception(error)
+            else:
+                future.set_result(value) if fine else future.set_exception(value)
         if worker is not None:
             worker.stop()
 
@@ -158,7 +151,7 @@ class Workers:
         """Let running calls end, drop the others, stop the processes."""
         self.closed = True
         for _ in self.threads:
-            self.groups.put(None)
+            self.calls.put(None)
         for thread in self.threads:
             thread.join()
 

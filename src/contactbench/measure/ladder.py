@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.scene import RigidBody, Scene
+from contactbench.scene import Scene
+from contactbench.solution import keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -35,7 +36,7 @@ def work_ladder(scene: Scene, order: int) -> list[float]:
     """
     if order < 6:
         fine = steps(scene, 9)
-        return [fine[0] * 5, fine[0] * 2.5, *fine] if isinstance(scene, RigidBody) else fine
+        return [fine[0] * 5, fine[0] * 2.5, *fine] if scene.kind != "mechanical" else fine
     coarse = steps(scene, 1)[0] * 4
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]
@@ -53,13 +54,13 @@ def save_times(scene: Scene) -> np.ndarray:
 
 
 def setting(method: Any, value: float) -> dict[str, float]:
-    """The keyword of `prepare` that sets a method: its tolerance or its step."""
-    return {"rtol": value} if method.adaptive else {"step": value}
+    """The keyword of `prepare` that sets a method: its tolerance or its step; none of an exact one."""
+    return keywords(method.control, value)
 
 
-def family(method: Any) -> str:
-    """What a method is compared as; a plug-in that does not say is an established one."""
-    return getattr(method, "family", "established")
+def stepping(method: Any) -> str:
+    """How a method gets from one time to another: by fixed steps, by adaptive ones, or exact: without any."""
+    return "exact" if method.exact else "adaptive" if method.adaptive else "fixed"
 
 
 def carried(scene: Scene) -> tuple[str, ...]:

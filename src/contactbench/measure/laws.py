@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,101 +27,16 @@ from contactbench.measure.deviation import (
     relative,
     relative_deviation,
 )
+from contactbench.measure.law import Gate, Law, Measured
 from contactbench.measure.pullback import Pullback, growth, pullback
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.solution import Differential, Solution
 from contactbench.truth import reference
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 LAWS = Registry("law")
-
-
-class Gate(Enum):
-    """How the regression gate compares a law (the rules of results/schema.py have the numbers)."""
-
-    error = "error"
-    structure = "structure"  # an error; where it is round-off it must stay round-off
-    count = "count"
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What a law gives: its value, the error bar where there is one, and at how many saved times it was
-    taken against its terms instead of its own size (None where it has no such limit).
-
-    A drift smaller than its error bar is not known; `value` is then the sum of both, an upper bound.
-    """
-
-    value: float
-    uncertainty: float | None = None
-    clamped: int | None = None
-
-    @property
-    def bound(self) -> bool:
-        """Whether the value is an upper bound."""
-        return self.uncertainty is not None and self.value <= 2 * self.uncertainty
-
-
-@dataclass(frozen=True)
-class Law:
-    """A measure, and what those who show or compare it must know.
-
-    definition : its meaning, a header or axis label; label : a short name, mathtext.  needs : the fields it
-    reads.  gate : how two runs are compared.  shown : the documents that list it.  structural : a contact
-    method keeps it to round-off whatever the step size (see `structural_on`).  compares_decay : it compares
-    with the decay e^{−∫Γ'} of the truth.
-    """
-
-    name: str
-    definition: str
-    label: str
-    measure: Callable[[Solution], Deviation | float]
-    needs: tuple[str, ...] = ()
-    applies: Callable[[Scene], bool] = lambda scene: True
-    gate: Gate = Gate.error
-    shown: tuple[str, ...] = ("laws",)
-    structural: bool = False
-    #: whether it takes the derivative of the map, which may cost many runs
-    differentiates: bool = False
-    compares_decay: bool = False
-
-    def __call__(self, solution: Solution) -> float:
-        """The measure; nan unless the run ended `ok` and the law is defined for its method.
-
-        Raises `BadInput` when the scene has no such law or the run did not carry what it needs.
-        """
-        return self.measured(solution).value
-
-    def measured(self, solution: Solution) -> Measured:
-        """The measure with its error bar; raises as the call does."""
-        found = self.along(solution)
-        if not isinstance(found, Deviation):
-            return Measured(found)
-        value = float(found.size.max())
-        marked = None if found.clamped is None else int(found.clamped.sum())
-        if found.uncertainty is None:
-            return Measured(value, None, marked)
-        uncertainty = float(found.uncertainty.max())
-        return Measured(value if value > uncertainty else value + uncertainty, uncertainty, marked)
-
-    def along(self, solution: Solution) -> Deviation | float:
-        """The deviation at every saved time, where the law is a maximum over them; raises as the call does."""
-        if not self.applies(solution.scene):
-            raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
-        missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
-        if missing:
-            raise BadInput(f"law {self.name!r} needs carry=({', '.join(map(repr, missing))},)")
-        return self.measure(solution) if solution.ok else math.nan
-
-    def structural_on(self, scene: Scene) -> bool:
-        """Whether a contact method keeps it to round-off on this scene.
-
-        Where Γ'(s) changes, the factor of a contact map follows the numerical s and has its error.
-        """
-        return self.structural and not (self.compares_decay and scene.rate_changes)
-
-    def needs_on(self, scene: Scene) -> tuple[str, ...]:
-        """The optional fields it reads on this scene."""
-        return tuple(field for field in self.needs if field in scene.optional)
 
 
 def law(
@@ -368,11 +281,34 @@ def energy_increases(solution: Solution) -> float:
     return float(np.count_nonzero(grows))
 
 
+# -- all of them, of one run -----------------------------------------------------------------------
+def kept_by(solution: Solution) -> pd.DataFrame:
+    """How far a run is from every law that its scene has and whose fields it carries.
+
+    Indexed by the law's name; columns: deviation (the maximum over the saved times), upper_bound (it is no
+    more than that: a derivative by differences did not resolve it), note (why there is no number), definition.
+    """
+    import pandas as pd
+
+    rows = {}
+    for item in laws_of(solution.scene):
+        if set(item.needs_on(solution.scene)) <= set(solution.carry):
+            try:
+                found, note = item.measured(solution), "" if solution.ok else str(solution.status)
+            except BadInput as error:  # no reference to compare with, or H(0) = 0
+                found, note = Measured(math.nan), str(error)
+            rows[item.name] = (found.value, found.bound, note, item.definition)
+    return pd.DataFrame.from_dict(
+        rows, orient="index", columns=["deviation", "upper_bound", "note", "definition"]
+    ).rename_axis("law")
+
+
 # -- all of them, as a row -------------------------------------------------------------------------
 #: what a row has beside the laws, with its meaning
 DRIFT_COLUMNS = {
     "contact_drift_uncertainty": "error bar of contact_drift where the derivative is by differences; a "
     "drift below its error bar is given as their sum, an upper bound",
+    "distribution_drift_uncertainty": "the same for distribution_drift",
     "contact_drift_clamped": "saved times at which contact_drift is relative to a thousandth of the terms "
     "that cancel instead of to e^{−∫Γ'}‖η‖",
     "hamiltonian_law_clamped": "the same for hamiltonian_law",
@@ -396,13 +332,12 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
     for name, measured in found.items():
         if measured.clamped is not None and f"{name}_clamped" in DRIFT_COLUMNS:
             columns[f"{name}_clamped"] = measured.clamped
+        if measured.uncertainty is not None and f"{name}_uncertainty" in DRIFT_COLUMNS:
+            columns[f"{name}_uncertainty"] = measured.uncertainty
     if not scene.is_contact:
         return columns
     if without:
         return columns | {"derivative": f"not taken: {without}"}
-    drift = found["contact_drift"]
-    if drift.uncertainty is not None:
-        columns["contact_drift_uncertainty"] = drift.uncertainty
     if solution.differential.taken:
         columns["map_growth"] = growth(solution.differential)
     bounds = [name for name, measured in found.items() if measured.bound]

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 EPSILON = float(np.finfo(float).eps)
+#: a larger bound decides nothing: a method that breaks a law by so little as that would pass for one that keeps it
+DECIDABLE = 1e-6
 
 
 def round_off_bound(growth: Any, evaluations: Any) -> Any:

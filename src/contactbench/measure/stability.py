@@ -42,7 +42,7 @@ def oscillator(gamma: float, omega: float = 1.0) -> Mechanical:
 
 def fixed_step_methods() -> list[Any]:
     """The registered fixed-step methods that take the oscillator."""
-    return [m for m in METHODS.values() if not m.adaptive and m.refuses(SCENES["oscillator"]) is None]
+    return [m for m in METHODS.values() if m.control == "step" and m.refuses(SCENES["oscillator"]) is None]
 
 
 def kernel(method: Any) -> Any:

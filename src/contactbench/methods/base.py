@@ -19,7 +19,16 @@ from contactbench.errors import BadInput, Registry
 from contactbench.methods.differences import differences
 from contactbench.methods.engines import CALLBACKS
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Differential, Solution, Status, divergence_bound, first_divergence
+from contactbench.solution import (
+    EXACT,
+    Counts,
+    Differential,
+    Solution,
+    Status,
+    divergence_bound,
+    first_divergence,
+    printed_setting,
+)
 
 #: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
 #: for differential equations at large
@@ -45,8 +54,8 @@ class Method(ABC):
         roundings of another way to the same time.  It is what is timed.
      6. The setting controls the error.  Not `adaptive`: takes `step`; steps are equal between saved times and no
         longer than `step`, and the error falls as step^order.  `adaptive`: takes `rtol` within `rtol_range` and
-        `atol`, and says in `tolerance` what they bound; the error falls as they do.  `exact`: takes them
-        likewise, has no truncation error, and gives the same result for all.
+        `atol`, and says in `tolerance` what they bound; the error falls as they do.  `exact`: takes neither
+        and has no truncation error.
      7. `max_steps` is never exceeded: a run that needs more ends as `budget`, and the states it did not reach
         are NaN.  So are they after `diverged` (which comes with the time, to the step) and `failed`.
      8. `Counts.evaluations` are all evaluations that a run made, of the kind the counts name, those for a
@@ -70,13 +79,18 @@ class Method(ABC):
     order: int | None
     #: whether it takes rtol and chooses its own steps
     adaptive: bool
-    #: whether there is no truncation error: the tolerance changes nothing
+    #: whether there is no truncation error, and nothing to be set
     exact: bool = False
     contact: bool = False
     symmetric: bool = False
     rtol_range: tuple[float, float] = (1e-13, 1e-1)
     #: what rtol and atol bound
     tolerance: str
+
+    @property
+    def control(self) -> str:
+        """What is set: "step", "rtol" or nothing, "exact"."""
+        return EXACT if self.exact else "rtol" if self.adaptive else "step"
 
     def refuses(self, scene: Scene) -> str | None:
         """Why the scene is out of reach, or None."""
@@ -121,20 +135,18 @@ class Request:
 
     @property
     def control(self) -> str:
-        """What is set: "step" or "rtol"."""
-        return "rtol" if self.step is None else "step"
+        """What is set: "step", "rtol" or nothing, "exact"."""
+        return "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
 
     @property
     def value(self) -> float:
-        """To what it is set."""
-        value = self.rtol if self.step is None else self.step
-        assert value is not None  # `prepare` sees to it
-        return value
+        """To what it is set; 0 for nothing."""
+        return self.step or self.rtol or 0.0
 
     @cached_property
     def setting(self) -> str:
         """The setting as it is keyed in tables."""
-        return f"{self.control}={self.value:.6g}"
+        return printed_setting(self.control, self.value)
 
 
 @dataclass
@@ -182,7 +194,7 @@ class Prepared(ABC):
     @property
     def steps_follow_state(self) -> bool:
         """Whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
-        return self.request.step is None
+        return self.request.rtol is not None
 
     def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
         """dΦ of the map its user gets, or with the steps frozen.

@@ -22,7 +22,8 @@ import numpy as np
 from contactbench.methods.base import stopwatch
 from contactbench.methods.llvm import imported
 from contactbench.numbers.dual import Dual, slope
-from contactbench.numbers.recording import PREAMBLE, Block, CannotRecord, Tape, recorded, text_of
+from contactbench.numbers.recording import Block, CannotRecord, Tape, recorded, text_of
+from contactbench.numbers.source import PREAMBLE
 from contactbench.scene import Scene
 
 #: places in data: the two counters, then the constants

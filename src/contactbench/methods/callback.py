@@ -10,16 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from contactbench.methods.base import Request
-from contactbench.methods.variational import Variational, numerical_derivative, variational_request
-from contactbench.numbers.recording import CannotRecord, Recorded, Tape, executed, text_of
+from contactbench.methods.variational import numerical_derivative, variational_request
+from contactbench.numbers.recording import CannotRecord, Recorded, Tape, text_of
 from contactbench.numbers.recording import recorded as within
-from contactbench.scene import Mechanical, Scene, State
+from contactbench.numbers.source import executed
+from contactbench.scene import System
 
 
-def recorded(scene: Scene, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
+def recorded(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
     """``f(y)`` on a packed list of floats: the list of slopes, or rows of a Jacobian; None if it cannot be had."""
     tape = Tape()
     names = [f"y{i}" for i in range(len(scene.labels(carry)))]
@@ -35,47 +34,20 @@ def recorded(scene: Scene, what: str, carry: tuple[str, ...]) -> Callable[..., A
     return executed("\n".join([*lines, f"    return {result}", ""]))[what]
 
 
-def flat_rhs(scene: Scene, carry: tuple[str, ...]) -> Callable[[Sequence[float]], list[float]]:
+def flat_rhs(scene: System, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
     """``f(y) -> slopes`` on a packed list of floats."""
     if (lean := recorded(scene, "rhs", carry)) is not None:
         return lean
-    rhs = scene.rhs
-    if isinstance(scene, Mechanical) and not carry:
-        n = len(scene.q)
-
-        def short(y: Sequence[float]) -> list[float]:
-            dx = rhs(State(tuple(y[:n]), tuple(y[n:])))
-            return [*dx.q, *dx.p]
-
-        return short
-    if isinstance(scene, Variational):
-        return flat_variational(scene, carry)
-    unpack, pack = scene.unpack, scene.pack
-    return lambda y: pack(rhs(unpack(y, carry)))
-
-
-def flat_variational(scene: Variational, carry: tuple[str, ...]) -> Callable[[Sequence[float]], list[float]]:
-    """``scene.rhs`` with the tangents pushed by one matrix product: four times as fast."""
-    base, derivative = scene.base, scene.derivative
-    size = len(base.labels(carry))
-
-    def pushed(y: Sequence[float]) -> list[float]:
-        x = base.unpack(y[:size], carry)
-        tangents = np.array(y[size:]).reshape(scene.count, size)
-        rows = np.array(derivative(base, x))
-        return [*base.pack(base.rhs(x)), *(tangents @ rows.T).ravel().tolist()]
-
-    return pushed
+    return scene.on_lists(carry)
 
 
 def flat_jacobian(
-    scene: Scene, carry: tuple[str, ...]
+    scene: System, carry: tuple[str, ...]
 ) -> Callable[[Sequence[float]], list[list[float]]] | None:
     """``J(y) -> rows`` on packed plain floats, or None when the scene has no Hessian."""
-    jacobian = getattr(scene, "jacobian", None)
-    if jacobian is None or (isinstance(scene, Mechanical) and scene.hessian is None):
+    if not scene.has_jacobian:
         return None
-    return recorded(scene, "jacobian", carry) or (lambda y: jacobian(scene.unpack(y, carry)))
+    return recorded(scene, "jacobian", carry) or (lambda y: scene.jacobian(scene.unpack(y, carry)))
 
 
 def variational(request: Request) -> Request:

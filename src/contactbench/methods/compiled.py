@@ -15,6 +15,14 @@ from contactbench.numbers.recording import CannotRecord
 
 _programs: dict[Any, tuple[Any, float]] = {}
 
+#: numbers of saved times a program is compiled for; the next larger one serves all in between
+CAPACITIES = (1, 64, 1024)
+
+
+def capacity(saves: int) -> int:
+    """The number of saved times of the program for so many."""
+    return next((size for size in CAPACITIES if size >= saves), saves)
+
 
 class XlaNumbers:
     """`jax.numpy`, and what compiled code has beside it (see numbers/control.py)."""
@@ -39,7 +47,7 @@ class CompiledRun(Prepared):
     """A run whose saved states are a JAX function of the packed initial state and other arguments.
 
     Everything numerical (initial data, parameters, steps, tolerances, saved times) is an argument:
-    a program is compiled once per scene structure and number of saved times, then shared.
+    a program is compiled once per scene structure and `capacity` for saved times, then shared.
     """
 
     #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
@@ -71,8 +79,14 @@ class CompiledRun(Prepared):
 
     def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], np.ndarray]:
         """The three again: saved states (k, d), facts, last state (d,)."""
-        states = len(self.request.save_at) * d
-        return vector[:states].reshape(-1, d), vector[states:-d].tolist(), vector[-d:]
+        saves = len(self.request.save_at)
+        states = capacity(saves) * d
+        return vector[: saves * d].reshape(-1, d), vector[states:-d].tolist(), vector[-d:]
+
+    def times(self) -> np.ndarray:
+        """The saved times as a program takes them: the end again and again beyond those asked for."""
+        times = self.request.save_at
+        return np.pad(times, (0, capacity(len(times)) - len(times)), mode="edge")
 
     def placed(self, y0: np.ndarray) -> Any:
         """The initial state as the program takes it: the scene's own is moved once, not at every call."""
@@ -120,4 +134,5 @@ class CompiledRun(Prepared):
         start = r.scene.unpack(tuple(y0.tolist()), r.carry)
         tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
         program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
-        return np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)
+        pushed = np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)
+        return pushed[: len(r.save_at)]

@@ -9,7 +9,7 @@ from typing import Any
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Mechanical, Scene
+from contactbench.scene import Scene
 from contactbench.splitting.composition import (
     Composition,
     advance,
@@ -42,7 +42,7 @@ class ContactMethod(FixedStep):
         return plan(self.composition, scene).count(flows_of(scene), self.kind_on(scene), n)
 
     def kind_on(self, scene: Scene) -> str:
-        return "gradient" if isinstance(scene, Mechanical) else "rotation"
+        return "gradient" if "kick" in flows_of(scene) else "rotation"
 
 
 def contact_method(composition: Composition) -> ContactMethod:

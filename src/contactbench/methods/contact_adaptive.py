@@ -29,8 +29,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.llvm import compiled
+from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.recording import (
     Block,
@@ -41,7 +42,7 @@ from contactbench.numbers.recording import (
     recorded,
     text_of,
 )
-from contactbench.scene import Mechanical, Scene, Vector, dot
+from contactbench.scene import Mechanical, Scene, dot
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
 from contactbench.splitting.composition import Composition, advance, plan
 from contactbench.splitting.flows import flows_of
@@ -51,9 +52,6 @@ from contactbench.splitting.tables import RKN6
 AIM = 3.0
 #: a step this small against the span hardly moves the clock: a singularity is ahead
 SHORTEST = 1e-15
-#: the density may fall by this factor in one step, at most: with a tolerance so loose that it would
-#: otherwise become negative, symmetry is lost
-SLOWEST = 0.25
 
 
 class ScalarNumbers(XlaNumbers):
@@ -63,42 +61,6 @@ class ScalarNumbers(XlaNumbers):
         if name == "asarray":
             raise AttributeError(name)
         return super().__getattr__(name)
-
-
-def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
-    """‖∇²V‖²_F at q and its rate of change along v."""
-    if scene.hessian is not None:
-        rows = scene.hessian(tuple(map(Dual, q, v)), **scene.parameters)
-        entries = [entry for row in rows for entry in row]
-    else:
-        moving, entries = tuple(map(Dual, q, v)), []
-        for j in range(len(q)):
-            column = scene.dV(tuple(Dual(x, float(i == j)) for i, x in enumerate(moving)))
-            entries += [slope(entry) for entry in column]
-    total = Dual(0.0, 0.0)
-    for entry in entries:
-        total = total + entry * entry
-    return Dual(value(total), slope(total))
-
-
-def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
-    """ω, and d ln ω/dt along the motion."""
-    square = scene.inverse_mass * scene.inverse_mass
-    curvature = squared_curvature(scene, x.q, tuple(p * scene.inverse_mass for p in x.p))
-    damping = scene.gamma * scene.gamma / 64
-    fourth = curvature.a * square + damping * damping + 1 / (span * span * span * span)
-    return fourth**0.25, curvature.b * square / (4 * fourth)
-
-
-def first_density(scene: Mechanical, x: Any, epsilon: Any, span: Any, largest: Any) -> Any:
-    """ρ of the first step."""
-    omega, growth = frequency(scene, x, span)
-    return largest(omega + epsilon * growth / 2, SLOWEST * omega)
-
-
-def next_density(scene: Mechanical, x: Any, density: Any, epsilon: Any, span: Any, largest: Any) -> Any:
-    """ρ of the step after x."""
-    return largest(density + epsilon * frequency(scene, x, span)[1], SLOWEST * density)
 
 
 @dataclass
@@ -280,8 +242,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         r = self.request
         key = (r.scene.structure, r.carry, tangent)
         if key not in _loops:
-            elapsed, scene = stopwatch(), r.scene
-            assert isinstance(scene, Mechanical)
+            elapsed = stopwatch()
+            scene: Any = r.scene
             text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent))
             _loops[key] = compiled(text).run, elapsed()
         return _loops[key]
@@ -322,13 +284,13 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         super().__post_init__()
         r = self.request
         options = [self.epsilon, self.span, r.max_steps]
-        self.fixed = jax.device_put(self.together(r.scene.numbers(), options, r.save_at))
+        self.fixed = jax.device_put(self.together(r.scene.numbers(), options, self.times()))
         self.program, self.compile_s = self.compiled(
             "run", self.flat(self._solve), self._own_start, self.fixed
         )
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method, len(self.request.save_at))
+        return (self.method, capacity(len(self.request.save_at)))
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
@@ -397,7 +359,7 @@ class AdaptiveContactMethod(Adaptive):
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
-        if not isinstance(scene, Mechanical):
+        if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
         return None
 

@@ -1,8 +1,8 @@
 """The isotropically damped rigid body in closed form: one evaluation for any time, no steps.
 
-Every saved state comes from the initial one by the flow `free_damp`, so that errors do not add up.  The
-tolerance is not needed: the result has the digits that round-off of the phase leaves.  An evaluation counts
-as the rotations it costs (see `FREE_COST`).
+Every saved state comes from the initial one by the flow `free_damp`, so that errors do not add up.  There is
+neither step nor tolerance to be set: the result has the digits that round-off of the phase leaves.  An
+evaluation counts as the rotations it costs (see `FREE_COST`).
 """
 
 from __future__ import annotations
@@ -14,9 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
-from contactbench.scene import RigidBody, Scene
+from contactbench.methods.base import METHODS, Method, Outcome, Prepared, Request
+from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
+from contactbench.methods.engines import CALLBACKS
+from contactbench.methods.numba_engine import Loop, loop_of
+from contactbench.numbers.control import Repeat
+from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.flows import FREE_COST, flows_of
 
@@ -28,12 +31,7 @@ def evolved(scene: Any, x: Any, t: Any, xp: Any) -> Any:
 
 
 class ExactRun(Prepared):
-    """What both engines share."""
-
-    @property
-    def steps_follow_state(self) -> bool:
-        """There are no steps."""
-        return False
+    """What the engines share."""
 
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """−γt, as every flow of the scene."""
@@ -58,10 +56,10 @@ class ExactRun(Prepared):
 class ExactPython(ExactRun):
     """Plain Python floats."""
 
-    sensitivity_source = "forward-mode AD through the closed form on jax"
+    sensitivity_source = "forward-mode AD through the closed form, compiled"
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return ExactJax(self.method, replace(self.request, engine="jax")).sensitivity(y0)
+        return ExactNumba(self.method, replace(self.request, engine="numba")).sensitivity(y0)
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return self.states_at(y0, self.request.save_at[-1:])[-1]
@@ -77,6 +75,55 @@ class ExactPython(ExactRun):
         return np.array(rows, dtype=float)
 
 
+class ExactNumba(ExactRun):
+    """Recorded and compiled by LLVM, called once for every saved time.
+
+    The loops of the special functions have the fixed length of arrays, and what the time alone decides
+    is computed ahead of a call.
+    """
+
+    sensitivity_source = "forward-mode AD through the closed form"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.loop = self.loop_of_one()
+        self.compile_s, self.run = self.loop.seconds, self.loop.module.run
+        self.rows, self.shapes = self.ahead(self.loop)
+
+    def loop_of_one(self, tangent: bool = False) -> Loop:
+        """The evaluation as a loop of one step from the initial state."""
+        return loop_of(METHODS[self.method], self.request.scene, self.request.carry, tangent)
+
+    def ahead(self, loop: Loop) -> tuple[np.ndarray, list[np.ndarray]]:
+        """What depends on the saved times only, and the arguments that say which of it is which time's."""
+        times = self.request.save_at
+        rows, shape = loop.rows(np.array(self.request.scene.numbers()), times, np.ones(len(times), dtype=int))
+        common, which = shape[: -len(times)], shape[-len(times) :]
+        return rows, [np.append(common, row) for row in which]
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        y = np.empty((1, len(y0)))
+        self.run(y0, self.rows, self.shapes[-1], y)
+        return y[0]
+
+    def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
+        y = np.empty((len(times), len(y0)))
+        for k, shape in enumerate(self.shapes[-len(times) :]):
+            self.run(y0, self.rows, shape, y[k : k + 1])
+        return y
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        scene, loop, d = self.request.scene, self.loop_of_one(tangent=True), len(y0)
+        rows, shapes = self.ahead(loop)
+        tangents = [scene.pack(v) for v in scene.tangents(scene.unpack(y0.tolist(), self.request.carry))]
+        y = np.empty((len(shapes), len(tangents), 2 * d))
+        for j, tangent in enumerate(tangents):
+            start = np.array([*y0, *tangent])
+            for k, shape in enumerate(shapes):
+                loop.module.run(start, rows, shape, y[k, j : j + 1])
+        return y[:, :, d:].transpose(0, 2, 1)
+
+
 class ExactJax(ExactRun, CompiledRun):
     """All saved times at once, compiled."""
 
@@ -86,11 +133,11 @@ class ExactJax(ExactRun, CompiledRun):
         from contactbench.xla import jax
 
         super().__post_init__()
-        self.fixed = jax.device_put(self.together(self.request.scene.numbers(), self.request.save_at))
+        self.fixed = jax.device_put(self.together(self.request.scene.numbers(), self.times()))
         self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method, len(self.request.save_at))
+        return (self.method, capacity(len(self.request.save_at)))
 
     def states(self, y0: Any, fixed: Any) -> Any:
         from contactbench.xla import jax, jnp
@@ -105,29 +152,43 @@ class ExactJax(ExactRun, CompiledRun):
         return np.asarray(self.program(self.placed(y0), self.fixed))[-1]
 
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
-        return np.asarray(self.program(self.placed(y0), self.fixed))[-len(times) :]
+        states = np.asarray(self.program(self.placed(y0), self.fixed))
+        return states[: len(self.request.save_at)][-len(times) :]
 
 
 @dataclass(frozen=True)
-class ExactMethod(Adaptive):
+class ExactMethod(Method):
+    """A closed form for any time: neither step nor tolerance."""
+
     name: str = "contact-exact"
     about: str = (
         "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
     )
     order: int | None = None
-    engines: tuple[str, ...] = ("jax", "python")
+    engines: tuple[str, ...] = ("numba", "jax", "python")
     family: str = "contact"
     contact: bool = True
+    adaptive: bool = False
     exact: bool = True
     tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
-        if isinstance(scene, RigidBody) and scene.isotropic:
+        if scene.kind == "isotropic body":
             return None
         return f"{self.name} solves rigid bodies with isotropic damping; scene {scene.name!r} is none"
 
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        """Saved times are as many as steps."""
+        return FREE_COST if engine in CALLBACKS else None
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat) -> Any:
+        """The state after the time nh, for engines that write loops of steps."""
+        return evolved(scene, x, n * h, xp)
+
     def prepare(self, request: Request) -> Prepared:
-        return {"jax": ExactJax, "python": ExactPython}[request.engine](self.name, request)
+        runs: dict[str, type[Any]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}
+        run: Prepared = runs[request.engine](self.name, request)
+        return run
 
 
 METHODS.add(ExactMethod())

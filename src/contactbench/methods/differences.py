@@ -17,15 +17,12 @@ truncation and round-off, Ridders, Adv. Eng. Software 4, 75 (1982), doi:10.1016/
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from contactbench.scene import Scene, norm
 from contactbench.solution import Differential
-
-if TYPE_CHECKING:
-    from contactbench.methods.base import Outcome, Prepared
 
 RATIO = 4.0
 #: increments, in parts of the size of the field that is moved
@@ -49,8 +46,8 @@ def scale(x: object, v: object) -> float:
     return 1.0
 
 
-def differences(run: Prepared, y0: np.ndarray, out: Outcome) -> Differential:
-    """dΦ at y0 by differences of `run.integrate`, `out` being its outcome there."""
+def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
+    """dΦ at y0 by differences of `run.integrate`, run a `Prepared` and out its `Outcome` there."""
     scene: Scene = run.request.scene
     x = scene.unpack(tuple(y0.tolist()), run.request.carry)
     tangents = scene.tangents(x)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
-from contactbench.methods.compiled import CompiledRun
+from contactbench.methods.compiled import CompiledRun, capacity
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -39,14 +39,14 @@ class DiffraxRun(CompiledRun):
 
         super().__post_init__()
         r = self.request
-        self.fixed = jax.device_put(self.together(r.scene.numbers(), [r.rtol, r.atol], r.save_at))
+        self.fixed = jax.device_put(self.together(r.scene.numbers(), [r.rtol, r.atol], self.times()))
         self.final_only = len(r.save_at) == 1
         self.program, self.compile_s = self.compiled(
             "run", self.flat(self._solve), self._own_start, self.fixed
         )
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method_, len(self.request.save_at), self.request.max_steps)
+        return (self.method_, capacity(len(self.request.save_at)), self.request.max_steps)
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]

@@ -18,20 +18,20 @@ DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
 
 
-def lookup(scene: Scene | str, method: str) -> tuple[Scene, Method]:
-    """Scene and method by name, `UnknownName` with a suggestion otherwise."""
+def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
+    """Scene and method, each itself or by name, `UnknownName` with a suggestion otherwise."""
     from contactbench.scenes import SCENES
 
     if isinstance(scene, str):
         scene = SCENES[scene]
     if not isinstance(scene, Scene):
         raise BadInput(f"scene = {scene!r}: must be a scene or the name of one: {', '.join(SCENES)}")
-    return scene, METHODS[method]
+    return scene, method if isinstance(method, Method) else METHODS[method]
 
 
 def prepare(
     scene: Scene | str,
-    method: str,
+    method: Method | str,
     *,
     step: float | None = None,
     rtol: float | None = None,
@@ -47,8 +47,9 @@ def prepare(
         between saved times is divided into the fewest equal steps not longer than `step`.
     rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
         rtol instead of step chooses its step from pilots, which are part of every call and its counts.
+        An exact method takes neither.
     save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
-        most 1001 of them, for fixed steps, and 201 equally spaced times for adaptive methods.
+        most 1001 of them, for fixed steps, and 201 equally spaced times for others.
     carry : which of s and R to integrate; by default all the scene has.
     engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
         or a force that branches on values cannot be compiled.
@@ -57,15 +58,21 @@ def prepare(
     """
     scene, chosen = lookup(scene, method)
     if engine is not None and engine not in chosen.engines:
-        raise BadInput(f"engine = {engine!r}: {method} runs on {', '.join(chosen.engines)}")
-    if chosen.adaptive:
+        raise BadInput(f"engine = {engine!r}: {chosen.name} runs on {', '.join(chosen.engines)}")
+    if chosen.exact:
+        if not step is rtol is atol is None:
+            given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
+            raise BadInput(f"{given}: {chosen.name} is exact and takes neither step nor tolerance")
+    elif chosen.adaptive:
         if step is not None:
-            raise BadInput(f"step = {step!r}: {method} chooses its own steps; give rtol")
+            raise BadInput(f"step = {step!r}: {chosen.name} chooses its own steps; give rtol")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
     else:
         if atol is not None or (step is None) == (rtol is None):
             given = f"step = {step!r}, rtol = {rtol!r}, atol = {atol!r}"
-            raise BadInput(f"{given}: {method} has a fixed step; give step > 0, or rtol to have it chosen")
+            raise BadInput(
+                f"{given}: {chosen.name} has a fixed step; give step > 0, or rtol to have it chosen"
+            )
         if step is None:
             rtol, _ = _tolerances(chosen, rtol, None)
         else:
@@ -84,7 +91,7 @@ def prepare(
     return first if isinstance(run, Refused) else run
 
 
-def solve(scene: Scene | str, method: str, **options: Any) -> Solution:
+def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     """Solve a scene once; takes the keywords of `prepare`."""
     return prepare(scene, method, **options)()
 
@@ -101,7 +108,7 @@ def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[fl
 
 def _budget(method: Method, max_steps: int | None) -> int:
     if max_steps is None:
-        return ADAPTIVE_MAX_STEPS if method.adaptive else DEFAULT_MAX_STEPS
+        return DEFAULT_MAX_STEPS if method.control == "step" else ADAPTIVE_MAX_STEPS
     if isinstance(max_steps, bool) or int(max_steps) != max_steps or max_steps < 1:
         raise BadInput(f"max_steps = {max_steps!r}: must be a whole number ≥ 1")
     return int(max_steps)

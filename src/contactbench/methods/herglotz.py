@@ -27,8 +27,8 @@ from contactbench.splitting.flows import drift
 class Herglotz(FixedStep):
     """What both have in common: mechanical scenes with Γ = γ s, one gradient per step."""
 
-    def refuses(self, scene: Scene) -> str | None:
-        if not isinstance(scene, Mechanical):
+    def refuses(self, scene: Any) -> str | None:
+        if scene.kind != "mechanical":
             return f"{self.name} needs a configuration q in Rⁿ, which scene {scene.name!r} does not have"
         if scene.nonlinear_damping:
             return f"{self.name} is derived for Γ = γ s; scene {scene.name!r} has κ = {scene.kappa:g}"

@@ -17,7 +17,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, stopwatch
 from contactbench.methods.variational import SOURCE, integrated, variational_request
-from contactbench.scene import Mechanical, Scene
+from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
 
@@ -34,8 +34,8 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tup
 
 def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
     """Df on heyoka expressions: the scene's own Jacobian, or heyoka's derivatives of its right-hand side."""
-    if not isinstance(scene, Mechanical) or scene.hessian is not None:
-        return scene.jacobian(x)  # type: ignore[attr-defined,return-value]
+    if scene.has_jacobian:
+        return scene.jacobian(x)
     import heyoka
 
     return [[heyoka.diff(slope, c) for c in scene.pack(x)] for slope in scene.pack(scene.rhs(x))]

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.numbers.control import Repeat, repeat
 
 #: evaluations written out in one turn of the compiled loop
 UNROLL = 32
-#: numbers of saved times a program is compiled for; the next larger one serves all in between
-CAPACITIES = (1, 64, 1024)
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
@@ -48,8 +46,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
         from contactbench.xla import jax
 
         super().__post_init__()
-        saves = len(self.n)
-        self.capacity = next((size for size in CAPACITIES if size >= saves), saves)
+        self.capacity = capacity(len(self.n))
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(self.spans(self.h, self.n))
 

@@ -52,7 +52,7 @@ class ScipyRun(Prepared):
             options["jac"] = self.jac
         elif self.stiff:  # SciPy's own nfev leaves out the calls that difference the Jacobian
 
-            def f(t: float, y: np.ndarray) -> list[float]:
+            def f(t: float, y: np.ndarray) -> Any:
                 calls[0] += 1
                 return self.f(t, y)
 

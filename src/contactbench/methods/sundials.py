@@ -17,7 +17,8 @@ import numpy as np
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
 from contactbench.methods.c_functions import c_functions, derivative
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
-from contactbench.methods.cvode_library import ADAMS, BDF, Library, Solver, library
+from contactbench.methods.cvode_library import ADAMS, BDF, Library, library
+from contactbench.methods.cvode_solver import Solver
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord
 from contactbench.solution import Counts, Status

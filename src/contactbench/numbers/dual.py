@@ -100,6 +100,8 @@ DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
     "asin": lambda xp, x, f: 1 / xp.sqrt(1 - x * x),
     "arcsin": lambda xp, x, f: 1 / xp.sqrt(1 - x * x),
     "abs": lambda xp, x, f: xp.where(x < 0, -1.0, 1.0),
+    "floor": lambda xp, x, f: 0.0,
+    "ceil": lambda xp, x, f: 0.0,
 }
 
 

@@ -31,7 +31,7 @@ from contactbench.numbers.recording import (
 class Program(NamedTuple):
     """A recorded time loop.
 
-    text : source of `setup` and `run`, to be compiled after `recording.PREAMBLE`.
+    text : source of `setup` and `run`, to be compiled after `source.PREAMBLE`.
     many : source of ``many(starts, w, shape, ends, part)``, `run` for many states of one scene side by side.
     data : floating-point numbers and shape : whole numbers it is called with; `run` takes (*shape, *which).
     width : how long a row of w is.

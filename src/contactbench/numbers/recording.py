@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import math
 import operator
-import re
-import sys
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from contactbench.numbers.dual import Dual
+from contactbench.numbers.nested import leaves, rebuilt
 
 
 class CannotRecord(TypeError):
@@ -112,34 +111,6 @@ class Tape:
         return rebuilt(
             x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
         )
-
-
-def leaves(x: Any) -> list[Any]:
-    """The numbers of a nested state, in order."""
-    if x is None:
-        return []
-    if isinstance(x, Dual):
-        return leaves(x.a) + leaves(x.b)
-    if isinstance(x, tuple | list):
-        return [leaf for part in x for leaf in leaves(part)]
-    return [x]
-
-
-def rebuilt(x: Any, values: Sequence[Any]) -> Any:
-    """A nested state like x of other numbers."""
-    supply = iter(values)
-
-    def again(x: Any) -> Any:
-        if x is None:
-            return None
-        if isinstance(x, Dual):
-            return Dual(again(x.a), again(x.b))
-        if isinstance(x, tuple | list):
-            parts = [again(part) for part in x]
-            return type(x)(*parts) if hasattr(x, "_fields") else type(x)(parts)
-        return next(supply)
-
-    return again(x)
 
 
 def kind_of(x: Any) -> str:
@@ -303,7 +274,6 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     "square": lambda x: x * x, "reciprocal": lambda x: 1 / x,
 }  # fmt: skip
 
-NAMES = re.compile(r"[a-z]+\d+")
 #: longest product a power is written as
 LARGEST_POWER = 16
 
@@ -339,10 +309,6 @@ ALIASES = {
     "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arccosh": "acosh",
     "arctanh": "atanh", "arctan2": "atan2",
 }  # fmt: skip
-#: what the program imports
-PREAMBLE = (
-    f"from math import {', '.join(FUNCTIONS)}, atan2, hypot, inf, nan\n\nLARGEST = {sys.float_info.max!r}\n"
-)
 
 
 class RecordedNumbers:
@@ -399,53 +365,6 @@ class RecordedNumbers:
         return ~a if isinstance(a, Recorded) else not a
 
 
-class Source(NamedTuple):
-    """A recorded function ``name(y, numbers, out)``.
-
-    text : Python source, to be executed with `PREAMBLE` before it.  y : packed state, `inputs` long;
-    numbers : the scene's `numbers()`, `parameters` long; out : where the `outputs` results are written,
-    a Jacobian row by row.  Each may be anything with an index: an array, or a pointer in compiled code.
-    """
-
-    text: str
-    name: str
-    inputs: int
-    parameters: int
-    outputs: int
-
-
-def source(scene: Any, what: str, carry: Sequence[str]) -> Source:
-    """A scene's right-hand side ("rhs") or its derivative ("jacobian") as source.
-
-    A Jacobian's zeros are taken for zeros wherever they are multiplied with, inf and nan included.
-    The text depends on `scene.structure` and the fields carried only: the scene's numbers are arguments.
-    Raises `CannotRecord` where the scene branches on values, or has no Jacobian.
-    """
-    carry = tuple(carry)
-    d, numbers = len(scene.labels(carry)), len(scene.numbers())
-    tape = Tape(sparse=what == "jacobian")
-    y = [tape.assign(f"y[{i}]", "f", tape.root) for i in range(d)]
-    twin = scene.with_numbers([tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(numbers)])
-    result = recorded(lambda: getattr(twin, what)(scene.unpack(y, carry)))
-    if result is None:
-        raise CannotRecord(f"scene {scene.name!r} has no {what}")
-    flat = scene.pack(result) if what == "rhs" else [entry for row in result for entry in row]
-    tape.root.add(*(f"out[{i}] = {text_of(v)}" for i, v in enumerate(flat)))
-    lines = "\n".join(needed(tape.root.lines))
-    return Source(f"def {what}(y, numbers, out):\n{lines}\n", what, d, numbers, len(flat))
-
-
-def needed(lines: Sequence[str]) -> list[str]:
-    """Straight-line code without what nothing reads."""
-    kept, read = [], {"out"}
-    for line in reversed(lines):
-        target, _, text = line.partition(" = ")
-        if target.strip().partition("[")[0] in read:
-            kept.append(line)
-            read |= {*NAMES.findall(text)}
-    return kept[::-1]
-
-
 def recorded(function: Callable[[], Any]) -> Any:
     """What a function records; `CannotRecord` for whatever goes wrong in it."""
     try:
@@ -454,10 +373,3 @@ def recorded(function: Callable[[], Any]) -> Any:
         raise
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise CannotRecord(f"{type(error).__name__}: {error}") from error
-
-
-def executed(text: str) -> dict[str, Any]:
-    """The names that source defines when run by Python itself."""
-    scope: dict[str, Any] = {}
-    exec(PREAMBLE + text, scope)
-    return scope

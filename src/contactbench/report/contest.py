@@ -16,19 +16,15 @@ from functools import cached_property
 import pandas as pd
 
 from contactbench.report.cells import DASH
-from contactbench.report.numbers import (
-    count,
-    duration,
-    names,
-    power,
-    times,
-)
+from contactbench.report.numbers import count, duration, many, names, power, times
 from contactbench.report.rooms import Frames
 from contactbench.results.statistics import TIE, cost_to_reach, noise, verdict
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 DECADES = tuple(10.0**-k for k in range(3, 13))
+#: families that methods declare
 CONTACT = "contact"
+ESTABLISHED = "established"
 #: rows that are no contestants: plain C loops
 LIMIT = "limit"
 CALLBACKS = ("python", "c+python")
@@ -299,11 +295,7 @@ def standing(field: Field) -> tuple[str, str] | None:
         own = [contests[scene, t] for t in TARGETS if contests[scene, t].outcome]
         if own and all(c.outcome == "win" for c in own):
             known = [c.ratio for c in own if math.isfinite(c.ratio)]
-            by = (
-                f" ({times(min(known))} to {times(max(known))} ahead of the best other method)"
-                if known
-                else ""
-            )
+            by = f" (the best other method costs {times(min(known))} to {times(max(known))})" if known else ""
             won.append(f"`{scene}`{by}")
     if won:
         sentence += f" A contact method is cheapest at every error on {names(won)}."
@@ -312,7 +304,7 @@ def standing(field: Field) -> tuple[str, str] | None:
         f"{100 * (field.margin - 1):.0f} %"
     )
     if counted.open:
-        covers += f"; {counted.open} pairs that no method reaches are not counted"
+        covers += f"; not counted: {many(counted.open, 'pair')} that no method reaches"
     return sentence, covers
 
 

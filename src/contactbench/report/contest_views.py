@@ -7,10 +7,7 @@ from collections.abc import Callable, Iterable
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.contest import CONTACT, DECADES, TARGETS, Field, Lead
-from contactbench.report.numbers import (
-    power,
-    times,
-)
+from contactbench.report.numbers import power, times
 
 
 def said(tie: float) -> str:
@@ -103,7 +100,7 @@ def duel_view(field: Field, scene: str, source: str, targets: Iterable[float] = 
         Head("other / contact", "cost of the best other method in units of the best contact method"),
         Head("cheaper", words=True),
     )  # fmt: skip
-    title = f"{field.kind.title} on {scene}: the best of each camp"
+    title = f"{field.kind.title} on {scene}: the best contact method and the best other"
     meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
     return View(f"duel_{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
 
@@ -130,6 +127,6 @@ def losses_view(fields: Iterable[Field], name: str, source: str) -> View:
     heads = (Head("compared", words=True), Head("scene", words=True), *error_heads())
     meaning = (
         "What the best contact method costs in units of the cheapest other method. Blank: a contact method is "
-        "cheapest, or it is a tie, or nobody gets there. Alone: no contact method reaches the error."
+        "cheapest, or it is a tie, or no method reaches the error. Alone: no contact method reaches it."
     )
     return View(name, "Where the contact methods lose", meaning, heads, tuple(rows), source)

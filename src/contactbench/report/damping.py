@@ -10,23 +10,13 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import (
-    NAMED,
-)
+from contactbench.report.contest import NAMED
 from contactbench.report.figures import stability as figures
-from contactbench.report.numbers import (
-    count,
-    names,
-    scientific,
-    upper,
-)
+from contactbench.report.numbers import count, names, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room, Section
 from contactbench.results.round_off import STRUCTURE
-from contactbench.results.tables import (
-    DAMPING_RATES,
-    STRONG_DAMPING,
-)
+from contactbench.results.tables import DAMPING_RATES, STRONG_DAMPING
 
 #: errors whose ratio is within this are as good as equal
 ALIKE = 2.0
@@ -52,7 +42,7 @@ def rate_cell(rows: pd.DataFrame, column: str) -> Cell:
 def creep_views(frame: pd.DataFrame) -> Iterator[View]:
     """The slow rate of the overdamped oscillator."""
     creep = frame[frame["experiment"] == "overdamped"]
-    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: one is right."
+    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: 1 is exact."
     for control, key, title in (
         ("step", "damping_per_step", "γh = {:g}"),
         ("rtol", "value", "rtol = {:.0e}"),
@@ -193,7 +183,7 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
     yield View(
         "strong_usable", "Strong damping: where negative substeps stop paying",
         f"Damping between two evaluations, γh/evaluations, up to which a method is no less accurate than {BASE} at the "
-        "same cost (oscillator, ω = 1, over the time in which the motion falls by e; 0: nowhere). "
+        "same cost (oscillator, ω = 1, over the time in which the motion falls by a factor e; 0: nowhere). "
         "Substeps against time "
         "grow by e^{γ|a|h}.", (Head("method", words=True), *heads), rows, "strong_damping.csv",
     )  # fmt: skip

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs
 from contactbench.report.contest_views import DASHES, error_heads, said
 from contactbench.report.figures import ensemble as figures
-from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.report.numbers import count, duration, many, names, power, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
@@ -18,7 +19,7 @@ SOURCE = "ensemble.csv"
 #: how the trajectories of a run share their work; the column `variant`
 SHAPES = {
     "vmap": "every trajectory has its own steps",
-    "shared": "those of a tile share their steps",
+    "shared": "the trajectories of a tile share their steps",
     "batch": "a vector register of trajectories",
     "passes": "every flow a loop over all trajectories",
     "plain": "drift and kick in one loop",
@@ -126,6 +127,35 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
     return View(f"ensemble_{question}", title, "Median of the whole call.", heads, tuple(rows), SOURCE)
 
 
+def affine(line: pd.DataFrame) -> tuple[float, float]:
+    """Fixed seconds of a call and seconds per trajectory beyond, fitted to relative accuracy over their number."""
+    n, spent = line["trajectories"].to_numpy(dtype=float), line["time_median_s"].to_numpy(dtype=float)
+    weighted = np.stack([1 / spent, n / spent], axis=1)
+    fixed, each = np.linalg.lstsq(weighted, np.ones(len(n)), rcond=None)[0]
+    return max(float(fixed), 0.0), float(each)
+
+
+def overhead(frame: pd.DataFrame, part: pd.DataFrame) -> str:
+    """How much of the times at equal error is the fixed cost of a call, where it was measured."""
+    many_of = part["trajectories"].max()
+    said = []
+    for (method, setting), line in asked(frame, "size").groupby(["method", "setting"], sort=False):
+        if line["trajectories"].nunique() < 3:
+            continue
+        fixed, each = affine(line)
+        whole = fixed + many_of * each
+        said.append(
+            f"{method} at {setting} takes {duration(fixed)} a call and {duration(each)} a trajectory, so that "
+            f"{100 * fixed / whole:.0f} % of a call with {count(many_of)} are fixed"
+        )
+    if not said:
+        return ""
+    return (
+        f" They are whole calls of {count(many_of)} trajectories, their fixed cost included: {names(said)}. "
+        "The cheaper the method, the less these times say about larger ensembles."
+    )
+
+
 def findings(frames: Frames) -> list[Finding]:
     frame = timed(frames["ensemble"])
     part = asked(frame, "error")
@@ -144,8 +174,8 @@ def findings(frames: Frames) -> list[Finding]:
             leaders.append(
                 f"{power(target)} {'tie: ' if len(first) > 1 else ''}{names(first)} {duration(reached[0][0])}"
             )
-    sentence = f"Least time per trajectory at equal error: {'; '.join(leaders)}."
-    covers = f"{part['method'].nunique()} methods, one core, {count(part['trajectories'].max())} trajectories"
+    sentence = f"Least time per trajectory at equal error: {'; '.join(leaders)}.{overhead(frame, part)}"
+    covers = f"{many(part['method'].nunique(), 'method')}, one core, {count(part['trajectories'].max())} trajectories"
     return [Finding("ensembles", "Ensembles", sentence, covers)] if leaders else []
 
 

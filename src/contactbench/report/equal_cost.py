@@ -5,33 +5,23 @@ from __future__ import annotations
 import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
-from contactbench.report.kept import (
-    MEANINGS,
-    at_equal_cost,
-    bounded,
-    called,
-    drift_cell,
-    numbers,
-)
-from contactbench.report.numbers import (
-    count,
-    scientific,
-)
+from contactbench.report.kept import MEANINGS, at_equal_cost, bounded, called, drift_cell, numbers
+from contactbench.report.numbers import count, scientific
 from contactbench.report.rooms import Frames
 from contactbench.results.round_off import STRUCTURE
-from contactbench.results.tables import (
-    DECAY_LAWS,
-    LAWS_TABLE,
-)
+from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
 #: scenes of the table that stands first, and the scene whose order is quoted where only one is
 FIRST = ("central", "rigid_body")
 
 
-def order_cell(frames: Frames, method: str, scene: str, control: str) -> Cell:
-    """The extrapolated order of a method on a scene; why not, where there is none."""
-    if control == "rtol":
+def order_cell(frames: Frames, scene: str, row: pd.Series) -> Cell:
+    """The extrapolated order of a row's method on a scene; why not, where there is none."""
+    if row["stepping"] == "exact":
+        return Cell("exact")
+    if row["control"] == "rtol":
         return Cell("adaptive")
+    method = row["method"]
     orders = frames.get("convergence", pd.DataFrame())
     here = orders[(orders["method"] == method) & (orders["scene"] == scene)] if len(orders) else orders
     if not len(here):
@@ -71,9 +61,7 @@ def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
         cells = [word(method)]
         for scene in scenes:
             here = part[(part["method"] == method) & (part["scene"] == scene)]
-            cells.append(
-                order_cell(frames, str(method), scene, here["control"].iloc[0]) if len(here) else Cell(DASH)
-            )
+            cells.append(order_cell(frames, scene, here.iloc[0]) if len(here) else Cell(DASH))
             for law in shown[scene]:
                 if not len(here) or here["status"].iloc[0] == "unsupported":
                     cells.append(Cell(DASH))
@@ -100,13 +88,15 @@ def equal_cost(part: pd.DataFrame) -> str:
         low, high = count(cost.min()), count(cost.max())
         spent.append(f"`{scene}` {low if low == high else f'{low} to {high}'}")
     return (
-        "Largest deviation over the run, every method at the same number of evaluations, or as near to it as its steps "
-        f"and tolerances allow ({', '.join(spent)}): "
-        "where fewer are told, no tolerance of the method spends more. "
-        f"Bold, J law and contact drift only: at most {scientific(STRUCTURE, 0)}. "
-        f"H0 is compared with the true H0, the others with their decay e^{{−∫Γ'}} (J with the true J "
-        "where a torque acts). "
-        f"{MEANINGS['dagger']}."
+        "Largest deviation over the run, every method at the same number of evaluations, or as near to it as its "
+        f"steps and tolerances allow ({', '.join(spent)}); one with far fewer is exact or at its tightest tolerance. "
+        "Order: measured, extrapolated; *exact*: a closed form without steps. "
+        f"Bold, J law and contact drift only: at round-off, that is at most {scientific(STRUCTURE, 0)}, or ε times the "
+        "evaluations (for η times the growth of the map) where that is more. A method that preserves the law is there "
+        "at every step size, one that does not only where its error is as small. "
+        "H0 is compared with the true H0, the others with their decay e^{−∫Γ'} (J with the true J where a torque "
+        "acts). ≤ or ±: by differences of the solver, which resolve nothing below their error bar. "
+        f"{MEANINGS['dagger']}. {MEANINGS['undecided']}."
     )
 
 
@@ -126,7 +116,7 @@ def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
             rows.append((*lead, *blanks))
             continue
         rows.append((
-            *lead, number(row["rhs_equivalents"], count), order_cell(frames, str(row["method"]), scene, row["control"]),
+            *lead, number(row["rhs_equivalents"], count), order_cell(frames, scene, row),
             number(row["solution_error"], scientific), *(drift_cell(row, law) for law in shown),
         ))  # fmt: skip
     heads = (

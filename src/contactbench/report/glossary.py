@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from contactbench.measure.ladder import stepping
 from contactbench.report.cells import Head, View, word
 from contactbench.report.numbers import upper
 from contactbench.report.rooms import Part, Section
@@ -18,7 +19,7 @@ def methods_view(methods: Mapping[str, Any]) -> View:
     rows = tuple(
         (
             word(name), word(item.family), word(item.order or "variable"),
-            word("adaptive" if item.adaptive else "fixed step"), word(", ".join(item.engines)), word(item.about),
+            word(stepping(item)), word(", ".join(item.engines)), word(item.about),
         )
         for name, item in methods.items()
     )  # fmt: skip

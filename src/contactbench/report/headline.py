@@ -18,7 +18,7 @@ from contactbench.report.contest import COMPILED, EVALUATIONS, KINDS, TARGETS, F
 from contactbench.report.contest_views import duel_view, losses_view, winners_view
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, rooms, spoken
 
-UNITS = "All quantities are dimensionless, as in the paper; times are of the machine that results/README.md names."
+UNITS = "All quantities are dimensionless, as in the paper; only times are in seconds."
 SOURCES = "work_precision.csv, stability.csv"
 #: scenes whose costs stand in the project's README
 DUELS = ("particle_long", "rigid_body")
@@ -106,7 +106,8 @@ def sections(frames: Frames) -> list[Part]:
     parts: list[Part] = [
         documents(frames),
         Text(
-            f"Every number is computed from the CSV files beside this page by `contactbench report`. {UNITS}"
+            f"Every number is computed from the CSV files beside this page by `contactbench report`. {UNITS} "
+            "The machine is named at the end."
         ),
         *glance(frames),
         Section("What was found", (spoken(all_findings(frames)),)),

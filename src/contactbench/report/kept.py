@@ -3,26 +3,26 @@
 A law is kept when its deviation is round-off: 10⁻¹², or what rounding every evaluation comes to; the round-off
 of a law of the derivative grows with the numerical map, how far stands in the table (`map_growth`), and where it
 does not, with the motion (`condition_number`).
+
+Where that bound is above 10⁻⁶ it says nothing in favour of a method, because any would pass: a deviation below it
+is undecided, neither kept nor broken.  So is one that differences of the solver do not resolve.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import round_off_bound
+from contactbench.measure.round_off import DECIDABLE, round_off_bound
 from contactbench.report.cells import DASH, Cell, Mark, marks
 from contactbench.report.contest import LIMIT
-from contactbench.report.numbers import (
-    scientific,
-)
+from contactbench.report.numbers import scientific
 from contactbench.report.rooms import Frames
 from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Column, Rule, Table
-from contactbench.results.tables import (
-    DECAY_LAWS,
-    LAWS_TABLE,
-)
+from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
 #: laws of the state alone: the sensitivity of the motion does not magnify their round-off
 OF_THE_STATE = ("momentum_law", "attitude_drift")
@@ -30,12 +30,14 @@ OF_THE_STATE = ("momentum_law", "attitude_drift")
 UNSURE = 2.0
 FROZEN = "_frozen"
 DAGGER = "†"
-ENERGIES = ("energy_law", "hamiltonian_law")
+DOUBLE_DAGGER = "‡"
 MEANINGS = {
     "kept": "bold: kept to round-off at every setting tried, however inaccurate the solution",
     "range": f"smallest … largest over the settings tried; {DASH}: the law is not defined there, or not measured",
     "dagger": f"{DAGGER}: where a quantity has all but vanished, its deviation is relative to a "
     "thousandth of the terms that cancel",
+    "undecided": f"{DOUBLE_DAGGER}: undecided at this step, because the problem is too ill-conditioned there: "
+    f"round-off alone may amount to more than {scientific(DECIDABLE, 0)}",
 }
 
 
@@ -84,14 +86,26 @@ def bound(rows: pd.DataFrame, law: str) -> pd.Series:
     return np.maximum(STRUCTURE, round_off_bound(growth(rows, law), numbers(rows, "evaluations", 0.0)))
 
 
+def decided(value: Any, bound: Any) -> tuple[Any, Any]:
+    """Whether a deviation shows that the law is kept, and whether it shows nothing; both may be columns."""
+    within = value <= bound
+    kept = within & ((bound <= DECIDABLE) | (value <= STRUCTURE))
+    return kept, within & np.logical_not(kept)
+
+
 MEASURED = [
-    "scene", "method", "family", "setting", "solution_error", "value", "bound", "growth", "frozen", "unsure",
-    "clamped",
+    "scene", "method", "family", "setting", "solution_error", "value", "bound", "growth", "frozen", "uncertainty",
+    "unsure", "clamped", "derivative",
 ]  # fmt: skip
 
 
 def measured(frames: Frames, law: str) -> pd.DataFrame:
-    """All rows of all tables that have a value of the law: columns value, bound, frozen, unsure beside theirs."""
+    """All rows of all tables that have a value of the law.
+
+    Columns beside theirs: value, its uncertainty, bound and growth; frozen: the value with the steps held fixed;
+    unsure: no more than an upper bound is known; kept; ill: undecided because the bound is too large; undecided:
+    that, or unsure.  What is neither kept nor undecided is broken.
+    """
     parts = []
     for name in ("laws", "stability"):
         frame = frames.get(name, pd.DataFrame())
@@ -101,20 +115,23 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
         uncertainty, values = numbers(part, f"{law}_uncertainty", 0.0), numbers(part, law)
         parts.append(
             part.assign(
-                value=values, bound=bound(part, law), growth=growth(part, law),
+                value=values, uncertainty=uncertainty, bound=bound(part, law), growth=growth(part, law),
                 frozen=numbers(part, law + FROZEN), unsure=(uncertainty > 0) & (values <= UNSURE * uncertainty),
                 clamped=numbers(part, f"{law}_clamped", 0.0),
             )
         )  # fmt: skip
     if not parts:
-        return pd.DataFrame(columns=[*MEASURED, "kept"])
+        return pd.DataFrame(columns=[*MEASURED, "kept", "ill", "undecided", "broken"])
     rows = pd.concat([part.reindex(columns=MEASURED) for part in parts], ignore_index=True)
-    return rows.assign(kept=rows["value"] <= rows["bound"], unsure=rows["unsure"].astype(bool))
+    kept, ill = decided(rows["value"], rows["bound"])
+    undecided = ill | (rows["unsure"].astype(bool) & ~kept)
+    return rows.assign(kept=kept, ill=ill, undecided=undecided, broken=~kept & ~undecided)
 
 
 def keepers(rows: pd.DataFrame) -> list[str]:
-    """The methods that keep the law in every row they have."""
-    kept = rows.groupby("method", sort=False)["kept"].all()
+    """The methods that keep the law in every row that decides."""
+    by_method = rows.groupby("method", sort=False)
+    kept = by_method["kept"].any() & ~by_method["broken"].any()
     return [str(method) for method in kept.index[kept]]
 
 
@@ -124,7 +141,8 @@ def bounded(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def drift_cell(row: pd.Series, law: str) -> Cell:
-    """One deviation: with its error bar where that is a tenth of it or more, and a dagger where clamped.
+    """One deviation: with its error bar where that is a tenth of it or more, a dagger
+    where clamped and a double one where undecided.
 
     row : of a frame that is `bounded`.
     """
@@ -134,11 +152,12 @@ def drift_cell(row: pd.Series, law: str) -> Cell:
     value = float(value)
     error, limit = (scalar(row, f"{law}_{name}") for name in ("uncertainty", "bound"))
     clamped = scalar(row, f"{law}_clamped") > 0
-    kept = law in structural() and value <= limit
+    kept, ill = decided(value, limit) if law in structural() else (False, False)
     vague = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not vague and error >= value / 10 and error > 0 else ""
+    signs = (DAGGER if clamped else "") + (DOUBLE_DAGGER if ill else "")
     return Cell(
-        f"{'≤ ' if vague else ''}{scientific(value)}{bar}{DAGGER if clamped else ''}", value,
+        f"{'≤ ' if vague else ''}{scientific(value)}{bar}{signs}", value,
         marks(Mark.kept if kept else None, Mark.clamped if clamped else None, Mark.bound if vague else None),
     )  # fmt: skip
 

@@ -7,86 +7,124 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from contactbench.report.contest import (
-    CONTACT,
-    families,
-)
-from contactbench.report.kept import (
-    ENERGIES,
-    called,
-    keepers,
-    measured,
-    structural,
-)
-from contactbench.report.numbers import (
-    many,
-    names,
-    scientific,
-    upper,
-)
+from contactbench.measure.round_off import DECIDABLE
+from contactbench.report.contest import CONTACT, ESTABLISHED, families
+from contactbench.report.kept import OF_THE_STATE, called, decided, keepers, measured, structural
+from contactbench.report.numbers import many, names, rounded, scientific, upper
 from contactbench.report.rooms import Finding, Frames
 from contactbench.results.round_off import STRUCTURE
-from contactbench.results.schema import Column
 
 #: a run with a larger error than this does not follow the motion, whose condition number then says little
 WILD = 0.01
 #: deviations up to so many times the bound of round-off are told together
 NEAR = 10.0
-#: the suffix of a law measured with the steps of an adaptive method held fixed
 #: growth of the map worth telling
 GREW = 2.0
+#: how the column `derivative` begins where it was by differences
+BY_DIFFERENCES = "central differences"
+ENERGIES = ("energy_law", "hamiltonian_law")
 
 
-def law_finding(frames: Frames, law: str, column: Column) -> Finding | None:
+def law_finding(frames: Frames, law: str) -> Finding | None:
     """Which methods keep a structural law, over all rows; the exceptions with their cause."""
     rows = measured(frames, law)
     if not len(rows):
         return None
-    label = called(law)
-    kept, contact = keepers(rows), rows["family"] == CONTACT
-    ours = list(dict.fromkeys(rows[contact]["method"]))
-    exceptions = list(contact_exceptions(frames, law, rows[contact & ~rows["kept"]]))
-    magnified = rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]
-    if len(magnified):
+    contact = rows["family"] == CONTACT
+    exceptions = [
+        *contact_exceptions(frames, law, rows[contact & rows["broken"]]),
+        *magnified(rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]),
+        *undecided(rows[contact & rows["ill"]]),
+    ]
+    sentence = " ".join(filter(None, [of_contact_methods(frames, rows[contact]), *of_others(rows[~contact])]))
+    return Finding(f"law_{law}", upper(called(law)), sentence, covers(rows, frames, law), tuple(exceptions))
+
+
+def of_contact_methods(frames: Frames, rows: pd.DataFrame) -> str:
+    """In how many runs the contact methods keep a law, of those that decide."""
+    if not len(rows):
+        return "No contact method was measured."
+    told, kept = int((~rows["undecided"]).sum()), int(rows["kept"].sum())
+    open_ = len(rows) - told
+    if rows["broken"].any():
+        rest = f"; {open_} more are undecided" if open_ else ""
+        return f"The contact methods keep it to round-off in {kept} of {told} runs{rest}. The exceptions are below."
+    known = {m for m, family in families(frames).items() if family == CONTACT}
+    who = "Every contact method" + (" it was measured for" if set(rows["method"]) < known else "")
+    if open_:
+        return f"{who} keeps it to round-off in all {many(told, 'run')} that can tell; {open_} more are undecided."
+    return f"{who} keeps it to round-off at every setting on every scene."
+
+
+def of_others(rows: pd.DataFrame) -> Iterator[str]:
+    """Those that are at round-off in more than half of their runs, each with the rest; then all others together."""
+    told = rows[~rows["undecided"]]
+    share = told.groupby("method", sort=False)["kept"].mean()
+    often = [str(method) for method in share.index[share > 0.5]]
+    if often:
+        said = [standing(told[told["method"] == method]) for method in often]
+        yield f"Of the other methods {names(said)}."
+    rest = told[~told["method"].isin(often)]
+    if not len(rest):
+        return
+    kept, methods = int(rest["kept"].sum()), rest["method"].nunique()
+    who = f"{'Of the remaining' if often else 'Of the other'} {many(methods, 'method')} none keeps it at every setting"
+    if kept:
+        yield f"{who}; {kept} of their {many(len(rest), 'run')} reach round-off."
+    else:
+        least = rest.loc[rest["value"].idxmin()]
+        yield f"{who}; the smallest deviation is {scientific(least['value'])} ({place(least)})."
+
+
+def standing(rows: pd.DataFrame) -> str:
+    """How often one method keeps a law, and by how much it misses it elsewhere."""
+    first, broken = rows.iloc[0], rows[rows["broken"]]
+    kind = "" if first["family"] == ESTABLISHED else f" ({first['family']})"
+    said = f"{first['method']}{kind} keeps it in {int(rows['kept'].sum())} of {many(len(rows), 'run')}"
+    if not len(broken):
+        return said
+    worst, where = broken.loc[broken["value"].idxmax()], names(scenes_of(broken), 4)
+    if (broken["value"] <= NEAR * broken["bound"]).all():
+        return (
+            f"{said} (elsewhere, on {where}, no more than {times_above(broken)} times the bound of round-off)"
+        )
+    return f"{said} (elsewhere, on {where}, up to {scientific(worst['value'])})"
+
+
+def times_above(rows: pd.DataFrame) -> str:
+    """The largest deviation in units of its bound, rounded up."""
+    return f"{np.ceil(10 * (rows['value'] / rows['bound']).max()) / 10:g}"
+
+
+def magnified(rows: pd.DataFrame) -> Iterator[str]:
+    """Deviations of the contact methods above the flat threshold that round-off accounts for, scene by scene."""
+    if len(rows):
         where = [
             f"`{scene}` {scientific(part['value'].max())}"
-            + (f" (growth {scientific(part['growth'].max())})" if part["growth"].max() > GREW else "")
-            for scene, part in magnified.groupby("scene", sort=False)
+            + (f" (growth {rounded(part['growth'].max())})" if part["growth"].max() > GREW else "")
+            for scene, part in rows.groupby("scene", sort=False)
         ]
-        exceptions.append(
-            f"above {scientific(STRUCTURE, 0)}, but within what round-off may account for (ε times the "
-            f"evaluations of the run, for η times the growth of its map), up to: {names(where)}"
+        yield (
+            f"above {scientific(STRUCTURE, 0)}, but within what round-off may amount to (ε times the evaluations of "
+            f"the run, for η times the growth of its map), up to: {names(where)}"
         )
-    if ours and set(ours) <= set(kept):
-        missing = set(ours) < {m for m, family in families(frames).items() if family == CONTACT}
-        who = "Every contact method it was measured for" if missing else "Every contact method"
-        sentence = f"{who} keeps it to round-off at every setting on every scene."
-    elif ours:
-        good, runs = int((contact & rows["kept"]).sum()), int(contact.sum())
-        sentence = (
-            f"The contact methods keep it to round-off in {good} of {runs} runs; the exceptions are below."
+
+
+def undecided(rows: pd.DataFrame) -> Iterator[str]:
+    """Runs of the contact methods in which round-off alone may amount to too much to tell."""
+    if len(rows):
+        where = [
+            f"`{scene}` ({many(len(part), 'run')}, growth up to {rounded(part['growth'].max())}, deviation up to "
+            f"{scientific(part['value'].max())})" for scene, part in rows.groupby("scene", sort=False)
+        ]  # fmt: skip
+        yield (
+            f"undecided, because the problem is too ill-conditioned at these steps (round-off alone may amount to "
+            f"more than {scientific(DECIDABLE, 0)}, and any method might pass): {names(where)}"
         )
-    else:
-        sentence = "No contact method was measured."
-    others = [method for method in kept if method not in ours]
-    if others:
-        sentence += f" Of the other methods {names(others)} keep it in all of theirs."
-    rest = rows[~contact & ~rows["method"].isin(others)]
-    if len(rest):
-        sentence += f" No {'further' if others else 'other'} method keeps it at every setting"
-        sure = rest[~rest["unsure"]]
-        if len(sure):
-            least = sure.loc[sure["value"].idxmin()]
-            sentence += (
-                f"; at its best setting the least of theirs is {scientific(least['value'])} ({place(least)})"
-            )
-        sentence += "."
-    title = upper(label)
-    return Finding(f"law_{law}", title, sentence, covers(rows, frames, law), tuple(exceptions))
 
 
 def covers(rows: pd.DataFrame, frames: Frames, law: str) -> str:
-    """Rows, scenes and methods behind a finding, and which methods have no value at all."""
+    """Rows, scenes and methods behind a finding, how well differences resolve, and who has no value at all."""
     said = (
         f"{many(len(rows), 'run')} of {many(rows['method'].nunique(), 'method')} on "
         f"{many(rows['scene'].nunique(), 'scene')}"
@@ -98,8 +136,15 @@ def covers(rows: pd.DataFrame, frames: Frames, law: str) -> str:
     )
     if without := [m for m in tried if m not in set(rows["method"])]:
         said += f"; not measured: {names(without)}"
+    apart = rows["derivative"].str.startswith(BY_DIFFERENCES).fillna(False) & (law not in OF_THE_STATE)
+    bars = rows["uncertainty"][apart & (rows["uncertainty"] > 0)]
+    if apart.any():
+        said += f"; {many(int(apart.sum()), 'run')} by differences of the solver"
+    if len(bars):
+        low, middle = scientific(bars.min(), 0), scientific(bars.median(), 0)
+        said += f", which resolve nothing below their error bar: {low} at best, {middle} in the median"
     if unresolved := int((rows["unsure"] & ~rows["kept"]).sum()):
-        said += f"; {many(unresolved, 'run')} known as an upper bound only"
+        said += f"; {unresolved} of them known as an upper bound only"
     return said
 
 
@@ -112,9 +157,9 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
     for method, rows in broken[frozen].groupby("method", sort=False):
         worst = rows.loc[rows["value"].idxmax()]
         yield (
-            f"{method}: up to {scientific(worst['value'])} on {names(scenes_of(rows), 4)}; its steps "
-            "follow the motion, "
-            f"and only with the steps held fixed it is kept ({scientific(rows['frozen'].max())})"
+            f"{method}: up to {scientific(worst['value'])} in {many(len(rows), 'run')} on "
+            f"{names(scenes_of(rows), 4)}, because its steps follow the motion: with the steps held fixed it stays "
+            f"within round-off (at most {scientific(rows['frozen'].max())})"
         )
     rest = broken[~frozen]
     everyone = measured(frames, law)
@@ -127,47 +172,57 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
             continue
         nobody = set(methods) >= set(here["method"])
         who = "no contact method keeps it at every setting" if nobody else names(methods, 3)
-        instead = kept_instead(frames, law, str(scene), set(methods)) if nobody else []
-        cause = f", {worst['value'] / worst['bound']:.2g} times the bound of round-off"
+        instead = kept_instead(frames, law, str(scene), methods) if nobody else []
+        cause = f", {rounded(worst['value'] / worst['bound'])} times the bound of round-off"
         if worst["solution_error"] > WILD:
             cause += f", in a run whose solution is off by {scientific(worst['solution_error'])}"
         if worst["growth"] > GREW:
-            cause += f", whose map grows by {scientific(worst['growth'])}"
+            cause += f", whose map grows by {rounded(worst['growth'])}"
         if instead:
-            cause += f" (what is kept there: {names(instead)})"
-        yield f"on `{scene}` {who}: up to {scientific(worst['value'])} ({worst['method']}, {worst['setting']}){cause}"
+            cause += f"; kept there: {names(instead)}"
+        yield (
+            f"on `{scene}` {who}: {many(len(rows), 'run')}, the largest deviation {scientific(worst['value'])} "
+            f"({worst['method']}, {worst['setting']}){cause}"
+        )
     slight = rest[near & ~rest["scene"].isin(set(rest[~near]["scene"]))]
     if len(slight):
         worst = slight.loc[(slight["value"] / slight["bound"]).idxmax()]
         yield (
-            f"no more than {np.ceil(10 * (worst['value'] / worst['bound'])) / 10:g} times above the "
-            f"bound of round-off in {many(len(slight), 'run')} on {names(scenes_of(slight))} "
+            f"no more than {times_above(slight)} times the bound of round-off in {many(len(slight), 'run')} on "
+            f"{names(scenes_of(slight))} "
             f"(worst {scientific(worst['value'])}, {place(worst)})"
         )
 
 
 def place(row: pd.Series) -> str:
+    """Which run it was."""
     return f"{row['method']} on `{row['scene']}`, {row['setting']}"
 
 
 def scenes_of(rows: pd.DataFrame) -> list[str]:
+    """The scenes of some rows, as they are written."""
     return [f"`{scene}`" for scene in dict.fromkeys(rows["scene"])]
 
 
-def kept_instead(frames: Frames, law: str, scene: str, methods: set[str]) -> list[str]:
+def kept_instead(frames: Frames, law: str, scene: str, methods: list[str]) -> list[str]:
     """Labels of the other structural laws which all these methods keep on a scene, the steps held fixed or not."""
     found = []
     for name in structural():
         rows = measured(frames, name)
         rows = rows[(rows["scene"] == scene) & rows["method"].isin(methods)]
-        fixed = rows["kept"] | (rows["frozen"] <= rows["bound"])
-        if name != law and len(rows) and fixed.all():
-            found.append(called(name))
+        fixed = rows["kept"] | decided(rows["frozen"], rows["bound"])[0]
+        if name == law or not len(rows) or not fixed.all():
+            continue
+        moving = list(dict.fromkeys(rows[~rows["kept"]]["method"]))
+        blind = [method for method in dict.fromkeys(methods) if method not in set(rows["method"])]
+        but = [f"{names(moving)} with the steps held fixed"] if moving else []
+        but += [f"not measured for {names(blind)}"] if blind else []
+        found.append(called(name) + (f" ({'; '.join(but)})" if but else ""))
     return found
 
 
 def energy_finding(frames: Frames) -> Finding | None:
-    """Whether any method keeps the decay of H or H0, and how far the contact methods are off."""
+    """On the standard scenes: who keeps the decay of H or H0, and how far the contact methods are off."""
     said, rows_of = [], []
     for law in ENERGIES:
         rows = measured(frames, law)
@@ -175,24 +230,26 @@ def energy_finding(frames: Frames) -> Finding | None:
         if not len(rows):
             continue
         rows_of.append(rows)
-        label = called(law)
-        kept, ours = keepers(rows), rows[rows["family"] == CONTACT]
-        who = (
-            f"{names(kept)} keep{'s' if len(kept) == 1 else ''} it"
-            if kept
-            else "no method keeps it to round-off"
-        )
+        kept = keepers(rows)
+        if kept:
+            where = names(scenes_of(rows[rows["method"].isin(kept)]), 4)
+            who = f"{names(kept)} keep{'s' if len(kept) == 1 else ''} it to round-off (on {where})"
+        else:
+            who = "no method keeps it to round-off at every setting"
+        contact = rows[rows["family"] == CONTACT]
+        ours = contact[~contact["method"].isin(kept)]
         if len(ours):
             worst = ours.loc[ours["value"].idxmax()]
-            rest = "the other contact methods" if set(kept) & set(ours["method"]) else "the contact methods"
-            who += f"; {rest} are up to {scientific(worst['value'])} off ({place(worst)})"
-        said.append(f"{label}: {who}.")
+            other = "other " if len(ours) < len(contact) else ""
+            who += f"; the {other}contact methods are up to {scientific(worst['value'])} off ({place(worst)})"
+        said.append(f"{called(law)}: {who}.")
     if not said:
         return None
     rows = pd.concat(rows_of)
     return Finding(
-        "energies", "H0 and H", " ".join(said),
-        f"{len(rows)} values, {rows['method'].nunique()} methods on {rows['scene'].nunique()} scenes",
+        "energies", "H0 and H on the standard scenes", " ".join(said),
+        f"{len(rows)} values, {rows['method'].nunique()} methods on {rows['scene'].nunique()} scenes; the hard ones, "
+        "where a coarse step may be off by anything, are in stability.md",
     )  # fmt: skip
 
 
@@ -204,5 +261,5 @@ def hard_only(frames: Frames) -> set[str]:
 
 
 def findings(frames: Frames) -> list[Finding]:
-    found = [law_finding(frames, law, column) for law, column in structural().items()]
+    found = [law_finding(frames, law) for law in structural()]
     return [finding for finding in [*found, energy_finding(frames)] if finding is not None]

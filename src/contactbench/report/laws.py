@@ -5,26 +5,13 @@ from __future__ import annotations
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.equal_cost import equal_cost_view
 from contactbench.report.figures import laws as figures
-from contactbench.report.kept import (
-    DAGGER,
-    FROZEN,
-    MEANINGS,
-    called,
-    laws,
-    measured,
-)
+from contactbench.report.kept import DAGGER, DOUBLE_DAGGER, FROZEN, MEANINGS, called, laws, measured
 from contactbench.report.law_findings import findings
-from contactbench.report.numbers import (
-    readable,
-    scientific,
-    upper,
-)
+from contactbench.report.numbers import readable, scientific, upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room, Section, Text
 from contactbench.results.schema import Column, Rule
-from contactbench.results.tables import (
-    LAWS_TABLE,
-)
+from contactbench.results.tables import LAWS_TABLE
 
 
 def law_view(frames: Frames, law: str, column: Column) -> View | None:
@@ -44,21 +31,21 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
                 cells.append(Cell(DASH))
                 continue
             low, high = here["value"].min(), here["value"].max()
-            kept = structure and bool(here["kept"].all())
+            kept, ill = structure and bool(here["kept"].all()), structure and bool(here["ill"].any())
             clamped, vague = bool((here["clamped"] > 0).any()), bool(here["unsure"].any())
             whole = column.type == "whole"
             show = readable if whole else scientific
             text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
             text = ("≤ " if vague and not kept else "") + text
             cells.append(
-                Cell(text + (DAGGER if clamped else ""), high,
+                Cell(text + (DAGGER if clamped else "") + (DOUBLE_DAGGER if ill else ""), high,
                      marks(Mark.kept if kept else None, Mark.clamped if clamped else None))
             )  # fmt: skip
         lines.append(tuple(cells))
     label = called(law)
     meaning = f"{column.meaning}. {upper(MEANINGS['range'])}."
     if structure:
-        meaning += f" {upper(MEANINGS['kept'])}."
+        meaning += f" {upper(MEANINGS['kept'])}. {MEANINGS['undecided']}."
     if f"{law}_clamped" in frame:
         meaning += f" {MEANINGS['dagger']}."
     if f"{law}{FROZEN}" in frame:

@@ -9,15 +9,10 @@ import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
 from contactbench.report.figures import stability as figures
-from contactbench.report.numbers import (
-    upper,
-)
+from contactbench.report.numbers import upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room
-from contactbench.results.tables import (
-    ONE_STEP,
-    STABILITY_LIMITS,
-)
+from contactbench.results.tables import ONE_STEP, STABILITY_LIMITS
 
 
 def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View | None:
@@ -36,7 +31,7 @@ def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View 
                 continue
             row = line.loc[gamma]
             theory = row["theory"] if column == "limit" else math.nan
-            known = "" if pd.isna(theory) else f" ({theory:.4g})"
+            known = "" if pd.isna(theory) else f" ({'∞' if math.isinf(theory) else f'{theory:.4g}'})"
             gaps = Mark.exception if column == "limit" and row["windows"] else None
             value = number(row[column], "{:.4g}".format, gaps)
             cells.append(replace(value, text=value.text + known))

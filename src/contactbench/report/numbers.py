@@ -19,6 +19,7 @@ def duration(seconds: float) -> str:
     """Seconds as a readable time; a dash for nan."""
     if pd.isna(seconds):
         return DASH
+    seconds = float(f"{seconds:.3g}")
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
@@ -51,6 +52,11 @@ def readable(value: float) -> str:
     if value == round(value) and abs(value) < 1e6:
         return count(value)
     return f"{value:.4g}" if 1e-2 <= abs(value) < 1e4 else scientific(value)
+
+
+def rounded(value: float) -> str:
+    """Two digits, for a size that is an order of magnitude."""
+    return readable(float(f"{value:.2g}"))
 
 
 def names(items: list[str], most: int = 0) -> str:

@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import (
-    EVALUATIONS,
-    Field,
-    standing,
-)
+from contactbench.report.contest import EVALUATIONS, Field, standing
 from contactbench.report.figures import stability as figures
-from contactbench.report.kept import (
-    bounded,
-    called,
-    drift_cell,
-    laws,
-    numbers,
-)
-from contactbench.report.numbers import (
-    count,
-    names,
-    scientific,
-)
+from contactbench.report.kept import MEANINGS, bounded, called, drift_cell, laws, numbers
+from contactbench.report.numbers import count, many, names, scientific
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.schema import Rule
-from contactbench.results.tables import (
-    STABILITY,
-)
+from contactbench.results.tables import STABILITY
 
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
@@ -70,7 +56,8 @@ def map_view(frame: pd.DataFrame) -> View:
 
 def scene_view(frame: pd.DataFrame, scene: str) -> View:
     """One hard scene: the ladder of errors, the worst of each law, the cost of the finest run."""
-    part, steps = bounded(frame[frame["scene"] == scene]), rungs(frame)
+    here, steps = frame[frame["scene"] == scene], rungs(frame)
+    part = bounded(here[here["status"] != "unsupported"])
     ok = part[part["status"] == "ok"]
     shown = [law for law in laws(STABILITY, "stability") if law != "solution_error" and ok[law].notna().any()]
     rows = []
@@ -79,8 +66,7 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
         runs = [ending(r) for _, r in mine.iterrows()]
         cells = [word(method), *runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
         for law in shown:
-            values = good[good[law].notna()]
-            cells.append(drift_cell(values.loc[values[law].idxmax()], law) if len(values) else Cell(DASH))
+            cells.append(worst_cell(good[good[law].notna()], law))
         cells.append(number(good["rhs_equivalents"].max() if len(good) else None, count))
         whys = dict.fromkeys(m for m in mine[mine["status"] != "ok"]["message"] if m)
         cells.append(word(shortened("; ".join(whys))))
@@ -90,7 +76,30 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
         Head("method", words=True), *(Head(rung, group="solution error") for rung in steps), *labels,
         Head("evaluations", "of the finest run that ended ok"), Head("why not ok", words=True),
     )  # fmt: skip
-    return View(f"hard_{scene}", scene, condition_note(part), heads, tuple(rows), "stability.csv")
+    meaning = " ".join(filter(None, [condition_note(part), left_out(here[here["status"] == "unsupported"])]))
+    return View(f"hard_{scene}", f"Errors and laws on {scene}", meaning, heads, tuple(rows), "stability.csv")
+
+
+def worst_cell(rows: pd.DataFrame, law: str) -> Cell:
+    """The largest deviation of a method's runs; bold only where every one of them keeps the law."""
+    if not len(rows):
+        return Cell(DASH)
+    cells = [drift_cell(row, law) for _, row in rows.iterrows()]
+    worst = cells[int(np.argmax(rows[law].to_numpy(dtype=float)))]
+    return (
+        worst
+        if all(Mark.kept in cell.marks for cell in cells)
+        else replace(worst, marks=worst.marks - {Mark.kept})
+    )
+
+
+def left_out(rows: pd.DataFrame) -> str:
+    """Which methods a scene is out of reach for, and why."""
+    why = [
+        f"{names(list(dict.fromkeys(part['method'])))} ({message})"
+        for message, part in rows.groupby("message", sort=False)
+    ]
+    return f"Out of reach of {'; '.join(why)}." if why else ""
 
 
 def shortened(text: str, most: int = 90) -> str:
@@ -114,45 +123,54 @@ def blow_up_view(frame: pd.DataFrame) -> View | None:
         return None
     rows = []
     for method, mine in part.groupby("method", sort=False):
-        off = mine["end_time"] / mine["blow_up_time"] - 1
-        worst, finest = off.loc[off.abs().idxmax()], off.iloc[-1]
         told = Mark.right if set(mine["status"]) == {"diverged"} else Mark.bad
-        rows.append((
-            word(method), word(", ".join(dict.fromkeys(mine["status"])), told),
-            number(100 * finest, "{:+.3f} %".format), number(100 * worst, "{:+.3f} %".format),
-        ))  # fmt: skip
-    heads = (
-        Head("method", words=True), Head("status", "over all settings", words=True),
-        Head("off at the finest", "time told at the finest setting, relative to the true time of blow-up"),
-        Head("off at worst", "the same at the setting where it is furthest off"),
-    )  # fmt: skip
+        cells = [word(method), word(", ".join(dict.fromkeys(mine["status"])), told)]
+        for control in ("step", "rtol"):
+            ended = mine[(mine["control"] == control) & (mine["status"] == "diverged")]
+            off = 100 * (ended["end_time"] / ended["blow_up_time"] - 1)
+            finest, worst = (off.iloc[-1], off.loc[off.abs().idxmax()]) if len(off) else (None, None)
+            cells += [number(value, "{:+.3f} %".format) for value in (finest, worst)]
+        rows.append(tuple(cells))
+    heads = [Head("method", words=True), Head("status", "over all settings", words=True)]
+    for group in ("fixed steps: out of scale at", "adaptive: got to"):
+        heads += [
+            Head("finest", "at the finest setting, relative to the true time of blow-up", group=group),
+            Head("worst", "the same at the setting where it is furthest off", group=group),
+        ]
     scene, time = part["scene"].iloc[0], part["blow_up_time"].iloc[0]
-    meaning = f"The motion of `{scene}` reaches infinity at t = {time:.10g}."
-    return View("blow_up", "Blow-up", meaning, heads, tuple(rows), "stability.csv")
+    meaning = (
+        f"The motion of `{scene}` reaches infinity at t = {time:.10g}. Two criteria, not to be compared: of a run with "
+        "fixed steps, when its state exceeds 10⁶ times the scale of the scene, which the true motion does somewhat "
+        "earlier than it blows up; of an adaptive run, how far it got. Both relative to the time of blow-up."
+    )
+    return View("blow_up", "Blow-up", meaning, tuple(heads), tuple(rows), "stability.csv")
 
 
 def findings(frames: Frames) -> list[Finding]:
     hard = frames["stability"]
     found = []
-    tried = hard[hard["status"] != "unsupported"]
+    never = (hard["status"] == "budget") & hard["end_time"].isna()
+    tried = hard[(hard["status"] != "unsupported") & ~never]
     if len(tried):
         right = np.where(tried["blow_up_time"].isna(), tried["status"] == "ok", tried["status"] == "diverged")
         bad = tried[~right]
         clean = [m for m in dict.fromkeys(tried["method"]) if m not in set(bad["method"])]
         most = bad.groupby("method", sort=False).size().sort_values(ascending=False, kind="stable")
         sentence = (
-            f"{len(tried) - len(bad)} of {len(tried)} runs end as the true motion does, however accurate."
-        )
-        sentence += (
-            f" Without another ending, on the scenes they take: {names(clean)}."
-            if clean
-            else " No method is without another ending."
+            f"{len(tried) - len(bad)} of {len(tried)} runs end as the true motion does, accurate or not. "
+            + (f"All runs of {names(clean)} do." if clean else "No method has all of its runs among them.")
         )
         if len(most):
-            sentence += f" Most other endings: {names([f'{m} {n}' for m, n in most[:3].items()])}"
+            third = most.iloc[min(2, len(most) - 1)]
+            often = [f"{method} {n}" for method, n in most[most >= third].items()]
+            sentence += f" Most of the others: {names(often)}"
             kinds = bad["status"].value_counts()
             sentence += (
                 f"; by kind {names([f'{kind} {n}' for kind, n in kinds.items()])} (budget: our own limit)."
+            )
+        if never.any():
+            sentence += (
+                f" {many(int(never.sum()), 'setting')} not run: a looser tolerance had spent the budget."
             )
         found.append(
             Finding(
@@ -178,7 +196,8 @@ def sections(frames: Frames) -> list[Part]:
         Text(
             "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
             "in steps and evaluations; how each ended is part of the result. Which method is cheapest where is in "
-            "[README.md](README.md)."
+            "[README.md](README.md). Of a law that is kept or not, bold: every run keeps it to round-off. "
+            f"{MEANINGS['dagger']}. {MEANINGS['undecided']}."
         ),
         *([drawn] if drawn else []),
         *([ends] if ends else []),

@@ -10,7 +10,7 @@ from contactbench.report.cells import Cell, Head, Mark, View, marks, number, wor
 from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
 from contactbench.report.contest_views import costs_view, duel_view
 from contactbench.report.figures import work_precision as figures
-from contactbench.report.numbers import count, duration, scientific, times
+from contactbench.report.numbers import count, duration, many, scientific, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
 from contactbench.results.statistics import TIE, noise
@@ -29,28 +29,24 @@ def findings(frames: Frames) -> list[Finding]:
     return found
 
 
-def endings_view(work: pd.DataFrame, scene: str) -> View | None:
-    """The runs of a scene that did not end ok; one row per method where it is unsupported."""
+def endings_view(work: pd.DataFrame) -> View | None:
+    """The runs that did not end ok, on all scenes; one row per method and engines where it is unsupported."""
     part = contestants(work)
-    part = part[(part["scene"] == scene) & (part["status"] != "ok")]
+    part = part[part["status"] != "ok"]
     if not len(part):
         return None
+    keys = ["scene", "method", "status", "message"]
     rows = []
-    for (method, status, message), runs in part.groupby(
-        ["method", "status", "message"], sort=False, dropna=False
-    ):
+    for (scene, method, status, message), runs in part.groupby(keys, sort=False, dropna=False):
         settings = "all" if status == "unsupported" else ", ".join(dict.fromkeys(runs["setting"]))
-        rows.append(
-            (
-                word(method),
-                word(", ".join(dict.fromkeys(runs["engine"]))),
-                word(settings),
-                word(status),
-                word(message),
-            )
-        )
-    heads = tuple(Head(label, words=True) for label in ("method", "engine", "setting", "status", "why"))
-    return View(f"endings_{scene}", f"Runs on {scene} that did not end ok", "", heads, tuple(rows), SOURCE)
+        engines = ", ".join(dict.fromkeys(runs["engine"]))
+        rows.append(tuple(map(word, (scene, method, engines, settings, status, message))))
+    heads = tuple(
+        Head(label, words=True) for label in ("scene", "method", "engine", "setting", "status", "why")
+    )
+    kinds = ", ".join(f"{status} {n}" for status, n in part["status"].value_counts().items())
+    meaning = f"{many(len(part), 'run')}: {kinds}."
+    return View("endings", "Runs that did not end ok", meaning, heads, tuple(rows), SOURCE, detail=True)
 
 
 def kernels_view(work: pd.DataFrame) -> View | None:
@@ -78,7 +74,9 @@ def kernels_view(work: pd.DataFrame) -> View | None:
     )  # fmt: skip
     meaning = (
         "Fastest round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
-        "included, beside the same arithmetic as a C loop compiled by the machine's own compiler."
+        "included, beside the same arithmetic as a C loop, compiled by the machine's own compiler and called from "
+        "Python. "
+        "On short runs that call is most of the loop's time: only the long ones compare the arithmetic."
     )
     return View("kernels", "Compiled kernels beside a C loop", meaning, heads, tuple(rows), SOURCE)
 
@@ -127,7 +125,6 @@ def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Se
             parts.append(costs_view(field, scene, SOURCE))
         if scene in field.contested:
             parts.append(duel_view(field, scene, SOURCE))
-    parts.append(endings_view(work, scene))
     return Section(scene, tuple(part for part in parts if part is not None), choice="scene")
 
 
@@ -145,7 +142,9 @@ def sections(frames: Frames) -> list[Part]:
         ),
         *(scene_section(work, str(scene), fields) for scene in dict.fromkeys(work["scene"])),
     ]
-    parts += [view for view in (kernels_view(work), chosen_view(work)) if view is not None]
+    parts += [
+        view for view in (kernels_view(work), chosen_view(work), endings_view(work)) if view is not None
+    ]
     return [*parts, raw(WORK_PRECISION, work)]
 
 

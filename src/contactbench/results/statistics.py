@@ -13,21 +13,13 @@ import pandas as pd
 from contactbench.errors import BadInput
 
 
-def cost_at_error(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
-    """Cost at which the error reaches `target`, by log–log interpolation; nan outside the data.
+def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
+    """Cost at which the error reaches `target`, by log–log interpolation; nan where no setting is as accurate.
 
     The lower envelope of the points is used: the cheapest setting at least as accurate as each
-    error, so that a method is not charged for a poor setting it has no need of.
-    """
-    loosest = max((e for e in errors if math.isfinite(e)), default=math.nan)
-    return cost_to_reach(errors, costs, target) if target <= loosest else math.nan
-
-
-def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
-    """The same where the data end before they are as inaccurate as `target`: the cheapest setting then.
-
-    That is no more than a bound, but a fair one: a method that is better than asked for at a lower
-    cost is the better choice.  nan where no setting is as accurate.
+    error, so that a method is not charged for a poor setting it has no need of.  Where every setting is more
+    accurate than `target` it is the cost of the cheapest: no more than a bound, but a fair one, because a method
+    that is better than asked for at a lower cost is the better choice.
     """
     points = sorted(
         (e, c) for e, c in zip(errors, costs, strict=True) if e > 0 and math.isfinite(e) and math.isfinite(c)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contactbench.measure.laws import LAWS
+from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
 from contactbench.results.schema import KEY, Column, Rule, table
 
 
@@ -35,8 +35,8 @@ COMMON = {
         "what runs it: numba, jax, python, c+python (compiled solver, Python callbacks), llvm, c, c++, mpmath",
         rule=Rule.same,
     ),
-    "control": Column("what is set: step or rtol", rule=Rule.same),
-    "value": number("its value, in full", Rule.same, exact=True),
+    "control": Column("what is set: step, rtol or, of an exact method, nothing", rule=Rule.same),
+    "value": number("its value, in full; 0 for nothing", Rule.same, exact=True),
     "variant": Column("which of several ways to run it; of a C loop, the kernel", rule=Rule.same),
     "setting": Column("variant, control and value, printed", rule=Rule.same),
     "status": Column("ok, diverged, budget, failed, timeout, unsupported", rule=Rule.same),
@@ -80,29 +80,20 @@ def law_columns() -> dict[str, Column]:
     }  # fmt: skip
 
 
-#: what belongs to the drifts: of the steps held fixed, error bar, clamps, and where the derivative is from
-_DRIFTS = {
-    "contact_drift_frozen": number("contact_drift with the steps of an adaptive method held fixed", Rule.structure),
-    "distribution_drift_frozen": number(
-        "distribution_drift with the steps of an adaptive method held fixed", Rule.structure
-    ),
-    "contact_drift_uncertainty": number(
-        "error bar of contact_drift where the derivative is by differences",
-        ungated="an estimate of round-off, no reproducible number",
-    ),
-    "contact_drift_clamped": whole(
-        "saved times at which contact_drift is relative to a thousandth of the terms that cancel, not to e^{−∫Γ'}‖η‖",
-        Rule.count,
-    ),
-    "hamiltonian_law_clamped": whole("the same for hamiltonian_law", Rule.count),
-    "momentum_law_clamped": whole("the same for momentum_law", Rule.count),
-    "map_growth": number(
-        "max ‖DΦ(t)‖₂ of the numerical map over the saved times: what round-off grows to", Rule.value
-    ),
-    "derivative": Column("how the derivative of the numerical map was computed, or why it was not", rule=Rule.same),
-}  # fmt: skip
-#: less what has become a law, which says it itself
-DRIFTS = {name: column for name, column in _DRIFTS.items() if name not in LAWS}
+#: why an error bar has no rule
+ROUND_OFF = "an estimate of round-off, no reproducible number"
+
+
+def drift_column(name: str, meaning: str) -> Column:
+    """What belongs to the drifts: error bars, clamps, and where the derivative is from."""
+    if name.endswith("_clamped"):
+        return whole(meaning, Rule.count)
+    if name.endswith("_uncertainty"):
+        return number(meaning, ungated=ROUND_OFF)
+    return Column(meaning, rule=Rule.same) if name == "derivative" else number(meaning, Rule.value)
+
+
+DRIFTS = {name: drift_column(name, meaning) for name, meaning in DRIFT_COLUMNS.items()}
 
 
 CONVERGENCE = table(
@@ -163,6 +154,7 @@ DECAY_LAWS = table(
         **COMMON,
         "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
         "cost": number("right-hand sides per unit of time asked for", Rule.same),
+        "stepping": Column("fixed or adaptive steps, or exact: a closed form without steps", rule=Rule.same),
         "solution_error": ERROR,
         **{
             name: law_columns()[name]

@@ -22,7 +22,7 @@ from contactbench.scene.algebra import (
     rotation_matrix,
     shifted,
 )
-from contactbench.scene.base import Scene
+from contactbench.scene.base import Scene, System
 from contactbench.scene.mechanical import Mechanical
 from contactbench.scene.rigid_body import RigidBody
 
@@ -32,6 +32,7 @@ __all__ = [
     "RigidBody",
     "Scene",
     "State",
+    "System",
     "Vector",
     "cross",
     "dot",

@@ -1,9 +1,10 @@
-"""What every scene has."""
+"""What every scene has, and the contract of one that is written anew (see `contactbench.testing.check_scene`)."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -13,11 +14,127 @@ from contactbench.scene.algebra import Vector, shifted
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
-    """What every scene has: a name, initial data, an end time, and numbers that can be replaced."""
+class System(ABC):
+    """What solvers need: a state and its packing, numbers that can be replaced, a right-hand side."""
 
     name: str
     t_end: float
+
+    #: which subflows and which formulas apply
+    kind: ClassVar[str] = ""
+    #: optional state fields, in packing order
+    optional: ClassVar[tuple[str, ...]] = ("s",)
+
+    # -- packing -------------------------------------------------------------------------------
+    def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
+        """The optional fields to integrate, validated; None means all the scene has."""
+        if names is None:
+            return self.optional
+        names = (names,) if isinstance(names, str) else tuple(names)
+        for name in names:
+            if name not in self.optional:
+                what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
+                raise BadInput(f"carry = {names!r}: scene {self.name!r} can carry {what}")
+        return tuple(name for name in self.optional if name in names or name in self.required)
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        """Optional fields the dynamics cannot do without."""
+        return ()
+
+    @abstractmethod
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        """Component names of the packed state, in order."""
+
+    @property
+    def motion(self) -> int:
+        """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
+        return len(self.labels(()))
+
+    @abstractmethod
+    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+        """The initial state; `data` overrides the scene's own initial values."""
+
+    @abstractmethod
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
+        """A packed state as a NamedTuple of components."""
+
+    @staticmethod
+    def pack(state: Any) -> list[Any]:
+        """A state as a flat list, fields that are not carried left out."""
+        flat: list[Any] = []
+        for part in state:
+            if isinstance(part, tuple):
+                flat.extend(part)
+            elif part is not None:
+                flat.append(part)
+        return flat
+
+    # -- numbers -------------------------------------------------------------------------------
+    @abstractmethod
+    def numbers(self) -> list[float]:
+        """The scene's parameters as a flat list (initial data and end time are not among them)."""
+
+    @abstractmethod
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        """The same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
+
+    @property
+    @abstractmethod
+    def structure(self) -> tuple[Any, ...]:
+        """What compiled code depends on: everything but the numbers."""
+
+    def _replaced(self, **attributes: Any) -> Self:
+        twin = copy.copy(self)
+        for key, value in attributes.items():
+            object.__setattr__(twin, key, value)
+        return twin
+
+    # -- equations -----------------------------------------------------------------------------
+    @abstractmethod
+    def rhs(self, x: Any) -> Any:
+        """Time derivative of the state, a state of the same fields."""
+
+    @abstractmethod
+    def jacobian(self, x: Any) -> Any:
+        """∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
+
+    @property
+    def has_jacobian(self) -> bool:
+        """Whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise."""
+        return True
+
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
+        """The right-hand side on packed lists of floats, for solvers that call back."""
+        unpack, pack, rhs = self.unpack, self.pack, self.rhs
+        return lambda y: pack(rhs(unpack(y, carry)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene(System):
+    """A system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
+
+    A kind of scene of one's own (most need none: `Mechanical` takes any potential) writes what is abstract here
+    and in `System`, and keeps these rules, which `contactbench.testing.check_scene` tests:
+
+     1. It declares itself: `name`, `t_end` > 0, `initial_fields` among its own fields, `optional` those of them
+        that a run may leave out.
+     2. ``pack`` and ``unpack`` are each other's inverse for every choice of optional fields, in the order of
+        ``labels``; a slope has the fields of its state.
+     3. ``with_numbers(numbers())`` is the same scene, of the same `structure`; each number that has a name is
+        changed by it in ``with_``.
+     4. Everything is plain arithmetic on tuples of components, without branches on values, so that it runs on
+        floats, arrays, traced, recorded and mpmath numbers, with the same result.
+     5. ``jacobian`` is the derivative of ``rhs``, where it `has_jacobian`.
+     6. Where it `is_contact`, the right-hand side X is the contact vector field of ``hamiltonian``: η(X) = −H
+        and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
+     7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`; the ``…_terms``
+        are no smaller than what they are the terms of.
+     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies; ``displaced`` leaves
+        along them.
+     9. ``exact``, where given, starts at the initial state and solves the equations.
+    """
+
     s: float = 0.0
     #: closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None
     exact: Callable[[Any, Any, Any], Any] | None = None
@@ -25,8 +142,6 @@ class Scene:
     #: only the stability experiment runs it
     hard: bool = False
 
-    #: optional state fields, in packing order
-    optional: ClassVar[tuple[str, ...]] = ("s",)
     initial_fields: ClassVar[tuple[str, ...]] = ()
 
     def with_(self, **changes: Any) -> Self:
@@ -48,50 +163,9 @@ class Scene:
             fields["parameters"] = extra
         return dataclasses.replace(self, **fields)
 
-    # -- packing -------------------------------------------------------------------------------
-    def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
-        """The optional fields to integrate, validated; None means all the scene has."""
-        if names is None:
-            return self.optional
-        names = (names,) if isinstance(names, str) else tuple(names)
-        for name in names:
-            if name not in self.optional:
-                what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
-                raise BadInput(f"carry = {names!r}: scene {self.name!r} can carry {what}")
-        return tuple(name for name in self.optional if name in names or name in self.required)
-
-    @property
-    def required(self) -> tuple[str, ...]:
-        """Optional fields the dynamics cannot do without."""
-        return ()
-
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        """Component names of the packed state, in order."""
-        raise NotImplementedError
-
-    @property
-    def motion(self) -> int:
-        """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
-        return len(self.labels(()))
-
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
-        """The initial state; `data` overrides the scene's own initial values."""
-        raise NotImplementedError
-
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
-        """A packed state as a NamedTuple of components."""
-        raise NotImplementedError
-
-    @staticmethod
-    def pack(state: Any) -> list[Any]:
-        """A state as a flat list, fields that are not carried left out."""
-        flat: list[Any] = []
-        for part in state:
-            if isinstance(part, tuple):
-                flat.extend(part)
-            elif part is not None:
-                flat.append(part)
-        return flat
+    @abstractmethod
+    def number_names(self) -> list[str]:
+        """What `with_` calls each of `numbers`; empty where it is part of a larger parameter."""
 
     def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Initial data given by keyword, validated against the scene's own."""
@@ -103,79 +177,47 @@ class Scene:
         changed = self.with_(**data)
         return {f: getattr(changed, f) for f in self.initial_fields}
 
-    # -- numbers -------------------------------------------------------------------------------
-    def numbers(self) -> list[float]:
-        """The scene's parameters as a flat list (initial data and end time are not among them)."""
-        raise NotImplementedError
-
-    def number_names(self) -> list[str]:
-        """What `with_` calls each of `numbers`; empty where it is part of a larger parameter."""
-        raise NotImplementedError
-
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        """The same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
-        raise NotImplementedError
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        """What compiled code depends on: everything but the numbers."""
-        raise NotImplementedError
-
-    def _replaced(self, **attributes: Any) -> Self:
-        twin = copy.copy(self)
-        for key, value in attributes.items():
-            object.__setattr__(twin, key, value)
-        return twin
-
     # -- physics -------------------------------------------------------------------------------
-    def rhs(self, x: Any) -> Any:
-        """Time derivative of the state, a state of the same fields."""
-        raise NotImplementedError
-
+    @abstractmethod
     def energy(self, x: Any) -> Any:
         """Mechanical energy H0."""
-        raise NotImplementedError
 
+    @abstractmethod
     def hamiltonian(self, x: Any) -> Any:
         """Contact Hamiltonian H = H0 + Γ(s); needs s."""
-        raise NotImplementedError
 
-    def jacobian(self, x: Any) -> Any:
-        """∂(rhs)/∂(state) in packed order, or None where the scene does not provide it."""
-        raise NotImplementedError
-
+    @abstractmethod
     def momentum(self, x: Any) -> Vector | None:
         """Momentum map J of the rotations, None where there is none."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tangents(self, x: Any) -> list[Any]:
         """A basis of the tangent space at x, as states."""
-        raise NotImplementedError
 
     def displaced(self, x: Any, v: Any, amount: float) -> Any:
         """The state at `amount` along a curve that leaves x with tangent v."""
         return shifted(x, amount, v)
 
+    @abstractmethod
     def contact_form(self, x: Any, dx: Any) -> Any:
         """η(dx) at x."""
-        raise NotImplementedError
 
+    @abstractmethod
     def contact_terms(self, x: Any, dx: Any) -> Any:
         """The size of the terms that η(dx) is the difference of."""
-        raise NotImplementedError
 
+    @abstractmethod
     def hamiltonian_terms(self, x: Any) -> Any:
         """The size of the terms that H is the sum of."""
-        raise NotImplementedError
 
+    @abstractmethod
     def momentum_terms(self, x: Any) -> Any:
         """The size of the terms that J is the sum of."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def conformal_rate(self) -> Any:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
-        raise NotImplementedError
 
     @property
     def rate_changes(self) -> bool:

@@ -35,6 +35,7 @@ class Mechanical(Scene):
     #: kept so that no division is left in the right-hand side: compiled loops run up to twice as fast
     inverse_mass: Any = field(init=False, repr=False, default=1.0)
 
+    kind: ClassVar[str] = "mechanical"
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
 
     def __post_init__(self) -> None:
@@ -152,6 +153,22 @@ class Mechanical(Scene):
         if x.s is None:
             return State(velocity, force)
         return State(velocity, force, self.kinetic(x.p) - self.V(x.q) - self.dissipation(x.s))
+
+    @property
+    def has_jacobian(self) -> bool:
+        return self.hessian is not None
+
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
+        """Shorter where only q and p are carried."""
+        if carry:
+            return super().on_lists(carry)
+        n, rhs = len(self.q), self.rhs
+
+        def short(y: Sequence[float]) -> list[float]:
+            dx = rhs(State(tuple(y[:n]), tuple(y[n:])))
+            return [*dx.q, *dx.p]
+
+        return short
 
     def jacobian(self, x: State) -> list[list[Any]] | None:
         """∂(rhs)/∂(state) in packed order, or None when the scene has no Hessian."""

@@ -84,6 +84,10 @@ class RigidBody(Scene):
         return self.damping is None
 
     @property
+    def kind(self) -> str:  # type: ignore[override]
+        return "isotropic body" if self.isotropic else "body"
+
+    @property
     def optional(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("R", "s") if self.isotropic else ("R",)
 

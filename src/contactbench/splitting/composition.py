@@ -130,11 +130,14 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
     return None
 
 
-def parts(scene: Scene) -> tuple[str, ...]:
-    """The flows χ is made of, in their order."""
-    if not isinstance(scene, RigidBody):
-        return ("kick", "drift_damp")
-    return ("turn", "top") if scene.isotropic else ("turn", "damp", "top")
+#: the flows χ is made of, in their order, by kind of scene
+PARTS = {
+    "mechanical": ("kick", "drift_damp"), "isotropic body": ("turn", "top"), "body": ("turn", "damp", "top"),
+}  # fmt: skip
+
+
+#: the paper's A, the flow of the kinetic energy, and C on a body, which has no B
+ON_BODY = {"drift": "free", "damp": "damp"}
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
@@ -142,18 +145,12 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
     if {name for name, _ in composition.stages} <= flows_of(scene).keys():
         return composition.stages
     if composition.two_part:
-        order = parts(scene)
+        order = PARTS[scene.kind]
         stages = []
         for k, alpha in enumerate(composition.alphas()):
             stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
         return merged(stages)
-    stages = []
-    for name, coefficient in composition.stages:  # a body has no kick; its drift is a palindrome
-        if name == "drift":
-            stages += [("turn", coefficient / 2), ("top", coefficient), ("turn", coefficient / 2)]
-        elif name == "damp":
-            stages.append((name, coefficient))
-    return merged(stages)
+    return merged((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
 
 
 @dataclass(frozen=True)
@@ -296,7 +293,7 @@ def entry(constants: Any, i: Any) -> Any:
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
     """Whether `advance_by_the_clock` is the way."""
-    return composition.two_part and isinstance(scene, RigidBody) and scene.isotropic
+    return composition.two_part and scene.kind == "isotropic body"
 
 
 def advance_by_the_clock(

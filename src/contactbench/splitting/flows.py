@@ -320,11 +320,13 @@ ISOTROPIC = BODY | {
 }
 
 
+FLOWS = {"mechanical": MECHANICAL, "isotropic body": ISOTROPIC, "body": BODY}
+
+
 def flows_of(scene: Scene) -> dict[str, Flow]:
     """The subflows a scene has, by name; a body has no potential, hence no kick.
 
-    Compositions on bodies are made of `turn`, `top` and `damp`; the free body in closed form costs many rotations.
+    The paper's A on a body is `free`; compositions of higher order are made of `turn`, `top` and `damp`
+    instead, because the free body in closed form costs many rotations.
     """
-    if isinstance(scene, Mechanical):
-        return MECHANICAL
-    return ISOTROPIC if scene.isotropic else BODY  # type: ignore[attr-defined]
+    return FLOWS[scene.kind]

@@ -1,6 +1,6 @@
 """The truth: closed forms, frozen high-precision files, live high-precision solutions."""
 
-from contactbench.truth.base import BlowUp, Reference, checked_times, digest, with_decimals
+from contactbench.truth.base import BlowUp, OutOfTime, Reference, checked_times, digest, with_decimals
 from contactbench.truth.closed_form import closed_form_columns
 from contactbench.truth.digits import (
     Rows,
@@ -16,12 +16,20 @@ from contactbench.truth.digits import (
 )
 from contactbench.truth.extrapolation import extrapolated, extrapolation
 from contactbench.truth.frozen import condition_number, frozen, frozen_folder, manifest, table
-from contactbench.truth.reference import BLOW_UP_COLLAPSE, blow_up_time, live, reference, taylor_blow_up
+from contactbench.truth.reference import (
+    BLOW_UP_COLLAPSE,
+    blow_up_time,
+    confirmed,
+    live,
+    reference,
+    taylor_blow_up,
+)
 from contactbench.truth.taylor import taylor
 
 __all__ = [
     "BLOW_UP_COLLAPSE",
     "BlowUp",
+    "OutOfTime",
     "Reference",
     "Rows",
     "agreeing_digits",
@@ -29,6 +37,7 @@ __all__ = [
     "checked_times",
     "closed_form_columns",
     "condition_number",
+    "confirmed",
     "decimal_context",
     "digest",
     "disagreement",

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from importlib.util import find_spec
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -22,6 +25,24 @@ class BlowUp(BadInput):
             f"no reference for scene {scene.name!r}: the trajectory blows up at t = {float(time):.6g}"
         )
         self.time = time
+
+
+class OutOfTime(BadInput):
+    """A computation that was given so much time and needs more."""
+
+
+#: a moment that never comes, on the clock of `perf_counter`
+NEVER = math.inf
+
+
+def in_time(scene: Scene, deadline: float) -> None:
+    """Raise `OutOfTime` once the deadline is over."""
+    if perf_counter() > deadline:
+        faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
+        raise OutOfTime(
+            f"no reference for scene {scene.name!r} in the time it was given: allow it more, or choose an "
+            f"earlier t_end{faster}"
+        )
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,13 @@
-"""High-precision numbers, and how many digits of two computations agree."""
+"""High-precision numbers, and how many digits of two computations agree.
+
+mpmath is imported when it is first used: its import would be a quarter of the command line's start.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from decimal import Decimal, localcontext
 from typing import Any
-
-import mpmath
 
 Rows = list[list[Any]]  #: one list of components per time
 
@@ -30,11 +31,15 @@ def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
 
 def matching_digits(error: Any, at_most: int) -> int:
     """Whole decimal digits that a relative error leaves."""
+    import mpmath
+
     return at_most if error == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(error)))))
 
 
 def rounded(value: Any, places: int) -> str:
     """A number to a number of decimal places (half to even), in plain or scientific notation."""
+    import mpmath
+
     with localcontext() as context:
         context.prec = 200
         exact = Decimal(mpmath.nstr(value, 100))
@@ -43,6 +48,8 @@ def rounded(value: Any, places: int) -> str:
 
 def place(value: Any, digits: int) -> int:
     """The decimal place of the last of `digits` significant digits of value."""
+    import mpmath
+
     return digits if value == 0 else digits - 1 - int(mpmath.floor(mpmath.log10(abs(value))))
 
 
@@ -59,6 +66,8 @@ def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
 
 def decimal_context(digits: int) -> Any:
     """An mpmath context of its own, so that nobody's global precision is touched."""
+    import mpmath
+
     context = mpmath.MPContext()
     context.dps = digits
     return context

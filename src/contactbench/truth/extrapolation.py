@@ -6,17 +6,23 @@ from collections.abc import Callable
 from typing import Any
 
 from contactbench.scene import Scene
-from contactbench.truth.base import BlowUp, with_decimals
+from contactbench.truth.base import NEVER, BlowUp, in_time, with_decimals
 from contactbench.truth.digits import Rows, decimal_context, distance
 from contactbench.truth.taylor import COLLAPSE
 
 
 def extrapolation(
-    scene: Scene, times: list[str], carry: tuple[str, ...], digits: int, collapse: float = COLLAPSE
+    scene: Scene,
+    times: list[str],
+    carry: tuple[str, ...],
+    digits: int,
+    collapse: float = COLLAPSE,
+    deadline: float = NEVER,
 ) -> Rows:
     """States at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
 
-    Raises `BlowUp` when a step falls below `collapse` of the span.
+    Raises `BlowUp` when a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of
+    `perf_counter`).
 
     Modified midpoint rule with 2, 4, 6, … substeps, extrapolated in h² until two neighbours agree
     to `digits` digits: no Taylor series and no heyoka, only evaluations of ``scene.rhs``.
@@ -35,6 +41,7 @@ def extrapolation(
     rows = []
     for time in map(context.mpf, times):
         while now < time:
+            in_time(scene, deadline)
             step = min(trial, time - now)
             column, result = extrapolated(slope, y, step, most, tolerance)
             if result is None:

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.base import BlowUp, Reference, checked_times, digest
+from contactbench.truth.base import NEVER, BlowUp, Reference, checked_times, digest
 from contactbench.truth.closed_form import closed_form, closed_form_columns
 from contactbench.truth.digits import (
     Rows,
     agreeing_digits,
+    decimal_context,
     disagreement,
     matching_digits,
     place,
@@ -36,18 +38,23 @@ LIVE_BITS = (140, 300, 600)
 _cache: dict[Any, Reference] = {}
 
 
-def reference(scene: Scene, times: Any, carry: Sequence[str] | None = None) -> Reference:
+def reference(
+    scene: Scene, times: Any, carry: Sequence[str] | None = None, seconds: float = NEVER
+) -> Reference:
     """The truth of a scene at `times` (k,), any order, t ≥ 0; `carry` as in `solve`, default all.
 
+    seconds : how long a live computation may take, compilations not counted.
     A time within 4 units in the last place of a frozen grid time means that grid time.
     Raises `BadInput` for times that are negative or not finite, and when no reference can be
-    computed: the trajectory blows up before the last time, or too few digits can be had.
+    computed: the trajectory blows up before the last time, or too few digits can be had; `OutOfTime`, one of
+    them, when it would take too long.
     """
     carry = scene.carry(carry)
     t = checked_times(times)
     key = (digest(scene), scene.structure, scene.exact, carry, t.tobytes())
     if key not in _cache:
-        found = closed_form(scene, t, carry) or frozen(scene, t, carry) or live(scene, t, carry)
+        found = closed_form(scene, t, carry) or frozen(scene, t, carry)
+        found = found or live(scene, t, carry, perf_counter() + seconds)
         decimals, digits, source = found
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
@@ -56,7 +63,7 @@ def reference(scene: Scene, times: Any, carry: Sequence[str] | None = None) -> R
     return _cache[key]
 
 
-def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple:
+def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
     """Decimals, digits and source from two precisions, keeping the digits that agree.
 
     heyoka's Taylor series where it is installed, else extrapolation in mpmath.  Enough means 20
@@ -68,7 +75,7 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple:
     times = [repr(x) for x in unique.tolist()]
     start = scene.pack(scene.initial(carry))
     exact: list | None = None
-    for rows, other in computations(scene, times, carry):
+    for rows, other in computations(scene, times, carry, deadline):
         size = max(abs(x) for row in [*rows, start] for x in row)
         if exact is None:
             faint = any(0 < abs(x) < 1e-20 * size for row in rows for x in row)
@@ -92,17 +99,22 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple:
     return [list(decimals[k]) for k in back], min(digits for _, digits in columns), "live"
 
 
-def computations(scene: Scene, times: list[str], carry: tuple[str, ...]) -> Iterator[tuple[Rows, Rows]]:
+def computations(
+    scene: Scene, times: list[str], carry: tuple[str, ...], deadline: float = NEVER
+) -> Iterator[tuple[Rows, Rows]]:
     """Pairs (more, less precise) of solutions, each pair more precise than the one before."""
     try:
         if importlib.util.find_spec("heyoka") is not None:
             for bits in LIVE_BITS:
-                rows = taylor(scene, times, carry, bits + bits // 4)
+                rows = taylor(scene, times, carry, bits + bits // 4, deadline=deadline)
                 if not heyoka_reads_rhs(scene, rows[-1], carry):
                     break
-                yield rows, taylor(scene, times, carry, bits)
+                yield rows, taylor(scene, times, carry, bits, deadline=deadline)
         for digits in (28, 70):
-            yield extrapolation(scene, times, carry, digits + 8), extrapolation(scene, times, carry, digits)
+            more, fewer = (
+                extrapolation(scene, times, carry, n, deadline=deadline) for n in (digits + 8, digits)
+            )
+            yield more, fewer
     except BadInput:
         raise
     except Exception as error:
@@ -110,6 +122,29 @@ def computations(scene: Scene, times: list[str], carry: tuple[str, ...]) -> Iter
             f"no reference for scene {scene.name!r}: its equations fail in high precision "
             f"({type(error).__name__}: {' '.join(str(error).split())[:200]})"
         ) from error
+
+
+#: digits that the second engine is asked for
+CONFIRMED_DIGITS = 20
+
+
+def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
+    """Digits of a reference that extrapolation, which shares nothing with Taylor series, agrees with; at most 20.
+
+    t ascending.  None where there was no time for it, or the reference is from that engine itself.
+    """
+    if found.source == "live" and importlib.util.find_spec("heyoka") is None:
+        return None
+    times = [repr(x) for x in found.t.tolist()]
+    try:
+        rows = extrapolation(
+            found.scene, times, found.carry, CONFIRMED_DIGITS, deadline=perf_counter() + seconds
+        )
+    except BadInput:
+        return None
+    context = decimal_context(CONFIRMED_DIGITS + 15)
+    own = [[context.mpf(x) for x in row] for row in found.decimals]
+    return agreeing_digits(rows, own, CONFIRMED_DIGITS)
 
 
 #: a step this small against the span tells the time of blow-up to as many digits, less a few

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.base import BlowUp, with_decimals
+from contactbench.truth.base import NEVER, BlowUp, in_time, with_decimals
 from contactbench.truth.digits import Rows, decimal_context, distance
 
 MAX_STEPS = 1_000_000
@@ -33,11 +34,12 @@ def taylor(
     bits: int,
     collapse: float = COLLAPSE,
     start: list[str] | None = None,
+    deadline: float = NEVER,
 ) -> Rows:
     """States at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
 
     start : packed initial state as decimal strings, by default the scene's own.  Raises `BlowUp` when
-    a step falls below `collapse` of the span.
+    a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of `perf_counter`).
     Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
     """
     import heyoka
@@ -52,6 +54,8 @@ def taylor(
     shortest = collapse * float(times[-1])
 
     def keep_going(integrator: Any) -> bool:
+        if perf_counter() > deadline:
+            return False
         almost_there = float(times[-1]) - float(integrator.time) <= shortest
         return almost_there or float(integrator.last_h) > shortest
 
@@ -60,6 +64,7 @@ def taylor(
     if outcome == heyoka.taylor_outcome.step_limit:
         raise BadInput(f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed")
     if outcome != heyoka.taylor_outcome.time_limit:
+        in_time(scene, deadline)
         raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
 

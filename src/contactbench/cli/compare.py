@@ -1,0 +1,97 @@
+"""``contactbench compare``: a work–precision race on one scene."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from contactbench.cli.parsing import Command
+from contactbench.cli.solve import assignments
+from contactbench.errors import BadInput
+
+
+def numbers(text: str) -> list[float]:
+    """1e-3,1e-6 as numbers."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise BadInput(f"--error {text}: must be errors separated by commas, as in 1e-3,1e-6") from None
+
+
+def duration(text: str) -> float:
+    """60s, 60 or 2m in seconds."""
+    units = {"s": 1.0, "m": 60.0}
+    number, unit = (text[:-1], units[text[-1]]) if text[-1:] in units else (text, 1.0)
+    try:
+        return float(number) * unit
+    except ValueError:
+        raise BadInput(f"--budget {text}: must be a time, as in 60s or 2m") from None
+
+
+def compare(arguments: argparse.Namespace) -> int:
+    """Race the methods and print who is cheapest at each error."""
+    one_core()
+    import contactbench as cb
+    from contactbench.race import show
+
+    scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
+    frame = cb.compare(
+        scene, arguments.method or None, numbers(arguments.error), duration(arguments.budget),
+        progress=not arguments.quiet,
+    )  # fmt: skip
+    if arguments.csv:
+        frame.to_csv(arguments.csv, index=False, lineterminator="\n")
+    if arguments.html:
+        arguments.html.write_text(show.html(frame), encoding="utf-8")
+    if arguments.plot and (figure := show.figure(frame)) is not None:
+        from contactbench.report.draw import drawn
+
+        drawn(figure).savefig(arguments.plot)
+    print(as_json(frame) if arguments.json else show.text(frame))
+    return 130 if frame.attrs["interrupted"] else 0
+
+
+def as_json(frame: Any) -> str:
+    """The rows, and what holds for all of them; null for what is not known."""
+    rows = json.loads(frame.to_json(orient="records", double_precision=15))
+    known = {name: value for name, value in frame.attrs.items() if name != "runs"}
+    return json.dumps({**known, "rows": rows}, allow_nan=False)
+
+
+def one_core() -> None:
+    """Before JAX makes its threads: to hand parts of a small program to another costs more than running them."""
+    if hasattr(os, "sched_setaffinity") and "jax" not in sys.modules:
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+
+def add(command: Command) -> None:
+    """The command and its options."""
+    race = command(
+        "compare", compare, "race the methods on one scene: what each costs at each error, what it keeps",
+        """examples:
+  contactbench compare particle
+  contactbench compare my-scene --plugin my.py --error 1e-4,1e-8 --html out.html
+  contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq .margins
+
+Nothing is written but the files named.  Ctrl-C ends it with what there is.
+Exit status: 0 done, 2 bad input or no reference, 130 interrupted.""",
+    )  # fmt: skip
+    race.add_argument("scene", help="its name (contactbench list scenes)")
+    race.add_argument("method", nargs="*", help="names (contactbench list methods); by default all")
+    race.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="change a parameter: a number or a list [1,2]; may be repeated",
+    )  # fmt: skip
+    race.add_argument(
+        "--error", default="1e-3,1e-6,1e-9", metavar="E,E,…", help="errors asked for, relative to the motion"
+    )
+    race.add_argument("--budget", default="60s", metavar="TIME", help="for everything (default: 60s)")
+    race.add_argument("--html", type=Path, metavar="FILE", help="one page: tables and figure")
+    race.add_argument("--plot", type=Path, metavar="FILE", help="the figure alone (.svg, .png, .pdf)")
+    race.add_argument("--csv", type=Path, metavar="FILE", help="the rows")
+    race.add_argument("--json", action="store_true", help="print one JSON object")
+    race.add_argument("--quiet", action="store_true", help="no progress on stderr")

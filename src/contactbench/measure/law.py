@@ -1,0 +1,102 @@
+"""What a law is: a measure with all that those who show or compare it must know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from contactbench.errors import BadInput
+from contactbench.measure.deviation import Deviation
+from contactbench.scene import Scene
+from contactbench.solution import Solution
+
+
+class Gate(Enum):
+    """How the regression gate compares a law (the rules of results/schema.py have the numbers)."""
+
+    error = "error"
+    structure = "structure"  # an error; where it is round-off it must stay round-off
+    count = "count"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a law gives: its value, the error bar where there is one, and at how many saved times it was
+    taken against its terms instead of its own size (None where it has no such limit).
+
+    A drift smaller than its error bar is not known; `value` is then the sum of both, an upper bound.
+    """
+
+    value: float
+    uncertainty: float | None = None
+    clamped: int | None = None
+
+    @property
+    def bound(self) -> bool:
+        """Whether the value is an upper bound."""
+        return self.uncertainty is not None and self.value <= 2 * self.uncertainty
+
+
+@dataclass(frozen=True)
+class Law:
+    """A measure, and what those who show or compare it must know.
+
+    definition : its meaning, a header or axis label; label : a short name, mathtext.  needs : the fields it
+    reads.  gate : how two runs are compared.  shown : the documents that list it.  structural : a contact
+    method keeps it to round-off whatever the step size (see `structural_on`).  compares_decay : it compares
+    with the decay e^{−∫Γ'} of the truth.
+    """
+
+    name: str
+    definition: str
+    label: str
+    measure: Callable[[Solution], Deviation | float]
+    needs: tuple[str, ...] = ()
+    applies: Callable[[Scene], bool] = lambda scene: True
+    gate: Gate = Gate.error
+    shown: tuple[str, ...] = ("laws",)
+    structural: bool = False
+    #: whether it takes the derivative of the map, which may cost many runs
+    differentiates: bool = False
+    compares_decay: bool = False
+
+    def __call__(self, solution: Solution) -> float:
+        """The measure; nan unless the run ended `ok` and the law is defined for its method.
+
+        Raises `BadInput` when the scene has no such law or the run did not carry what it needs.
+        """
+        return self.measured(solution).value
+
+    def measured(self, solution: Solution) -> Measured:
+        """The measure with its error bar; raises as the call does."""
+        found = self.along(solution)
+        if not isinstance(found, Deviation):
+            return Measured(found)
+        value = float(found.size.max())
+        marked = None if found.clamped is None else int(found.clamped.sum())
+        if found.uncertainty is None:
+            return Measured(value, None, marked)
+        uncertainty = float(found.uncertainty.max())
+        return Measured(value if value > uncertainty else value + uncertainty, uncertainty, marked)
+
+    def along(self, solution: Solution) -> Deviation | float:
+        """The deviation at every saved time, where the law is a maximum over them; raises as the call does."""
+        if not self.applies(solution.scene):
+            raise BadInput(f"law {self.name!r} is not defined for scene {solution.scene.name!r}")
+        missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
+        if missing:
+            raise BadInput(f"law {self.name!r} needs carry=({', '.join(map(repr, missing))},)")
+        return self.measure(solution) if solution.ok else math.nan
+
+    def structural_on(self, scene: Scene) -> bool:
+        """Whether a contact method keeps it to round-off on this scene.
+
+        Where Γ'(s) changes, the factor of a contact map follows the numerical s and has its error.
+        """
+        return self.structural and not (self.compares_decay and scene.rate_changes)
+
+    def needs_on(self, scene: Scene) -> tuple[str, ...]:
+        """The optional fields it reads on this scene."""
+        return tuple(field for field in self.needs if field in scene.optional)

@@ -1,0 +1,169 @@
+"""A comparison to read: the sentences, tables and figure of one frame, for terminal, page and plot alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from contactbench.report.cells import Cell, Head, Mark, View, marks, word
+from contactbench.report.curves import by_method, number_axis
+from contactbench.report.drawing import Figure, Panel
+from contactbench.report.numbers import count, duration, names, scientific
+from contactbench.report.page import Said, page
+from contactbench.report.rooms import Part, Room, Text
+
+TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
+#: of those that tie, so many are named
+NAMED = 4
+DASH = "—"
+
+
+def sentences(frame: pd.DataFrame) -> Iterator[str]:
+    """Who is cheapest at each error, how the reference is known, what was not compared and why."""
+    for kind, part in frame[frame["verdict"] != ""].groupby("kind", sort=False):
+        for error, rows in part.groupby("error_asked", sort=False):
+            first = rows[rows["verdict"].isin(["cheapest", "tie"])].sort_values("time_s")
+            said = "tie: " if len(first) > 1 else ""
+            yield (
+                f"{TITLES[str(kind)]}, error {error:g}: {said}{names(list(first['method']), NAMED)}, "
+                f"{duration(first['time_s'].min())}."
+            )
+    reference, margins = frame.attrs["reference"], frame.attrs["margins"]
+    second = reference["confirmed"]
+    checked = (
+        "two precisions of one engine agree"
+        if second is None
+        else f"{second} of them confirmed by a second engine"
+    )
+    yield (
+        f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
+        f"{reference['error']:.1e} are not claimed."
+    )
+    margin = ", ".join(f"×{m:.2f} ({kind})" for kind, m in margins.items())
+    yield f"Times within {margin} of the least are a tie: what two measurements of one run differ by here."
+    for (method, status, reason), _ in frame[frame["status"] != "ok"].groupby(
+        ["method", "status", "reason"], sort=False
+    ):
+        yield f"{method}: {status}: {reason}."
+    if frame.attrs["interrupted"]:
+        yield "Interrupted: this is what there was."
+
+
+def cell(row: Any) -> Cell:
+    """The time at one error and how it compares; or why there is none."""
+    if row.status != "ok":
+        return word(row.status)
+    if math.isnan(row.time_s):
+        return Cell("not timed")
+    mark = {"cheapest": Mark.best, "tie": Mark.tie}.get(row.verdict)
+    hint = f"{row.setting}, error {row.error_reached:.1e}, {count(row.evaluations)} evaluations"
+    return Cell(f"{duration(row.time_s)} {row.verdict}", row.time_s, marks(mark), hint=hint)
+
+
+def kept_by(rows: pd.DataFrame) -> str:
+    """The laws kept at every setting at which they were measured."""
+    sets = [set(text.split(", ")) - {""} for text in rows.loc[measured(rows), "laws_kept"]]
+    return (", ".join(sorted(set.intersection(*sets))) or "none") if sets else "not measured"
+
+
+def measured(rows: pd.DataFrame) -> pd.Series:
+    """Rows where some law was."""
+    laws = rows.columns[rows.columns.get_loc("reason") + 1 : -1]
+    return rows[list(laws)].notna().any(axis=1)
+
+
+def view(frame: pd.DataFrame, kind: str) -> View:
+    """A row for each method, a column for each error."""
+    errors = list(dict.fromkeys(frame["error_asked"]))
+    rows = []
+    for method, part in frame[frame["kind"] == kind].groupby("method", sort=False):
+        if (part["status"] == "unsupported").all():
+            continue
+        cells = [cell(row) for row in part.itertuples()]
+        work = [
+            Cell(DASH) if math.isnan(value) else Cell(count(value), value) for value in part["evaluations"]
+        ]
+        rows.append((word(method), *cells, *work, word(kept_by(part))))
+    heads = (
+        Head("method", words=True),
+        *(Head(f"{error:g}", words=True, group="time at error") for error in errors),
+        *(Head(f"{error:g}", group="evaluations at error") for error in errors),
+        Head("laws kept to round-off", words=True),
+    )
+    meaning = (
+        "Median time of a bare call at the coarsest setting found to reach the error; ×: over the cheapest."
+    )
+    return View(f"race_{kind}", TITLES[kind], meaning, heads, tuple(rows))
+
+
+def views(frame: pd.DataFrame) -> list[View]:
+    found = [view(frame, kind) for kind in TITLES if (frame["kind"] == kind).any()]
+    return [each for each in found if each.rows]
+
+
+def figure(frame: pd.DataFrame) -> Figure | None:
+    """Error against cost: times of what was timed, evaluations of every setting tried."""
+    tried = pd.DataFrame(frame.attrs["runs"])
+    panels = []
+    for kind, title in TITLES.items():
+        part = frame[(frame["kind"] == kind) & frame["time_s"].notna()].sort_values(
+            "error_reached", ascending=False, kind="stable"
+        )
+        if len(part):
+            curves = by_method(part, "error_reached", "time_s", scale=1e3)
+            panels.append(Panel(title, number_axis("error", True), number_axis("time per solve, ms"), curves))
+    if len(tried) and (tried["status"] == "ok").any():
+        ok = tried[(tried["status"] == "ok") & tried["evaluations"].notna()].copy()
+        ok["error"] = np.maximum(ok["error"], frame.attrs["reference"]["error"])
+        curves = by_method(ok.sort_values("value", ascending=False, kind="stable"), "error", "evaluations")
+        panels.append(
+            Panel("Evaluations", number_axis("error", True), number_axis("right-hand sides"), curves)
+        )
+    if not panels:
+        return None
+    scene = frame["scene"].iloc[0]
+    caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
+    return Figure(f"compare_{scene}", f"{scene}: cost against error", tuple(panels), caption)
+
+
+def parts(frame: pd.DataFrame) -> tuple[Part, ...]:
+    drawn = figure(frame)
+    return (Text(items=tuple(sentences(frame))), *([drawn] if drawn else []), *views(frame), laws_view(frame))
+
+
+def laws_view(frame: pd.DataFrame) -> View:
+    """How far every method is from every law, at each setting timed."""
+    laws = list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
+    rows = [
+        (
+            word(row["method"]), word(f"{row['error_asked']:g}"), word(row["setting"]),
+            *(Cell(scientific(row[law]), row[law]) if pd.notna(row[law]) else Cell(DASH) for law in laws),
+        )
+        for _, row in frame[frame["status"] == "ok"].iterrows()
+    ]  # fmt: skip
+    heads = (Head("method", words=True), Head("error"), Head("setting", words=True), *map(Head, laws))
+    return View("race_laws", "Laws", "Deviations over the run, at five times.", heads, tuple(rows))
+
+
+def html(frame: pd.DataFrame) -> str:
+    """One page that needs no network."""
+    scene = frame["scene"].iloc[0]
+    room = Room("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
+    return page([Said(room, parts(frame), ())], [])
+
+
+def text(frame: pd.DataFrame) -> str:
+    """For a terminal."""
+    blocks = []
+    for each in views(frame):
+        lines = [[*(head.label for head in each.columns)], *([c.text for c in row] for row in each.rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        titled = [each.title + ": time (and evaluations) at each error"]
+        for line in lines:
+            titled.append("  ".join(t.ljust(w) for t, w in zip(line, widths, strict=True)).rstrip())
+        blocks.append("\n".join(titled))
+    return "\n\n".join([*blocks, "\n".join(sentences(frame))])

@@ -1,0 +1,104 @@
+"""The rows of a comparison, and who is cheapest."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pandas as pd
+
+from contactbench.methods.base import METHODS
+from contactbench.race.keeping import kept, laws_shown
+from contactbench.race.scout import Attempt, Question, Scouted
+from contactbench.report.numbers import times as written
+from contactbench.results.statistics import TIE, noise
+
+#: types of the columns beside the laws
+COLUMNS = {
+    "scene": "str", "method": "str", "family": "str", "engine": "str", "kind": "str", "error_asked": "float64",
+    "setting": "str", "error_reached": "float64", "time_s": "float64", "evaluations": "float64", "ratio": "float64",
+    "verdict": "str", "laws_kept": "str", "status": "str", "reason": "str",
+}  # fmt: skip
+
+
+def table(
+    question: Question,
+    scouted: list[Scouted],
+    chosen: dict[tuple[str, float], Attempt],
+    times: dict[int, dict[str, Any]],
+    laws: dict[int, dict[str, float]],
+) -> pd.DataFrame:
+    """One row for each method and error asked; the margins and every run in ``attrs``."""
+    rows = []
+    for each in scouted:
+        for error in question.errors:
+            attempt = chosen.get((each.method, error))
+            timed, kept_at = (times.get(id(attempt), {}), laws.get(id(attempt), {})) if attempt else ({}, {})
+            rows.append({
+                "scene": question.scene.name, "method": each.method, "family": METHODS[each.method].family,
+                "engine": each.engine, "kind": each.kind, "error_asked": error,
+                **(reached(question, attempt) if attempt else unreached(question, each, error)),
+                "time_s": timed.get("time_median_s", math.nan),
+                "time_repeat_ratio": timed.get("time_repeat_ratio", math.nan), **kept_at,
+            })  # fmt: skip
+    frame = pd.DataFrame(rows)
+    names = [law.name for law in laws_shown(question.scene)]
+    frame = frame.reindex(columns=[*frame.columns, *(name for name in names if name not in frame)])
+    margins = {kind: max(TIE, noise(part)) for kind, part in frame.groupby("kind")}
+    frame["ratio"] = frame["time_s"] / frame.groupby(["kind", "error_asked"])["time_s"].transform("min")
+    frame["verdict"] = verdicts(frame, margins)
+    frame["laws_kept"] = kept(frame, question.scene)
+    frame = frame[[*COLUMNS, *names, "time_repeat_ratio"]].astype(COLUMNS)
+    frame.attrs = {"margins": margins, "runs": runs(scouted)}
+    return frame
+
+
+def reached(question: Question, attempt: Attempt) -> dict[str, Any]:
+    return {
+        "setting": attempt.setting, "error_reached": max(attempt.error, question.floor()),
+        "evaluations": attempt.counts.rhs_equivalents, "status": "ok", "reason": "",
+    }  # fmt: skip
+
+
+def unreached(question: Question, each: Scouted, error: float) -> dict[str, Any]:
+    """How far it got, and why no further."""
+    ended = [a for a in each.attempts if a.ok]
+    best = min(ended, key=lambda a: a.error) if ended else None
+    row = {
+        "setting": best.setting if best else "",
+        "error_reached": max(best.error, question.floor()) if best else math.nan, "evaluations": math.nan,
+    }  # fmt: skip
+    if error < question.floor():
+        return row | {
+            "status": "unresolved",
+            "reason": f"the reference is known to {question.floor():.1e} only",
+        }
+    if each.why is not None:
+        return row | dict(zip(("status", "reason"), each.why, strict=True))
+    last = each.finest()
+    if last is not None and not last.ok:
+        return row | {"status": str(last.status), "reason": f"{last.setting}: {last.message}"}
+    assert last is not None
+    return row | {"status": "unreached", "reason": f"no setting is as accurate, tried down to {last.setting}"}
+
+
+def verdicts(frame: pd.DataFrame, margins: dict[Any, float]) -> list[str]:
+    """cheapest, tie (with the cheapest, within the margin), or by how much slower; blank where nothing was timed."""
+    first = frame["ratio"] <= frame["kind"].map(margins)
+    alone = first.groupby([frame["kind"], frame["error_asked"]]).transform("sum") == 1
+    return [
+        "" if math.isnan(ratio) else ("cheapest" if single else "tie") if lead else written(ratio)
+        for ratio, lead, single in zip(frame["ratio"], first, alone, strict=True)
+    ]
+
+
+def runs(scouted: list[Scouted]) -> list[dict[str, Any]]:
+    """Every setting tried."""
+    return [
+        {
+            "method": each.method, "engine": each.engine, "kind": each.kind, "setting": a.setting, "value": a.value,
+            "status": str(a.status), "message": a.message, "error": a.error,
+            "evaluations": math.nan if a.counts.rhs_equivalents is None else a.counts.rhs_equivalents,
+        }
+        for each in scouted for a in each.attempts
+    ]  # fmt: skip

@@ -1,0 +1,22 @@
+"""Conformance tests of methods and scenes, for those who bring their own.
+
+    from contactbench.testing import check_method, check_scene
+    check_method(cb.METHODS["mine"])
+
+Each takes the numbered rules of the contract (`methods.base.Method`, `scene.base.Scene`) one after the other and
+raises `Violation`, an `AssertionError` that says which is broken and how.
+"""
+
+from contactbench.testing.method import METHOD_RULES, MethodCase, check_method, method_cases
+from contactbench.testing.rules import Violation
+from contactbench.testing.scene import SCENE_RULES, check_scene
+
+__all__ = [
+    "METHOD_RULES",
+    "SCENE_RULES",
+    "MethodCase",
+    "Violation",
+    "check_method",
+    "check_scene",
+    "method_cases",
+]

@@ -1,0 +1,304 @@
+"""The rules of `methods.base.Method`, by their numbers there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from contactbench.errors import NAME
+from contactbench.measure.laws import LAWS
+from contactbench.measure.precision import march, order_at
+from contactbench.methods.base import FAMILIES, METHODS, Method, Prepared, Refused
+from contactbench.methods.engines import CALLBACKS, ENGINES
+from contactbench.methods.entry import prepare
+from contactbench.methods.step_map import StepMap, trajectory
+from contactbench.scene import Scene
+from contactbench.scenes import SCENES
+from contactbench.solution import Solution, Status
+from contactbench.testing.rules import follow, require
+from contactbench.truth import blow_up_time, decimal_context, reference
+
+#: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
+CASES = (
+    SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0),
+    SCENES["rigid_body"].with_(inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=4.0),
+    SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0),
+)
+#: on which runs that are asked for more than there is end
+ESCAPE = "escape"
+BUDGET = 7
+#: parts of the span of a coarse and a fine step; tolerances likewise
+STEPS, RTOLS = {"coarse": 80, "fine": 1280}, {"coarse": 1e-5, "fine": 1e-9}
+#: two ways of the same arithmetic; error over tolerance, at most, of a run this short
+ROUND_OFF, GROWTH = 1e-12, 1e4
+
+
+@dataclass(frozen=True)
+class MethodCase:
+    """A method on an engine and a scene."""
+
+    method: Method
+    engine: str
+    scene: Scene
+
+    def run(self, level: str = "coarse", scene: Scene | None = None, **options: Any) -> Prepared:
+        """Prepared at one of the settings of `STEPS` or `RTOLS`, unless the options say otherwise."""
+        scene = scene or self.scene
+        if self.method.adaptive:
+            low, high = self.method.rtol_range
+            control = {"rtol": min(max(RTOLS[level], low), high)}
+        else:
+            control = {"step": scene.t_end / STEPS[level]}
+        if "rtol" in options or "step" in options:
+            control = {}
+        return prepare(scene, self.method, engine=self.engine, **(control | options))
+
+    @cached_property
+    def refused(self) -> bool:
+        """Whether there is nothing to run."""
+        return self.method.refuses(self.scene) is not None
+
+    def gap(self, a: np.ndarray, b: np.ndarray) -> float:
+        """The largest difference of packed states, over their largest size."""
+        return float(np.abs(a - b).max() / np.abs(b).max())
+
+    def truth(self, times: Any) -> np.ndarray:
+        return reference(self.scene, times).y
+
+    def error(self, solution: Solution) -> float:
+        return LAWS["solution_error"](solution)
+
+
+def runs(rule: Callable[[MethodCase], None]) -> Callable[[MethodCase], None]:
+    """A rule on what a method runs: kept where the scene is refused."""
+
+    def kept(case: MethodCase) -> None:
+        if not case.refused:
+            rule(case)
+
+    return kept
+
+
+def declares(case: MethodCase) -> None:
+    method = case.method
+    require(isinstance(method, Method), "no Method")
+    require(isinstance(method.name, str) and NAME.fullmatch(method.name), f"name = {method.name!r}")
+    require(method.about and "\n" not in method.about, f"about = {method.about!r}: must be one line")
+    require(method.family in FAMILIES, f"family = {method.family!r}: must be one of {', '.join(FAMILIES)}")
+    require(method.engines and set(method.engines) <= set(ENGINES), f"engines = {method.engines!r}")
+    order = method.order
+    require(
+        (order is None and method.adaptive) or (isinstance(order, int) and order > 0), f"order = {order!r}"
+    )
+    low, high = method.rtol_range
+    require(0 < low < high, f"rtol_range = {method.rtol_range!r}")
+    require(method.tolerance, "tolerance: says nothing of what rtol bounds")
+
+
+def refuses(case: MethodCase) -> None:
+    why = case.method.refuses(case.scene)
+    require(why is None or (isinstance(why, str) and why.strip()), f"refuses = {why!r}")
+    if why is not None:
+        solution = case.run()()
+        require(solution.status is Status.unsupported, f"a refused scene ends {solution.status}")
+        require(solution.message == why, f"message = {solution.message!r}")
+        require(np.isnan(solution.y).all(), "a refused scene has states")
+
+
+@runs
+def leaves_no_trace(case: MethodCase) -> None:
+    run = case.run(save_at=[case.scene.t_end / 4])
+    require(not isinstance(run, Refused), f"engine {case.engine!r}: {getattr(run, 'why', '')}")
+    field = case.scene.initial_fields[0]
+    moved = {field: tuple(0.9 * c + 0.01 for c in getattr(case.scene, field))}
+    first, other, again = run(), run(**moved), run()
+    require(np.array_equal(first.y, again.y, equal_nan=True), "a second call gives another result")
+    fresh = case.run(save_at=[case.scene.t_end / 4], scene=case.scene.with_(**moved))()
+    require(np.array_equal(other.y, fresh.y), f"{moved}: not what a run prepared for them gives")
+    require(not np.array_equal(first.y, other.y), f"{moved}: makes no difference")
+
+
+@runs
+def saves(case: MethodCase) -> None:
+    scene = case.scene
+    times = scene.t_end * np.array([0.0, 0.13, 0.5, 1.0])
+    solution = case.run(save_at=times)()
+    require(solution.ok, f"ends {solution.status}: {solution.message}")
+    require(np.array_equal(solution.t, times), f"t = {solution.t}")
+    require(solution.y.shape == (4, len(scene.labels(scene.carry()))), f"states of shape {solution.y.shape}")
+    require(np.array_equal(solution.y[0], scene.pack(scene.initial(scene.carry()))), "another initial state")
+    require(solution.end_time == times[-1], f"ends at {solution.end_time}")
+    gap = case.gap(solution.y[1:], case.truth(times[1:]))
+    require(gap < 0.1, f"the states are those of other times: {gap:.1e} from the truth")
+
+
+@runs
+def is_timed_by_its_own_call(case: MethodCase) -> None:
+    run = case.run(save_at=[case.scene.t_end])
+    bare, whole = run.bare(run.start), run().y[-1]
+    require(bare.shape == whole.shape, f"bare gives shape {bare.shape}")
+    gap = case.gap(bare, whole)
+    require(gap < ROUND_OFF, f"bare ends {gap:.1e} from the run's last state")
+
+
+@runs
+def is_controlled_by_its_setting(case: MethodCase) -> None:
+    method, scene = case.method, case.scene
+    if isinstance(method, StepMap):
+        order = order_at(method, scene, 1.0, 20)
+        require(abs(order - method.order) < 0.1, f"of order {order:.2f}, not {method.order}")
+        error = case.error(case.run("fine", save_at=[scene.t_end])())
+        require(error < 10 * (scene.t_end / STEPS["fine"]) ** min(method.order, 3), f"error {error:.1e}")
+        return
+    errors = [
+        case.error(case.run(rtol=rtol, save_at=[scene.t_end])()) for rtol in (1e-4, 1e-7, 1e-10)
+    ]  # fmt: skip
+    if method.exact:
+        require(errors[0] == errors[1] == errors[2] < 1e-10, f"exact, with errors {errors}")
+    else:
+        require(errors[0] > 10 * errors[1] > 100 * errors[2], f"errors {errors} at rtol 1e-4, 1e-7, 1e-10")
+
+
+@runs
+def ends_as_it_says(case: MethodCase) -> None:
+    times = case.scene.t_end * np.arange(1, 11) / 10
+    solution = case.run("fine", save_at=times, max_steps=BUDGET)()
+    require(solution.status is Status.budget, f"max_steps = {BUDGET}: ends {solution.status}")
+    require(str(BUDGET) in solution.message, f"max_steps = {BUDGET}: says {solution.message!r}")
+    require(np.isnan(solution.y[-1]).all(), f"max_steps = {BUDGET}: has a state at the end")
+    escape = SCENES[ESCAPE]
+    if case.method.refuses(escape) is None:
+        setting: dict[str, Any] = {"rtol": 1e-5} if case.method.adaptive else {"step": 0.002}
+        solution = case.run(scene=escape, save_at=[escape.t_end], max_steps=20_000, **setting)()
+        require(solution.status is Status.diverged, f"beyond the blow-up: ends {solution.status}")
+        found = blow_up_time(escape)
+        when = float(found[0]) if found else math.inf
+        require(abs(solution.end_time / when - 1) < 0.01, f"diverged at {solution.end_time}, not {when:.4g}")
+        require(np.isnan(solution.y[-1]).all(), "diverged, with a state at the end")
+
+
+def counted(scene: Any, kind: str) -> tuple[Any, list[int]]:
+    """The scene with a function that counts its calls, and the count; it cannot be recorded."""
+    calls, name = [0], "gradient" if kind == "gradient" else "rhs"
+    original = getattr(scene, name)
+
+    def counting(x: Any, **parameters: Any) -> Any:
+        calls[0] += 1
+        first = x[0] if kind == "gradient" else x[0][0]
+        require(float(first) < math.inf, "not finite")  # asks for the value
+        return original(x, **parameters)
+
+    return scene._replaced(**{name: counting}), calls
+
+
+@runs
+def counts(case: MethodCase) -> None:
+    method, scene = case.method, case.scene
+    run = case.run(save_at=[scene.t_end])
+    found = run.count(run().counts)
+    require(found.evaluations is None or found.evaluations > 0, f"evaluations = {found.evaluations!r}")
+    if isinstance(method, StepMap):
+        once, each = method.counts(scene, 1), method.per_step(scene)
+        require(found.steps == STEPS["coarse"], f"{found.steps} steps")
+        expected = once + (STEPS["coarse"] - 1) * each
+        require(found.evaluations == expected, f"{found.evaluations} evaluations, not {expected}")
+        require(found.kind == method.kind_on(scene), f"counts {found.kind}")
+    if case.engine in CALLBACKS and found.kind in ("gradient", "rhs"):
+        twin, calls = counted(scene, found.kind)
+        run = case.run(scene=twin, save_at=[scene.t_end])
+        calls[0] = 0
+        told = run().counts.evaluations
+        require(told == calls[0], f"{told} evaluations told, {calls[0]} made")
+
+
+@runs
+def engines_agree(case: MethodCase) -> None:
+    times, method = case.scene.t_end * np.array([0.5, 1.0]), case.method
+    mine = case.run("fine", save_at=times)().y
+    other = MethodCase(method, method.engines[0], case.scene).run("fine", save_at=times)().y
+    bound = GROWTH * RTOLS["fine"] if method.adaptive else ROUND_OFF
+    require(
+        case.gap(mine, other) < bound, f"{case.engine} is {case.gap(mine, other):.1e} off {method.engines[0]}"
+    )
+    if isinstance(method, StepMap):
+        scene: Any = case.scene
+        x = scene.initial(scene.carry())
+        pair = scene.unpack([np.array([v, 1.1 * v]) for v in scene.pack(x)], scene.carry())
+        together, alone = (
+            next(trajectory(method, scene, *of)) for of in ((pair, [(0.1, 5)], np), (x, [(0.1, 5)], math))
+        )
+        gap = case.gap(np.array([c[0] for c in scene.pack(together)]), np.array(scene.pack(alone)))
+        require(gap < ROUND_OFF, f"an array gives {gap:.1e} else than a number")
+
+
+@runs
+def claims(case: MethodCase) -> None:
+    method, scene = case.method, case.scene
+    if scene.conformal_rate is not None and (method.contact or isinstance(method, StepMap)):
+        coarse: dict[str, Any] = {} if method.adaptive else {"step": scene.t_end / 10}
+        drift = LAWS["contact_drift"](case.run(save_at=[scene.t_end], **coarse)())
+        # to round-off times the growth of the phase's own error along the run
+        kept = drift < (1e-10 if method.exact else 1e-12)
+        require(kept == method.contact, f"contact = {method.contact}, with a contact drift of {drift:.1e}")
+    if isinstance(method, StepMap):
+        context = decimal_context(50)
+        ahead = march(method, scene, "0.2", 3, context)
+        back = march(method, scene, "-0.2", 3, context, ahead)
+        there = march(method, scene, "0", 1, context)
+        gap = max(abs(a - b) for a, b in zip(back, there, strict=True))
+        kept = gap < context.mpf(10) ** -45
+        require(
+            kept == method.symmetric,
+            f"symmetric = {method.symmetric}: three steps and back leave {float(gap):.1e}",
+        )
+
+
+@runs
+def differentiates(case: MethodCase) -> None:
+    scene = case.scene
+    run = case.run("fine", save_at=[scene.t_end])
+    if run.sensitivity_source:
+        states, mine = run.linearised(run.start, run().y)
+        require(case.gap(states, run().y) < GROWTH * RTOLS["fine"], "the derivative is taken elsewhere")
+        exact = MethodCase(METHODS["rk4"], "numba", scene).run("fine", save_at=[scene.t_end])
+        bound = 1e-5 if case.method.adaptive or (case.method.order or 0) > 2 else 0.05
+        gap = case.gap(mine, exact.sensitivity(exact.start))
+        require(gap < bound, f"the derivative is {gap:.1e} off that of the flow")
+
+
+def costs(case: MethodCase) -> None:
+    cost = case.method.step_cost(case.scene, case.engine) if not case.refused else 1
+    require(cost is None or cost > 0, f"step_cost = {cost!r}")
+    require(
+        cost is not None or case.engine not in CALLBACKS, f"no step_cost on {case.engine}, which calls back"
+    )
+
+
+METHOD_RULES: dict[int, Callable[[MethodCase], None]] = {
+    1: declares, 2: refuses, 3: leaves_no_trace, 4: saves, 5: is_timed_by_its_own_call,
+    6: is_controlled_by_its_setting, 7: ends_as_it_says, 8: counts, 9: engines_agree, 10: claims,
+    11: differentiates, 12: costs,
+}  # fmt: skip
+
+
+def method_cases(method: Method) -> Iterator[MethodCase]:
+    """The method on each of its engines and on scenes of every kind."""
+    for engine in method.engines:
+        for scene in CASES:
+            yield MethodCase(method, engine, scene)
+
+
+def check_method(method: Method) -> None:
+    """Every rule of `methods.base.Method` on every engine and kind of scene; raises `Violation`."""
+    for case in method_cases(method):
+        check_case(case)
+
+
+def check_case(case: MethodCase) -> None:
+    """Every rule on one engine and scene; raises `Violation`."""
+    follow(METHOD_RULES, case, f"{case.method.name} ({case.engine}) on {case.scene.name}")

@@ -1,0 +1,246 @@
+"""The rules of `scene.base.Scene`, by their numbers there.
+
+Derivatives are central differences at 50 digits, taken of the scene's own functions: no algebra is shared with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from contactbench.errors import NAME
+from contactbench.scene import Scene
+from contactbench.testing.rules import follow, require
+from contactbench.truth import decimal_context, with_decimals
+
+DIGITS = 50
+#: central differences of step 10⁻¹⁵ at 50 digits: truncation 10⁻³⁰, cancellation 10⁻³⁵
+DELTA = "1e-15"
+#: a state given in float64 satisfies its constraints (a quaternion of length 1) to 10⁻¹⁶
+CLOSE = 1e-12
+STATES = 3
+
+
+@dataclass(frozen=True)
+class SceneCase:
+    """A scene and some generic states of it, as floats and at 50 digits."""
+
+    scene: Scene
+
+    @cached_property
+    def xp(self) -> Any:
+        return decimal_context(DIGITS)
+
+    @cached_property
+    def twin(self) -> Any:
+        return with_decimals(self.scene, self.xp.mpf)
+
+    @cached_property
+    def states(self) -> list[Any]:
+        """Off the initial state along every tangent in turn."""
+        rng, scene, states = np.random.default_rng(7), self.scene, []
+        for _ in range(STATES):
+            x = scene.initial(scene.carry())
+            for i in range(len(scene.tangents(x))):
+                x = scene.displaced(x, scene.tangents(x)[i], float(rng.uniform(-0.3, 0.3)))
+            states.append(scene.unpack([float(c) for c in scene.pack(x)], scene.carry()))
+        return states
+
+    @cached_property
+    def exact(self) -> list[Any]:
+        """The states again, as 50-digit numbers."""
+        return [self.read([self.xp.mpf(repr(c)) for c in self.scene.pack(x)]) for x in self.states]
+
+    def read(self, y: Any) -> Any:
+        return self.scene.unpack(y, self.scene.carry())
+
+    def moved(self, x: Any, v: Any, amount: Any) -> Any:
+        """x + amount v, component by component."""
+        pairs = zip(self.scene.pack(x), self.scene.pack(v), strict=True)
+        return self.read([a + amount * b for a, b in pairs])
+
+    def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
+        """The derivative of f, a list of numbers, along v."""
+        delta = self.xp.mpf(DELTA)
+        ends = [f(self.moved(x, v, sign * delta)) for sign in (1, -1)]
+        return [(a - b) / (2 * delta) for a, b in zip(*ends, strict=True)]
+
+    def rate(self, x: Any) -> Any:
+        """Γ' = ∂H/∂s."""
+        along_s = self.read([self.xp.mpf(int(name == "s")) for name in self.scene.labels(self.scene.carry())])
+        return self.slope(lambda x: [self.twin.hamiltonian(x)], x, along_s)[0]
+
+
+def near(a: Any, b: Any, what: str) -> None:
+    """Equal up to the round-off of float64 states."""
+    a, b = list(a), list(b)
+    size = max([1.0, *(float(abs(c)) for c in b)])
+    gap = max(float(abs(p - q)) for p, q in zip(a, b, strict=True))
+    require(gap < CLOSE * size, f"{what}: off by {gap:.1e}")
+
+
+def declares(case: SceneCase) -> None:
+    scene = case.scene
+    require(isinstance(scene, Scene), "no Scene")
+    require(isinstance(scene.name, str) and NAME.fullmatch(scene.name), f"name = {scene.name!r}")
+    require(scene.t_end > 0, f"t_end = {scene.t_end!r}")
+    require(all(hasattr(scene, field) for field in scene.initial_fields), f"fields {scene.initial_fields}")
+
+
+def packs(case: SceneCase) -> None:
+    scene = case.scene
+    subsets = [names for n in range(len(scene.optional) + 1) for names in combinations(scene.optional, n)]
+    for carry in {scene.carry(names) for names in subsets}:
+        y = scene.pack(scene.initial(carry))
+        require(
+            len(y) == len(scene.labels(carry)), f"carry = {carry}: {len(y)} numbers, {scene.labels(carry)}"
+        )
+        again = scene.pack(scene.unpack(y, carry))
+        require(again == y, f"carry = {carry}: {y} comes back as {again}")
+        x = scene.unpack(y, carry)
+        require(len(scene.pack(scene.rhs(x))) == len(y), f"carry = {carry}: a slope of other fields")
+
+
+def replaces_numbers(case: SceneCase) -> None:
+    scene, x = case.scene, case.states[0]
+    require(len(scene.number_names()) == len(scene.numbers()), "number_names and numbers differ in length")
+    same = scene.with_numbers(scene.numbers())
+    near(
+        scene.pack(same.rhs(x)),
+        scene.pack(scene.rhs(x)),
+        "with_numbers(numbers()) has another right-hand side",
+    )
+    require(hash(same.structure) == hash(scene.structure), "with_numbers changes the structure")
+    for name, number in zip(scene.number_names(), scene.numbers(), strict=True):
+        if name:
+            changed = scene.with_(**{name: number + 0.25})
+            require(changed.numbers() != scene.numbers(), f"with_({name}=…) changes no number")
+
+
+def is_one_definition(case: SceneCase) -> None:
+    scene, carry = case.scene, case.scene.carry()
+    for x, z in zip(case.states, case.exact, strict=True):
+        for name in ("rhs", "energy") + (("hamiltonian",) if scene.is_contact else ()):
+
+            def flat(value: Any) -> list[Any]:
+                return scene.pack(value) if isinstance(value, tuple) else [value]
+
+            plain = flat(getattr(scene, name)(x))
+            pair = scene.unpack([np.array([c, 2 * c]) for c in scene.pack(x)], carry)
+            near(
+                [np.broadcast_to(c, 2)[0] for c in flat(getattr(scene, name)(pair))],
+                plain,
+                f"{name} on arrays",
+            )
+            near(flat(getattr(case.twin, name)(z)), plain, f"{name} on 50-digit numbers")
+
+
+def derives(case: SceneCase) -> None:
+    scene, carry = case.scene, case.scene.carry()
+    size = len(scene.labels(carry))
+    units = [case.read([case.xp.mpf(int(i == j)) for j in range(size)]) for i in range(size)]
+    for x in case.exact:
+        rows = case.twin.jacobian(x)
+        require((rows is not None) == scene.has_jacobian, f"has_jacobian = {scene.has_jacobian}")
+        for j, unit in enumerate(units if scene.has_jacobian else ()):
+            slope = case.slope(lambda x: scene.pack(case.twin.rhs(x)), x, unit)
+            near([row[j] for row in rows], slope, f"jacobian, column {j}")
+
+
+def is_a_contact_system(case: SceneCase) -> None:
+    """η(X) = −H and L_X η = −Γ' η, which is X = X_H and no other."""
+    scene, twin = case.scene, case.twin
+    if not scene.is_contact:
+        return
+    for x in case.exact:
+        field, rate = twin.rhs(x), case.rate(x)
+        near([twin.contact_form(x, field)], [-twin.hamiltonian(x)], "η(X) is not −H")
+        for v in twin.tangents(x):
+            pushed = case.read(case.slope(lambda x: scene.pack(twin.rhs(x)), x, v))
+            delta = case.xp.mpf(DELTA)
+            ends = [
+                twin.contact_form(case.moved(x, field, sign * delta), case.moved(v, pushed, sign * delta))
+                for sign in (1, -1)
+            ]
+            near([(ends[0] - ends[1]) / (2 * delta)], [-rate * twin.contact_form(x, v)], "L_X η is not −Γ' η")
+        if not scene.rate_changes:
+            near([rate], [twin.conformal_rate], "conformal_rate is not ∂H/∂s")
+
+
+def has_its_laws(case: SceneCase) -> None:
+    scene, twin = case.scene, case.twin
+    for x, z in zip(case.states, case.exact, strict=True):
+        field = twin.rhs(z)
+        decay = case.slope(lambda x: [twin.energy(x)], z, field)[0]
+        require(scene.may_gain_energy or decay <= CLOSE, f"H0 grows, {float(decay):.1e}, though it may not")
+        if scene.has_momentum_law and scene.is_contact:
+            law = [-case.rate(z) * c for c in twin.momentum(z)]
+            near(case.slope(lambda x: list(twin.momentum(x)), z, field), law, "J' is not −Γ' J")
+        if scene.is_contact:
+            require(
+                scene.hamiltonian_terms(x) >= abs(scene.hamiltonian(x)) - CLOSE, "hamiltonian_terms < |H|"
+            )
+            v = scene.tangents(x)[0]
+            require(
+                scene.contact_terms(x, v) >= abs(scene.contact_form(x, v)) - CLOSE, "contact_terms < |η(v)|"
+            )
+        momentum = scene.momentum(x)
+        if momentum is not None:
+            size = sum(c * c for c in momentum) ** 0.5
+            require(scene.momentum_terms(x) >= size - CLOSE, "momentum_terms < ‖J‖")
+
+
+def has_tangents(case: SceneCase) -> None:
+    scene = case.scene
+    for x in case.states:
+        tangents = scene.tangents(x)
+        rows = np.array([scene.pack(v) for v in tangents], dtype=float)
+        require(np.linalg.matrix_rank(rows) == len(tangents), "tangents that depend on each other")
+        for v in tangents:
+            ends = [scene.pack(scene.displaced(x, v, sign * 1e-5)) for sign in (1, -1)]
+            slope = [(a - b) / 2e-5 for a, b in zip(*ends, strict=True)]
+            gap = max(abs(a - b) for a, b in zip(slope, scene.pack(v), strict=True))
+            require(gap < 1e-9, f"displaced leaves along another tangent, off by {gap:.1e}")
+        pushed = np.array(scene.pack(scene.rhs(x)), dtype=float)
+        rest = pushed - rows.T @ np.linalg.lstsq(rows.T, pushed, rcond=None)[0]
+        require(
+            np.abs(rest).max() < CLOSE * max(1.0, np.abs(pushed).max()), "the right-hand side is no tangent"
+        )
+
+
+def solves_its_equations(case: SceneCase) -> None:
+    """The closed form, where there is one: from the initial state, and with the slope of the equations."""
+    scene, twin, xp = case.scene, case.twin, case.xp
+    if scene.exact is None:
+        return
+
+    def known(state: Any) -> dict[str, Any]:
+        return {f: c for f, c in state._asdict().items() if c is not None}
+
+    def flat(parts: Any) -> list[Any]:
+        return [c for part in parts for c in (part if isinstance(part, tuple) else (part,))]
+
+    start = twin.initial(scene.carry())
+    begun = known(scene.exact(twin, xp.mpf(0), xp))
+    near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
+    t, delta = xp.mpf(repr(scene.t_end)) / 7, xp.mpf(DELTA)
+    here, ahead, behind = (known(scene.exact(twin, t + d, xp)) for d in (0, delta, -delta))
+    slope = [(a - b) / (2 * delta) for a, b in zip(flat(ahead.values()), flat(behind.values()), strict=True)]
+    field = twin.rhs(start._replace(**here))
+    near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
+
+
+SCENE_RULES: dict[int, Callable[[SceneCase], None]] = {
+    1: declares, 2: packs, 3: replaces_numbers, 4: is_one_definition, 5: derives, 6: is_a_contact_system,
+    7: has_its_laws, 8: has_tangents, 9: solves_its_equations,
+}  # fmt: skip
+
+
+def check_scene(scene: Scene) -> None:
+    """Every rule of `scene.base.Scene`; raises `Violation`."""
+    follow(SCENE_RULES, SceneCase(scene), scene.name)

@@ -1,0 +1,77 @@
+"""``contactbench compare``, and the line without a command."""
+
+from __future__ import annotations
+
+import json
+
+import pandas as pd
+import pytest
+
+import contactbench as cb
+from contactbench.cli import main
+
+RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", "--budget", "6s"]
+
+
+@pytest.fixture(autouse=True)
+def cores(monkeypatch):
+    """The tests keep their cores."""
+    monkeypatch.setattr("contactbench.cli.compare.one_core", lambda: None)
+
+
+def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([*RACE, "--csv", "out.csv", "--html", "out.html", "--plot", "out.svg"]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("Compiled")
+    assert "laws kept to round-off" in out
+    assert err == ""  # no terminal, no progress
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "out.html", "out.svg"]
+    rows = pd.read_csv("out.csv")
+    assert list(rows["method"]) == ["rk4", "rk4", "contact-strang", "contact-strang"]
+    assert (rows["status"] == "ok").all()
+
+
+def test_json_is_one_object_with_the_rows(capsys):
+    assert main([*RACE, "--json", "--set", "gamma=0.3"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"reference", "margins", "rows"} <= found.keys()
+    assert [row["error_asked"] for row in found["rows"]] == [1e-2, 1e-3] * 2
+    assert all(row["time_s"] > 0 for row in found["rows"])
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (["--error", "small"], "--error small: must be errors separated by commas"),
+        (["--error", "2"], "error = 2.0: must be between 0 and 1"),
+        (["--budget", "soon"], "--budget soon: must be a time, as in 60s or 2m"),
+        (["--budget", "0s"], "budget = 0.0: must be > 0"),
+    ],
+)
+def test_bad_values_are_one_line(line, says, capsys):
+    assert main(["compare", "particle", "rk4", *line]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"contactbench: {says}")
+    assert err.count("\n") == 1
+
+
+def test_an_interrupted_race_prints_what_it_has(capsys, monkeypatch):
+    def stopped(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactbench.race.comparison.Comparison.time_all", stopped)
+    assert main(RACE) == 130
+    out = capsys.readouterr().out
+    assert "not timed" in out
+    assert "Interrupted" in out
+
+
+def test_version_and_help_without_a_command(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"contactbench {cb.__version__}\n"
+    assert main([]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("usage: contactbench")
+    assert "compare" in out

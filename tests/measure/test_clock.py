@@ -1,0 +1,69 @@
+"""Timing in turns: every run twice, neither first nor last always, long runs less often."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from contactbench.measure.clock import LONG, MOST_ROUNDS, Race, calls_a_round, time_columns
+
+
+def test_runs_take_turns_in_changing_order_and_are_measured_twice():
+    calls = []
+    race = Race([lambda i=i: (calls.append(i), time.sleep(2e-3)) for i in range(3)])
+    race.go(0.2)
+    for i in range(3):
+        assert [len(samples) for samples in race.measured[i]] == [
+            len(samples) for samples in race.measured[0]
+        ]
+        assert min(map(len, race.measured[i])) >= 3
+        columns = race.columns(i)
+        assert columns["time_median_s"] == pytest.approx(2e-3, rel=3.0)
+        assert columns["rounds"] == sum(map(len, race.measured[i]))
+        assert columns["time_repeat_ratio"] > 0
+    after = calls[6:]  # two each to warm up; one call fills a round
+    rounds = [after[k : k + 3] for k in range(0, len(after), 3)]
+    assert all(sorted(turn) == [0, 1, 2] for turn in rounds)
+    assert len({tuple(turn) for turn in rounds}) > 1
+
+
+def test_a_long_run_has_two_rounds_a_visit_where_there_is_no_time_for_more():
+    race = Race([lambda: time.sleep(1.1 * LONG), lambda: None])
+    race.go(0.0)
+    assert [len(samples) for samples in race.measured[0]] == [2, 2]
+    assert [len(samples) for samples in race.measured[1]] == [3, 3]
+
+
+def test_an_interrupted_race_keeps_the_rounds_it_has():
+    count = [0]
+
+    def run():
+        count[0] += 1
+        time.sleep(2e-3)
+        if count[0] == 5:
+            raise KeyboardInterrupt
+
+    race = Race([run])
+    with pytest.raises(KeyboardInterrupt):
+        race.go(1.0)
+    assert len(race.measured[0][0]) == 2
+    assert "time_repeat_ratio" not in race.columns(0)
+    assert race.columns(0)["time_median_s"] > 0
+
+
+def test_a_round_is_a_millisecond_of_calls():
+    assert calls_a_round(1e-5) == 100
+    assert calls_a_round(1.0) == 1
+    assert MOST_ROUNDS >= 3
+
+
+def test_the_columns_are_order_statistics():
+    columns = time_columns([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], 7)
+    assert (columns["time_min_s"], columns["time_median_s"], columns["rounds"], columns["iterations"]) == (
+        1,
+        3.5,
+        6,
+        7,
+    )
+    assert columns["time_repeat_ratio"] == 2.5

@@ -1,0 +1,246 @@
+"""A comparison on one scene: what it claims is so, what it cannot do it says, and it ends when told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import contactbench as cb
+from cases import REPOSITORY
+from contactbench.measure.ladder import ENDS
+from contactbench.methods.engines import ENGINES
+from contactbench.race import comparison, show
+from contactbench.race import scout as scouting
+from contactbench.race.table import COLUMNS, verdicts
+from contactbench.truth import OutOfTime
+
+RACED = ["contact-strang", "rk4", "cyrk-vern8", "contact-exact", "scipy-dop853"]
+ERRORS = (1e-2, 1e-5)
+
+
+def double_well():
+    """A scene of nobody's: there is no stored reference of it."""
+    return cb.Mechanical(
+        name="well", q=(0.5, 0.3), p=(0.8, 0.1), gamma=0.05, t_end=5.0,
+        potential=lambda q: (q[0] ** 2 - 1) ** 2 / 4 + q[1] ** 2 / 2,
+        gradient=lambda q: (q[0] ** 3 - q[0], q[1]),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return cb.compare(double_well(), RACED, ERRORS, budget=120.0)  # it needs a tenth of it
+
+
+def test_a_row_for_each_method_and_error_typed(frame):
+    assert [(m, e) for m in RACED for e in ERRORS] == list(
+        zip(frame["method"], frame["error_asked"], strict=True)
+    )
+    assert list(frame.columns[: len(COLUMNS)]) == list(COLUMNS)
+    assert {name: str(frame[name].dtype) for name in COLUMNS} == COLUMNS
+    assert {e: ENGINES[e] for e in frame["engine"]} == dict(zip(frame["engine"], frame["kind"], strict=True))
+
+
+def test_the_error_said_is_the_largest_of_five_runs_and_no_larger_than_asked(frame):
+    """Measured again, in another way: every end on its own, against the reference at that time."""
+    scene = double_well()
+    exact = cb.reference(scene, scene.t_end * np.arange(1, ENDS + 1) / ENDS, ()).y
+    done = frame[frame["status"] == "ok"]
+    assert len(done) == 8
+    for row in done.itertuples():
+        control, value = row.setting.split("=")
+        errors = []
+        for k, truth in enumerate(exact, start=1):
+            method = cb.METHODS[row.method]
+            assert control == ("rtol" if method.adaptive else "step")
+            tried = [
+                r for r in frame.attrs["runs"] if (r["method"], r["setting"]) == (row.method, row.setting)
+            ]
+            value = tried[0]["value"]  # the setting is printed with six digits
+            run = cb.solve(scene, row.method, save_at=[scene.t_end * k / ENDS], carry=(), **{control: value})
+            errors.append(np.linalg.norm(run.y[-1] - truth))
+        said = max(errors) / np.linalg.norm(exact, axis=1).max()
+        assert said == pytest.approx(row.error_reached, rel=1e-6)
+        assert row.error_reached <= row.error_asked
+
+
+def test_no_coarser_setting_that_was_tried_is_as_accurate(frame):
+    tried = pd.DataFrame(frame.attrs["runs"])
+    for row in frame[frame["status"] == "ok"].itertuples():
+        own = tried[(tried["method"] == row.method) & (tried["status"] == "ok")]
+        cheaper = own[own["evaluations"] < row.evaluations]
+        assert (cheaper["error"] > row.error_asked).all()
+        # and the setting is near the edge: the next cheaper one tried is within a step of the bisection
+        if len(cheaper):
+            assert row.evaluations / cheaper["evaluations"].max() < 1.5
+
+
+def test_times_are_compared_within_a_kind_only(frame):
+    for (_, _), part in frame[frame["status"] == "ok"].groupby(["kind", "error_asked"]):
+        assert part["ratio"].min() == 1.0
+        assert set(part.loc[part["ratio"] == 1.0, "verdict"]) <= {"cheapest", "tie"}
+    assert set(frame.loc[frame["method"] == "scipy-dop853", "verdict"]) == {"cheapest"}
+    assert set(frame.attrs["margins"]) >= {"compiled", "callbacks"}
+    assert min(frame.attrs["margins"].values()) >= 1.15
+
+
+def test_a_contact_method_keeps_the_contact_form_and_a_runge_kutta_method_does_not(frame):
+    kept = frame.set_index(["method", "error_asked"])["laws_kept"]
+    for error in ERRORS:
+        assert "contact drift" in kept["contact-strang", error]
+        assert kept["rk4", error] == ""
+    drift = frame.set_index(["method", "error_asked"])["contact_drift"]
+    assert drift["contact-strang", 1e-2] < 1e-12 < drift["rk4", 1e-2]
+
+
+def test_what_is_not_compared_says_why(frame):
+    row = frame[frame["method"] == "contact-exact"].iloc[0]
+    assert (row["status"], row["verdict"]) == ("unsupported", "")
+    assert "rigid bodies" in row["reason"]
+    assert math.isnan(row["time_s"])
+
+
+def test_the_reference_is_checked_and_nothing_below_its_error_is_claimed(frame, monkeypatch):
+    reference = frame.attrs["reference"]
+    assert reference["source"] == "live"
+    assert reference["digits"] >= 20
+    assert reference["confirmed"] is None or reference["confirmed"] >= 15
+    exact = comparison.reference
+
+    def known_to_four_digits(*arguments, **options):
+        return replace(exact(*arguments, **options), digits=4)
+
+    monkeypatch.setattr("contactbench.race.comparison.reference", known_to_four_digits)
+    found = cb.compare(double_well(), ["rk4"], (1e-2, 1e-6), budget=10.0)
+    assert found.attrs["reference"]["error"] == 1e-4
+    first, second = found.itertuples()
+    assert first.status == "ok"
+    assert first.error_reached >= 1e-4
+    assert (second.status, second.verdict) == ("unresolved", "")
+    assert "known to 1.0e-04 only" in second.reason
+
+
+def test_a_reference_that_would_take_too_long_is_refused():
+    with pytest.raises(OutOfTime, match="in the time it was given"):
+        cb.compare(double_well().with_(t_end=4000.0), ["rk4"], ERRORS, budget=0.5)
+
+
+def test_it_writes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    results = REPOSITORY / "results"
+    before = {path: path.stat().st_mtime_ns for path in results.iterdir()}
+    cb.compare("particle", ["rk4"], (1e-2,), budget=5.0)
+    assert not list(tmp_path.iterdir())
+    assert before == {path: path.stat().st_mtime_ns for path in results.iterdir()}
+
+
+# -- interruption, budget --------------------------------------------------------------------------
+def test_control_c_ends_it_with_what_there_is(monkeypatch):
+    one = scouting.scout
+
+    def stopped(question, method, deadline):
+        if method == "contact-strang":
+            raise KeyboardInterrupt
+        return one(question, method, deadline)
+
+    monkeypatch.setattr("contactbench.race.comparison.scout", stopped)
+    found = cb.compare("particle", ["rk4", "contact-strang", "herglotz2"], (1e-2,), budget=10.0)
+    assert found.attrs["interrupted"]
+    rows = found.set_index("method")
+    assert rows.loc["rk4", "status"] == "ok"
+    assert rows.loc["rk4", "time_s"] > 0
+    assert list(rows.loc[["contact-strang", "herglotz2"], "status"]) == ["interrupted", "interrupted"]
+    assert "Interrupted" in show.text(found)
+
+
+def test_control_c_before_there_is_a_reference_is_passed_on(monkeypatch):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactbench.race.comparison.reference", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        cb.compare("particle", ["rk4"], (1e-2,))
+
+
+def test_a_spent_budget_is_said_of_each_method_it_stopped():
+    found = cb.compare("particle", ["contact-printed", "diffrax-tsit5"], (1e-9,), budget=1.0)
+    assert list(found["status"]) == ["budget", "budget"]
+    assert found["reason"].str.len().min() > 0
+    assert found["error_reached"].isna()[1]
+
+
+def test_a_method_that_breaks_is_a_row(monkeypatch):
+    def broken(request):
+        raise RuntimeError("no compiler found")
+
+    item = replace(cb.METHODS["rk4"], name="rk4")
+    object.__setattr__(item, "prepare", broken)
+    monkeypatch.setitem(cb.METHODS, "rk4", item)
+    found = cb.compare("particle", ["rk4"], (1e-2,), budget=5.0)
+    assert list(found["status"]) == ["failed"]
+    assert "no compiler found" in found["reason"][0]
+
+
+# -- input -----------------------------------------------------------------------------------------
+BAD = {
+    "scene": (("wel",), {}, "unknown scene 'wel'"),
+    "method": (("particle", ["rk5"]), {}, "unknown method 'rk5': did you mean 'rk4'?"),
+    "error": (("particle", ["rk4"], (0.0,)), {}, "error = 0.0: must be between 0 and 1"),
+    "errors": (("particle", ["rk4"], ()), {}, "errors: at least one"),
+    "budget": (("particle", ["rk4"]), {"budget": -1}, "budget = -1: must be > 0"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "options", "says"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(arguments, options, says):
+    with pytest.raises(cb.BadInput) as caught:
+        cb.compare(*arguments, **options)
+    assert says in str(caught.value)
+
+
+# -- verdicts --------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("ratios", "margin", "expected"),
+    [
+        ([1.0, 1.4, 3.0], 1.2, ["cheapest", "×1.40", "×3.00"]),
+        ([1.0, 1.4, 3.0], 1.5, ["tie", "tie", "×3.00"]),
+        ([1.0, math.nan], 1.5, ["cheapest", ""]),
+    ],
+)
+def test_a_tie_is_within_the_margin(ratios, margin, expected):
+    frame = pd.DataFrame({"kind": "compiled", "error_asked": 1e-3, "ratio": ratios})
+    assert verdicts(frame, {"compiled": margin}) == expected
+
+
+def test_the_margin_is_what_two_measurements_differ_by(frame):
+    for kind, part in frame.groupby("kind"):
+        ratios = part["time_repeat_ratio"].dropna()
+        assert len(ratios) == (part["status"] == "ok").sum()
+        spread = np.maximum(ratios, 1 / ratios).max()
+        assert frame.attrs["margins"][kind] == pytest.approx(
+            max(1.15, spread)
+        )  # few runs: the largest of all
+
+
+# -- shown -----------------------------------------------------------------------------------------
+def test_text_page_and_plot_say_the_same(frame, tmp_path):
+    text, page = show.text(frame), show.html(frame)
+    for row in frame.itertuples():
+        assert row.method in text
+        assert row.method in page
+        if row.verdict.startswith("×"):
+            assert row.verdict in text
+            assert row.verdict in page
+    assert "not claimed" in text
+    assert "contact-exact: unsupported" in text
+    assert "src=" not in page  # one file, nothing to fetch
+    from contactbench.report.draw import drawn
+
+    figure = show.figure(frame)
+    assert [panel.title for panel in figure.panels] == ["Compiled", "Calling back into Python", "Evaluations"]
+    drawn(figure).savefig(tmp_path / "plot.svg")
+    assert (tmp_path / "plot.svg").stat().st_size > 10_000

@@ -1,0 +1,40 @@
+"""The tables that come with the package."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+import contactbench as cb
+from contactbench.results.schema import TABLES
+from contactbench.results.shipped import shipped_folder
+
+SHIPPED = [name for name, table in TABLES.items() if table.path(shipped_folder()).is_file()]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name):
+    frame = cb.results(name)
+    assert len(frame)
+    assert set(frame.attrs["columns"]) == set(frame.columns)
+    kinds = {"number": "f", "whole": "i", "flag": "b"}
+    for column, about in TABLES[name].every_column.items():
+        if about.type in kinds:
+            assert frame[column].dtype.kind == kinds[about.type], column
+
+
+def test_the_name_is_not_lost_when_the_package_of_that_name_is_imported():
+    import contactbench.results.store  # noqa: F401
+
+    assert isinstance(cb.results("claims"), pd.DataFrame)
+
+
+def test_times_come_along():
+    assert cb.results("work_precision")["time_median_s"].notna().any()
+
+
+def test_unknown_names_and_empty_folders_are_named(tmp_path):
+    with pytest.raises(cb.BadInput, match="unknown table 'lwas': did you mean 'laws'"):
+        cb.results("lwas")
+    with pytest.raises(cb.BadInput, match="has no table 'laws'"):
+        cb.results("laws", tmp_path)
