@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 from contactbench.measure.precision import DIGITS, march
@@ -61,14 +61,9 @@ def scene_lines(scene: Scene) -> list[str]:
     for offset in OFFSETS:
         y = [a + context.mpf(offset * (k + 1)) / 64 for k, a in enumerate(start)]
         x = twin.unpack(y, scene.carry())
-        functions: dict[str, Callable[[], Any]] = {
-            "rhs": lambda x=x: twin.pack(twin.rhs(x)),
-            "H0": lambda x=x: [twin.energy(x)],
-        }
-        if scene.is_contact:
-            functions |= {"H": lambda x=x: [twin.hamiltonian(x)]}
-        functions |= {"J": lambda x=x: twin.momentum(x), "Jacobian": lambda x=x: twin.jacobian(x)}
-        lines += [f"{name} {printed(function(), context)}" for name, function in functions.items()]
+        contact = [twin.hamiltonian(x)] if scene.is_contact else []
+        values = [twin.pack(twin.rhs(x)), [twin.energy(x)], contact, twin.momentum(x), twin.jacobian(x)]
+        lines += [printed(value, context) for value in values]
     return lines
 
 
