@@ -103,4 +103,5 @@ def outcome(solution: Solution, counts: Counts | None = None, variant: str = "")
         "evaluation_kind": counts.kind,
         "rhs_equivalents": counts.rhs_equivalents,
         "jacobians": counts.jacobians,
+        "rejected": counts.rejected if METHODS[solution.method].adaptive else None,
     }

@@ -17,7 +17,6 @@ import pytest
 
 from clock import Cell, Clock
 from contactbench.errors import BadInput
-from contactbench.measure.ladder import stepping
 from contactbench.methods import METHODS
 from contactbench.results import journal, provenance
 from contactbench.results.schema import PROFILES as NAMES
@@ -26,6 +25,8 @@ from contactbench.results.store import OldTable, read
 from contactbench.xla import jax
 
 SHUFFLE_SEED = 20
+#: what this process may use before it is bound to one of them
+CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 REPOSITORY = Path(__file__).resolve().parents[1]
 #: what the first visits to timed cells leave to the second
 VISITED = pytest.StashKey[dict[Any, Cell]]()
@@ -90,8 +91,7 @@ def pin_to_one_core(which: int) -> None:
     """XLA sizes its thread pool by the cores it may use, and handing parts of a small program to another
     thread costs more than running them (up to 70 µs a call, measured)."""
     if hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[which % len(cores)]})
+        os.sched_setaffinity(0, {CORES[which % len(CORES)]})
         jax.config.update("jax_num_cpu_devices", 1)  # contactbench, imported before, took one for every core
 
 
@@ -229,8 +229,6 @@ def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
     def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
         if "family" in which.columns and row["method"] in METHODS:
             row = {"family": METHODS[row["method"]].family, **row}
-        if "stepping" in which.columns:
-            row = {"stepping": stepping(METHODS[row["method"]]), **row}
         return {**row, "profile": profile}
 
     return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
@@ -276,6 +274,8 @@ def write_report(results: Path) -> None:
     from contactbench.report import write
     from contactbench.scenes import SCENES
 
+    if CORES:  # nothing is timed any more
+        os.sched_setaffinity(0, CORES)
     write.report(results, {"methods": METHODS, "scenes": SCENES})
     readme = REPOSITORY / "README.md"
     if results == REPOSITORY / "results" and readme.exists():

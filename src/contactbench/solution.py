@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -109,6 +108,13 @@ def closest(gaps: np.ndarray) -> np.ndarray:
     return np.argmin(np.where(np.isnan(gaps), np.inf, gaps), axis=0)
 
 
+class Run(Protocol):
+    """What a solution asks of the run that made it: see `Prepared`."""
+
+    def differential(self, y0: np.ndarray, out: Any, frozen: bool) -> Differential: ...
+    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None: ...
+
+
 @dataclass(repr=False)
 class Solution:
     """Saved states of one run.
@@ -131,10 +137,8 @@ class Solution:
     end_time: float = float("nan")
     #: the initial state y was integrated from, packed
     y0: np.ndarray | None = None
-    #: differentiate(frozen): of the map its user gets, or with the steps taken here held fixed
-    differentiate: Callable[[bool], Differential] | None = None
-    #: () -> log of the product of the conformal factors of the contact maps applied, (k,); None: no such maps
-    log_factor: Callable[[], np.ndarray | None] = lambda: None
+    #: the run that made it, which can be differentiated
+    run: Run | None = None
     #: what was set, "step" or "rtol", and its value
     control: str = ""
     value: float = float("nan")
@@ -176,9 +180,15 @@ class Solution:
         return self._differentiated(frozen=True)
 
     def _differentiated(self, frozen: bool) -> Differential:
-        if self.differentiate is None:
+        if self.run is None or self.y0 is None:
             raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
-        return self.differentiate(frozen)
+        return self.run.differential(self.y0, self, frozen)
+
+    def log_factor(self) -> np.ndarray | None:
+        """Log of the product of the conformal factors of the contact maps applied, (k,); None: no such maps."""
+        if self.run is None or self.y0 is None:
+            return None
+        return self.run.log_factor(self.y0, self.y)
 
     @property
     def sensitivity(self) -> np.ndarray:

@@ -177,6 +177,15 @@ def test_counts_of_a_solver_that_chooses_its_steps_are_exact_on_one_machine_and_
     assert not judged(baseline, tenth, tmp_path / "unknown", run=unknown).red
 
 
+@pytest.mark.parametrize(("spread", "red"), [(0.0, True), (0.04, True), (0.6, False)])
+def test_counts_may_move_by_what_roundings_were_measured_to_do_to_them(spread, red, tmp_path):
+    change = setting(WORK_PRECISION, "cvode-adams", evaluations_spread=spread)
+    before = folder(tmp_path / "before", change)
+    now = setting(WORK_PRECISION, "cvode-adams", evaluations_spread=spread, evaluations=1200)
+    assert accuracy(before, folder(tmp_path / "now", now, run={**RUN, "isa": "y"})).red is red
+    assert accuracy(before, folder(tmp_path / "here", now)).red  # where there are no other roundings
+
+
 def test_new_rows_and_other_machines_are_noted_not_judged(baseline, tmp_path):
     fresh = folder(tmp_path / "fresh", run={**RUN, "cpu": "b"})
     merge(LAWS_TABLE, [row("mine", solution_error=1.0)], fresh)

@@ -26,7 +26,9 @@ from contactbench.report.contest import (
     CALLED_BACK,
     COMPILED,
     EVALUATIONS,
+    FIXED,
     KINDS,
+    MARGINAL,
     TARGETS,
     Field,
     reasons,
@@ -361,6 +363,12 @@ def test_win_tie_and_loss_of_the_contact_methods(factor, outcome):
     assert bool(reasons([field])) == (outcome == "loss")
 
 
+def test_losses_are_counted_among_the_pairs_that_some_method_reaches():
+    rows = [r for m, f in (("contact-a", 2.0), ("rk4", 1.0)) for r in costs(m, f, finest=1e-10)]
+    (sentence,) = reasons([Field(table("work_precision", rows), COMPILED)])
+    assert "3 of 3 pairs of scene and error lost" in sentence
+
+
 def test_measured_noise_widens_a_tie_in_time_and_not_in_evaluations():
     rows = [*costs("contact-a"), *costs("rk4", 1.5)]
     noisy = table("work_precision", [r | {"time_repeat_ratio": 1.8} for r in rows])
@@ -438,7 +446,7 @@ def test_decade_by_decade_the_best_of_each_camp_and_a_ratio_anyone_can_read():
 
 
 def test_kinds_stand_side_by_side_and_say_what_they_are():
-    assert [k.name for k in KINDS] == ["evaluations", "compiled", "callbacks"]
+    assert [k.name for k in KINDS] == ["evaluations", "compiled", "marginal", "callbacks"]
     found = work_precision.findings(frames(work_precision=[*costs("contact-a"), *costs("rk4", 2.0)]))
     assert [f.name for f in found] == ["cost_evaluations", "cost_compiled"]
 
@@ -577,6 +585,10 @@ def test_where_negative_substeps_stop_paying():
         for m, es in errors.items() for d, e in zip(grid, es, strict=True)
     ]  # fmt: skip
     assert damping.usable(table("strong_damping", rows), "contact-rkn6", 1.0) == 1e-2
+    late = [r | {"error": e} for r, e in zip(rows[4:], [1e-5, 1e-5, 1e-5, 1e-5], strict=True)]
+    assert (
+        damping.usable(table("strong_damping", [*rows[:4], *late]), "contact-rkn6", 1.0) == 0
+    )  # worse at first
     alone = table("strong_damping", [r for r in rows if r["method"] == "contact-rkn6"])
     assert list(damping.strong_parts(alone)) == []  # nothing to compare with
 
@@ -620,10 +632,9 @@ def test_how_much_of_an_ensemble_is_the_fixed_cost_of_a_call_is_said(fixed, shar
 
 # -- tables ----------------------------------------------------------------------------------------
 def test_a_closed_form_is_exact_and_not_adaptive():
-    common = {"control": "rtol", "cost": 30.0}
     rows = [
-        kept_row("central", "contact-exact", 1e-9, **common) | {"stepping": "exact"},
-        kept_row("central", "contact-c", 1e-9, **common) | {"stepping": "adaptive"},
+        kept_row("central", "contact-exact", 0, control="exact", cost=30.0),
+        kept_row("central", "contact-c", 1e-9, control="rtol", cost=30.0),
     ]
     view = equal_cost.overview(frames(decay_laws=rows))
     assert [line[1].text for line in view.rows] == ["exact", "adaptive"]
@@ -639,3 +650,20 @@ def test_what_is_bold_at_equal_cost_is_what_its_sentence_says():
     bold = [Mark.kept in next(c for c in line if c.text == "2.0e-12").marks for line in view.rows]
     assert bold == [True, False]
     assert "at most 1e-12, or ε times the evaluations" in view.meaning
+
+
+def test_marginal_cost_ranks_anew_and_a_cost_that_is_mostly_fixed_is_marked():
+    """The cheaper call of two is the dearer one as soon as runs are long."""
+    quick = [r | {"fixed_s": 0.2 * r["time_median_s"], "marginal_s": 2.0} for r in costs("contact-a")]
+    slow = [r | {"fixed_s": 0.9 * r["time_median_s"], "marginal_s": 1.0} for r in costs("rk4", 2.0)]
+    work = table("work_precision", [*quick, *slow])
+    whole, marginal = Field(work, COMPILED), Field(work, MARGINAL)
+    assert {c.outcome for c in whole.contests().values()} == {"win"}
+    assert {c.outcome for c in marginal.contests().values()} == {"loss"}
+    marked = {line[0].text: {FIXED in c.text for c in line[1:]} for line in costs_view(whole, "s", "").rows}
+    assert marked == {"contact-a": {False}, "rk4": {True}}
+    assert not any(FIXED in c.text for line in costs_view(marginal, "s", "").rows for c in line)
+    noisy = work.assign(marginal_repeat_ratio=[1.0, 3.0] * (len(work) // 2))
+    assert {c.outcome for c in Field(noisy, MARGINAL).contests().values()} == {"tie"}
+    lost = work.assign(marginal_s=-1.0)  # lost in noise: no cost, rather than the least
+    assert not any(c.decided for c in Field(lost, MARGINAL).contests().values())

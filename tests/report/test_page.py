@@ -14,7 +14,7 @@ import pytest
 from contactbench.report import page
 from contactbench.report.cells import Head, Mark, View, number, word
 from contactbench.report.drawing import Axis, Curve, Figure, Heat, Note, Panel, Span
-from contactbench.report.look import METHODS, SPARE, look
+from contactbench.report.look import METHODS
 from contactbench.report.rooms import Finding, Room, Section, Text
 
 VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path", "use"}
@@ -194,12 +194,6 @@ def test_colours_stand_out_from_the_dark_page_and_markers_are_matplotlibs():
     assert page.outline("o").count("C") == 8
     assert page.luminance("#ffffff") == pytest.approx(1)
     assert page.luminance("#777777") == pytest.approx(0.184, abs=1e-3)  # 4.48 against white, WCAG's example
-
-
-def test_the_look_of_an_unknown_method_depends_on_its_name_alone():
-    first = {name: look(name) for name in ("mine", "yours", "theirs")}
-    assert {name: look(name) for name in reversed(first)} == first
-    assert set(first.values()) <= set(SPARE)
 
 
 # -- in a browser ----------------------------------------------------------------------------------

@@ -77,6 +77,8 @@ def test_report_writes_documents_and_figures_from_the_tables(results):
     for path in (results / "figures").glob("*.svg"):
         assert "<svg" in path.read_text()
     again = {path: path.read_bytes() for path in (*results.rglob("*.svg"), *results.glob("*.md"))}
+    for path in results.rglob("*.svg"):
+        path.unlink()  # one that shows the same would not be drawn again
     write.report(results, REGISTRIES)
     assert {path: path.read_bytes() for path in again} == again  # equal tables give equal files
 
@@ -142,7 +144,7 @@ def test_names_of_views_and_figures_are_unique_but_for_a_figure_shown_twice():
     assert len(views) == len(set(views)), sorted(v for v in views if views.count(v) > 1)
     drawn = {}
     for figure in (part for part in found if isinstance(part, Figure)):
-        assert drawn.setdefault(figure.name, figure) == figure
+        assert repr(drawn.setdefault(figure.name, figure)) == repr(figure)  # nan is nan
 
 
 def test_every_table_is_read_by_a_room_and_every_room_reads_tables():

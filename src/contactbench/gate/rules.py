@@ -11,7 +11,7 @@ import pandas as pd
 
 from contactbench.report.cells import DASH
 from contactbench.results.round_off import STRUCTURE, floor
-from contactbench.results.schema import PROFILES, Rule
+from contactbench.results.schema import PROFILES, SPREAD, Rule
 
 #: how far an error may move, in decades: a factor of two
 DECADES = 0.3
@@ -41,9 +41,13 @@ def relative(before: np.ndarray, after: np.ndarray, allowed: np.ndarray | float)
 
 
 def counts(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame, alike: bool) -> np.ndarray:
-    """Counts of solvers that choose their steps may move by a share on another processor."""
+    """Counts of solvers that choose their steps may move by a share on another processor, and by twice what
+    roundings of the initial data do to them where that was measured to be more."""
     chosen = (rows["control"] == "rtol").to_numpy() & (not alike)
-    return relative(before, after, np.where(chosen, np.maximum(1.0, SHARE * before), 0.0))
+    spread = rows[SPREAD].fillna(0.0).to_numpy(dtype=float) if SPREAD in rows else 0.0
+    return relative(
+        before, after, np.where(chosen, np.maximum(1.0, np.maximum(SHARE, 2 * spread) * before), 0.0)
+    )
 
 
 def measured(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:

@@ -77,11 +77,11 @@ class CompiledRun(Prepared):
 
         return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
 
-    def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], np.ndarray]:
+    def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
         """The three again: saved states (k, d), facts, last state (d,)."""
-        saves = len(self.request.save_at)
-        states = capacity(saves) * d
-        return vector[: saves * d].reshape(-1, d), vector[states:-d].tolist(), vector[-d:]
+        saves = self._saves
+        told = vector[capacity(saves) * d :].tolist()
+        return vector[: saves * d].reshape(-1, d), told[:-d], told[-d:]
 
     def times(self) -> np.ndarray:
         """The saved times as a program takes them: the end again and again beyond those asked for."""

@@ -73,6 +73,9 @@ class AdaptiveContactRun(Prepared):
         assert r.rtol is not None
         self.composition = RKN6
         self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
+        scene: Any = r.scene
+        #: gradients that the curvature of a state costs where the scene has no Hessian
+        self.by_gradients = len(scene.q) if scene.hessian is None else 0
         self.epsilon, self.span = AIM * r.rtol ** (1 / self.composition.order), float(r.save_at[-1])
 
     #: how `sensitivity` with frozen=False differentiates
@@ -88,23 +91,31 @@ class AdaptiveContactRun(Prepared):
         return Differential(source, out.y, self.sensitivity(y0, frozen)[None])
 
     def ended(
-        self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: np.ndarray, density: float
+        self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: list[float], density: float
     ) -> Outcome:
         """The outcome of a run whose sequence of steps ended at (time, last); y : NaN where not reached."""
+        if len(y) == 1:
+            out = self.at_end(y0, y[0].tolist(), y, self.counted(steps, 1))
+            if out.checked:
+                return out
         r = self.request
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        taken = steps + reached  # every saved time costs a step of its own
-        evaluations, curvatures = taken * self.per_step, steps + 1
-        if r.scene.hessian is None:  # type: ignore[attr-defined]  # curvature by derivatives of ∇V
-            evaluations, curvatures = evaluations + curvatures * len(r.scene.q), 0  # type: ignore[attr-defined]
-        counts = Counts(taken, evaluations, curvatures, 0, "gradient")
+        counts = self.counted(steps, reached)
         if reached == len(y):
             return self.finished(y0, y, counts)
         status, message = Status.budget, f"max_steps = {r.max_steps} spent (t = {time:.6g})"
         if steps < r.max_steps:
             status = Status.failed
             message = f"step {self.epsilon / density:.3g} below the resolution of time (t = {time:.6g})"
-        return self.finished(y0, y[:reached], counts, status, message, (time, last))
+        return self.finished(y0, y[:reached], counts, status, message, (time, np.array(last)))
+
+    def counted(self, steps: int, reached: int) -> Counts:
+        """Counts of a sequence of steps, and of a shortened step to every saved time reached."""
+        taken, curvatures = steps + reached, steps + 1
+        evaluations = taken * self.per_step
+        if self.by_gradients:
+            return Counts(taken, evaluations + curvatures * self.by_gradients, 0, 0, "gradient")
+        return Counts(taken, evaluations, curvatures, 0, "gradient")
 
 
 def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool) -> str:
@@ -217,7 +228,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
                 break
         except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
             pass
-        return self.ended(y0, y, steps, time, np.array(scene.pack(x), dtype=float), density)
+        return self.ended(y0, y, steps, time, [float(c) for c in scene.pack(x)], density)
 
 
 _loops: dict[Any, tuple[Any, float]] = {}
@@ -259,8 +270,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         y, facts = self.solved(self.run, y0)
-        time, density, steps = facts[:3].tolist()
-        return self.ended(y0, y, int(steps), time, facts[3:], density)
+        time, density, steps, *last = facts.tolist()
+        return self.ended(y0, y, int(steps), time, last, density)
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         if not frozen:

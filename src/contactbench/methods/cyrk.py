@@ -53,6 +53,7 @@ class CyrkRun(Prepared):
         self.to_end, self.at_times = cyrk_driver.to_end, cyrk_driver.at_times
         self.end, self.size = float(r.save_at[-1]), len(self._own_start)
         self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
+        self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
         r = self.request
@@ -63,17 +64,19 @@ class CyrkRun(Prepared):
         return self._bare(y0)[KNOWN:]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        r, later = self.request, self.later
-        final_only = len(later) == 1
-        if final_only:
+        if self.final_only:
             told = self._bare(y0)
+            status, reached, saved, steps, evaluations, *end = told.tolist()
             rows = told[None, KNOWN:]
-        else:
+            if status == SUCCESS and self._saves == 1:
+                return self.at_end(y0, end, rows, self.counted(int(steps), int(evaluations)))
+        r, later = self.request, self.later
+        if not self.final_only:
             rows = np.empty((len(later), self.size))
             told = self.at_times(
                 self.rhs, self.number, y0, self.data, later, r.rtol, r.atol, r.max_steps, rows
             )
-        status, reached, saved, steps, evaluations = told[:KNOWN].tolist()
+            status, reached, saved, steps, evaluations = told[:KNOWN].tolist()
         exhausted = status in TOO_MANY_STEPS
         if status != SUCCESS and not exhausted:
             steps -= 1  # CyRK counts the step that failed
@@ -81,10 +84,9 @@ class CyrkRun(Prepared):
             rows = rows[: int(saved)]
         if len(later) < len(r.save_at):
             rows = np.concatenate([y0[None], rows])
-        rejected = None
-        if final_only and self.stages:
-            rejected = (int(evaluations) - BEFORE) // self.stages - int(steps)
-        counts = Counts(int(steps), int(evaluations), 0, rejected)
+        counts = self.counted(int(steps), int(evaluations))
+        if not self.final_only:
+            counts = counts._replace(rejected=None)
         if status == SUCCESS:
             return self.finished(y0, rows, counts)
         message = f"max_steps = {r.max_steps} spent" if exhausted else self.message(int(status))
@@ -93,17 +95,22 @@ class CyrkRun(Prepared):
             (reached, told[KNOWN:]),
         )  # fmt: skip
 
+    def counted(self, steps: int, evaluations: int) -> Counts:
+        """The counts of a run without interpolation, which asks for evaluations of its own."""
+        rejected = (evaluations - BEFORE) // self.stages - steps if self.stages else None
+        return Counts(steps, evaluations, 0, rejected)
+
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         carry = self.request.carry
         larger = variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
         return integrated(CyrkRun(self.method, larger, self.solver, self.stages), y0)
 
     def count(self, counts: Counts) -> Counts:
-        """With the rejected steps of a run to the last time, where no interpolation asks for evaluations."""
+        """With the rejected steps of a run to the last time."""
         if counts.rejected is None and self.stages:
-            status, _, _, steps, evaluations = self._bare(self._own_start)[:KNOWN].tolist()
+            status, _, _, steps, evaluations = map(int, self._bare(self._own_start)[:KNOWN])
             if status == SUCCESS:
-                return counts._replace(rejected=(int(evaluations) - BEFORE) // self.stages - int(steps))
+                return counts._replace(rejected=self.counted(steps, evaluations).rejected)
         return counts
 
 

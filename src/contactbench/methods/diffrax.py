@@ -111,6 +111,8 @@ class DiffraxRun(CompiledRun):
         accepted, rejected, successful, exhausted, collapsed, time = info
         accepted, rejected = int(accepted), int(rejected)
         counts = Counts(accepted, self.method_.evaluations(accepted, rejected), 0, rejected)
+        if successful and self._saves == 1:
+            return self.at_end(y0, last, y, counts)
         if successful:
             return self.finished(y0, y, counts)
         # Unsuccessful runs may still hold a finite state at the wrong time: keep only what was
@@ -119,7 +121,7 @@ class DiffraxRun(CompiledRun):
         status = Status.budget if exhausted else Status.failed
         why = "step below the resolution of time" if collapsed else "the nonlinear solve failed"
         message = f"max_steps = {r.max_steps} spent" if exhausted else f"diffrax: {why} (t = {time:.6g})"
-        return self.finished(y0, y[:reached], counts, status, message, (time, last))
+        return self.finished(y0, y[:reached], counts, status, message, (time, np.array(last)))
 
     def count(self, counts: Counts) -> Counts:
         return counts._replace(evaluations=self.counted_by_callback()) if self.method_.stiff else counts

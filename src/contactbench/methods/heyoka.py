@@ -68,7 +68,7 @@ class TaylorRun(Prepared):
         program, self.compile_s = _integrators[key]
         self.integrator = copy(program)
         self.outcomes = heyoka.taylor_outcome
-        self.end = float(r.save_at[-1])
+        self.end, self.per_step = float(r.save_at[-1]), program.order + 1
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         ta = self.integrator
@@ -82,19 +82,21 @@ class TaylorRun(Prepared):
         ta.time = 0.0
         ta.state[:] = y0
         if len(r.save_at) == 1:
-            outcome, _, _, steps, *_ = ta.propagate_until(float(r.save_at[0]), max_steps=r.max_steps)
-            y = ta.state.copy()[None]
-            if outcome != self.outcomes.time_limit:
-                y = y[:0]
+            outcome, _, _, steps, *_ = ta.propagate_until(self.end, max_steps=r.max_steps)
+            y = ta.state.copy()
+            if outcome == self.outcomes.time_limit:
+                counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
+                return self.at_end(y0, y.tolist(), y[None], counts)
+            y = y[None][:0]
         else:
             start = r.save_at[0] == 0
             grid = r.save_at if start else np.concatenate([[0.0], r.save_at])
             outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
             y = y[: len(grid)] if start else y[1:]
-        counts = Counts(steps, steps * (ta.order + 1), 0, 0, "taylor")
-        stopped = (float(ta.time), ta.state.copy())
+        counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
         if outcome == self.outcomes.time_limit:
             return self.finished(y0, y, counts)
+        stopped = (float(ta.time), ta.state.copy())
         if outcome == self.outcomes.step_limit:
             return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
         status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed

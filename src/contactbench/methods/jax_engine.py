@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.methods.base import Outcome
 from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.numbers.control import Repeat, repeat
@@ -116,3 +117,12 @@ class JaxLoop(JaxSteps):
     def bare(self, y0: np.ndarray) -> np.ndarray:
         program, _ = self.steps
         return np.asarray(program(self.placed(y0), self.fixed))[len(self.n) - 1]
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        if self._saves == 1 and not self.saves_start and self.needed <= self.request.max_steps:
+            program, _ = self.steps
+            y = np.asarray(program(self.placed(y0), self.fixed))[:1]
+            out = self.at_end(y0, y[0].tolist(), y, self.totals)
+            if out.checked:  # else the step at which it diverged is to be found
+                return out
+        return super().integrate(y0)

@@ -151,6 +151,7 @@ class CompiledCvodeRun(Prepared):
         )  # fmt: skip
         self.to_end, self.at_times = cvode_driver.to_end, cvode_driver.at_times
         self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
+        self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
         s = self.solver
@@ -161,14 +162,19 @@ class CompiledCvodeRun(Prepared):
         return self._bare(y0)[KNOWN:]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        r, s, later = self.request, self.solver, self.later
-        if len(later) == 1:
+        if self.final_only:
             told = self._bare(y0)
             rows = told[None, KNOWN:]
-        else:
+            flag, reached, saved, steps, evaluations, jacobians, rejected, *end = told.tolist()
+            if flag >= 0 and self._saves == 1:
+                return self.at_end(
+                    y0, end, rows, Counts(int(steps), int(evaluations), int(jacobians), int(rejected))
+                )
+        r, s, later = self.request, self.solver, self.later
+        if not self.final_only:
             rows = np.empty((len(later), self.size))
             told = self.at_times(s.memory, s.vector, s.y, y0, self.data, later, r.max_steps, rows)
-        flag, reached, saved, steps, evaluations, jacobians, rejected = told[:KNOWN].tolist()
+            flag, reached, saved, steps, evaluations, jacobians, rejected = told[:KNOWN].tolist()
         if saved < len(later):
             rows = rows[: int(saved)]
         if len(later) < len(r.save_at):

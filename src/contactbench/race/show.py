@@ -12,6 +12,7 @@ import pandas as pd
 from contactbench.report.cells import Cell, Head, Mark, View, marks, word
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Figure, Panel
+from contactbench.report.figures.best import best_of_each, cheapest
 from contactbench.report.numbers import count, duration, names, scientific
 from contactbench.report.page import Said, page
 from contactbench.report.rooms import Part, Room, Text
@@ -115,13 +116,19 @@ def figure(frame: pd.DataFrame) -> Figure | None:
         )
         if len(part):
             curves = by_method(part, "error_reached", "time_s", scale=1e3)
-            panels.append(Panel(title, number_axis("error", True), number_axis("time per solve, ms"), curves))
+            best = best_of_each(curves, cheapest)
+            panels.append(Panel(title, number_axis("error", True), number_axis("time per solve, ms"), best))
     if len(tried) and (tried["status"] == "ok").any():
         ok = tried[(tried["status"] == "ok") & tried["evaluations"].notna()].copy()
         ok["error"] = np.maximum(ok["error"], frame.attrs["reference"]["error"])
         curves = by_method(ok.sort_values("value", ascending=False, kind="stable"), "error", "evaluations")
         panels.append(
-            Panel("Evaluations", number_axis("error", True), number_axis("right-hand sides"), curves)
+            Panel(
+                "Evaluations",
+                number_axis("error", True),
+                number_axis("evaluations"),
+                best_of_each(curves, cheapest),
+            )
         )
     if not panels:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -34,15 +34,36 @@ def hints(rows: pd.DataFrame) -> tuple[str, ...]:
 
 
 def by_method(
-    rows: pd.DataFrame, x: str, y: str, apart: tuple[str, ...] = (), scale: float = 1.0, **options: Any
+    rows: pd.DataFrame,
+    x: str,
+    y: str,
+    apart: tuple[str, ...] = (),
+    scale: float = 1.0,
+    also: Mapping[str, float] | None = None,
+    bars: Callable[[pd.DataFrame], tuple[pd.Series, pd.Series]] | None = None,
+    **options: Any,
 ) -> tuple[Curve, ...]:
-    """A curve for each method, and for each value of the columns `apart`; y in units of 1/scale."""
+    """A curve for each method, and for each value of the columns `apart`; y in units of 1/scale.
+
+    also : columns a page may show instead, with their scales.  bars : low and high ends, in the unit of y.
+    """
     keys = ["method", *apart]
+    others = {name: size for name, size in (also or {}).items() if name in rows}
     curves = []
-    rows = rows[[name for name in dict.fromkeys([*keys, x, y, "setting", "engine"]) if name in rows]]
     for names, line in rows.groupby(keys, sort=False, dropna=False):
         method = str(names[0])
-        values = np.array(floats(line[y])) * scale
-        values = np.where(values <= 0, FLOOR, np.maximum(values, FLOOR))  # nan stays nan
-        curves.append(Curve(floats(line[x]), tuple(values), method, method, hints=hints(line), **options))
+        low, high = (floats(end * scale) for end in bars(line)) if bars else ((), ())
+        curves.append(
+            Curve(
+                floats(line[x]), above(line[y], scale), method, method, hints=hints(line),
+                family=str(line["family"].iloc[0]) if "family" in line else "",
+                also=tuple((name, above(line[name], size)) for name, size in others.items()),
+                low=low, high=high, **options,
+            )
+        )  # fmt: skip
     return tuple(curves)
+
+
+def above(values: pd.Series, scale: float = 1.0) -> tuple[float, ...]:
+    """Values for a logarithmic axis; nan stays nan."""
+    return tuple(np.maximum(np.array(floats(values)) * scale, FLOOR).tolist())

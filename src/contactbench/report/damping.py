@@ -163,12 +163,8 @@ def usable(frame: pd.DataFrame, method: str, gamma: float) -> float:
         index="damping_per_evaluation", columns="method", values="error", dropna=False
     )
     worse = (part[method] > part[BASE] * 1.001).to_numpy()
-    grid = part.index.to_numpy()
-    start = int(np.argmax(~worse)) if (~worse).any() else None
-    if start is None or start > len(grid) // 2:
-        return 0.0
-    behind = np.flatnonzero(worse[start:])
-    return float(grid[-1] if not len(behind) else grid[start + behind[0] - 1])
+    first = int(np.argmax(worse)) if worse.any() else len(worse)
+    return float(part.index[first - 1]) if first else 0.0
 
 
 def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:

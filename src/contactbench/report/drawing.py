@@ -8,20 +8,30 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Axis:
-    """limits, ticks : as they must be, or None for what fits.  ticks are (value, text)."""
+    """limits, ticks : as they must be, or None for what fits.  ticks are (value, text).
+
+    within : where the axis ends at the latest, though curves go on; None for no end.
+    key : the quantity.  others : axes that a page may show instead (`Curve.also` has the values).
+    Labels, and all words of a figure, may hold mathtext between dollars.
+    """
 
     label: str
     scale: Literal["linear", "log"] = "linear"
     inverted: bool = False
     limits: tuple[float | None, float | None] | None = None
     ticks: tuple[tuple[float, str], ...] | None = None
+    within: tuple[float | None, float | None] = (None, None)
+    key: str = ""
+    others: tuple[Axis, ...] = ()
 
 
 @dataclass(frozen=True)
 class Curve:
     """Points of one curve, in drawing order; nan interrupts the line.
 
-    method : a name of METHODS gives it that method's colour and marker, everywhere the same.
+    method : a name of METHODS gives it that method's colour, dash and marker, everywhere the same.
+    family : what a method unknown to look.py declares itself.
+    muted : thin and grey, not the best of its family.
     role : the look of what is no method: truth, law, reference (thin, grey), criterion, conservative,
         dissipative, flow, stable, unstable, neutral, or "shade 0" … "shade 4" of an ordered set.
     label : its entry in the legend; "" for none.  Equal labels are one entry.
@@ -30,6 +40,7 @@ class Curve:
     note : written at the last point (a direct label).
     low, high : error bars in y, absolute values; empty for none.
     hints : a sentence for each point (hover); empty for none.
+    also : values of other quantities at the points, (key, values), for the axes a page may choose.
     z : third coordinate, in a panel that has a z axis.
     """
 
@@ -48,6 +59,9 @@ class Curve:
     high: tuple[float, ...] = ()
     hints: tuple[str, ...] = ()
     z: tuple[float, ...] = ()
+    family: str = ""
+    muted: bool = False
+    also: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,7 +99,8 @@ class Heat:
 class Panel:
     """One pair of axes.  With `z` it is three-dimensional; `sphere` draws the unit sphere in it.
 
-    equal : one unit is as long on both axes.  view : elevation and azimuth in degrees, 3-D only.
+    remark : a line below the title.  equal : one unit is as long on both axes.
+    view : elevation and azimuth in degrees, 3-D only.
     """
 
     title: str
@@ -99,12 +114,14 @@ class Panel:
     sphere: bool = False
     equal: bool = False
     view: tuple[float, float] = (22.0, -50.0)
+    remark: str = ""
 
 
 @dataclass(frozen=True)
 class Figure:
     """Panels side by side, `across` in a row.  Saved as figures/NAME.svg and .png.
 
+    size : of a panel, inches.
     legend : one for all panels, below them ("shared"), or one in each ("each").
     caption : one or two sentences: what is compared, what is better.
     """
@@ -116,3 +133,4 @@ class Figure:
     across: int = 3
     legend: Literal["shared", "each"] = "shared"
     source: str = ""
+    size: tuple[float, float] = (4.6, 3.9)

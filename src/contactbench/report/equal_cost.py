@@ -15,12 +15,14 @@ from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 FIRST = ("central", "rigid_body")
 
 
+#: what stands instead of an order, by what sets a method
+WITHOUT = {"rtol": "adaptive", "exact": "exact"}
+
+
 def order_cell(frames: Frames, scene: str, row: pd.Series) -> Cell:
     """The extrapolated order of a row's method on a scene; why not, where there is none."""
-    if row["stepping"] == "exact":
-        return Cell("exact")
-    if row["control"] == "rtol":
-        return Cell("adaptive")
+    if row["control"] in WITHOUT:
+        return Cell(WITHOUT[row["control"]])
     method = row["method"]
     orders = frames.get("convergence", pd.DataFrame())
     here = orders[(orders["method"] == method) & (orders["scene"] == scene)] if len(orders) else orders

@@ -1,60 +1,107 @@
-"""How a method, a role and a mark look: one colour and marker per method in every figure and on the page."""
+"""How a method and a role look in every figure and on the page: colour = family, dash = order, marker = method.
+
+The families' colours are chosen so that any two are at least 15 apart (CIEDE2000) as deuteranopes and
+protanopes see them (Machado, Oliveira & Fernandes 2009, severity 1), and stand out from their page by 3:1 at
+least (WCAG 2.2, 1.4.11); a test computes both.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from typing import Any, NamedTuple
 
+PAPER, DARK_PAPER = "#ffffff", "#101418"
+#: a curve that is not the best of its family
+MUTED, DARK_MUTED = "#c4c8cc", "#4a525a"
+
+
+class Family(NamedTuple):
+    """A colour on white and one on the dark page."""
+
+    light: str
+    dark: str
+
+
+FAMILIES = {
+    "contact": Family("#1b74fa", "#2c8bff"),
+    "rk4": Family("#000000", "#ffffff"),
+    "herglotz": Family("#793289", "#c7a0a8"),
+    "scipy": Family("#194d00", "#a8d188"),
+    "sundials": Family("#c28700", "#fff318"),
+    "cyrk": Family("#00a092", "#00d6ed"),
+    "diffrax": Family("#000a51", "#516c2e"),
+    "heyoka": Family("#ff438c", "#d155a0"),
+    "other": Family("#68695f", "#847a72"),
+}
+
 
 class Look(NamedTuple):
-    """A colour (#rrggbb), a matplotlib marker, and whether the marker is filled."""
+    """Family, matplotlib marker, order (None: variable, or exact); contact markers are filled, all others hollow."""
 
-    color: str
+    family: str
     marker: str
-    filled: bool = True
+    order: int | None = None
+
+    @property
+    def color(self) -> str:
+        return FAMILIES[self.family].light
+
+    @property
+    def dark(self) -> str:
+        return FAMILIES[self.family].dark
+
+    @property
+    def filled(self) -> bool:
+        return self.family == "contact"
+
+    @property
+    def dash(self) -> tuple[float, ...]:
+        return DASHES.get(self.order, ())
 
 
-# Okabe–Ito and Tol's vibrant set: distinguishable with the common colour-vision deficiencies, and never by
-# colour alone: each method has its own marker; contact methods are filled, all others hollow.
+#: on and off, in line widths, by order; the eighth order and what has no fixed one are solid
+DASHES: dict[int | None, tuple[float, ...]] = {
+    1: (1, 1.5), 2: (3, 1.5), 3: (4, 1.5), 4: (6, 2), 5: (6, 1.5, 1, 1.5), 6: (10, 1.5, 1.5, 1.5),
+}  # fmt: skip
+
 METHODS = {
-    "contact-printed": Look("#882255", "X"),
-    "contact-abc": Look("#0077BB", "s"),
-    "contact-strang": Look("#33BBEE", "o"),
-    "contact-bm4": Look("#004488", "^"),
-    "contact-bm6": Look("#004488", "v"),
-    "contact-rkn4": Look("#228833", "D"),
-    "contact-rkn6": Look("#4477AA", "*"),
-    "contact-rkn8": Look("#CC6677", "p"),
-    "contact-o8": Look("#AA3377", "P"),
-    "contact-adaptive": Look("#BB5566", "8"),
-    "contact-exact": Look("#225555", "h"),
-    "rk4": Look("#000000", "x", False),
-    "herglotz1": Look("#661100", "d", False),
-    "herglotz2": Look("#6699CC", "H", False),
-    "scipy-dop853": Look("#CC3311", "^", False),
-    "scipy-radau": Look("#EE7733", "v", False),
-    "cvode-adams": Look("#AA4499", "<", False),
-    "cvode-bdf": Look("#DDAA33", ">", False),
-    "cyrk-dop853": Look("#8C2D19", "s", False),
-    "cyrk-vern8": Look("#5B2C83", "p", False),
-    "cyrk-tsit5": Look("#2F7F6B", "8", False),
-    "cyrk-lsoda": Look("#8A6D1B", "X", False),
-    "cyrk-radau": Look("#C06000", "h", False),
-    "diffrax-tsit5": Look("#009988", "D", False),
-    "diffrax-dopri8": Look("#117733", "P", False),
-    "diffrax-kvaerno5": Look("#999933", "h", False),
-    "heyoka-taylor": Look("#EE3377", "*", False),
+    "contact-printed": Look("contact", "X", 1),
+    "contact-abc": Look("contact", "s", 2),
+    "contact-strang": Look("contact", "o", 2),
+    "contact-bm4": Look("contact", "^", 4),
+    "contact-bm6": Look("contact", "v", 6),
+    "contact-rkn4": Look("contact", "D", 4),
+    "contact-rkn6": Look("contact", "*", 6),
+    "contact-rkn8": Look("contact", "p", 8),
+    "contact-o8": Look("contact", "P", 8),
+    "contact-adaptive": Look("contact", "8", 6),
+    "contact-exact": Look("contact", "h"),
+    "rk4": Look("rk4", "x", 4),
+    "herglotz1": Look("herglotz", "d", 1),
+    "herglotz2": Look("herglotz", "H", 2),
+    "scipy-dop853": Look("scipy", "^", 8),
+    "scipy-radau": Look("scipy", "v", 5),
+    "cvode-adams": Look("sundials", "<"),
+    "cvode-bdf": Look("sundials", ">"),
+    "cyrk-dop853": Look("cyrk", "s", 8),
+    "cyrk-vern8": Look("cyrk", "p", 8),
+    "cyrk-tsit5": Look("cyrk", "8", 5),
+    "cyrk-lsoda": Look("cyrk", "X"),
+    "cyrk-radau": Look("cyrk", "h", 5),
+    "diffrax-tsit5": Look("diffrax", "D", 5),
+    "diffrax-dopri8": Look("diffrax", "P", 8),
+    "diffrax-kvaerno5": Look("diffrax", "h", 5),
+    "heyoka-taylor": Look("heyoka", "*"),
 }
-#: for methods that are not ours to know; which one depends on the name alone
-SPARE = (
-    Look("#332288", "p"), Look("#888888", "8"), Look("#44AA99", "p"), Look("#A6761D", "8"), Look("#D95F82", "p"),
-)  # fmt: skip
+#: markers for methods that are not ours to know
+SPARE = ("p", "8", "s", "D", "^", "v")
 
 
-def look(method: str) -> Look:
-    """The look of a method; of one unknown here it is a function of its name."""
+def look(method: str, family: str = "") -> Look:
+    """The look of a method; of one unknown here it follows from its name and the family it declares."""
     known = METHODS.get(method)
-    return known or SPARE[hashlib.sha256(method.encode()).digest()[0] % len(SPARE)]
+    spare = SPARE[hashlib.sha256(method.encode()).digest()[0] % len(SPARE)]
+    return known or Look(family if family in FAMILIES else "other", spare)
 
 
 BLUE, ORANGE, GREEN, GREY, BLACK = "#0077BB", "#CC3311", "#009988", "#888888", "#000000"
@@ -64,6 +111,7 @@ ROLES: dict[str, dict[str, Any]] = {
     "truth": {"color": "#bbbbbb", "linewidth": 4.0},
     "law": {"color": ORANGE, "linestyle": ":", "linewidth": 1.6},
     "reference": {"color": "#777777", "linewidth": 0.9},
+    "guide": {"color": "#999999", "linestyle": ":", "linewidth": 1.0},
     "criterion": {"color": BLACK, "linestyle": "--", "linewidth": 1.4},
     "conservative": {"color": BLACK, "linewidth": 0.9},
     "dissipative": {"color": BLUE, "linewidth": 1.3},

@@ -9,7 +9,7 @@ import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import EVALUATIONS, Field, standing
-from contactbench.report.figures import stability as figures
+from contactbench.report.figures import work_precision as figures
 from contactbench.report.kept import MEANINGS, bounded, called, drift_cell, laws, numbers
 from contactbench.report.numbers import count, many, names, scientific
 from contactbench.report.raw import raw

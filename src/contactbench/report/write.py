@@ -82,6 +82,4 @@ def report(results: Path, registries: glossary.Registries) -> list[Path]:
         with replacing(results / name) as file:
             file.write(text)
         written.append(results / name)
-    for figure in drawn.values():
-        written += draw.save(figure, results / "figures")
-    return written
+    return written + draw.save_all(list(drawn.values()), results / "figures")

@@ -79,6 +79,8 @@ PROVENANCE = {
     ),
 }
 KEY = ("scene", "method", "engine", "setting")
+#: a column that some tables have: by how much counts of the row turn on roundings of its initial data
+SPREAD = "evaluations_spread"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
-from contactbench.results.schema import KEY, Column, Rule, table
+from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
 
 def number(
@@ -51,6 +51,7 @@ COUNTS = {
         "evaluations on the scale of one right-hand side (two rotations count as one)", Rule.count
     ),
     "jacobians": whole("Jacobian evaluations", Rule.count),
+    "rejected": whole("rejected steps of an adaptive method; empty where the solver does not tell them", Rule.count),
 }  # fmt: skip
 
 ERROR = number("max ‖y − y*‖ / max ‖y*‖", Rule.error)
@@ -154,7 +155,6 @@ DECAY_LAWS = table(
         **COMMON,
         "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
         "cost": number("right-hand sides per unit of time asked for", Rule.same),
-        "stepping": Column("fixed or adaptive steps, or exact: a closed form without steps", rule=Rule.same),
         "solution_error": ERROR,
         **{
             name: law_columns()[name]
@@ -176,9 +176,27 @@ WORK_PRECISION = table(
             "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run", Rule.error
         ),
         **COUNTS,
-        "compile_s": seconds("trace and compile, once per scene structure (once per tolerance for heyoka)"),
+        SPREAD: number(
+            "largest over fewest evaluations, less 1, of runs whose initial data differ by a few roundings; of "
+            "solvers that choose their order",
+            ungated="it is what the gate allows the counts",
+        ),
+        "compile_s": seconds(
+            "trace and compile, once per scene structure (once per tolerance for heyoka); a program that an "
+            "earlier process has compiled is loaded"
+        ),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
+        "fixed_s": seconds(
+            "what a call takes however short the run: from runs over a fifth of the span and all of it, "
+            "time = fixed + marginal · T; negative where later steps are dearer"
+        ),
+        "fixed_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_s": seconds("what a unit of the scene's time takes, over the last four fifths of the span"),
+        "marginal_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_repeat_ratio": seconds(
+            "marginal_s of the second measurement over that of the first: its noise"
+        ),
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
     },
 )

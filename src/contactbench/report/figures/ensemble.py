@@ -2,57 +2,97 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pandas as pd
 
 from contactbench.report.contest import LIMIT
-from contactbench.report.curves import by_method, floats, number_axis
+from contactbench.report.curves import by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.figures.best import best_of_each, cheapest, contest_ends, family
+from contactbench.report.figures.work_precision import error_axis
+from contactbench.report.numbers import count
 
 SOURCE = "ensemble.csv"
+#: how trajectories share their steps; what is not told shares a fixed one
+STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "shared steps"}
+
+
+def steps(rows: pd.DataFrame) -> str:
+    """How many steps the runs of a curve take."""
+    known = [n for n in floats(rows["steps"]) if n == n]
+    if not known:
+        return "steps not told"
+    few, many = min(known), max(known)
+    return f"{few:.0f} steps" if few == many else f"{few:.0f}–{many:.0f} steps"
+
+
+def error_panel(part: pd.DataFrame) -> Panel:
+    """Time per trajectory against error, a curve for each way to run a method."""
+    curves = []
+    for (method, _, variant), rows in part.groupby(["method", "engine", "variant"], sort=False, dropna=False):
+        how = STEPS.get(str(variant), "")
+        label = ", ".join(filter(None, [str(method), how]))
+        for curve in by_method(rows, "solution_error", "each", scale=1e6):
+            told = tuple(
+                f"{hint}, {n:.0f} steps" for hint, n in zip(curve.hints, floats(rows["steps"]), strict=True)
+            )
+            note = f"({steps(rows)})"
+            curves.append(replace(curve, label=label, note=note, hints=told))
+    y, beyond = contest_ends(Axis("time per trajectory, µs", "log"), curves, 100.0)
+    shown = best_of_each(curves, cheapest, lambda c: (family(c), c.label.partition(", ")[2]))
+    number = part["trajectories"].max()
+    return Panel(
+        f"{count(float(number))} trajectories, one core",
+        error_axis(part[["solution_error"]]),
+        y,
+        shown,
+        remark=beyond,
+    )
+
+
+def growth_panel(part: pd.DataFrame, by: str, whole: str) -> Panel:
+    """Throughput against the number of something; beside it what proportional growth would be."""
+    curves = []
+    for (_, _, setting), rows in part.groupby(["method", "engine", "setting"], sort=False):
+        (curve,) = by_method(rows, by, "gradients", scale=1e-9)
+        curves.append(replace(curve, note=f"({setting.replace('step=', 'h = ')}, {steps(rows)})"))
+        if by == "cores":
+            ideal = rows["cores"].astype(float) * rows["gradients"].iloc[0] / float(rows["cores"].iloc[0])
+            curves.append(
+                Curve(
+                    floats(rows["cores"]),
+                    floats(1e-9 * ideal),
+                    role="guide",
+                    markers=False,
+                    note="proportional",
+                )
+            )
+    counts = sorted(set(part[by].astype(int)))
+    axis = (
+        Axis(by, "log") if by == "trajectories" else Axis(by, ticks=tuple((float(c), str(c)) for c in counts))
+    )
+    return Panel(whole, axis, Axis("10⁹ gradients per second", limits=(0, None)), tuple(curves))
 
 
 def figure(frame: pd.DataFrame) -> Figure | None:
     """Time per trajectory against error; throughput against trajectories and against cores."""
+    own = frame[frame["family"] != LIMIT].assign(gradients=lambda f: f["evaluations"] * f["rate"])
     panels = []
-    own = frame[frame["family"] != LIMIT]
-    part = own[own["question"] == "error"]
-    if len(part):
-        curves = [
-            Curve(c.x, c.y, c.label, c.method, dashed=str(variant) == "vmap", hints=c.hints)
-            for variant, rows in part.groupby("variant", sort=False)
-            for c in by_method(rows, "solution_error", "each", ("engine",), 1e6)
-        ]
+    if len(part := own[own["question"] == "error"]):
+        panels.append(error_panel(part))
+    if len(part := own[own["question"] == "size"].sort_values("trajectories", kind="stable")):
+        panels.append(growth_panel(part, "trajectories", "with the number of trajectories, one core"))
+    if len(part := own[own["question"] == "cores"].sort_values("cores", kind="stable")):
         panels.append(
-            Panel("one core (dashed: every trajectory its own steps)", number_axis("solution error", True),
-                  number_axis("time per trajectory, µs"), tuple(curves))
-        )  # fmt: skip
-    for question, by in (("size", "trajectories"), ("cores", "cores")):
-        part = own[own["question"] == question].sort_values(by, kind="stable")
-        part = part.assign(gradients=part["evaluations"] * part["rate"])
-        if not len(part):
-            continue
-        curves = list(by_method(part, by, "gradients"))
-        if question == "cores":
-            for _, line in part.groupby("method", sort=False):
-                number_of = line["cores"].astype(float)
-                ideal = number_of * line["gradients"].iloc[0] / number_of.iloc[0]
-                curves.append(
-                    Curve(
-                        floats(number_of),
-                        floats(ideal),
-                        "proportional",
-                        role="reference",
-                        markers=False,
-                        dashed=True,
-                    )
-                )
-        axis = Axis(by, "log" if question == "size" else "linear")
-        panels.append(
-            Panel(
-                f"number of {by}",
-                axis,
-                Axis("gradients × trajectories per second", limits=(0, None)),
-                tuple(curves),
-            )
+            growth_panel(part, "cores", f"with cores, {count(part['trajectories'].max())} trajectories")
         )
-    return Figure("ensemble", "Ensembles of the particle", tuple(panels), source=SOURCE) if panels else None
+    if not panels:
+        return None
+    caption = (
+        "Left: more accurate to the right, cheaper below; in colour the cheapest of each family and way to share "
+        "steps. Fixed-step methods share one step size. Gradients: evaluations of all trajectories together."
+    )
+    return Figure(
+        "ensemble", "Ensembles of the particle", tuple(panels), caption, source=SOURCE, size=(5.6, 4.4)
+    )

@@ -2,58 +2,69 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import pandas as pd
 
 from contactbench.report.curves import by_method, number_axis, round_off
-from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.results.tables import LAWS_TIME
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.figures.best import best_of_each, like, lowest
 
-# -- figures ---------------------------------------------------------------------------------------
-#: columns of the table along time
+DECAYED = r"e^{-\int\Gamma'} η"
+#: columns of the table along time: panel and axis
 ALONG_TIME = {
-    "energy_deviation": "H0",
-    "hamiltonian_deviation": "contact Hamiltonian H",
-    "momentum_deviation": "momentum map J",
-    "contact_deviation": "contact form η",
-}
+    "energy_deviation": ("energy $H_0$", r"$|H_0 / H_0^\ast - 1|$"),
+    "hamiltonian_deviation": ("contact Hamiltonian $H$", r"$|e^{\int\Gamma'} H - H(0)| \,/\, |H(0)|$"),
+    "momentum_deviation": ("momentum map $J$", r"$\Vert e^{\int\Gamma'} J - J(0)\Vert \,/\, \Vert J(0)\Vert$"),
+    "contact_deviation": ("contact form $η$", rf"$\Vert Φ^\ast η - {DECAYED}\Vert \,/\, \Vert {DECAYED}\Vert$"),
+}  # fmt: skip
+#: a law on a scene, against the error of the same runs
+STRUCTURE = (
+    ("contact_drift", "central", "deviation from the law of the contact form"),
+    ("momentum_law", "rigid_body", "deviation from the law of $J$"),
+)
+COLOURS = "In colour: the method of each family that is closest to the true $H_0$; thin and grey: the others."
 
 
 def along_time(frame: pd.DataFrame, scene: str) -> Figure:
     """The deviations from the H0, H, J and contact laws along time."""
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
+    closest = like(best_of_each(by_method(rows, "t", "energy_deviation"), lowest))
     panels = tuple(
         Panel(
-            title, Axis("t"), number_axis(LAWS_TIME.columns[column].meaning),
-            by_method(rows, "t", column, every=4), spans=(round_off("y"),),
+            title, Axis("t"), number_axis(label), best_of_each(by_method(rows, "t", column, every=4), closest),
+            spans=(round_off("y"),),
         )
-        for column, title in ALONG_TIME.items() if rows[column].notna().any()
+        for column, (title, label) in ALONG_TIME.items() if rows[column].notna().any()
     )  # fmt: skip
-    caption = "Settings: " + ", ".join(dict.fromkeys(rows["setting"])) + ". Shaded: round-off."
+    settings = ", ".join(dict.fromkeys(rows["setting"]))
     return Figure(
-        f"laws_{scene}",
-        f"{scene}: deviation from each law along time",
-        panels,
-        caption,
-        len(panels),
-        source="laws_time.csv",
-    )
+        f"laws_{scene}", f"{scene}: deviation from each law along time", panels,
+        f"Settings: {settings}. Shaded: round-off. Asterisk: the true motion. {COLOURS}", 2,
+        source="laws_time.csv", size=(6.2, 4.2),
+    )  # fmt: skip
 
 
 def structure(frame: pd.DataFrame) -> Figure | None:
     """Structure against accuracy, same runs."""
     ok = frame[frame["status"] == "ok"]
-    wanted = (("contact_drift", "central", "contact drift"), ("momentum_law", "rigid_body", "J law"))
     panels = []
-    for law, scene, label in wanted:
+    for law, scene, label in STRUCTURE:
         rows = ok[(ok["scene"] == scene) & ok[law].notna()]
         if len(rows):
-            panels.append(
-                Panel(scene, number_axis("solution error", inverted=True), number_axis(label),
-                      by_method(rows, "solution_error", law), spans=(round_off("y"),))
-            )  # fmt: skip
+            curves = best_of_each(by_method(rows, "solution_error", law), most_accurate)
+            x = number_axis("solution error", inverted=True)
+            panels.append(Panel(scene, x, number_axis(label), curves, spans=(round_off("y"),)))
     if not panels:
         return None
     return Figure(
         "structure", "Structure against accuracy, same runs", tuple(panels),
-        "A law that is kept by construction does not depend on the error. Shaded: round-off.", 2, source="laws.csv",
+        "A law that is kept by construction does not depend on the error. Shaded: round-off. In colour: "
+        "the most accurate method of each family; thin and grey: the others.", 2, source="laws.csv", size=(6.2, 4.6),
     )  # fmt: skip
+
+
+def most_accurate(curve: Curve, own: Sequence[Curve]) -> float:
+    """By the least error it reaches."""
+    return -math.log10(min(curve.x))

@@ -5,6 +5,7 @@ A figure the table has and SHAPES does not is drawn with a panel per panel and i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -50,7 +51,7 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
     lines = set(kinds) == {"method"}  # nothing else for the points to lie on
     for name, points in part.groupby("curve", sort=False):
         points = points.sort_values("point")
-        label, kind, single = str(name), str(kinds[name]), len(points) == 1
+        label, kind, single = with_mathtext(str(name)), str(kinds[name]), len(points) == 1
         own, _, method = label.rpartition(", ") if kind == "method" else (label, "", "")
         role = f"shade {min(ordered.index(own), 4)}" if own in ordered else kind
         points_only = single or (kind == "method" and not lines)
@@ -60,6 +61,11 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
             line=not points_only, markers=single or kind == "method",
             dashed=kind in ("dissipative", "criterion"), z=floats(points["z"]) if points["z"].notna().all() else (),
         )  # fmt: skip
+
+
+def with_mathtext(label: str) -> str:
+    """Powers as mathtext."""
+    return re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", label)
 
 
 def kinds_told(rows: pd.DataFrame, found: Iterable[Curve]) -> tuple[Curve, ...]:
@@ -97,7 +103,7 @@ def angles(rows: pd.DataFrame) -> Iterator[Panel]:
             Curve(tuple(size / size[0]), tuple(np.degrees(np.arccos(cosine))), str(name),
                   role=f"shade {len(found) + 1}", markers=False)
         )  # fmt: skip
-    degrees = Axis("angle of M with the axis it started near, degrees", limits=(0.0, 185.0))
+    degrees = Axis("angle of M with its first axis, degrees", limits=(0.0, 185.0))
     yield Panel(
         "direction", Axis("‖M‖ / ‖M(0)‖ = exp(−γt)", inverted=True, limits=(0.0, 1.0)), degrees, tuple(found)
     )
@@ -165,7 +171,7 @@ PLANS = {
             "bounded": Shape("energy error at γ = 0: bounded", Axis("t"), Axis("H0 / H0(0) − 1")),
         },
     ),
-    "paper_stability": Plan("Rotations in ker D, I = (1, 2, 3), ‖M*‖ = 1", {}, "Red: unstable.", growth),
+    "paper_stability": Plan("Rotations in ker D, I = (1, 2, 3), $\\Vert M_*\\Vert = 1$", {}, "Red: unstable.", growth),
 }  # fmt: skip
 
 
@@ -192,9 +198,12 @@ def figure(name: str, rows: pd.DataFrame) -> Figure:
         if shape.more.get("z") is None:
             found = tuple(replace(c, z=()) for c in found)
         panels.append(Panel(shape.title, shape.x, shape.y, found, **shape.more))
+    drawn = (*panels, *plan.also(rows))
+    solid = any(panel.z is not None for panel in drawn)  # a legend would lie on the sphere
     return Figure(
-        name, plan.title, (*panels, *plan.also(rows)), plan.caption, legend="each", source="paper_figures.csv"
-    )
+        name, plan.title, drawn, plan.caption, legend="shared" if solid else "each",
+        source="paper_figures.csv", size=(6.4, 4.4) if len(drawn) == 1 or solid else (4.8, 3.9),
+    )  # fmt: skip
 
 
 def all_figures(table: pd.DataFrame) -> Iterator[Figure]:

@@ -1,14 +1,68 @@
-"""Cost against error, scene by scene."""
+"""Cost against error: scene by scene, and on the hard scenes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 import pandas as pd
 
 from contactbench.report.contest import KINDS, contestants
-from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Figure, Panel
+from contactbench.report.curves import by_method
+from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
+from contactbench.report.figures.best import best_of_each, cheapest, contest_ends
 
 SOURCE = "work_precision.csv"
+#: where errors begin and end: beyond one there is nothing left of the motion, below round-off nothing is known
+ERRORS = (1e-16, 2.0)
+#: quantities on an axis of cost, the first as the tables compare it: label and scale
+TIMES = {
+    "time_median_s": ("time per solve (median), ms", 1e3),
+    "time_min_s": ("time per solve (fastest round), ms", 1e3),
+    "call_s": ("time per solve with what `run()` adds, ms", 1e3),
+    "marginal_s": ("time per unit of simulated time, ms", 1e3),
+}
+COUNTS = {
+    "rhs_equivalents": ("evaluations", 1.0),
+    "evaluations": ("evaluations as each method counts them", 1.0),
+    "steps": ("steps", 1.0),
+}
+BARS = "Bars: interquartile range of the rounds about the median, not below the fastest. "
+COLOURS = "In colour: the method of each family that is cheapest at most errors; thin and grey: the others."
+
+
+def error_axis(frame: pd.DataFrame) -> Axis:
+    """The error, and the deviations a page may show instead, where the table has them."""
+    others = {
+        "energy_law": "deviation of $H_0$", "hamiltonian_law": "deviation from the law of $H$",
+        "momentum_law": "deviation from the law of $J$", "end_error": "error at the end",
+    }  # fmt: skip
+    there = [n for n in others if n in frame and frame[n].notna().any()]
+    return Axis("solution error", "log", inverted=True, within=ERRORS, key="solution_error",
+                others=tuple(Axis(others[n], "log", inverted=True, key=n) for n in there))  # fmt: skip
+
+
+def cost_axis(frame: pd.DataFrame, quantities: dict[str, tuple[str, float]]) -> Axis:
+    first, *others = [n for n in quantities if n in frame and frame[n].notna().any()]
+    return Axis(quantities[first][0], "log", key=first,
+                others=tuple(Axis(quantities[n][0], "log", key=n) for n in others))  # fmt: skip
+
+
+def quartiles(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+    """About the median, half the interquartile range either way."""
+    half = rows["time_iqr_s"].astype(float) / 2
+    median = rows["time_median_s"].astype(float)
+    return np.maximum(median - half, rows["time_min_s"].astype(float)), median + half
+
+
+def panel(part: pd.DataFrame, title: str, quantities: dict[str, tuple[str, float]], **options: Any) -> Panel:
+    """Error on x, cost on y; the axis of cost ends where the contest ends."""
+    x, y = error_axis(part), cost_axis(part, quantities)
+    also = {a.key: 1.0 for a in x.others} | {a.key: quantities[a.key][1] for a in y.others}
+    found = by_method(part, x.key, y.key, scale=quantities[y.key][1], also=also, **options)
+    y, beyond = contest_ends(y, found)
+    return Panel(title, x, y, best_of_each(found, cheapest), remark=beyond)
 
 
 def figure(work: pd.DataFrame, scene: str) -> Figure | None:
@@ -21,13 +75,54 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
         if not kind.timed:  # the same counts on every engine: one curve
             part = part.drop_duplicates(["method", "setting"])
         part = part[part[kind.cost].notna()]
-        if len(part):
-            label = "median time per solve, ms" if kind.timed else "right-hand sides or equivalents"
-            curves = by_method(part, "solution_error", kind.cost, ("engine",), 1e3 if kind.timed else 1.0)
-            panels.append(Panel(kind.title, number_axis("solution error", True), number_axis(label), curves))
+        if len(part) and kind.timed:
+            panels.append(panel(part, kind.title, TIMES, apart=("engine",), bars=quartiles))
+        elif len(part):
+            panels.append(panel(part, kind.title, COUNTS))
     if not panels:
         return None
-    caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
+    caption = (
+        f"More accurate to the right, cheaper below. {COLOURS} {BARS}"
+        "Engines of different panels are not compared."
+    )
     return Figure(
         f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE
     )
+
+
+def hard(frame: pd.DataFrame) -> Figure | None:
+    """Cost against error on the hard scenes; where the true motion escapes, against the time told."""
+    ok = frame[(frame["status"] == "ok") & frame["solution_error"].notna()]
+    panels = []
+    for scene in dict.fromkeys(frame["scene"]):
+        part = ok[ok["scene"] == scene].sort_values("rhs_equivalents", kind="stable")
+        if len(part):
+            panels.append(panel(part, str(scene), COUNTS))
+        elif escaped := escape_panel(frame[frame["scene"] == scene], str(scene)):
+            panels.append(escaped)
+    if not panels:
+        return None
+    return Figure(
+        "hard_scenes", "Hard scenes: evaluations against error", tuple(panels),
+        f"Runs that ended as the true motion does. More accurate to the right, cheaper below. {COLOURS}",
+        3, source="stability.csv", size=(5.6, 4.6),
+    )  # fmt: skip
+
+
+def escape_panel(rows: pd.DataFrame, scene: str) -> Panel | None:
+    """When a run is told to have diverged, beside the true time; None where no motion escapes."""
+    out = rows[(rows["status"] == "diverged") & rows["blow_up_time"].notna() & rows["end_time"].notna()]
+    if not len(out):
+        return None
+    off = 100 * (out["end_time"].astype(float) / out["blow_up_time"].astype(float) - 1)
+    out = out.assign(off=off).sort_values("rhs_equivalents", kind="stable")
+    x = Axis("escape told early (−) or late (+), % of its time")
+    return Panel(
+        f"{scene}: reaches infinity", x, cost_axis(out, COUNTS),
+        best_of_each(by_method(out, "off", "rhs_equivalents"), nearest),
+        spans=(Span("x", 0.0, 0.0),), remark="told where the state is beyond 10⁶ times the scene's scale",
+    )  # fmt: skip
+
+
+def nearest(curve: Curve, own: Sequence[Curve]) -> float:
+    return -float(np.median(np.abs(curve.x)))
