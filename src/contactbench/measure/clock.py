@@ -48,7 +48,7 @@ def length_columns(
     fixed_s may be negative.
     """
     long, short = np.concatenate(whole), np.concatenate(part)
-    columns = {}
+    columns: dict[str, float] = {}
     per_time = (long - short) / ((1 - share) * span)
     for name, values in (("fixed", long - per_time * span), ("marginal", per_time)):
         low, median, high = np.percentile(values, (25, 50, 75)).tolist()

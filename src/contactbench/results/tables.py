@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
+from contactbench.measure.law import Law
 from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
 from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
@@ -70,15 +73,31 @@ TIMING = {
 }  # fmt: skip
 
 
-def law_columns() -> dict[str, Column]:
-    """A column for each law; how it is gated and where it is shown, the law says."""
-    return {
-        name: Column(
-            law.definition, "whole" if law.gate.value == "count" else "number", Rule[law.gate.value],
-            label=law.label or name.replace("_", " "), shown=law.shown,
-        )
-        for name, law in LAWS.items()
-    }  # fmt: skip
+def law_column(law: Law) -> Column:
+    """How it is gated and where it is shown, the law says."""
+    return Column(
+        law.definition, "whole" if law.gate.value == "count" else "number", Rule[law.gate.value],
+        label=law.label or law.name.replace("_", " "), shown=law.shown,
+    )  # fmt: skip
+
+
+class WithLaws(Mapping[str, Column]):
+    """Columns among which is one for each law that is registered at the moment: a plug-in may bring some."""
+
+    def __init__(self, before: Mapping[str, Column], after: Mapping[str, Column]) -> None:
+        self.before, self.after = before, after
+
+    def now(self) -> dict[str, Column]:
+        return {**self.before, **{name: law_column(law) for name, law in LAWS.items()}, **self.after}
+
+    def __getitem__(self, name: str) -> Column:
+        return self.now()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.now())
+
+    def __len__(self) -> int:
+        return len(self.now())
 
 
 #: why an error bar has no rule
@@ -128,7 +147,7 @@ CONVERGENCE = table(
 LAWS_TABLE = table(
     "laws",
     "decay laws and drifts over the whole run, maxima over the saved times",
-    {**COMMON, "saved_times": whole("number of saved times", Rule.same), **law_columns(), **DRIFTS, **COUNTS},
+    WithLaws({**COMMON, "saved_times": whole("number of saved times", Rule.same)}, {**DRIFTS, **COUNTS}),
     whole=ONE_CELL,
 )
 
@@ -157,7 +176,7 @@ DECAY_LAWS = table(
         "cost": number("right-hand sides per unit of time asked for", Rule.same),
         "solution_error": ERROR,
         **{
-            name: law_columns()[name]
+            name: law_column(LAWS[name])
             for name in ("energy_law", "hamiltonian_law", "momentum_law", "contact_drift")
         },
         **DRIFTS,
@@ -305,7 +324,8 @@ PAPER_FIGURES = table(
 STABILITY = table(
     "stability",
     "the hard scenes: how every method ends, its errors and laws, at a fixed ladder of costs",
-    {
+    WithLaws(
+        {
         **COMMON,
         "end_time": number("how far the run got", Rule.end),
         "blow_up_time": number("when the true motion reaches infinity, if it does", Rule.value),
@@ -315,11 +335,13 @@ STABILITY = table(
         "end_error": number(
             "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left then", Rule.error
         ),
-        **law_columns(),
+        },
+        {
         **DRIFTS,
         **COUNTS,
         "time_s": seconds("fastest of a few calls, 25 saved times; other work may run beside it"),
-    },
+        },
+    ),
     whole=ONE_CELL,
 )  # fmt: skip
 
