@@ -292,3 +292,13 @@ def test_words_in_a_verdict_stay_in_their_cell(root, tmp_path):
     (line,) = (line for line in text.splitlines() if "carried" in line)
     assert "a\\|b &lt;script>" in line
     assert len(re.findall(r"(?<!\\)\|", line)) == 10
+
+
+def test_two_folders_are_compared_outside_a_repository(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    before, after = folder(tmp_path / "a"), folder(tmp_path / "b", broken)
+    assert outcome(capsys, "--baseline", before, "--fresh", before)[0] == 0
+    assert outcome(capsys, "--baseline", before, "--fresh", after)[0] == 1
+    status, text = outcome(capsys, "--baseline", before)
+    assert (status, text.count("\n")) == (2, 1)
+    assert "give --fresh DIR too" in text

@@ -21,18 +21,24 @@ def seconds(text: str) -> float:
 
 def gate(arguments: argparse.Namespace) -> int:
     """Compare with the committed tables and time against another revision; 1 if something regressed."""
+    from contactbench.gate.accuracy import accuracy
     from contactbench.gate.judge import PARTS, Question
     from contactbench.gate.judge import gate as judge
 
     signal.signal(
         signal.SIGTERM, lambda *_: sys.exit(143)
     )  # a cancelled job removes its worktree on the way out
-    verdict = judge(
-        Question(
-            Path.cwd(), arguments.results, arguments.fresh, arguments.base,
-            (arguments.only,) if arguments.only else PARTS, arguments.tables_changed, arguments.budget,
-        )
-    )  # fmt: skip
+    if arguments.baseline is not None:
+        if arguments.fresh is None or arguments.only == "speed":
+            raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
+        verdict = accuracy(arguments.baseline, arguments.fresh)
+    else:
+        verdict = judge(
+            Question(
+                Path.cwd(), arguments.results, arguments.fresh, arguments.base,
+                (arguments.only,) if arguments.only else PARTS, arguments.tables_changed, arguments.budget,
+            )
+        )  # fmt: skip
     print(verdict.as_json() if arguments.json else verdict.as_markdown())
     return 1 if verdict.red else 0
 
@@ -60,6 +66,10 @@ Exit status: 0 green, or inconclusive as it says; 1 red; 2 could not run.""",
     check.add_argument(
         "--fresh", type=Path, metavar="DIR", help="tables of a run just made (default: make them now)"
     )
+    check.add_argument(
+        "--baseline", type=Path, metavar="DIR",
+        help="compare --fresh with this folder of tables instead, outside any repository: it vouches for no revision",
+    )  # fmt: skip
     check.add_argument(
         "--base", metavar="REV",
         help="revision to compare with (default: of accuracy where the main branch was left, on it HEAD; of speed "
