@@ -4,9 +4,10 @@ A renderer of `model`: it knows no question, no table and no method.  What a num
 its cell was made; the script draws figures from the same data as matplotlib does, and formats only what it
 alone knows (ticks, and the numbers of a point that is pointed at).
 
-Our own drawing code rather than a library.  Plotly's basic bundle is PLOTLY_SIZE of script, Bokeh's BOKEH_SIZE,
-ours OWN_SIZE; neither walks along points by keyboard, follows the colour scheme of the reader without being
-drawn anew, or writes names at curves, and what we need beyond that is one file (figures.js).
+Our own drawing code rather than a library: Plotly's basic bundle is 1.07 MB of script beside the data and took
+15 s to draw 40 panels with 910 of these curves where this script took 4 s for 65 panels with 991 (one loaded
+machine, Chromium).  It neither walks along points by keyboard nor follows the reader's colour scheme without being
+drawn anew, and names at curves that avoid each other would be ours to write there too.
 """
 
 from __future__ import annotations

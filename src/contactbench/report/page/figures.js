@@ -14,7 +14,7 @@
     const bars = panel.y === plot.panel.y;
     const width = box.clientWidth;
     if (!width) return;
-    const height = Math.round(panel.equal ? Math.min(width, 460) : Math.min(400, Math.max(260, 0.72 * width)));
+    const height = Math.round(panel.equal ? Math.min(width, 460) : Math.min(400, Math.max(300, 0.72 * width)));
     const pad = { left: 58, right: 12, top: plot.panel.remark ? 36 : 24, bottom: 46 };
     const curves = panel.curves.filter(shown).map((curve) => ({
       ...curve, of: curve, x: values(curve, "x", plot.panel.x), y: values(curve, "y", plot.panel.y),
@@ -48,6 +48,7 @@
       return from + (axis.inverted ? 1 - part : part) * (to - from);
     };
     const bottom = height - pad.bottom;
+    const near = (v) => Math.max(-1e4, Math.min(1e4, v)); // SVG refuses numbers of any size
     const X = (v) => place(panel.x, xs, v, pad.left, width - pad.right);
     const Y = (v) => place(panel.y, ys, v, bottom, pad.top);
     const back = (axis, v) => (axis.log ? 10 ** v : v);
@@ -86,7 +87,7 @@
     for (const curve of curves) {
       const look = data.styles[curve.style];
       const group = svg("g", { class: `line tint m-${look.n}${curve.emphasis ? " strong" : ""}${curve.muted && state.colours !== "all" ? " muted" : ""}`, "data-name": nameOf(curve), "clip-path": `url(#${clip})` }, figure);
-      const places = curve.x.map((x, i) => (x === null || curve.y[i] === null || (panel.x.log && x <= 0) || (panel.y.log && curve.y[i] <= 0) ? null : [X(x), Y(curve.y[i])]));
+      const places = curve.x.map((x, i) => (x === null || curve.y[i] === null || (panel.x.log && x <= 0) || (panel.y.log && curve.y[i] <= 0) ? null : [near(X(x)), near(Y(curve.y[i]))]));
       if (curve.line !== false) {
         let pen = "M";
         const d = places.map((at) => {
@@ -282,7 +283,7 @@
         drawAll();
         remember();
       });
-      box.querySelector(".axes").append(html("label", { class: "choice" }, "axis", select));
+      box.querySelector(".axes").append(html("label", { class: "choice" }, made.panels.some((panel) => panel.x.key === axis.key) ? "x axis" : "y axis", select));
     }
   }
   /** The panels as SVG files, with the colours they have on the page. */
@@ -300,6 +301,7 @@
     });
   }
   function drawAll() {
+    if (!state.ready) return;
     for (const figure of figures) figure.plots.forEach(draw);
     for (const select of all("select[data-axis]")) select.value = state.axes[select.dataset.axis] || select.dataset.axis;
     for (const button of all('.key[value="colours"]')) button.setAttribute("aria-pressed", state.colours === "all");

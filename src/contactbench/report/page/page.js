@@ -20,7 +20,7 @@
   );
   for (const section of all("main > section")) watch.observe(section);
 
-  let width = 0;
+  let width = document.body.clientWidth;
   new ResizeObserver(() => {
     if (document.body.clientWidth === width) return;
     width = document.body.clientWidth;
@@ -31,4 +31,5 @@
   figures.forEach(legend);
   const names = new Set(all("[data-choice]").map((group) => group.dataset.choice));
   for (const name of names) choose(name, state.chosen[name] ?? document.querySelector(`[data-choice="${name}"] select`).value);
-  if (!names.size) drawAll();
+  state.ready = true;
+  drawAll();
