@@ -39,7 +39,7 @@ def to_the_end(scene, method, value, budget):
     return solution, run.count(solution.counts)
 
 
-def evaluations(scene, method, rtol, budget):
+def evaluations(scene, method, rtol, budget=None):
     """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
     solution, counts = to_the_end(scene, method, rtol, budget)
     if solution.ok:
@@ -47,7 +47,7 @@ def evaluations(scene, method, rtol, budget):
     return math.inf if solution.status is cb.Status.budget else 0.0
 
 
-def value_at(scene, method, target, budget):
+def value_at(scene, method, target, budget=None):
     """The step or tolerance at which a run costs so many right-hand sides."""
     if method.refuses(scene) is not None:
         return method.rtol_range[1] if method.adaptive else scene.t_end / SAVES

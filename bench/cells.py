@@ -96,4 +96,5 @@ def outcome(solution: Solution, counts: Counts | None = None, variant: str = "")
         "evaluation_kind": counts.kind,
         "rhs_equivalents": counts.rhs_equivalents,
         "jacobians": counts.jacobians,
+        "rejected": counts.rejected if METHODS[solution.method].adaptive else None,
     }

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Any
 from contactbench.ensembles import Ensemble, ensemble
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
+from contactbench.measure.own_composition import composition
 from contactbench.methods import METHODS, fixed_step, prepare, solve
+from contactbench.methods.one_step import step_map
 from contactbench.plugins import load_installed
 from contactbench.results.shipped import results
 from contactbench.scene import Mechanical, RigidBody, shifted
@@ -29,6 +31,7 @@ __all__ = [
     "Status",
     "UnknownName",
     "compare",
+    "composition",
     "ensemble",
     "fixed_step",
     "prepare",
@@ -36,6 +39,7 @@ __all__ = [
     "results",
     "shifted",
     "solve",
+    "step_map",
 ]
 __version__ = "0.1.0"
 

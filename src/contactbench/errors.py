@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, ClassVar
 
 
 class BadInput(ValueError):
@@ -37,8 +37,12 @@ class Registry(dict):
     kind : what its items are called in messages; of : the class or protocol they follow.
     """
 
+    #: all registries there are
+    every: ClassVar[list[Registry]] = []
+
     def __init__(self, kind: str, of: type = object) -> None:
         super().__init__()
+        self.every.append(self)
         self.kind = kind
         self.of: Any = of
 

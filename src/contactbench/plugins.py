@@ -52,7 +52,7 @@ def load_file(path: Path | str) -> None:
             f"plug-in {path}{_line(error, path)}: {type(error).__name__}: {_brief(error)}"
         ) from error
     if _registered() == before:
-        raise BadInput(f"plug-in {path}: registers no method and no scene (cb.fixed_step, cb.SCENES.add)")
+        raise BadInput(f"plug-in {path}: registers nothing (cb.fixed_step, cb.SCENES.add, …)")
     _files.add(path.resolve())
     named = list(filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
     os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*named, str(path.resolve())]))
@@ -61,7 +61,7 @@ def load_file(path: Path | str) -> None:
 
 def _registered() -> set[tuple[str, int]]:
     """What is registered at the moment: names, and the objects that bear them (a file may replace some)."""
-    return {(name, id(item)) for registry in GROUPS.values() for name, item in registry.items()}
+    return {(name, id(item)) for registry in Registry.every for name, item in registry.items()}
 
 
 def _run(path: Path) -> None:

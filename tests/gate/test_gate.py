@@ -106,6 +106,14 @@ def setting(which, method, **values):
     return lambda t, row: {**row, **values} if t is which and row["method"] == method else row
 
 
+@pytest.mark.parametrize(("spread", "red"), [(0.0, True), (0.04, True), (0.6, False)])
+def test_counts_may_move_by_what_roundings_were_measured_to_do_to_them(spread, red, tmp_path):
+    change = setting(WORK_PRECISION, "cvode-adams", evaluations_spread=spread)
+    before = folder(tmp_path / "before", change)
+    now = setting(WORK_PRECISION, "cvode-adams", evaluations_spread=spread, evaluations=1200)
+    assert accuracy(before, folder(tmp_path / "now", now)).red is red
+
+
 def test_identical_tables_are_green(baseline, tmp_path):
     verdict = judged(baseline, lambda which, row: row, tmp_path)
     assert not verdict.red

@@ -26,7 +26,9 @@ from contactbench.report.contest import (
     CALLED_BACK,
     COMPILED,
     EVALUATIONS,
+    FIXED,
     KINDS,
+    MARGINAL,
     TARGETS,
     Field,
     reasons,
@@ -444,7 +446,7 @@ def test_decade_by_decade_the_best_of_each_camp_and_a_ratio_anyone_can_read():
 
 
 def test_kinds_stand_side_by_side_and_say_what_they_are():
-    assert [k.name for k in KINDS] == ["evaluations", "compiled", "callbacks"]
+    assert [k.name for k in KINDS] == ["evaluations", "compiled", "marginal", "callbacks"]
     found = work_precision.findings(frames(work_precision=[*costs("contact-a"), *costs("rk4", 2.0)]))
     assert [f.name for f in found] == ["cost_evaluations", "cost_compiled"]
 
@@ -648,3 +650,20 @@ def test_what_is_bold_at_equal_cost_is_what_its_sentence_says():
     bold = [Mark.kept in next(c for c in line if c.text == "2.0e-12").marks for line in view.rows]
     assert bold == [True, False]
     assert "at most 1e-12, or ε times the evaluations" in view.meaning
+
+
+def test_marginal_cost_ranks_anew_and_a_cost_that_is_mostly_fixed_is_marked():
+    """The cheaper call of two is the dearer one as soon as runs are long."""
+    quick = [r | {"fixed_s": 0.2 * r["time_median_s"], "marginal_s": 2.0} for r in costs("contact-a")]
+    slow = [r | {"fixed_s": 0.9 * r["time_median_s"], "marginal_s": 1.0} for r in costs("rk4", 2.0)]
+    work = table("work_precision", [*quick, *slow])
+    whole, marginal = Field(work, COMPILED), Field(work, MARGINAL)
+    assert {c.outcome for c in whole.contests().values()} == {"win"}
+    assert {c.outcome for c in marginal.contests().values()} == {"loss"}
+    marked = {line[0].text: {FIXED in c.text for c in line[1:]} for line in costs_view(whole, "s", "").rows}
+    assert marked == {"contact-a": {False}, "rk4": {True}}
+    assert not any(FIXED in c.text for line in costs_view(marginal, "s", "").rows for c in line)
+    noisy = work.assign(marginal_repeat_ratio=[1.0, 3.0] * (len(work) // 2))
+    assert {c.outcome for c in Field(noisy, MARGINAL).contests().values()} == {"tie"}
+    lost = work.assign(marginal_s=-1.0)  # lost in noise: no cost, rather than the least
+    assert not any(c.decided for c in Field(lost, MARGINAL).contests().values())

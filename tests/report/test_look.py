@@ -6,8 +6,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from colour_vision import VISION, ciede2000, contrast, lab
 
+from colour_vision import VISION, ciede2000, contrast, lab
 from contactbench import METHODS as SOLVERS
 from contactbench.report.look import DARK_PAPER, FAMILIES, METHODS, PAPER, look
 

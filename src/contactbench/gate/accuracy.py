@@ -28,7 +28,7 @@ from contactbench.report.cells import DASH
 from contactbench.report.markdown import grid
 from contactbench.results import provenance
 from contactbench.results.round_off import floor
-from contactbench.results.schema import PROFILES, TABLES, Rule, Table
+from contactbench.results.schema import PROFILES, SPREAD, TABLES, Rule, Table
 from contactbench.results.store import read
 
 #: how far an error may move, in decades: a factor of two
@@ -116,9 +116,11 @@ def decades(before: np.ndarray, after: np.ndarray, floor: np.ndarray | float) ->
 
 
 def counts(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """How far counts moved in parts of what is allowed."""
+    """How far counts moved in parts of what is allowed: twice what roundings of the initial data do to them
+    where that was measured to be more."""
     chosen = (rows["control"] == "rtol").to_numpy()
-    allowed = np.where(chosen, np.maximum(1.0, SHARE * before), 0.0)
+    spread = rows[SPREAD].fillna(0.0).to_numpy() if SPREAD in rows else 0.0
+    allowed = np.where(chosen, np.maximum(1.0, np.maximum(SHARE, 2 * spread) * before), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(before == after, 0.0, np.abs(after - before) / allowed)
 

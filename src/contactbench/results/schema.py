@@ -62,6 +62,8 @@ PROVENANCE = {
     "profile": Column("smallest profile that makes the row: a run of it, or of a larger one, must have it"),
 }
 KEY = ("scene", "method", "engine", "setting")
+#: a column that some tables have: by how much counts of the row turn on roundings of its initial data
+SPREAD = "evaluations_spread"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
-from contactbench.results.schema import KEY, Column, Rule, table
+from contactbench.results.law_columns import WithLaws, law_column
+from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
 
 def number(meaning: str, rule: Rule | None = None, exact: bool = False) -> Column:
@@ -43,6 +44,7 @@ COUNTS = {
         "evaluations on the scale of one right-hand side (two rotations count as one)", Rule.count
     ),
     "jacobians": whole("Jacobian evaluations", Rule.count),
+    "rejected": whole("rejected steps of an adaptive method; empty where the solver does not tell them"),
 }  # fmt: skip
 
 ERROR = number("max ‖y − y*‖ / max ‖y*‖", Rule.error)
@@ -59,17 +61,6 @@ TIMING = {
     "rounds": Column("timed rounds, both measurements together", "whole", timed=True),
     "iterations": Column("calls per round", "whole", timed=True),
 }  # fmt: skip
-
-
-def law_columns() -> dict[str, Column]:
-    """A column for each law; how it is gated and where it is shown, the law says."""
-    return {
-        name: Column(
-            law.definition, "whole" if law.gate.value == "count" else "number", Rule[law.gate.value],
-            label=law.label or name.replace("_", " "), shown=law.shown,
-        )
-        for name, law in LAWS.items()
-    }  # fmt: skip
 
 
 def drift_column(name: str, meaning: str) -> Column:
@@ -108,7 +99,7 @@ CONVERGENCE = table(
 LAWS_TABLE = table(
     "laws",
     "decay laws and drifts over the whole run, maxima over the saved times",
-    {**COMMON, "saved_times": whole("number of saved times", Rule.same), **law_columns(), **DRIFTS, **COUNTS},
+    WithLaws({**COMMON, "saved_times": whole("number of saved times", Rule.same)}, {**DRIFTS, **COUNTS}),
     whole=ONE_CELL,
 )
 
@@ -137,7 +128,7 @@ DECAY_LAWS = table(
         "cost": number("right-hand sides per unit of time asked for"),
         "solution_error": ERROR,
         **{
-            name: law_columns()[name]
+            name: law_column(LAWS[name])
             for name in ("energy_law", "hamiltonian_law", "momentum_law", "contact_drift")
         },
         **DRIFTS,
@@ -156,9 +147,26 @@ WORK_PRECISION = table(
             "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run", Rule.error
         ),
         **COUNTS,
-        "compile_s": seconds("trace and compile, once per scene structure (once per tolerance for heyoka)"),
+        SPREAD: number(
+            "largest over fewest evaluations, less 1, of runs whose initial data differ by a few roundings; of "
+            "solvers that choose their order"
+        ),
+        "compile_s": seconds(
+            "trace and compile, once per scene structure (once per tolerance for heyoka); a program that an "
+            "earlier process has compiled is loaded"
+        ),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
+        "fixed_s": seconds(
+            "what a call takes however short the run: from runs over a fifth of the span and all of it, "
+            "time = fixed + marginal · T; negative where later steps are dearer"
+        ),
+        "fixed_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_s": seconds("what a unit of the scene's time takes, over the last four fifths of the span"),
+        "marginal_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_repeat_ratio": seconds(
+            "marginal_s of the second measurement over that of the first: its noise"
+        ),
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
     },
 )
@@ -244,7 +252,8 @@ PAPER_FIGURES = table(
 STABILITY = table(
     "stability",
     "the hard scenes: how every method ends, its errors and laws, at a fixed ladder of costs",
-    {
+    WithLaws(
+        {
         **COMMON,
         "end_time": number("how far the run got"),
         "blow_up_time": number("when the true motion reaches infinity, if it does"),
@@ -254,11 +263,13 @@ STABILITY = table(
         "end_error": number(
             "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left then", Rule.error
         ),
-        **law_columns(),
+        },
+        {
         **DRIFTS,
         **COUNTS,
         "time_s": seconds("fastest of a few calls, 25 saved times; other work may run beside it"),
-    },
+        },
+    ),
     whole=ONE_CELL,
 )  # fmt: skip
 

@@ -293,7 +293,8 @@ def entry(constants: Any, i: Any) -> Any:
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
     """Whether `advance_by_the_clock` is the way."""
-    return composition.two_part and scene.kind == "isotropic body"
+    ends_as_it_begins = len(composition.stages) % 2 == 1  # and so do its turns
+    return composition.two_part and ends_as_it_begins and scene.kind == "isotropic body"
 
 
 def advance_by_the_clock(
