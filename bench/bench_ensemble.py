@@ -105,6 +105,24 @@ def error(scene, y):
     return np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / np.linalg.norm(exact, axis=0).max()
 
 
+#: evaluations that the runs of all members, each by itself, may take together
+SINGLE_WORK = 4e6
+#: what members are run with where the method chooses its steps, maybe for several members at once
+BY_ITSELF = ("heyoka-taylor", 2.3e-16)
+
+
+def member_deviation(scene, method, control, value, start, y):
+    """max ‖y − y₁‖ / max ‖y₁‖ over all members, y₁ the run of each by itself with the same fixed steps.
+
+    Of a method that chooses its steps y₁ is the most accurate run of another one.
+    """
+    if control != "step":
+        (method, value), control = BY_ITSELF, "rtol"
+    run = cb.prepare(scene, method, save_at=[scene.t_end], carry=(), **{control: value})
+    alone = np.array([run.integrate(np.array(one)).y[-1] for one in start.T.tolist()]).T
+    return np.linalg.norm(y - alone, axis=0).max() / np.linalg.norm(alone, axis=0).max()
+
+
 def prepared_row(cell):
     """The row of a cell without its times, and what is to be timed, if it can be run."""
     question, name, method, engine, variant, control, value, n, cores = cell
@@ -123,7 +141,10 @@ def prepared_row(cell):
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
     if question != "arithmetic":
         row["solution_error"] = error(scene, y)
-    return row | dict(zip(("steps", "evaluations", "evaluation_kind"), costs(), strict=True)), run
+    steps, evaluations, kind = costs()
+    if question == "error" and method in cb.METHODS and (evaluations or steps) * n < SINGLE_WORK:
+        row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
+    return row | {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}, run
 
 
 def on_cores(cell):

@@ -45,6 +45,8 @@ COLD, HOT = "#2166ac", "#b2182b"
 INLINE = re.compile(
     r"`(?P<code>[^`]+)`|\*\*(?P<strong>.+?)\*\*|\*(?P<em>[^*]+)\*|\[(?P<text>[^]]+)\]\((?P<to>[^)]+)\)"
 )
+#: an address that is not a file beside the page, an anchor, or a page of the web
+SCHEME = re.compile(r"\s*(?!https?:)[a-z][a-z0-9+.-]*:", re.IGNORECASE)
 
 
 def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
@@ -56,7 +58,9 @@ def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
     for found in INLINE.finditer(text):
         out += escape(text[last : found.start()])
         kind = str(found.lastgroup)
-        if kind == "to":
+        if kind == "to" and SCHEME.match(found["to"]):
+            out += escape(found[0])
+        elif kind == "to":
             to = found["to"]
             out += Markup('<a href="{}">{}</a>').format((addresses or {}).get(to, to), inline(found["text"]))
         else:
