@@ -160,6 +160,14 @@ ENSEMBLE_TABLE = table(
         "evaluation_kind": Column("gradient, rhs or taylor", rule=Rule.same),
         "first_call_s": seconds("first call, compilation included"),
         **TIMING,
+        "fixed_s": seconds(
+            "what a call takes however few the trajectories: from calls with a quarter and all of them, "
+            "time = fixed + marginal · n"
+        ),
+        "fixed_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_s": seconds("what one more trajectory takes"),
+        "marginal_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_repeat_ratio": seconds("marginal_s of the second measurement over that of the first"),
     },
     key=(*KEY, "question", "trajectories", "cores"),
 )  # fmt: skip
