@@ -10,7 +10,7 @@ from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.methods.one_step import step_map
 from contactbench.plugins import load_installed
 from contactbench.results.shipped import results
-from contactbench.scene import Mechanical, RigidBody, shifted
+from contactbench.scene import GeneralDamping, Mechanical, RigidBody, shifted
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import reference
@@ -25,6 +25,7 @@ __all__ = [
     "BadInput",
     "Counts",
     "Ensemble",
+    "GeneralDamping",
     "Mechanical",
     "RigidBody",
     "Solution",
