@@ -90,7 +90,11 @@ def test_the_command_line_takes_it_anywhere_on_the_line(example):
         done = run("contactbench.cli", *command)
         assert done.returncode == 0, done.stderr
         out = json.loads(done.stdout)
-        assert (out["scene"], out["method"], out["counts"]["evaluations"]) == ("double-well", "my-method", 4000)
+        assert (out["scene"], out["method"], out["counts"]["evaluations"]) == (
+            "double-well",
+            "my-method",
+            4000,
+        )
 
 
 # -- files that fail -------------------------------------------------------------------------------

@@ -23,7 +23,15 @@ SOURCES = "work_precision.csv, stability.csv"
 #: scenes whose costs stand in the project's README
 DUELS = ("particle_long", "rigid_body")
 #: the findings that stand there
-EXCERPT = ("law_momentum_law", "law_contact_drift", "order", "cost_evaluations", "cost_compiled", "cost_marginal", "claims")
+EXCERPT = (
+    "law_momentum_law",
+    "law_contact_drift",
+    "order",
+    "cost_evaluations",
+    "cost_compiled",
+    "cost_marginal",
+    "claims",
+)
 GLANCE = (
     "Every method at the same number of evaluations, or as near to it as its steps and tolerances allow; the largest "
     "deviation over the run. Bold: at round-off. How each column is taken stands [above the same table](#order-and-decay-laws-at-equal-cost)."

@@ -53,7 +53,9 @@ def spoken(found: Iterable[Finding], elsewhere: str = "") -> Text:
     for finding in found:
         said = f"**{finding.title}.** {finding.sentence}"
         if finding.exceptions:
-            told = f"[Exceptions]({elsewhere})" if elsewhere else f"Exceptions: {'; '.join(finding.exceptions)}"
+            told = (
+                f"[Exceptions]({elsewhere})" if elsewhere else f"Exceptions: {'; '.join(finding.exceptions)}"
+            )
             said += f" {told}."
         items.append(f"{said} *({finding.covers}.)*")
     return Text(items=tuple(items))
