@@ -34,7 +34,8 @@ EXCERPT = (
 )
 GLANCE = (
     "Every method at the same number of evaluations, or as near to it as its steps and tolerances allow; the largest "
-    "deviation over the run. Bold: at round-off. How each column is taken stands [above the same table](#order-and-decay-laws-at-equal-cost)."
+    "deviation over the run. Bold: at round-off. How each column is taken stands "
+    "[above the same table](#order-and-decay-laws-at-equal-cost)."
 )
 #: the scene whose figure stands here
 DRAWN = "particle"
