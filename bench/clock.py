@@ -12,7 +12,16 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
-from contactbench.measure.clock import LONG, VISITS, Samples, calls_a_round, rounds_within, time_columns
+from contactbench.measure.clock import (
+    LONG,
+    VISITS,
+    Samples,
+    calls_a_round,
+    length_columns,
+    rounds_within,
+    seconds,
+    time_columns,
+)
 
 
 @dataclass
@@ -26,6 +35,17 @@ class Cell:
     once: float = math.nan
     measured: list[Samples] = field(default_factory=list)
     iterations: int = 1
+    #: of the same run over a part of its length, in turns with `measured`
+    shorter: list[Samples] = field(default_factory=list)
+
+
+@dataclass
+class Part:
+    """The same run over a share of its span: what it takes tells fixed from marginal cost."""
+
+    run: Callable[[], Any]
+    share: float
+    span: float
 
 
 @dataclass
@@ -48,18 +68,26 @@ class Clock:
         return self.cells[self.key].made
 
     def columns(
-        self, run: Callable[[], Any] | None, group: str, first_call_s: float = math.nan
+        self,
+        run: Callable[[], Any] | None,
+        group: str,
+        first_call_s: float = math.nan,
+        part: Part | None = None,
     ) -> dict[str, Any]:
         """The time columns, from all visits so far; none where there is nothing to run.
 
-        first_call_s : what a call of this run took a moment ago, at the first visit.
+        first_call_s : what a call of this run took a moment ago, at the first visit.  part : timed in turns with it.
         """
         if run is None or self.benchmark.disabled:
             self.cells.pop(self.key)
             return {}
-        if math.isnan(self.cells[self.key].once):
-            self.cells[self.key].once = first_call_s
-        return self.add(*self.rounds(run, group))
+        cell = self.cells[self.key]
+        if math.isnan(cell.once):
+            cell.once = first_call_s
+        columns = self.add(*self.rounds(run, group, part))
+        if part is not None:
+            columns |= length_columns(cell.measured, cell.shorter, part.share, part.span)
+        return columns
 
     def add(self, samples: Samples, iterations: int) -> dict[str, Any]:
         """The time columns, with the samples of this visit."""
@@ -70,7 +98,7 @@ class Clock:
             del self.cells[self.key]
         return time_columns(cell.measured, cell.iterations)
 
-    def rounds(self, run: Callable[[], Any], group: str) -> tuple[Samples, int]:
+    def rounds(self, run: Callable[[], Any], group: str, part: Part | None = None) -> tuple[Samples, int]:
         """Rounds of about a millisecond, as many as the profile fills, after a warm-up.
 
         A run that is long warms itself up.
@@ -83,5 +111,14 @@ class Clock:
         iterations = cell.iterations if cell.measured else calls_a_round(cell.once)
         rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once)
         self.benchmark.group = group
-        self.benchmark.pedantic(run, rounds=rounds, iterations=iterations)
+        shorter: Samples = []
+
+        def between() -> None:
+            if part is not None and len(shorter) < rounds:
+                shorter.append(seconds(part.run, iterations))
+
+        between()
+        shorter.clear()  # it was warmed up
+        self.benchmark.pedantic(run, rounds=rounds, iterations=iterations, teardown=between)
+        cell.shorter.append(shorter)
         return list(self.benchmark.stats.stats.data), iterations

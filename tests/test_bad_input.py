@@ -316,3 +316,16 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
             cb.solve("particle", "mine", step=0.1, engine="python")
     finally:
         del cb.METHODS["mine"]
+
+
+def test_a_damping_whose_slope_is_another_is_refused():
+    base = user()
+    given = {name: getattr(base, name) for name in ("name", "potential", "gradient", "q", "p", "t_end")}
+    cb.solve(
+        cb.GeneralDamping(**given, damping=lambda s: s**3, damping_slope=lambda s: 3 * s**2), "rk4", step=0.1
+    )
+    wrong = cb.GeneralDamping(**given, s=0.5, damping=lambda s: s**3, damping_slope=lambda s: s**2)
+    with pytest.raises(
+        cb.BadInput, match=r"damping_slope is not the damping's: 0.\d+ at s = 0.\d+, the derivative"
+    ):
+        cb.solve(wrong, "rk4", step=0.1)

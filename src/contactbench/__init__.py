@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING, Any
 from contactbench.ensembles import Ensemble, ensemble
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
+from contactbench.measure.own_composition import composition
 from contactbench.methods import METHODS, fixed_step, prepare, solve
+from contactbench.methods.one_step import step_map
+from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.shipped import results
-from contactbench.scene import Mechanical, RigidBody, shifted
+from contactbench.scene import GeneralDamping, Mechanical, RigidBody, shifted
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import reference
@@ -23,19 +26,23 @@ __all__ = [
     "BadInput",
     "Counts",
     "Ensemble",
+    "GeneralDamping",
     "Mechanical",
     "RigidBody",
     "Solution",
     "Status",
     "UnknownName",
     "compare",
+    "composition",
     "ensemble",
     "fixed_step",
+    "math",
     "prepare",
     "reference",
     "results",
     "shifted",
     "solve",
+    "step_map",
 ]
 __version__ = "0.1.0"
 

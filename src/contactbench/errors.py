@@ -8,7 +8,7 @@ import re
 import reprlib
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -73,8 +73,12 @@ class Registry(dict):
     kind : what its items are called in messages; of : the class or protocol they follow.
     """
 
+    #: all registries there are
+    every: ClassVar[list[Registry]] = []
+
     def __init__(self, kind: str, of: type = object) -> None:
         super().__init__()
+        self.every.append(self)
         self.kind = kind
         self.of: Any = of
 

@@ -57,10 +57,12 @@ def load_file(path: Path | str) -> None:
     except BaseException as error:
         raise _failure(path, error) from error
     new = _registered() - before
-    for name, _ in sorted(new):
-        try_out(next(registry[name] for registry in GROUPS.values() if name in registry))
     if not new:
-        raise BadInput(f"plug-in {path}: registers no method and no scene (cb.fixed_step, cb.SCENES.add)")
+        raise BadInput(f"plug-in {path}: registers nothing (cb.fixed_step, cb.SCENES.add, …)")
+    for registry in GROUPS.values():
+        for name, item in registry.items():
+            if (name, id(item)) in new:
+                try_out(item)
     _files.add(path.resolve())
     named = list(filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
     os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*named, str(path.resolve())]))
@@ -69,7 +71,7 @@ def load_file(path: Path | str) -> None:
 
 def _registered() -> set[tuple[str, int]]:
     """What is registered at the moment: names, and the objects that bear them (a file may replace some)."""
-    return {(name, id(item)) for registry in GROUPS.values() for name, item in registry.items()}
+    return {(name, id(item)) for registry in Registry.every for name, item in registry.items()}
 
 
 def _run(path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import contactbench as cb
 from contactbench.cli import main
 
-RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", "--budget", "6s"]
+RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", "--budget", "60s"]
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from contactbench.measure.clock import LONG, MOST_ROUNDS, Race, calls_a_round, time_columns
+from contactbench.measure.clock import LONG, MOST_ROUNDS, Race, calls_a_round, length_columns, time_columns
 
 
 def test_runs_take_turns_in_changing_order_and_are_measured_twice():
@@ -67,3 +67,17 @@ def test_the_columns_are_order_statistics():
         7,
     )
     assert columns["time_repeat_ratio"] == 2.5
+
+
+def test_fixed_and_marginal_cost_are_those_of_the_line_through_two_lengths():
+    fixed, per_time, span, share = 3e-6, 2e-7, 40.0, 0.2
+    drift = [1.0, 1.2, 0.9, 1.1]  # of the machine, in turns: it scales both lengths of a round
+    whole = [[d * (fixed + per_time * span) for d in drift], [fixed + per_time * span] * 3]
+    part = [[d * (fixed + per_time * span * share) for d in drift], [fixed + per_time * span * share] * 3]
+    columns = length_columns(whole, part, share, span)
+    assert columns["fixed_s"] == pytest.approx(fixed, rel=1e-9)
+    assert columns["marginal_s"] == pytest.approx(per_time, rel=1e-9)
+    assert columns["marginal_repeat_ratio"] == pytest.approx(1 / 1.05, rel=1e-9)
+    assert columns["marginal_iqr_s"] > 0
+    only = length_columns(whole[:1], part[:1], share, span)
+    assert "marginal_repeat_ratio" not in only

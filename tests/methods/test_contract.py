@@ -1,17 +1,128 @@
-"""Every registered method keeps every rule of the contract, on every engine and kind of scene."""
+"""Every registered method keeps every rule of the contract; and a method that breaks one is told which."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
 
 import pytest
 
 import contactbench as cb
-from contactbench.testing.method import check_case, method_cases
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.python_engine import PythonLoop
+from contactbench.testing import METHOD_RULES, MethodCase, Violation, method_cases
+from contactbench.testing.method import CASES, check_case
 
-CASES = [case for method in cb.METHODS.values() for case in method_cases(method)]
+RK4 = cb.METHODS["rk4"]
 
 
 @pytest.mark.parametrize(
-    "case", CASES, ids=lambda case: f"{case.method.name}-{case.engine}-{case.scene.name}"
+    "case",
+    [case for method in cb.METHODS.values() for case in method_cases(method)],
+    ids=lambda case: f"{case.method.name}-{case.engine}-{case.scene.name}",
 )
 def test_a_method_keeps_its_contract(case):
     check_case(case)
+
+
+# -- a violation of each rule ----------------------------------------------------------------------
+class Remembers(PythonLoop):
+    calls = 0
+
+    def integrate(self, y0):
+        self.calls += 1
+        out = super().integrate(y0)
+        return replace(out, y=out.y * (1 + 1e-9 * self.calls))
+
+
+class StartsElsewhere(PythonLoop):
+    def integrate(self, y0):
+        out = super().integrate(y0)
+        return replace(out, y=out.y + 1e-9 * (len(out.y) > 1))
+
+
+class TimedElsewhere(PythonLoop):
+    def bare(self, y0):
+        return super().bare(y0) * (1 + 1e-9)
+
+
+class SpendsMore(PythonLoop):
+    def integrate(self, y0):
+        self.needed = 0
+        return super().integrate(y0)
+
+
+class DerivesWrongly(PythonLoop):
+    def sensitivity(self, y0):
+        return 1.001 * super().sensitivity(y0)
+
+
+@dataclass(frozen=True)
+class Broken(FixedStep):
+    """RK4 on plain floats, run by a class that breaks a rule."""
+
+    name: str = "broken"
+    order: int = 4
+    step: object = RK4.step
+    evaluations: int = 4
+    about: str = "planted"
+    engines: tuple[str, ...] = ("python",)
+    run: type[PythonLoop] = PythonLoop
+
+    def prepare(self, request):
+        if request.engine == "python" and request.step is not None:
+            return self.run(self.name, request, self)
+        return super().prepare(request)
+
+
+class RefusesSilently(Broken):
+    def refuses(self, scene):
+        return ""
+
+
+class CostsNothing(Broken):
+    def step_cost(self, scene, engine):
+        return None
+
+
+def by_engine(scene, x, h, xp):
+    """Other steps in compiled code."""
+    return RK4.step(scene, x, h if xp is math else h * (1 + 1e-9), xp)
+
+
+BROKEN = [
+    (1, Broken(about="")),
+    (1, Broken(family="ours")),
+    (1, Broken(engines=("python", "abacus"))),
+    (2, RefusesSilently()),
+    (3, Broken(run=Remembers)),
+    (4, Broken(run=StartsElsewhere)),
+    (5, Broken(run=TimedElsewhere)),
+    (6, Broken(order=5)),
+    (7, Broken(run=SpendsMore)),
+    (8, Broken(evaluations=3)),
+    (8, Broken(kind="gradient", evaluations=3)),
+    (9, Broken(engines=("python", "numba"), step=by_engine)),
+    (10, Broken(contact=True)),
+    (10, Broken(symmetric=True)),
+    (11, Broken(run=DerivesWrongly)),
+    (12, CostsNothing()),
+]
+
+
+@pytest.mark.parametrize(
+    ("rule", "method"), BROKEN, ids=[f"{rule}-{i}" for i, (rule, _) in enumerate(BROKEN)]
+)
+def test_a_broken_rule_is_named(rule, method):
+    with pytest.raises(Violation) as caught:
+        check_case(MethodCase(method, method.engines[-1 if rule == 9 else 0], CASES[0]))
+    assert caught.value.rule == rule, caught.value
+    assert "broken" in str(caught.value)
+
+
+def test_every_rule_has_a_method_that_breaks_it():
+    assert {rule for rule, _ in BROKEN} == set(METHOD_RULES)
+
+
+def test_a_method_that_breaks_none_passes():
+    check_case(MethodCase(Broken(), "python", CASES[0]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 import contactbench as cb
+from cases import by_name, pairs
 from contactbench.measure.precision import contact_defect, error_at, momentum_defect, order_at
 
 METHODS = [m for m in cb.METHODS.values() if m.control == "step" and (m.contact or m.factor)]
@@ -18,47 +19,25 @@ SCENES = [PARTICLE, HEAVY, BODY, SLENDER]
 BEYOND = 1e-45  # 50 digits less what a few hundred operations on numbers of size one lose
 STEPS = 40
 
-each = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
 
-
-def on(*scenes):
-    return pytest.mark.parametrize("scene", scenes, ids=lambda scene: scene.name)
-
-
-def applies(method, scene):
-    """Whether the method runs on the scene; a refusal is checked to be one that says why."""
-    why = method.refuses(scene)
-    if why is None:
-        return True
-    assert scene.name in why
+@pairs(METHODS, SCENES, lambda method, scene: method.refuses(scene) is not None)
+def test_where_a_method_is_refused_it_has_no_factor(method, scene):
+    assert scene.name in method.refuses(scene)
     assert method.conformal_factor(scene, 0.1) is None
-    return False
 
 
-@each
-@on(*SCENES)
-def test_order_is_the_claimed_one(method, scene):
-    """Slopes over 40, 80 and 160 steps to t = 2, extrapolated; order 8 leaves errors near 10⁻²⁰."""
-    if applies(method, scene):
-        assert order_at(method, scene, 2.0, STEPS) == pytest.approx(method.order, abs=0.02)
-
-
-@each
-@on(*SCENES)
+@pairs(METHODS, SCENES)
 def test_map_is_conformal_contact_with_the_claimed_factor(method, scene):
     """Five steps of size 0.2 as one map, at 150 digits."""
-    if applies(method, scene):
-        assert contact_defect(method, scene, "0.2", 5) < BEYOND
+    assert contact_defect(method, scene, "0.2", 5) < BEYOND
 
 
-@each
-@on(CENTRAL, CENTRAL.with_(name="soft", gamma=0.4, stiffness=0.3, p=(-0.2, 0.9)), BODY, SLENDER)
+@pairs(METHODS, [CENTRAL, CENTRAL.with_(name="soft", gamma=0.4, stiffness=0.3, p=(-0.2, 0.9)), BODY, SLENDER])
 def test_momentum_map_decays_by_the_claimed_factor(method, scene):
-    if applies(method, scene):
-        assert momentum_defect(method, scene, "0.2", 20) < BEYOND
+    assert momentum_defect(method, scene, "0.2", 20) < BEYOND
 
 
-@on(PARTICLE, BODY)
+@by_name([PARTICLE, BODY])
 def test_methods_without_structure_are_seen_to_have_none(scene):
     """The same measures on RK4, with the factor e^{−γh} it does not have."""
     rk4 = cb.METHODS["rk4"]

@@ -152,15 +152,6 @@ def test_contact_drift_sees_the_factor_and_distribution_drift_does_not(name, ord
     assert max(cb.LAWS["distribution_drift"](s) for s in solutions) < 1e-13
 
 
-@pairs([m for m in FIXED if m.symmetric], [cb.SCENES["particle"], cb.SCENES["rigid_body"], USER])
-def test_symmetric_methods_return(method, scene, mp50):
-    exact, x = in_mp(scene, random_state(scene, 24))
-    h = mp50.mpf("0.2")
-    back = method.step(exact, method.step(exact, x, h, mp50), -h, mp50)
-    for a, b in zip(scene.pack(back), scene.pack(x), strict=True):
-        assert abs(a - b) < mp50.mpf(10) ** -44
-
-
 @each
 @pytest.mark.parametrize(
     ("scene", "says"),

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import USER, in_mp, pairs
-from contactbench.measure.order import fit_order
+from cases import USER, pairs
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.grid import steps_in
-from contactbench.methods.step_map import trajectory
 from contactbench.solution import Status
-from contactbench.truth import blow_up_time
 
 FIXED = [m for m in cb.METHODS.values() if m.control == "step"]
 #: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
@@ -43,13 +40,6 @@ def setting(method, fine=False):
 
 
 # -- order and accuracy ----------------------------------------------------------------------------
-@pairs([m for m in FIXED if m.order <= 4], SCENES)
-def test_order_on_the_asymptotic_range(method, scene):
-    """In double precision up to order 4; higher orders meet round-off first and are fitted at 50 digits."""
-    steps = [scene.t_end / n for n in (10, 20, 40, 80, 160, 320)]
-    errors = [cb.LAWS["solution_error"](cb.solve(scene, method.name, step=h, save_at=[4.0])) for h in steps]
-    fit = fit_order(steps, errors, floor=1e-12)
-    assert abs(fit.order - method.order) < 0.15, (fit.order, errors)
 
 
 @pairs(cb.METHODS.values(), SCENES)
@@ -64,31 +54,7 @@ def test_solution_approaches_the_reference(method, scene):
         assert cb.LAWS["solution_error"](solution) < bound
 
 
-@adaptive
-def test_error_falls_with_the_tolerance(method):
-    errors = [
-        cb.LAWS["solution_error"](cb.solve(PARTICLE, method.name, rtol=rtol, save_at=[4.0]))
-        for rtol in (1e-4, 1e-7, 1e-10)
-    ]
-    assert errors[0] > 10 * errors[1] > 100 * errors[2]
-
-
 # -- declared properties ---------------------------------------------------------------------------
-@pairs(FIXED, SCENES)
-def test_symmetric_methods_undo_themselves_and_others_do_not(method, scene, mp50):
-    exact, x = in_mp(scene, scene.initial(scene.optional))
-    h = mp50.mpf("0.2")
-    back = method.advance(exact, method.advance(exact, x, h, 3, mp50), -h, 3, mp50)
-    gap = max(abs(a - b) for a, b in zip(scene.pack(back), scene.pack(x), strict=True))
-    assert (gap < mp50.mpf(10) ** -45) == method.symmetric, gap
-
-
-@pairs(FIXED, [PARTICLE, BODY])
-def test_contact_methods_are_exact_conformal_maps_at_any_step_and_others_are_not(method, scene):
-    for step in (0.5, 0.1):
-        solution = cb.solve(scene, method.name, step=step)
-        drift = cb.LAWS["contact_drift"](solution)
-        assert (drift < 1e-12) == method.contact, drift
 
 
 @pairs(FIXED, [cb.SCENES["central"].with_(gamma=0.3), BODY])
@@ -98,37 +64,7 @@ def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
         assert (law < 1e-12) == method.contact, law
 
 
-# -- one arithmetic, several engines ---------------------------------------------------------------
-@pairs(FIXED, SCENES)
-def test_engines_agree_to_round_off(method, scene):
-    runs = [cb.solve(scene, method.name, step=0.05, engine=engine) for engine in method.engines]
-    for run in runs[1:]:
-        np.testing.assert_allclose(run.y, runs[0].y, rtol=0, atol=1e-13)
-        assert run.counts == runs[0].counts
-
-
-@pairs(FIXED, [*SCENES, USER])
-def test_an_ensemble_of_numpy_arrays_is_the_same_map(method, scene):
-    x = scene.initial(scene.optional)
-    pair = scene.unpack([np.array([v, 1.1 * v]) for v in scene.pack(x)], scene.optional)
-    (together,) = trajectory(method, scene, pair, [(0.1, 5)], np)
-    (alone,) = trajectory(method, scene, x, [(0.1, 5)], math)
-    np.testing.assert_allclose([c[0] for c in scene.pack(together)], scene.pack(alone), rtol=0, atol=1e-14)
-
-
 # -- prepared solvers ------------------------------------------------------------------------------
-@on_particle
-def test_prepared_solver_takes_other_initial_data(method):
-    run = cb.prepare(PARTICLE, method.name, save_at=[1.0], **setting(method))
-    moved = run(q=(0.2, 0.1), p=(0.3, -0.4))
-    fresh = cb.solve(
-        PARTICLE.with_(q=(0.2, 0.1), p=(0.3, -0.4)), method.name, save_at=[1.0], **setting(method)
-    )
-    np.testing.assert_array_equal(moved.y, fresh.y)
-    assert cb.LAWS["solution_error"](moved) < 0.05  # against the truth from the other initial data
-    assert not np.array_equal(run().y, moved.y)
-
-
 @pytest.mark.parametrize("method", [m for m in ON_PARTICLE if "jax" in m.engines], ids=lambda m: m.name)
 def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypatch):
     from contactbench.methods import compiled
@@ -152,16 +88,6 @@ def test_the_number_of_saved_times_hardly_ever_recompiles(method):
 
 
 # -- saved times -----------------------------------------------------------------------------------
-@on_particle
-def test_saved_times_are_the_ones_asked_for(method):
-    times = [0.0, 0.37, 1.0, 2.5]
-    solution = cb.solve(PARTICLE, method.name, save_at=times, **setting(method))
-    np.testing.assert_array_equal(solution.t, times)
-    np.testing.assert_array_equal(solution.y[0], PARTICLE.pack(PARTICLE.initial(("s",))))
-    assert solution.end_time == 2.5
-    assert (solution.q.shape, solution.p.shape, solution.s.shape) == ((4, 2), (4, 2), (4,))
-
-
 @fixed
 def test_steps_never_exceed_the_step_and_end_on_time(method):
     """T = 4 is no multiple of 0.3: 14 equal steps of 4/14, documented in `prepare`."""
@@ -239,30 +165,6 @@ def test_body_solution_has_a_rotation_matrix():
 
 
 # -- ways to end -----------------------------------------------------------------------------------
-@on_particle
-def test_running_out_of_steps_is_a_status_and_never_a_number(method):
-    for engine in method.engines:
-        for times in ([4.0], [0.0, 2.0, 4.0]):
-            options = setting(method, fine=True) | {"max_steps": 7, "engine": engine, "save_at": times}
-            solution = cb.solve(PARTICLE, method.name, **options)
-            assert solution.status is Status.budget, (engine, times)
-            assert "7" in solution.message
-            assert np.isnan(solution.y[-1]).all()
-            assert math.isnan(cb.LAWS["solution_error"](solution))
-
-
-@on_particle
-def test_escape_to_infinity_ends_as_diverged_with_the_time(method):
-    """Asked for more than there is: the time told is within a per cent of the true blow-up."""
-    scene = cb.SCENES["escape"]
-    true = float(blow_up_time(scene)[0])
-    options = {"rtol": 1e-5} if method.adaptive else {"step": 0.002}
-    for times in ([scene.t_end], None):
-        solution = cb.solve(scene, method.name, save_at=times, max_steps=20_000, **options)
-        assert solution.status is Status.diverged, solution.message
-        assert solution.end_time == pytest.approx(true, rel=0.01)
-        assert np.isnan(solution.y[-1]).all()
-        assert "at t = 3.3" in solution.message or "by t = 3.3" in solution.message
 
 
 @fixed
@@ -276,14 +178,6 @@ def test_divergence_is_located_to_the_step(method):
             times.append(solution.end_time)
     assert max(times) - min(times) < 1e-9
     assert 3 < times[0] < 4
-
-
-@pairs(cb.METHODS.values(), SCENES, lambda method, scene: method.refuses(scene) is not None)
-def test_a_scene_that_a_method_refuses_is_unsupported_with_its_reason(method, scene):
-    solution = cb.solve(scene, method.name, **setting(method))
-    assert solution.status is Status.unsupported
-    assert solution.message == method.refuses(scene)
-    assert np.isnan(solution.y).all()
 
 
 def test_what_a_nystrom_composition_cannot_do_is_unsupported_with_the_reason():

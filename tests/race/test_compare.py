@@ -137,6 +137,15 @@ def test_it_writes_nothing(tmp_path, monkeypatch):
     assert before == {path: path.stat().st_mtime_ns for path in REPOSITORY.glob("*/*.csv")}
 
 
+def test_a_method_without_a_setting_is_raced_too():
+    frame = cb.compare("rigid_body", ["contact-exact", "contact-strang"], (1e-2, 1e-9), budget=60.0)
+    exact = frame[frame["method"] == "contact-exact"]
+    assert list(exact["status"]) == ["ok", "ok"]
+    assert exact["error_reached"].max() < 1e-12
+    assert exact["time_s"].nunique() == 1  # one run serves both errors
+    assert "J law" in exact["laws_kept"].iloc[0]
+
+
 # -- interruption, budget --------------------------------------------------------------------------
 def test_control_c_ends_it_with_what_there_is(monkeypatch):
     one = scouting.scout

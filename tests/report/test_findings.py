@@ -26,7 +26,9 @@ from contactbench.report.contest import (
     CALLED_BACK,
     COMPILED,
     EVALUATIONS,
+    FIXED,
     KINDS,
+    MARGINAL,
     TARGETS,
     Field,
     reasons,
@@ -444,7 +446,7 @@ def test_decade_by_decade_the_best_of_each_camp_and_a_ratio_anyone_can_read():
 
 
 def test_kinds_stand_side_by_side_and_say_what_they_are():
-    assert [k.name for k in KINDS] == ["evaluations", "compiled", "callbacks"]
+    assert [k.name for k in KINDS] == ["evaluations", "compiled", "marginal", "callbacks"]
     found = work_precision.findings(frames(work_precision=[*costs("contact-a"), *costs("rk4", 2.0)]))
     assert [f.name for f in found] == ["cost_evaluations", "cost_compiled"]
 
@@ -648,3 +650,46 @@ def test_what_is_bold_at_equal_cost_is_what_its_sentence_says():
     bold = [Mark.kept in next(c for c in line if c.text == "2.0e-12").marks for line in view.rows]
     assert bold == [True, False]
     assert "at most 1e-12, or ε times the evaluations" in view.meaning
+
+
+def test_marginal_cost_ranks_anew_and_a_cost_that_is_mostly_fixed_is_marked():
+    """The cheaper call of two is the dearer one as soon as runs are long."""
+    quick = [r | {"fixed_s": 0.2 * r["time_median_s"], "marginal_s": 2.0} for r in costs("contact-a")]
+    slow = [r | {"fixed_s": 0.9 * r["time_median_s"], "marginal_s": 1.0} for r in costs("rk4", 2.0)]
+    work = table("work_precision", [*quick, *slow])
+    whole, marginal = Field(work, COMPILED), Field(work, MARGINAL)
+    assert {c.outcome for c in whole.contests().values()} == {"win"}
+    assert {c.outcome for c in marginal.contests().values()} == {"loss"}
+    marked = {line[0].text: {FIXED in c.text for c in line[1:]} for line in costs_view(whole, "s", "").rows}
+    assert marked == {"contact-a": {False}, "rk4": {True}}
+    assert not any(FIXED in c.text for line in costs_view(marginal, "s", "").rows for c in line)
+    noisy = work.assign(marginal_repeat_ratio=[1.0, 3.0] * (len(work) // 2))
+    assert {c.outcome for c in Field(noisy, MARGINAL).contests().values()} == {"tie"}
+    lost = work.assign(marginal_s=-1.0)  # lost in noise: no cost, rather than the least
+    assert not any(c.decided for c in Field(lost, MARGINAL).contests().values())
+
+
+def test_one_more_trajectory_has_a_table_of_its_own():
+    """Whole calls and marginal cost rank differently where one method's calls have a large fixed cost."""
+
+    def runs(method, whole, marginal):
+        return [
+            {k: v for k, v in r.items() if k != "rhs_equivalents"}
+            | {
+                "question": "error",
+                "trajectories": 100,
+                "cores": 1,
+                "time_median_s": whole,
+                "marginal_s": marginal,
+            }
+            for r in costs(method)
+        ]
+
+    timed = ensemble.timed(table("ensemble", [*runs("contact-a", 2.0, 1e-3), *runs("rk4", 1.0, 5e-3)]))
+    firsts = []
+    for marginal in (False, True):
+        view = ensemble.error_view(timed, marginal)
+        firsts.append([line[0].text for line in view.rows if Mark.best in line[-1].marks])
+    assert firsts == [["rk4"], ["contact-a"]]
+    unknown = ensemble.timed(table("ensemble", [r | {"marginal_s": math.nan} for r in runs("rk4", 1.0, 0.0)]))
+    assert ensemble.error_view(unknown, marginal=True) is None

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+
 import pandas as pd
 import pytest
 
 import contactbench as cb
+from cases import REPOSITORY
 from contactbench.results.schema import TABLES
 from contactbench.results.shipped import shipped_folder
 
@@ -38,3 +45,31 @@ def test_unknown_names_and_empty_folders_are_named(tmp_path):
         cb.results("lwas")
     with pytest.raises(cb.BadInput, match="has no table 'laws'"):
         cb.results("laws", tmp_path)
+
+
+def test_an_installed_package_has_them_beside_its_modules(tmp_path):
+    """As the wheel lays them out; the project's file says that it does."""
+    wheel = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"][
+        "wheel"
+    ]
+    assert "/results/*.csv" in wheel["include"]
+    assert wheel["sources"]["results"] == "contactbench/_results"
+    package = tmp_path / "contactbench"
+    shutil.copytree(
+        REPOSITORY / "src" / "contactbench", package, ignore=shutil.ignore_patterns("__pycache__")
+    )
+    script = "import contactbench as cb; print(cb.__file__, len(cb.results('claims')))"
+
+    def asked():
+        return subprocess.run(
+            [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        )  # fmt: skip
+
+    assert "no result tables in this installation" in asked().stderr
+    (package / "_results").mkdir()
+    for path in (REPOSITORY / "results").glob("claims*.csv"):
+        shutil.copy(path, package / "_results")
+    where, rows = asked().stdout.split()
+    assert where.startswith(str(tmp_path))
+    assert int(rows) == len(cb.results("claims"))

@@ -28,54 +28,6 @@ def test_gradient_and_hessian_are_the_derivatives_of_the_potential(scene):
         np.testing.assert_allclose(mine, hessian, rtol=AD, atol=AD)
 
 
-@by_name(MECHANICAL)
-@pytest.mark.parametrize("kappa", [0.0, 0.7])
-def test_right_hand_side_is_the_contact_hamiltonian_vector_field(scene, kappa):
-    """Against AD of H alone, by the general formula: no shared algebra with `rhs`."""
-    scene = scene.with_(kappa=kappa)
-    x = random_state(scene, 1)
-    n = len(x.q)
-
-    def H(y):
-        return scene.hamiltonian(scene.unpack(list(y), ("s",)))
-
-    y = jnp.array(scene.pack(x))
-    d = jax.grad(H)(y)
-    p, Hq, Hp, Hs = y[n : 2 * n], d[:n], d[n : 2 * n], d[-1]
-    expected = jnp.concatenate([Hp, -Hq - p * Hs, jnp.array([p @ Hp - H(y)])])
-    np.testing.assert_allclose(scene.pack(scene.rhs(x)), expected, rtol=AD, atol=AD)
-
-
-@by_name([s for s in BODIES if s.isotropic])
-def test_body_equations_are_the_left_trivialised_contact_equations(scene):
-    """M' = M × ∂H/∂M − M ∂H/∂s, ξ = ∂H/∂M, s' = M·∂H/∂M − H, from AD of H."""
-    x = random_state(scene, 2)
-    M = jnp.array(x.M)
-    H = lambda M, s: scene.hamiltonian(x._replace(M=tuple(M), s=s))  # noqa: E731
-    Hm, Hs = jax.grad(H, argnums=(0, 1))(M, x.s)
-    dx = scene.rhs(x)
-    np.testing.assert_allclose(dx.M, jnp.cross(M, Hm) - M * Hs, rtol=AD, atol=AD)
-    np.testing.assert_allclose(dx.s, M @ Hm - H(M, x.s), rtol=AD, atol=AD)
-    # the quaternion's rate turns the matrix as R Ω̂ does
-    _, dR = jax.jvp(lambda R: jnp.array(rotation_matrix(tuple(R))), (jnp.array(x.R),), (jnp.array(dx.R),))
-    hat = np.array([[0, -Hm[2], Hm[1]], [Hm[2], 0, -Hm[0]], [-Hm[1], Hm[0], 0]])
-    np.testing.assert_allclose(dR, np.array(rotation_matrix(x.R)) @ hat, rtol=AD, atol=AD)
-
-
-@by_name([s for s in ALL_SCENES if getattr(s, "hessian", True) is not None])
-def test_jacobian_is_the_derivative_of_the_right_hand_side(scene):
-    scene = scene.with_(kappa=0.3) if isinstance(scene, cb.Mechanical) else scene
-    for carry in [(), scene.optional]:
-        carry = scene.carry(carry)
-        x = random_state(scene, 3, carry)
-
-        def flat(y, carry=carry):
-            return jnp.stack(scene.pack(scene.rhs(scene.unpack(list(y), carry))))
-
-        expected = jax.jacfwd(flat)(jnp.array(scene.pack(x)))
-        np.testing.assert_allclose(scene.jacobian(x), expected, rtol=AD, atol=AD)
-
-
 @by_name(ALL_SCENES)
 def test_same_right_hand_side_on_floats_numpy_jax_mpmath_and_heyoka(scene):
     x = random_state(scene, 4)

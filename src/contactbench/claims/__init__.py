@@ -6,6 +6,7 @@ Each module registers its own; the registry is in the order of the ids.
 from contactbench.claims import (  # noqa: F401
     body_equilibria,
     body_stability,
+    conservative_limit,
     discrete_herglotz,
     experiment,
     geometry,

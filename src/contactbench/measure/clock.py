@@ -38,6 +38,28 @@ def time_columns(measured: Sequence[Samples], iterations: int) -> dict[str, Any]
     return times
 
 
+def length_columns(
+    whole: Sequence[Samples], part: Sequence[Samples], share: float, span: float
+) -> dict[str, float]:
+    """Fixed and marginal cost: time = fixed + marginal · T, from two lengths of one run, round by round.
+
+    whole, part : samples of each visit, of the run over `span` and of one over `share` of it, taken in turns.
+    The part of a run whose steps grow costs more than its share, which counts as fixed; where they shrink
+    fixed_s may be negative.
+    """
+    long, short = np.concatenate(whole), np.concatenate(part)
+    columns: dict[str, float] = {}
+    per_time = (long - short) / ((1 - share) * span)
+    for name, values in (("fixed", long - per_time * span), ("marginal", per_time)):
+        low, median, high = np.percentile(values, (25, 50, 75)).tolist()
+        columns |= {f"{name}_s": median, f"{name}_iqr_s": high - low}
+    if len(whole) == VISITS:
+        first, second = (np.median(a) - np.median(b) for a, b in zip(whole, part, strict=True))
+        if min(first, second) > 0:
+            columns["marginal_repeat_ratio"] = float(second / first)
+    return columns
+
+
 def calls_a_round(once: float) -> int:
     """How many calls fill a round, where one takes so many seconds."""
     return max(1, round(ROUND_SECONDS / once))
@@ -66,9 +88,9 @@ class Race:
         """Seconds that a round of each run takes; a long call is warm after one."""
         rounds = []
         for i, run in enumerate(self.runs):
-            once = _seconds(run, 1)
+            once = seconds(run, 1)
             if once < LONG:
-                once = min(once, _seconds(run, 1))
+                once = min(once, seconds(run, 1))
             self.iterations[i] = calls_a_round(once)
             rounds.append(once * self.iterations[i])
         return rounds
@@ -100,7 +122,7 @@ class Race:
                 gc.enable()
 
     def _round(self, i: int, visit: int) -> None:
-        sample = _seconds(self.runs[i], self.iterations[i])
+        sample = seconds(self.runs[i], self.iterations[i])
         if len(self.measured[i]) == visit:
             self.measured[i].append([])
         self.measured[i][visit].append(sample)
@@ -110,7 +132,8 @@ class Race:
         return time_columns(self.measured[i], self.iterations[i]) if self.measured[i] else {}
 
 
-def _seconds(run: Callable[[], Any], iterations: int) -> float:
+def seconds(run: Callable[[], Any], iterations: int) -> float:
+    """Seconds a call, over so many calls."""
     start = perf_counter()
     for _ in range(iterations):
         run()

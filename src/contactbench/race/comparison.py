@@ -22,7 +22,7 @@ from contactbench.truth import confirmed, reference
 ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
 #: by when, in parts of the budget, the reference, its check, the scouting and the laws are over
-REFERENCE, CHECK, SCOUTING, LAWS = 0.3, 0.35, 0.6, 0.8
+REFERENCE, CHECK, SCOUTING, LAWS = 0.4, 0.42, 0.6, 0.8
 KINDS = ("compiled", "callbacks")
 #: seconds it takes XLA to compile an adaptive solver: without them it is not begun
 COMPILING = {"jax": 8.0}

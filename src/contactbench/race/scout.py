@@ -189,16 +189,23 @@ def ladder(question: Question, found: Scouted, limit: Limit) -> Iterator[Attempt
     if item.exact:  # nothing to be set
         yield attempt(question, found, limit, 0.0)
         return
-    values = tolerances(item) if item.adaptive else work_ladder(question.scene, item.order or 1)
-    if item.adaptive and item.rtol_range[0] < values[-1]:
-        values = [*values, item.rtol_range[0]]
-    for value in values:
+    for value in values_of(item, question.scene):
         yield attempt(question, found, limit, value)
-    while not item.adaptive:  # a low order needs small steps; finer ones help until round-off
+    while item.control == "step":  # a low order needs small steps; finer ones help until round-off
         before, last = found.attempts[-2:]
         if before.ok and last.ok and not last.error < STILL_BETTER * before.error:
             return
         yield attempt(question, found, limit, last.value / 2)
+
+
+def values_of(item: Any, scene: Scene) -> list[float]:
+    """From coarse to fine; a single one where there is nothing to be set."""
+    if item.exact:
+        return [0.0]
+    if not item.adaptive:
+        return work_ladder(scene, item.order or 1)
+    values, tightest = tolerances(item), item.rtol_range[0]
+    return [*values, tightest] if tightest < values[-1] else values
 
 
 def attempt(question: Question, found: Scouted, limit: Limit, value: float) -> Attempt:

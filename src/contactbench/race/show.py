@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, word
 from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Figure, Panel
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
 from contactbench.report.numbers import count, duration, names, scientific
 from contactbench.report.page import Said, page
@@ -106,6 +107,16 @@ def views(frame: pd.DataFrame) -> list[View]:
     return [each for each in found if each.rows]
 
 
+#: an axis of costs ends at so many times the least cost of the smallest error: what is dearer is no contest
+CONTEST = 300.0
+
+
+def ending(label: str, errors: pd.Series, costs: pd.Series) -> Axis:
+    """An axis of costs that ends where the contest does."""
+    most = CONTEST * float(costs[errors <= errors.min() * 1e3].min())
+    return replace(number_axis(label), within=(None, most))
+
+
 def figure(frame: pd.DataFrame) -> Figure | None:
     """Error against cost: times of what was timed, evaluations of every setting tried."""
     tried = pd.DataFrame(frame.attrs["runs"])
@@ -117,19 +128,14 @@ def figure(frame: pd.DataFrame) -> Figure | None:
         if len(part):
             curves = by_method(part, "error_reached", "time_s", scale=1e3)
             best = best_of_each(curves, cheapest)
-            panels.append(Panel(title, number_axis("error", True), number_axis("time per solve, ms"), best))
+            cost = ending("time per solve, ms", part["error_reached"], 1e3 * part["time_s"])
+            panels.append(Panel(title, number_axis("error", True), cost, best))
     if len(tried) and (tried["status"] == "ok").any():
         ok = tried[(tried["status"] == "ok") & tried["evaluations"].notna()].copy()
         ok["error"] = np.maximum(ok["error"], frame.attrs["reference"]["error"])
         curves = by_method(ok.sort_values("value", ascending=False, kind="stable"), "error", "evaluations")
-        panels.append(
-            Panel(
-                "Evaluations",
-                number_axis("error", True),
-                number_axis("evaluations"),
-                best_of_each(curves, cheapest),
-            )
-        )
+        cost = ending("evaluations", ok["error"], ok["evaluations"])
+        panels.append(Panel("Evaluations", number_axis("error", True), cost, best_of_each(curves, cheapest)))
     if not panels:
         return None
     scene = frame["scene"].iloc[0]

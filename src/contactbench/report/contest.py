@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import DASH
@@ -28,6 +29,8 @@ ESTABLISHED = "established"
 #: rows that are no contestants: plain C loops
 LIMIT = "limit"
 CALLBACKS = ("python", "c+python")
+#: what marks a cost that is mostly fixed
+FIXED = " °"
 #: of those that tie, so many are named
 NAMED = 3
 #: endings that are our doing: a finer setting might be more accurate
@@ -47,6 +50,8 @@ class Kind:
     show: Callable[[float], str]
     about: str
     timed: bool = True
+    #: column of the second measurement over the first
+    repeat: str = "time_repeat_ratio"
 
 
 EVALUATIONS = Kind(
@@ -63,12 +68,17 @@ CALLED_BACK = Kind(
     "callbacks", "Time, Python callbacks", "time_median_s", lambda engine: engine.isin(CALLBACKS), duration,
     "Median time of a call that evaluates the right-hand side in Python; the fixed-step methods run in Python.",
 )  # fmt: skip
-KINDS = (EVALUATIONS, COMPILED, CALLED_BACK)
+MARGINAL = Kind(
+    "marginal", "Marginal time, compiled", "marginal_s", COMPILED.engines, duration,
+    "What one more unit of the scene's time takes, without what a call takes however short the run: from compiled "
+    "runs over a fifth of the span and all of it, at the same setting.", repeat="marginal_repeat_ratio",
+)  # fmt: skip
+KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
 
 
 def margin(work: pd.DataFrame, kind: Kind) -> float:
     """The ratio within which two costs are a tie."""
-    return max(TIE, noise(work)) if kind.timed else TIE
+    return max(TIE, noise(work, kind.repeat)) if kind.timed else TIE
 
 
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
@@ -94,18 +104,22 @@ class Cost:
     """What an error costs a method: nan with the reason where it is not reached.
 
     bound : every setting is more accurate than that; it is the cost of the cheapest.
+    fixed : more than half of it does not grow with the length of the run.
     """
 
     value: float
     bound: bool = False
     reason: str = DASH
+    fixed: bool = False
 
     @property
     def reached(self) -> bool:
         return not math.isnan(self.value)
 
     def text(self, show: Callable[[float], str]) -> str:
-        return self.reason if not self.reached else ("≤ " if self.bound else "") + show(self.value)
+        if not self.reached:
+            return self.reason
+        return f"{'≤ ' if self.bound else ''}{show(self.value)}{FIXED if self.fixed else ''}"
 
 
 def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cost]:
@@ -117,7 +131,21 @@ def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cos
     )
     loosest, reason = max(errors, default=math.nan), unreached(rows)
     values = ((target, cost_to_reach(errors, spent, target)) for target in targets)
-    return [Cost(value, target > loosest, reason) for target, value in values]
+    fixed = np.zeros(len(ok), dtype=bool)
+    if column == "time_median_s" and "fixed_s" in rows:
+        shares = rows["fixed_s"].astype(float) / rows[column].astype(float)
+        fixed = (shares > 0.5).to_numpy(dtype=bool)
+    mostly = fixed[ok].tolist()
+    return [
+        Cost(value, target > loosest, reason, _fixed(errors, spent, mostly, target))
+        for target, value in values
+    ]
+
+
+def _fixed(errors: list[float], spent: list[float], fixed: list[bool], target: float) -> bool:
+    """Whether the cheapest setting that reaches an error spends more than half on what does not grow."""
+    reach = [(s, f) for e, s, f in zip(errors, spent, fixed, strict=True) if e <= target and math.isfinite(s)]
+    return bool(reach) and min(reach)[1]
 
 
 @dataclass(frozen=True)
@@ -202,7 +230,19 @@ class Field:
         self.kind, self.margin = kind, margin(work, kind)
         part = contestants(work)
         part = part[kind.engines(part["engine"]) & (part["status"] != "unsupported")]
-        part = part[["scene", "method", "family", "engine", "value", "status", "solution_error", kind.cost]]
+        part = part.reindex(
+            columns=[
+                "scene",
+                "method",
+                "family",
+                "engine",
+                "value",
+                "status",
+                "solution_error",
+                "fixed_s",
+                kind.cost,
+            ]
+        )
         family = dict(zip(part["method"], part["family"], strict=True))
         self.methods = list(family)
         self.scenes, self.contested = list(dict.fromkeys(part["scene"])), []

@@ -16,7 +16,8 @@ def said(tie: float) -> str:
 
 DASHES = (
     f"{DASH}: no setting tried is as accurate; budget, timeout: a finer setting was cut off by our own limit. "
-    "≤: every setting tried is more accurate than asked, and this is the cheapest."
+    "≤: every setting tried is more accurate than asked, and this is the cheapest. °: more than half of the time is "
+    "spent however short the run."
 )
 
 

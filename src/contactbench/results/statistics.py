@@ -22,7 +22,9 @@ def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float
     that is better than asked for at a lower cost is the better choice.
     """
     points = sorted(
-        (e, c) for e, c in zip(errors, costs, strict=True) if e > 0 and math.isfinite(e) and math.isfinite(c)
+        (e, c)
+        for e, c in zip(errors, costs, strict=True)
+        if min(e, c) > 0 and math.isfinite(e) and math.isfinite(c)
     )
     front: list[tuple[float, float]] = []
     for error, cost in points:  # errors ascend: drop points that cost no less than a better one
@@ -85,13 +87,13 @@ COVERED = 0.95
 Verdict = Literal["win", "tie", "loss"]
 
 
-def noise(times: pd.DataFrame) -> float:
+def noise(times: pd.DataFrame, column: str = "time_repeat_ratio") -> float:
     """By what factor two measurements of one and the same cell differ, in 95 of 100 cells.
 
-    times : rows with `time_repeat_ratio`, the second measurement of a cell over the first (A/A).
+    times : rows with a column such as `time_repeat_ratio`, the second measurement of a cell over the first (A/A).
     The empirical quantile of max(r, 1/r); 1 where nothing was measured twice.
     """
-    ratios = pd.to_numeric(times["time_repeat_ratio"]).to_numpy(dtype=float, na_value=math.nan)
+    ratios = pd.to_numeric(times[column]).to_numpy(dtype=float, na_value=math.nan)
     ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
     if not len(ratios):
         return 1.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -39,8 +40,8 @@ def verify(scene: Scene) -> None:
     """
     if not isinstance(scene, Mechanical):
         return
-    functions = (scene.potential, scene.gradient, scene.hessian)
-    if all(function is None or is_ours(function) for function in functions):
+    parts = [getattr(scene, field.name) for field in fields(scene) if field.name != "exact"]
+    if all(is_ours(part) for part in parts if callable(part)):
         return
     key = (scene.structure, tuple(scene.numbers()), scene.rotation_invariant)
     if key not in _verified:
@@ -67,6 +68,7 @@ def _verify(scene: Mechanical) -> None:
             continue
         if scene.has_momentum_law:
             _symmetry(scene, q)
+    _damping(scene, scene.s + SPREAD * rng.uniform(-1, 1))
 
 
 def _number(scene: Mechanical, q: np.ndarray) -> float:
@@ -140,6 +142,21 @@ def _symmetry(scene: Mechanical, q: np.ndarray) -> None:
         raise BadInput(
             f"scene {scene.name!r}: rotation_invariant = True, but the potential exerts a torque, "
             f"‖q × ∇V‖ = {torque:.6g} at q = {_at(q)}"
+        )
+
+
+def _damping(scene: Mechanical, s: float) -> None:
+    """Γ' is the derivative of Γ."""
+
+    def damping(s: np.ndarray) -> np.ndarray:
+        return np.array([scene.dissipation(float(s[0]))], dtype=float)
+
+    here, given = np.array([s]), float(scene.dissipation_rate(s))
+    if not _agree(damping, here, np.ones(1), np.array([given]), abs(given)):
+        found = difference(damping, here, np.ones(1))[0][0]
+        raise BadInput(
+            f"scene {scene.name!r}: damping_slope is not the damping's: {given:.6g} at s = {s:.6g}, the derivative "
+            f"of the damping there {found:.6g}"
         )
 
 

@@ -132,7 +132,8 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
 
 #: the flows χ is made of, in their order, by kind of scene
 PARTS = {
-    "mechanical": ("kick", "drift_damp"), "isotropic body": ("turn", "top"), "body": ("turn", "damp", "top"),
+    "mechanical": ("kick", "drift_damp"), "general damping": ("kick", "drift", "damp"),
+    "isotropic body": ("turn", "top"), "body": ("turn", "damp", "top"),
 }  # fmt: skip
 
 
@@ -293,7 +294,8 @@ def entry(constants: Any, i: Any) -> Any:
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
     """Whether `advance_by_the_clock` is the way."""
-    return composition.two_part and scene.kind == "isotropic body"
+    ends_as_it_begins = len(composition.stages) % 2 == 1  # and so do its turns
+    return composition.two_part and ends_as_it_begins and scene.kind == "isotropic body"
 
 
 def advance_by_the_clock(

@@ -1,0 +1,107 @@
+"""A contact integrator from one's own coefficients, its order measured before it is let in: `composition`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import zip_longest
+from typing import Any
+
+from contactbench.errors import BadInput
+from contactbench.measure.precision import local_order
+from contactbench.methods.base import METHODS
+from contactbench.methods.contact import ContactMethod, contact_method
+from contactbench.scenes import SCENES
+from contactbench.splitting.composition import Composition, Stage
+
+#: how far the coefficients of a part may be from adding up to one, for each of them: printed digits
+ROUNDED = Fraction(1, 10**14)
+#: the step whose halving shows the order, and the digits it is computed with: coefficients known to sixteen
+#: digits show an order up to eight there
+STEP, DIGITS = "0.1", 50
+#: how far the order that is measured so may be from the one that is claimed
+NEAR = 0.4
+
+
+def composition(
+    name: str,
+    order: int,
+    kick: Sequence[Any],
+    drift: Sequence[Any],
+    *,
+    nystrom: bool = False,
+    symmetric: bool | None = None,
+    about: str = "composition of one's own coefficients",
+) -> ContactMethod:
+    """Register the contact integrator that applies kicks and damped drifts in turn.
+
+    kick, drift : coefficients in the order in which they act, numbers or strings of digits; the longer list
+        begins and ends (lists of the same length begin with a kick).  Each adds up to one; what the rounding
+        of printed digits leaves of that goes to the middle, so that the conformal factor of a step is e^{−γh}.
+    nystrom : the order rests on the potential depending on q alone; rigid bodies are then refused.
+    symmetric : if given, whether the stages read the same backwards; it must be so.
+
+    The order is measured, on the particle and, unless `nystrom`, on the rigid body.  The method is then one of
+    METHODS: it has its row in `compare`, and from a plug-in in every table.
+    Raises `BadInput` for lists whose lengths do not alternate, sums that are not one, a name that is taken, a
+    symmetry or an order that is not there.
+
+    >>> import contactbench as cb
+    >>> leapfrog = cb.composition("my-leapfrog", order=2, kick=[0.5, 0.5], drift=[1])
+    """
+    made = Composition(name, order, stages(exact("kick", kick), exact("drift", drift)), about, nystrom)
+    if symmetric is not None and symmetric != made.palindromic:
+        raise BadInput(
+            f"symmetric = {symmetric}: the stages {'' if made.palindromic else 'do not '}read the same backwards"
+        )
+    method = contact_method(made)
+    check_order(method)
+    METHODS.add(method)
+    return method
+
+
+def exact(part: str, coefficients: Sequence[Any]) -> list[Fraction]:
+    """As the decimals they are printed as, their sum made one; a palindrome stays one."""
+    found: list[Fraction] = []
+    for i, coefficient in enumerate(coefficients):
+        try:
+            found.append(coefficient if isinstance(coefficient, Fraction) else Fraction(str(coefficient)))
+        except (ValueError, ZeroDivisionError):
+            raise BadInput(f"{part}[{i}] = {coefficient!r}: must be a number, as 0.25 or '1/4'") from None
+    if not found:
+        raise BadInput(f"{part} = {list(coefficients)!r}: must have at least one coefficient")
+    rest, n = 1 - sum(found, Fraction(0)), len(found)
+    if abs(rest) > ROUNDED * n:
+        raise BadInput(f"{part}: coefficients add up to {float(1 - rest)!r}, must be 1")
+    for i in {(n - 1) // 2, n // 2}:
+        found[i] += rest / (2 - n % 2)
+    return found
+
+
+def stages(kick: Sequence[Fraction], drift: Sequence[Fraction]) -> tuple[Stage, ...]:
+    """The two lists in turn."""
+    if abs(len(kick) - len(drift)) > 1:
+        raise BadInput(
+            f"kick has {len(kick)} coefficients and drift {len(drift)}: as they alternate, the numbers differ "
+            "by one at most"
+        )
+    names, lists = ("kick", "drift_damp"), (kick, drift)
+    if len(drift) > len(kick):
+        names, lists = names[::-1], lists[::-1]
+    pairs = zip_longest(*lists)
+    return tuple((name, c) for pair in pairs for name, c in zip(names, pair, strict=True) if c is not None)
+
+
+def check_order(method: ContactMethod) -> None:
+    """Raise `BadInput` unless the order is the one claimed wherever the method is not refused."""
+    if isinstance(method.order, bool) or not isinstance(method.order, int) or method.order < 1:
+        raise BadInput(f"order = {method.order!r}: must be a whole number ≥ 1")
+    for scene in (SCENES["particle"], SCENES["rigid_body"]):
+        if method.refuses(scene) is not None:
+            continue
+        measured = local_order(method, scene, STEP, DIGITS)
+        if abs(measured - method.order) > NEAR:
+            hint = ""
+            if scene.name == "rigid_body":
+                hint = "; nystrom=True if it is meant for potentials only"
+            raise BadInput(f"order = {method.order}: measured {measured:.2f} on {scene.name}{hint}")

@@ -1,0 +1,127 @@
+"""One step of a method as a pure function of plain tuples, for one's own code: `step_map`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from contactbench.errors import BadInput, unknown_name
+from contactbench.methods.compiled import XlaNumbers
+from contactbench.methods.entry import lookup
+from contactbench.methods.step_map import StepMap
+from contactbench.numbers.recording import Recorded, RecordedNumbers, Tape, recorded, text_of
+from contactbench.numbers.source import PREAMBLE, needed
+from contactbench.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class OneStep:
+    """``step(y, h, numbers=None, **parameters) -> y``: one step of size h from the packed state y.
+
+    y : a tuple with an entry for each of `labels`.  numbers : the scene's parameters as a tuple in the order of
+    `names`, by default its own; any of them can also be given by name, as in ``step(y, h, gamma=0.2)``.
+    All of it may be floats, NumPy arrays (entry by entry), or JAX values under ``jit``, ``vmap`` and ``grad``,
+    for which ``jax_enable_x64`` must be set.  In a function compiled with ``numba.njit`` call it as
+    ``step(y, h)`` or ``step(y, h, numbers)``, of floats.  A step map has no state and keeps none.
+    """
+
+    scene: Scene
+    method: StepMap
+    carry: tuple[str, ...]
+
+    @property
+    def labels(self) -> list[str]:
+        """What the entries of y are."""
+        return self.scene.labels(self.carry)
+
+    @property
+    def names(self) -> list[str]:
+        """What the entries of `numbers` are."""
+        return self.scene.number_names()
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        """The scene's initial state."""
+        return tuple(map(float, self.scene.pack(self.scene.initial(self.carry))))
+
+    def __call__(
+        self, y: Sequence[Any], h: Any, numbers: Sequence[Any] | None = None, **parameters: Any
+    ) -> tuple[Any, ...]:
+        given = list(self.scene.numbers() if numbers is None else numbers)
+        for name, value in parameters.items():
+            if name not in self.names:
+                raise unknown_name(f"parameter of scene {self.scene.name!r}", name, filter(None, self.names))
+            given[self.names.index(name)] = value
+        return self.applied(tuple(y), h, given, namespace(*y, h, *given))
+
+    def applied(self, y: tuple[Any, ...], h: Any, numbers: list[Any], xp: Any) -> tuple[Any, ...]:
+        """The step on the numbers of a namespace."""
+        if len(y) != len(self.labels):
+            raise BadInput(f"y has {len(y)} entries: must be {len(self.labels)}, {', '.join(self.labels)}")
+        scene = self.scene.with_numbers(numbers)
+        return tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
+
+    # -- numba -------------------------------------------------------------------------------------
+    @cached_property
+    def source(self) -> str:
+        """The step as Python source, ``def step(y, h, numbers)``: straight-line arithmetic.
+
+        Raises `CannotRecord` where scene or method branch on values.
+        """
+        tape = Tape()
+        y = tuple(tape.assign(f"y[{i}]", "f", tape.root) for i in range(len(self.labels)))
+        numbers = [tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(len(self.scene.numbers()))]
+        h = Recorded(tape, "h", "f", tape.root)
+        end = recorded(lambda: self.applied(y, h, numbers, RecordedNumbers(tape)))
+        tape.root.add(f"out = ({', '.join(map(text_of, end))},)")
+        lines = "\n".join(needed(tape.root.lines))
+        own = tuple(map(float, self.scene.numbers()))
+        return f"def step(y, h, numbers={own!r}):\n{lines}\n    return out\n"
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The same as a function compiled by numba."""
+        import numba
+
+        scope: dict[str, Any] = {}
+        exec(PREAMBLE + self.source, scope)
+        return numba.njit(scope["step"], error_model="numpy")
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes this for where compiled code calls it: a compiled function."""
+        return self.compiled._numba_type_
+
+
+def namespace(*values: Any) -> Any:
+    """The functions that go with some numbers: those of JAX, NumPy or `math`."""
+    jax = sys.modules.get("jax")
+    if jax is not None and any(isinstance(value, jax.Array) for value in values):
+        return XlaNumbers()
+    return np if any(isinstance(value, np.ndarray) for value in values) else math
+
+
+def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None) -> OneStep:
+    """One step of a fixed-step method on a scene, as a pure function for one's own code: see `OneStep`.
+
+    carry : which of s and R are part of the state; by default all the scene has.
+    Raises `BadInput` for a method that is no step map or cannot do the scene.
+
+    >>> import contactbench as cb
+    >>> step = cb.step_map("particle", "contact-strang", carry=())
+    >>> y = step.start
+    >>> for _ in range(100):
+    ...     y = step(y, 0.01)
+    """
+    scene, chosen = lookup(scene, method)
+    if not isinstance(chosen, StepMap):
+        raise BadInput(f"method = {method!r}: chooses its own steps, so that there is no map of a single one")
+    if (why := chosen.refuses(scene)) is not None:
+        raise BadInput(f"method = {method!r}: {why}")
+    return OneStep(scene, chosen, scene.carry(carry))

@@ -1,0 +1,36 @@
+"""A column for each law, in the tables that have them all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from contactbench.measure.law import Law
+from contactbench.measure.laws import LAWS
+from contactbench.results.schema import Column, Rule
+
+
+def law_column(law: Law) -> Column:
+    """How it is gated and where it is shown, the law says."""
+    return Column(
+        law.definition, "whole" if law.gate.value == "count" else "number", Rule[law.gate.value],
+        label=law.label or law.name.replace("_", " "), shown=law.shown,
+    )  # fmt: skip
+
+
+class WithLaws(Mapping[str, Column]):
+    """Columns among which is one for each law that is registered at the moment: a plug-in may bring some."""
+
+    def __init__(self, before: Mapping[str, Column], after: Mapping[str, Column]) -> None:
+        self.before, self.after = before, after
+
+    def now(self) -> dict[str, Column]:
+        return {**self.before, **{name: law_column(law) for name, law in LAWS.items()}, **self.after}
+
+    def __getitem__(self, name: str) -> Column:
+        return self.now()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.now())
+
+    def __len__(self) -> int:
+        return len(self.now())

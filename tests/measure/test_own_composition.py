@@ -1,0 +1,120 @@
+"""A composition from one's own coefficients: let in only if it is what it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.measure.laws import LAWS
+from contactbench.splitting.tables import COMPOSITIONS
+
+#: those whose stages are kicks and drifts in turn, without a processor
+PLAIN = [c for c in COMPOSITIONS if c.two_part and not c.processor]
+
+
+@pytest.fixture(autouse=True)
+def registry():
+    """What a test registers is forgotten again."""
+    kept = dict(cb.METHODS)
+    yield
+    cb.METHODS.clear()
+    cb.METHODS.update(kept)
+
+
+def lists(known):
+    """Its coefficients as a user has them: floats."""
+    return {
+        "kick": [float(c) for name, c in known.stages if name == "kick"],
+        "drift": [float(c) for name, c in known.stages if name == "drift_damp"],
+    }
+
+
+@pytest.mark.parametrize("known", PLAIN, ids=lambda c: c.name)
+def test_printed_coefficients_give_the_same_method(known):
+    mine = cb.composition("mine", known.order, **lists(known), nystrom=known.nystrom, symmetric=True)
+    assert cb.METHODS["mine"] is mine
+    assert (mine.family, mine.contact, mine.symmetric) == ("contact", True, True)
+    ours, theirs = (cb.solve("particle", name, step=0.5, save_at=[10.0]).y for name in ("mine", known.name))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+    assert sum(c for name, c in mine.composition.stages if name == "kick") == 1  # whatever was rounded
+
+
+@pytest.mark.parametrize("known", [c for c in PLAIN if c.order > 2], ids=lambda c: c.name)
+def test_a_wrong_coefficient_is_not_let_in(known):
+    wrong = lists(known)
+    wrong["kick"][1] += 1e-3
+    wrong["kick"][-2] -= 1e-3
+    with pytest.raises(cb.BadInput, match=rf"order = {known.order}: measured [0-9.]+ on particle"):
+        cb.composition("mine", known.order, **wrong, nystrom=known.nystrom)
+    assert "mine" not in cb.METHODS
+
+
+def test_an_order_is_neither_too_high_nor_too_low():
+    for order in (1, 3, 4):
+        with pytest.raises(cb.BadInput, match=rf"order = {order}: measured (1\.9|2\.0)"):
+            cb.composition("mine", order, kick=[0.5, 0.5], drift=[1])
+
+
+def test_a_nystrom_composition_must_say_so():
+    known = next(c for c in PLAIN if c.nystrom)
+    with pytest.raises(cb.BadInput, match="on rigid_body; nystrom=True"):
+        cb.composition("mine", known.order, **lists(known))
+
+
+@pytest.mark.parametrize(
+    ("kick", "drift", "first"),
+    [(["1/2", "1/2"], [1], "kick"), ([1], [0.5, 0.5], "drift_damp"), ([1], [1], "kick")],
+)
+def test_the_longer_list_begins(kick, drift, first):
+    order = 1 if len(kick) == len(drift) else 2
+    mine = cb.composition("mine", order, kick, drift)
+    assert mine.composition.stages[0][0] == first
+    assert mine.symmetric == (order == 2)
+    for scene in ("particle", "rigid_body", "rigid_body_anisotropic"):
+        assert cb.solve(scene, "mine", step=0.1, save_at=[1.0]).ok
+
+
+def test_it_keeps_the_contact_form_and_is_raced():
+    cb.composition("mine", 2, kick=[0.5, 0.5], drift=[1])
+    run = cb.solve("central", "mine", step=0.1, save_at=[5.0, 10.0])
+    assert LAWS["contact_drift"](run) < 1e-12
+    frame = cb.compare("particle", ["mine", "contact-strang"], (1e-2,), budget=60.0)
+    assert list(frame["evaluations"]) == [frame["evaluations"][0]] * 2
+    assert list(frame["status"]) == ["ok", "ok"]
+
+
+BAD = {
+    "sum": ({"kick": [0.5, 0.6], "drift": [1]}, "kick: coefficients add up to 1.1, must be 1"),
+    "lengths": ({"kick": [0.5, 0.25, 0.25], "drift": [1]}, "kick has 3 coefficients and drift 1"),
+    "number": ({"kick": [0.5, "x"], "drift": [1]}, "kick[1] = 'x': must be a number"),
+    "inf": ({"kick": [0.5, 0.5], "drift": [float("inf")]}, "drift[0] = inf: must be a number"),
+    "empty": ({"kick": [], "drift": [1]}, "kick = []: must have at least one coefficient"),
+    "symmetric": ({"kick": [1], "drift": [1], "symmetric": True}, "symmetric = True: the stages do not read"),
+    "asymmetric": (
+        {"kick": [0.5, 0.5], "drift": [1], "symmetric": False},
+        "symmetric = False: the stages read",
+    ),
+    "order": ({"kick": [0.5, 0.5], "drift": [1], "order": 2.5}, "order = 2.5: must be a whole number"),
+    "taken": ({"kick": [0.5, 0.5], "drift": [1], "name": "rk4"}, "method 'rk4' is already registered"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "says"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(arguments, says):
+    with pytest.raises(cb.BadInput) as caught:
+        cb.composition(**{"name": "mine", "order": 2, **arguments})
+    assert says in str(caught.value)
+
+
+def test_a_plug_in_may_bring_one(tmp_path, monkeypatch, capsys):
+    from contactbench import plugins
+    from contactbench.cli import main
+
+    monkeypatch.setenv(plugins.VARIABLE, "")
+    path = tmp_path / "scheme.py"
+    path.write_text(
+        "import contactbench as cb\ncb.composition('my-scheme', order=2, kick=['1/2', 0.5], drift=[1])\n"
+    )
+    assert main(["solve", "particle", "my-scheme", "--step", "0.1", "--plugin", str(path)]) == 0
+    assert "my-scheme" in capsys.readouterr().out

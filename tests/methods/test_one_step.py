@@ -1,0 +1,158 @@
+"""`step_map`: one pure function for Python, NumPy, JAX and numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.methods.step_map import StepMap
+
+STEP = 0.1
+STEPS = [name for name, method in cb.METHODS.items() if isinstance(method, StepMap)]
+
+SOME = ("contact-rkn6", "rk4", "contact-strang")
+#: numba takes its time over the long ones
+SHORT = ("contact-strang", "herglotz2")
+
+
+def supported(names, scenes):
+    return [(s, n) for s in scenes for n in names if cb.METHODS[n].refuses(cb.SCENES[s]) is None]
+
+
+@pytest.mark.parametrize(("scene", "method"), supported(STEPS, ["particle", "rigid_body"]))
+def test_steps_one_after_another_are_a_run(scene, method):
+    """Processed methods apart, which begin and end every run with stages of their own."""
+    step = cb.step_map(scene, method)
+    y = step.start
+    for _ in range(5):
+        y = step(y, STEP)
+    saved = [STEP * k for k in range(1, 6)]  # so that every step is a run, processor and all
+    run = cb.solve(scene, method, step=STEP, save_at=saved)
+    np.testing.assert_allclose(y, run.y[-1], rtol=1e-12, atol=1e-13)
+    assert isinstance(y, tuple)
+    assert step.labels == run.labels
+
+
+def test_it_is_pure():
+    step = cb.step_map("particle", "contact-bm4")
+    once = step(step.start, STEP)
+    step(once, STEP, gamma=3.0)
+    assert step(step.start, STEP) == once
+    assert step.scene.gamma == cb.SCENES["particle"].gamma
+
+
+def test_parameters_by_name_and_as_a_tuple():
+    step = cb.step_map("particle", "contact-strang")
+    other = cb.step_map(cb.SCENES["particle"].with_(gamma=0.4, coupling=0.2), "contact-strang")
+    numbers = list(step.scene.numbers())
+    numbers[step.names.index("gamma")], numbers[step.names.index("coupling")] = 0.4, 0.2
+    assert step(step.start, STEP, gamma=0.4, coupling=0.2) == other(step.start, STEP)
+    assert step(step.start, STEP, tuple(numbers)) == other(step.start, STEP)
+
+
+@pytest.mark.parametrize(
+    ("scene", "method"), supported(SOME, ["particle", "quadratic_damping", "rigid_body"])
+)
+def test_numpy_arrays_are_many_states_at_once(scene, method):
+    step = cb.step_map(scene, method)
+    scales = np.linspace(0.9, 1.1, 5)
+    many = step(tuple(c * scales for c in step.start), STEP)
+    for k, scale in enumerate(scales):
+        one = step(tuple(c * scale for c in step.start), STEP)
+        np.testing.assert_allclose([c[k] for c in many], one, rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.parametrize(("scene", "method"), supported(SHORT, ["particle", "rigid_body"]))
+def test_numba_calls_it_in_a_compiled_loop(scene, method):
+    import numba
+
+    step = cb.step_map(scene, method)
+
+    @numba.njit
+    def run(y, h, n):
+        for _ in range(n):
+            y = step(y, h)
+        return y
+
+    y = step.start
+    for _ in range(50):
+        y = step(y, STEP)
+    np.testing.assert_allclose(run(step.start, STEP, 50), y, rtol=1e-13, atol=1e-14)
+
+    @numba.njit
+    def other(y, h, numbers):
+        return step(y, h, numbers)
+
+    numbers = tuple(2.0 * x for x in step.scene.numbers())
+    np.testing.assert_allclose(other(step.start, STEP, numbers), step(step.start, STEP, numbers), rtol=1e-13)
+
+
+def test_jax_compiles_and_vectorises_it():
+    from contactbench.xla import jax, jnp
+
+    step = cb.step_map("particle", "contact-rkn6")
+    np.testing.assert_allclose(jax.jit(step)(step.start, STEP), step(step.start, STEP), rtol=1e-14)
+    rates = jnp.array([0.0, 0.1, 0.5])
+    many = jax.vmap(lambda gamma: jnp.stack(step(step.start, STEP, gamma=gamma)))(rates)
+    for gamma, row in zip(rates.tolist(), many, strict=True):
+        np.testing.assert_allclose(row, step(step.start, STEP, gamma=gamma), rtol=1e-13)
+
+
+def test_the_damping_of_a_trajectory_is_found_by_gradient_descent():
+    """The observed motion has γ = 0.23; the step map is differentiated, and γ followed downhill."""
+    from contactbench.xla import jax, jnp, lax
+
+    scene = cb.SCENES["particle"].with_(gamma=0.23, t_end=5.0)
+    step, n = cb.step_map(scene, "contact-strang", carry=()), 50
+    observed = jnp.array(
+        cb.solve(scene, "cvode-adams", rtol=1e-10, save_at=[5.0 * k / n for k in range(1, n + 1)]).q
+    )
+
+    def misfit(gamma):
+        def turn(y, _):
+            y = step(y, 5.0 / n, gamma=gamma)
+            return y, jnp.stack(y[:2])
+
+        start = tuple(jnp.asarray(c) for c in step.start)
+        return jnp.mean((lax.scan(turn, start, None, length=n)[1] - observed) ** 2)
+
+    slope = jax.jit(jax.grad(misfit))
+    gamma = 0.05
+    difference = (misfit(gamma + 1e-5) - misfit(gamma - 1e-5)) / 2e-5
+    assert float(slope(gamma)) == pytest.approx(float(difference), rel=1e-6)
+    for _ in range(60):
+        gamma -= 1.0 * slope(gamma)
+    assert float(gamma) == pytest.approx(0.23, abs=2e-3)  # what is left is the error of the step
+
+
+BAD = {
+    "adaptive": (lambda: cb.step_map("particle", "cvode-bdf"), "method = 'cvode-bdf': chooses its own steps"),
+    "refused": (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
+    "parameter": (lambda: cb.step_map("particle", "rk4")((1.0,) * 5, 0.1, gama=1.0), "did you mean 'gamma'?"),
+    "length": (lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1), "y has 4 entries: must be 5, q1, q2, p1"),
+    "unknown": (lambda: cb.step_map("particle", "rk5"), "unknown method 'rk5'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "says"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(call, says):
+    with pytest.raises(cb.BadInput) as caught:
+        call()
+    assert says in str(caught.value)
+
+
+def test_a_force_that_branches_on_values_runs_in_python_and_says_so_to_numba():
+    from contactbench.numbers.recording import CannotRecord
+
+    scene = cb.Mechanical(
+        name="wall", q=(0.5,), p=(1.0,), gamma=0.1, t_end=1.0,
+        potential=lambda q: 0.0 if q[0] < 1 else (q[0] - 1) ** 2,
+        gradient=lambda q: (0.0 if q[0] < 1 else 2 * (q[0] - 1),),
+    )  # fmt: skip
+    step = cb.step_map(scene, "contact-strang")
+    assert math.isfinite(step(step.start, STEP)[0])
+    with pytest.raises(CannotRecord):
+        step.compiled  # noqa: B018

@@ -1,0 +1,79 @@
+"""A law, a scene, an integrator, a table with a figure: each is one file, and then everywhere by the registries."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from cases import REPOSITORY, bench, finished
+
+FOLDER = Path(__file__).parent / "extensions"
+FILES = [FOLDER / f"{name}.py" for name in ("law", "scene", "integrator", "question")]
+PLUGINS = [argument for file in FILES for argument in ("--plugin", str(file))]
+
+
+def contactbench(*arguments, code=0):
+    done = subprocess.run(
+        [sys.executable, "-m", "contactbench.cli", *map(str, arguments), *PLUGINS],
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """The tables of a small run with all four, and what the report makes of them."""
+    folder = tmp_path_factory.mktemp("results")
+    finished(
+        bench(folder, "test_laws and heun or test_work_precision and quartic and heun and numba", *PLUGINS)
+    )
+    subprocess.run([sys.executable, FILES[-1], folder], cwd=REPOSITORY, check=True, timeout=120)
+    contactbench("report", "--results", folder)
+    return folder
+
+
+def test_all_are_listed(results):
+    listed = contactbench("list")
+    assert all(name in listed for name in ("mean_position", "quartic", "heun"))
+
+
+def test_a_law_is_in_the_table_and_its_document(results):
+    laws = pd.read_csv(results / "laws.csv")
+    assert (laws["mean_position"] > 0).all()
+    assert "mean q" in (results / "laws.md").read_text()
+    assert "mean q" in (results / "report.html").read_text()
+
+
+def test_a_scene_and_an_integrator_are_in_tables_documents_and_figures(results):
+    work = pd.read_csv(results / "work_precision.csv")
+    assert set(zip(work["scene"], work["method"], strict=True)) == {("quartic", "heun")}
+    assert "heun" in (results / "laws.md").read_text()
+    assert "## quartic" in (results / "work_precision.md").read_text()
+    assert "heun" in (results / "figures" / "work_precision_quartic.svg").read_text()
+
+
+def test_a_question_has_its_document_its_figure_its_finding_and_a_place_on_the_page(results):
+    said = (results / "half_life.md").read_text()
+    assert "# Half-life of the energy" in said
+    assert "It is" in said
+    assert (results / "figures" / "half_life.svg").is_file()
+    page = (results / "report.html").read_text()
+    assert "Half-life of the energy" in page
+    assert "half_life.md" in (results / "README.md").read_text()
+
+
+@pytest.mark.parametrize(("file", "column"), [("laws", "mean_position"), ("half_life", "half_life")])
+def test_the_gate_sees_what_moved(results, file, column, tmp_path):
+    fresh = shutil.copytree(results, tmp_path / "fresh")
+    moved = pd.read_csv(fresh / f"{file}.csv")
+    moved[column] *= 10
+    moved.to_csv(fresh / f"{file}.csv", index=False)
+    compare = ("gate", "--only", "accuracy", "--baseline", results, "--fresh")
+    contactbench(*compare, results)
+    assert column in contactbench(*compare, fresh, code=1)
