@@ -148,7 +148,7 @@ def prepared_row(cell):
     if question != "arithmetic":
         row["solution_error"] = error(scene, y)
     steps, evaluations, kind = costs()
-    if question == "error" and method in cb.METHODS and (evaluations or steps) * n < SINGLE_WORK:
+    if question == "error" and method in cb.METHODS and 0 < (evaluations or steps or 0) * n < SINGLE_WORK:
         row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
     row |= {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
     if question not in ("error", "size"):
