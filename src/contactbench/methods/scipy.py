@@ -25,6 +25,24 @@ def starts(solver: Any) -> bool:
     return math.isfinite(solver.h_abs)
 
 
+def factors(a: np.ndarray) -> Any:
+    """LU of a matrix, which is overwritten: what `scipy.linalg.lu_factor` calls, without its wrappers."""
+    from scipy.linalg.lapack import dgetrf, zgetrf
+
+    if not np.isfinite(a).all():
+        raise ValueError("array must not contain infs or NaNs")
+    return (zgetrf if a.dtype == complex else dgetrf)(a, overwrite_a=True)
+
+
+def solved(lu: Any, b: np.ndarray) -> np.ndarray:
+    """The solution for a right-hand side, which is overwritten: as `scipy.linalg.lu_solve`."""
+    from scipy.linalg.lapack import dgetrs, zgetrs
+
+    if not np.isfinite(b).all():
+        raise ValueError("array must not contain infs or NaNs")
+    return (zgetrs if lu[0].dtype == complex else dgetrs)(lu[0], lu[1], b, overwrite_b=True)[0]
+
+
 @dataclass
 class ScipyRun(Prepared):
     solver: Any
@@ -53,6 +71,13 @@ class ScipyRun(Prepared):
         return solver.y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        return self._stepped(y0, lean=False)
+
+    def saved_states(self, y0: np.ndarray) -> np.ndarray:
+        return self._stepped(y0, lean=self.stiff).y
+
+    def _stepped(self, y0: np.ndarray, lean: bool) -> Outcome:
+        """lean : without the wrappers of SciPy's linear algebra, nearly half of what Radau takes."""
         r = self.request
         f, calls = self.f, [0]
         options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}
@@ -71,6 +96,8 @@ class ScipyRun(Prepared):
             solver = self.solver(f, 0.0, y0, float(times[-1]), **options)
             if not starts(solver):
                 raise OverflowError("the first step is not finite")
+            if lean:
+                solver.lu, solver.solve_lu = factors, solved
             while len(rows) < len(times):
                 if steps == r.max_steps:
                     status, message = Status.budget, f"max_steps = {r.max_steps} spent at t = {solver.t:.6g}"
