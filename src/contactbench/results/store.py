@@ -12,6 +12,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,12 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.results.round_off import floor
-from contactbench.results.schema import Column, Table
+from contactbench.results.schema import Column, Table, Type
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False}
+#: a column that has its type already is taken as it is
+TYPED = {"flag": "bool", "whole": "Int64", "number": "float64"}
 LOG = logging.getLogger("contactbench")
 _said: set[str] = set()
 
@@ -41,7 +44,7 @@ def read(table: Table, results: Path) -> pd.DataFrame:
     """
     untimed, *times = table.files(results)
     if not untimed.exists():
-        return typed(pd.DataFrame(columns=[*table.every_column]), table)
+        return pd.DataFrame({name: no_values(column.type) for name, column in table.every_column.items()})
     frame = part(table, untimed)
     for path in times:
         if path.exists():
@@ -98,6 +101,8 @@ def typed(frame: pd.DataFrame, table: Table, names: Iterable[str] | None = None)
 
 def converted(values: pd.Series, column: Column) -> pd.Series:
     """The values in the type of a column; blanks are missing, and empty text stays text."""
+    if column.type in TYPED and values.dtype == TYPED[column.type]:
+        return values
     if column.type == "text":
         return values.astype(object).where(values.notna(), "").astype(str)
     blank = values.isna() | (values.astype(object) == "")
@@ -108,6 +113,12 @@ def converted(values: pd.Series, column: Column) -> pd.Series:
         return known.astype(object).where(~blank, None).astype("boolean").fillna(False).astype(bool)
     numbers = pd.to_numeric(values.astype(object).where(~blank, None))
     return numbers.astype("Int64" if column.type == "whole" else float)
+
+
+@cache
+def no_values(kind: Type) -> pd.Series:
+    """A column of this type without rows."""
+    return converted(pd.Series([], dtype=object), Column("", kind))
 
 
 # -- writing ---------------------------------------------------------------------------------------
