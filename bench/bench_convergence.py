@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import contactbench as cb
-from cells import cells, controlled, outcome, save_times, scenes, setting, steps
+from cells import cells, controlled, outcome, pairs, save_times, setting, steps
 from contactbench.measure.order import fit_order
 from contactbench.measure.precision import error_at
 from contactbench.results.tables import CONVERGENCE
@@ -22,7 +22,7 @@ EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
 
 def ladder(profile):
     fixed = [name for name, method in cb.METHODS.items() if method.control == "step"]
-    return [(scene, name) for scene in scenes(profile) for name in fixed]
+    return pairs(profile, fixed)
 
 
 def in_double_precision(scene, method):

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 import contactbench as cb
-from cells import cells, outcome, setting, step_budget
+from cells import EVERYWHERE, SMOKE, cells, outcome, setting, step_budget
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.solution import EXACT
@@ -28,8 +28,14 @@ IN_PLACE_OF = {"momentum_law": "momentum_balance"}
 
 
 def ladder(profile):
-    scenes, costs = (SCENES[:1], COSTS[:1]) if profile.points == 1 else (SCENES, COSTS)
-    return [(scene, method, cost) for scene in scenes for method in cb.METHODS for cost in costs]
+    brief = profile.points == 1
+    return [
+        (scene, method, cost)
+        for scene in SCENES
+        for method in cb.METHODS
+        for cost in (COSTS[:1] if brief else COSTS)
+        if not brief or scene == SMOKE or method in EVERYWHERE
+    ]
 
 
 def to_the_end(scene, method, value, budget):

@@ -21,7 +21,7 @@ import pytest
 
 import contactbench as cb
 from cells import cells, controlled
-from clock import VISITS
+from clock import VISITS, Part
 from contactbench.ensembles import ENGINES
 from contactbench.results.tables import ENSEMBLE_TABLE
 from limit import KERNELS, SHAPES
@@ -30,18 +30,23 @@ from peers import prepared
 pytestmark = pytest.mark.timed
 
 SAMPLE = 4
+#: of the trajectories: a second call, which tells what every call costs from what every trajectory does
+FEWER = 1 / 4
 STEPS = {
     "contact-strang": (0.1, 0.02, 0.004, 0.001),
     "contact-bm4": (0.8, 0.4, 0.16, 0.05),
-    "contact-rkn6": (1.25, 0.8, 0.4, 0.16),
-    "contact-rkn8": (1.25, 0.8, 0.4, 0.2),
+    "contact-rkn6": (1.25, 0.8, 0.4, 0.16, 0.08),
+    "contact-rkn8": (1.25, 0.8, 0.4, 0.2, 0.16),
     "rk4": (0.2, 0.08, 0.04, 0.01),
 }
 PEERS = [
     ("diffrax-tsit5", "jax", "vmap"), ("diffrax-tsit5", "jax", "shared"),
     ("diffrax-dopri8", "jax", "vmap"), ("diffrax-dopri8", "jax", "shared"),
     ("heyoka-taylor", "llvm", "batch"),
+    ("cyrk-dop853", "c++", "loop"), ("cyrk-vern8", "c++", "loop"), ("cvode-adams", "c", "loop"),
 ]  # fmt: skip
+#: trajectories of a peer that takes one after the other: more of them take no less each
+LOOPED = 256
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 OURS = "contact-rkn6"
 #: (method, variant, value) of the smoke profile
@@ -78,7 +83,8 @@ def ladder(profile):
     for method, steps in STEPS.items():
         rows += [("error", "particle", method, ENGINES[0], "", "step", h, 4096, 1) for h in steps]
     for method, engine, variant in PEERS:
-        rows += [("error", "particle", method, engine, variant, "rtol", rtol, 4096, 1) for rtol in RTOLS]
+        n = LOOPED if variant == "loop" else 4096
+        rows += [("error", "particle", method, engine, variant, "rtol", rtol, n, 1) for rtol in RTOLS]
     if smoke:  # one kernel, one setting of three methods; how many cores there are is the machine's affair
         return [row for row in rows if (row[2], row[4], row[6]) in SMOKE]
     sizes = [10**k for k in range(3, 8 if profile.name == "full" else 7)]
@@ -105,6 +111,24 @@ def error(scene, y):
     return np.linalg.norm(y[:, :SAMPLE] - exact, axis=0).max() / np.linalg.norm(exact, axis=0).max()
 
 
+#: evaluations that the runs of all members, each by itself, may take together
+SINGLE_WORK = 4e6
+#: what members are run with where the method chooses its steps, maybe for several members at once
+BY_ITSELF = ("heyoka-taylor", 2.3e-16)
+
+
+def member_deviation(scene, method, control, value, start, y):
+    """max ‖y − y₁‖ / max ‖y₁‖ over all members, y₁ the run of each by itself with the same fixed steps.
+
+    Of a method that chooses its steps y₁ is the most accurate run of another one.
+    """
+    if control != "step":
+        (method, value), control = BY_ITSELF, "rtol"
+    run = cb.prepare(scene, method, save_at=[scene.t_end], carry=(), **{control: value})
+    alone = np.array([run.integrate(np.array(one)).y[-1] for one in start.T.tolist()]).T
+    return np.linalg.norm(y - alone, axis=0).max() / np.linalg.norm(alone, axis=0).max()
+
+
 def prepared_row(cell):
     """The row of a cell without its times, and what is to be timed, if it can be run."""
     question, name, method, engine, variant, control, value, n, cores = cell
@@ -123,7 +147,14 @@ def prepared_row(cell):
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
     if question != "arithmetic":
         row["solution_error"] = error(scene, y)
-    return row | dict(zip(("steps", "evaluations", "evaluation_kind"), costs(), strict=True)), run
+    steps, evaluations, kind = costs()
+    if question == "error" and method in cb.METHODS and 0 < (evaluations or steps or 0) * n < SINGLE_WORK:
+        row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
+    row |= {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
+    if question not in ("error", "size"):
+        return row, (run, None)
+    fewer, _ = prepared(scene, method, engine, variant, value, initial(scene, round(n * FEWER)))
+    return row, (run, Part(fewer, FEWER, n))
 
 
 def on_cores(cell):
@@ -140,8 +171,9 @@ def on_cores(cell):
 @cells(ladder, visits=VISITS)
 def test_ensemble(cell, record, clock):
     if cell[-1] == 1:
-        row, run = clock.prepared(lambda: prepared_row(cell))
-        record(ENSEMBLE_TABLE, **row, **clock.columns(run, cell[1]))
+        row, runs = clock.prepared(lambda: prepared_row(cell))
+        run, part = runs or (None, None)
+        record(ENSEMBLE_TABLE, **row, **clock.columns(run, cell[1], part=part))
     else:
         row, samples = on_cores(cell)
         first = clock.prepared(lambda: row)

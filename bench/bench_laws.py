@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from cells import cells, outcome, save_times, scenes, setting, step_budget, steps
+from cells import cells, outcome, pairs, save_times, setting, step_budget, steps
 from contactbench.measure.laws import LAWS, energies, row
-from contactbench.results.tables import COMMON, LAWS_TABLE, LAWS_TIME
+from contactbench.results.columns import COMMON
+from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
 
 def ladder(profile):
-    return [(scene, method) for scene in scenes(profile) for method in cb.METHODS]
+    return pairs(profile, cb.METHODS)
 
 
 @cells(ladder)

@@ -45,8 +45,9 @@ RUNGS = {"overdamped": (1.0, 0.2, 0.04, 0.01), "large_step": (1.0, 2 / 3, 0.25, 
 BY_FOUR, LOW_ORDER = (1.0, 1 / 4, 1 / 16, 1 / 64), 2
 #: and each method's own finest tolerance
 TOLERANCES = (1e-4, 1e-7, 1e-10, 1e-13)
-#: the scene of the smoke profile; nothing ends ok on it, so no derivative is compiled
-SMOKE = "escape"
+#: of the smoke profile: every method on the scene where nothing ends ok, which compiles no derivative, and
+#: two methods on every scene
+SMOKE, EVERYWHERE = "escape", ("contact-strang", "heyoka-taylor")
 CREEP_RTOLS = (1e-3, 1e-6, 1e-9)
 DAMPING_PER_STEP = (1.0, 5.0, 25.0)
 SPANS = (1e4, 1e5)
@@ -78,14 +79,18 @@ def settings(scene, method):
 
 
 def ladder(profile):
-    names = [SMOKE] if brief(profile) else [scene.name for scene in hard_scenes()]
-    return [(scene, method) for scene in names for method in cb.METHODS]
+    return [
+        (scene.name, method)
+        for scene in hard_scenes()
+        for method in cb.METHODS
+        if not brief(profile) or scene.name == SMOKE or method in EVERYWHERE
+    ]
 
 
 def questions(profile):
     """Rates: the overdamped oscillator for every method, weak damping over both spans."""
     if brief(profile):
-        return []
+        return [(which, EVERYWHERE[0]) for which in ("overdamped", f"weak_damping {SPANS[0]:.0e}")]
     weak = [("weak_damping", span) for span in SPANS] + [("weak_damping_particle", SPANS[0])]
     return [("overdamped", method) for method in cb.METHODS] + [
         (f"{scene} {span:.0e}", method) for scene, span in weak for method in cb.METHODS
@@ -195,7 +200,8 @@ PER_EVALUATION = np.geomspace(1e-3, 30.0, 40)
 
 def linear(profile):
     names = [method.name for method in fixed_step_methods()]
-    return [(name,) for name in (names[::4] if brief(profile) else names)]
+    some = {*names[::4], *(name for name in names if is_processed(cb.METHODS[name]))}
+    return [(name,) for name in names if not brief(profile) or name in some]
 
 
 @cells(linear)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from contactbench.measure.ladder import RTOLS as RTOLS
@@ -16,8 +16,8 @@ from contactbench.scene import Scene
 from contactbench.scenes import standard_scenes
 from contactbench.solution import Counts, Solution, printed_setting
 
-#: scenes of the experiments other than work–precision in the smoke profile
-SMOKE = ("particle",)
+#: in the smoke profile every method on one scene, and on every other scene one of ours and one of theirs
+SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
 def cells(ladder: Any, group: Callable[[tuple], str] | None = None, visits: int = 1) -> Callable[..., Any]:
@@ -36,9 +36,16 @@ def cells(ladder: Any, group: Callable[[tuple], str] | None = None, visits: int 
     return attach
 
 
-def scenes(profile: Any) -> list[str]:
-    """The scenes of an experiment: all standard ones, or one in the smoke profile."""
-    return list(SMOKE) if profile.points == 1 else [scene.name for scene in standard_scenes()]
+def pairs(
+    profile: Any, methods: Iterable[str], everywhere: Iterable[str] = EVERYWHERE
+) -> list[tuple[str, str]]:
+    """The scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
+    return [
+        (scene.name, method)
+        for scene in standard_scenes()
+        for method in methods
+        if profile.points > 1 or scene.name == SMOKE or method in everywhere
+    ]
 
 
 #: where an engine that is nobody's first choice is timed too

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -198,7 +199,20 @@ def pytest_runtest_call(item: pytest.Item) -> Any:
         finished = True
         return result
     finally:
-        item.config.journal.append(item.rows, _identity(item) if finished else None)
+        with full_disk():
+            item.config.journal.append(item.rows, _identity(item) if finished else None)
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """A disk that takes no more ends the run in one line; what was journalled before is there."""
+    try:
+        yield
+    except OSError as error:
+        where = f" ({error.filename})" if error.filename else ""
+        pytest.exit(
+            f"{error.strerror}{where}: finished cells are kept; make room, then --resume", returncode=2
+        )
 
 
 def smallest_profile(request: pytest.FixtureRequest) -> str:
@@ -242,12 +256,14 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
     if not config.controls or not config.journal.alive.is_locked:
         return
-    config.journal.close()
+    with full_disk():
+        config.journal.close()
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
         session.exitstatus = pytest.ExitCode.OK
     if config.getoption("--report"):
         try:
-            write_report(config.journal.results)
+            with full_disk():
+                write_report(config.journal.results)
         except BadInput as error:  # a table that this run did not make is of another version
             config.get_terminal_writer().line(f"\nno report: {error}", red=True)
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -29,5 +29,5 @@ def seconds(run):
     return samples
 
 
-row, run = prepared_row(CELL)
+row, (run, _) = prepared_row(CELL)
 print(json.dumps([row, seconds(run)], default=float))

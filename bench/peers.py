@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import contactbench as cb
+from contactbench.methods.base import Refused
 from limit import ensemble_kernel
 
 #: trajectories integrated together: the fastest of 64, 256 and all, for vmap and for shared steps
@@ -98,6 +99,21 @@ def heyoka(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) ->
     return run, lambda: (most[0], most[0] * (ta.order + 1), "taylor")
 
 
+def compiled_loop(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
+    """CyRK or CVODE's C library, one trajectory after the other, without leaving compiled code."""
+    run = cb.prepare(scene, method, rtol=value, carry=(), save_at=[scene.t_end])
+    if isinstance(run, Refused):
+        return run.why
+    starts, most = np.ascontiguousarray(y0.T), [0, 0]
+
+    def loop() -> np.ndarray:
+        told = run.many(starts)
+        most[:] = told[:, 3:5].max(axis=0).astype(int)
+        return told[:, -len(y0) :].T
+
+    return loop, lambda: (*most, "rhs")
+
+
 def limit_c(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
     kernel, _, shape = shape.partition(" ")
     made = ensemble_kernel(kernel, shape, scene, value, y0)
@@ -111,4 +127,6 @@ def prepared(scene: Any, method: str, engine: str, shape: str, value: float, y0:
     """(run, costs) of a cell, or why it cannot be run."""
     if method in cb.METHODS and not cb.METHODS[method].adaptive:
         return contact(scene, method, engine, value, y0)
+    if shape == "loop":
+        return compiled_loop(scene, method, shape, value, y0)
     return {"c": limit_c, "llvm": heyoka, "jax": diffrax}[engine](scene, method, shape, value, y0)

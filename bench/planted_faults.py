@@ -6,11 +6,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import contactbench as cb
 from contactbench.methods import METHODS
@@ -159,3 +162,153 @@ def slower(names: Sequence[str], factor: float, tree: str) -> None:
     if Path(cb.__file__).is_relative_to(tree):
         for name in names:
             put(Slower(METHODS[name], factor - 1))
+
+
+class Dearer:
+    """A method whose preparation takes longer, and whose every run leaves something behind."""
+
+    def __init__(self, method: Any, seconds: float, leak: int) -> None:
+        self.method, self.seconds, self.leak = method, seconds, leak
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.method, name)
+
+    def prepare(self, request: Request) -> Prepared:
+        time.sleep(self.seconds)
+        run, kept = self.method.prepare(request), []
+        once = run.integrate
+
+        def integrate(y0: Any) -> Any:
+            if self.leak:
+                kept.append(np.ones(self.leak // 8))
+            return once(y0)
+
+        run.integrate = integrate
+        return run
+
+
+def dearer(name: str, tree: str, seconds: float = 0.0, leak: int = 0) -> None:
+    """A method takes `seconds` more to be compiled, or leaves `leak` bytes behind with every run, in one tree."""
+    if Path(cb.__file__).is_relative_to(tree):
+        put(Dearer(METHODS[name], seconds, leak))
+
+
+class SlowerSometimes(Slower):
+    """The same on one scene only, or only where many times are saved."""
+
+    def __init__(self, method: FixedStep, share: float, scene: str, saves: int) -> None:
+        super().__init__(method, share)
+        self.scene, self.saves = scene, saves
+
+    def prepare(self, request: Request) -> Prepared:
+        meant = request.scene.name == self.scene and len(request.save_at) >= self.saves
+        return super().prepare(request) if meant else self.method.prepare(request)
+
+
+def slower_sometimes(name: str, factor: float, scene: str, saves: int, tree: str) -> None:
+    """A method takes `factor` times as long on one scene, with so many saved times or more."""
+    if Path(cb.__file__).is_relative_to(tree):
+        put(SlowerSometimes(METHODS[name], factor - 1, scene, saves))
+
+
+# -- what other numbers say ------------------------------------------------------------------------
+class Miscounting:
+    """A method that says it took fewer evaluations than it did."""
+
+    def __init__(self, method: Any, share: float) -> None:
+        self.method, self.share = method, share
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.method, name)
+
+    def prepare(self, request: Request) -> Prepared:
+        run = self.method.prepare(request)
+        finished = run.finished
+
+        def counted(*arguments: Any, **more: Any) -> Any:
+            solution = finished(*arguments, **more)
+            fewer = round(solution.counts.evaluations * (1 - self.share))
+            return replace(solution, counts=solution.counts._replace(evaluations=fewer))
+
+        run.finished = counted
+        return run
+
+
+def scaled(function: Any, factor: float) -> Any:
+    """A function whose result, a number or the first of several, is another."""
+
+    def other(*arguments: Any, **more: Any) -> Any:
+        result = function(*arguments, **more)
+        return (factor * result[0], *result[1:]) if isinstance(result, tuple) else factor * result
+
+    return other
+
+
+def other_numbers(factor: float = 1.03) -> None:
+    """One fault in every table that once was not looked at; none of them is in a solver.
+
+    A scene's damping, the members of an ensemble from the sixth on, the counts of an adaptive solver, what a
+    claim measures, the energy along time, a figure's curve, the time of a blow-up, fitted orders.
+    """
+    import contactbench.claims as claims
+    import contactbench.measure.laws as laws
+    import contactbench.measure.order as order
+    import contactbench.truth as truth
+    from contactbench.claims import curves
+
+    central = cb.SCENES["central"]
+    cb.SCENES["central"] = central.with_(gamma=1.01 * central.gamma)
+    METHODS["scipy-dop853"] = Miscounting(METHODS["scipy-dop853"], 0.09)
+    truth.blow_up_time = scaled_time(truth.blow_up_time, factor)
+    laws.energies = scaled(laws.energies, factor)
+    order.fit_order = other_order(order.fit_order)
+    draw = curves.FIGURES["paper_3"]
+    curves.FIGURES["paper_3"] = lambda: ((*head, factor * y, z) for *head, y, z in draw())
+    claim = claims.CLAIMS["C25"]
+    claims.CLAIMS["C25"] = OtherRow(claim, factor)
+    cb.ensemble = from_the_sixth_on(cb.ensemble)
+
+
+def scaled_time(function: Any, factor: float) -> Any:
+    def other(scene: Scene) -> Any:
+        found = function(scene)
+        return (factor * float(found[0]), *found[1:]) if found else found
+
+    return other
+
+
+def other_order(fit: Any) -> Any:
+    def other(*arguments: Any, **more: Any) -> Any:
+        found = fit(*arguments, **more)
+        return replace(found, order=found.order - 0.1)
+
+    return other
+
+
+class OtherRow:
+    """A claim that measures something else."""
+
+    def __init__(self, claim: Any, factor: float) -> None:
+        self.claim, self.factor = claim, factor
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.claim, name)
+
+    def row(self, **parameters: Any) -> dict[str, Any]:
+        row = self.claim.row(**parameters)
+        return row | {"measured": self.factor * row["measured"]}
+
+
+def from_the_sixth_on(ensemble: Any) -> Any:
+    def other(*arguments: Any, **more: Any) -> Any:
+        solved = ensemble(*arguments, **more)
+        final = solved.final
+        wrong = [
+            tuple(np.where(np.arange(len(c)) < 5, c, c * (1 + 1e-6)) for c in part)
+            if isinstance(part, tuple)
+            else part
+            for part in final
+        ]
+        return replace(solved, final=type(final)(*wrong))
+
+    return other

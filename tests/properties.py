@@ -5,6 +5,8 @@ Used by the tests, and by the mutation check, which counts how many planted erro
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -222,6 +224,34 @@ def anisotropic_damping_solves_its_equation() -> bool:
         field = lambda x, s=exact: [*(-m for m in s.damp_matrix_function(x.M, lambda r: r)), 0, 0, 0, 0]  # noqa: E731
         flow = lambda h, s=exact, x=x: applied(s, "damp", x, h)  # noqa: E731
         if not small(residual(exact, flow, field, mp.mpf(H)), digits):
+            return False
+    return True
+
+
+def cubic_flow(s: Any, h: Any, xp: Any) -> Any:
+    """s' = −s/10 − s³/4 in closed form."""
+    return xp.exp(-h / 10) * s / xp.sqrt(1 - 5 * s * s * xp.expm1(-h / 5) / 2)
+
+
+GENERAL = cb.GeneralDamping(
+    name="general", potential=CENTRAL.potential, gradient=CENTRAL.gradient, parameters=CENTRAL.parameters,
+    q=(1.0, 0.0), p=(0.3, 0.8), s=0.7, t_end=4.0,
+    damping=lambda s: s / 10 + s * s * s / 4, damping_slope=lambda s: 0.1 + 3 * s * s / 4,
+)  # fmt: skip
+
+
+def general_damping_is_right() -> bool:
+    """By quadrature on doubles, against the closed form and its slope ∂s(h)/∂s, which p decays by; at rest too."""
+    damp = flows.GENERAL["damp"]
+    for s, h in ((0.7, 0.3), (-0.4, 0.8), (2.0, 0.8), (0.6, -0.2), (0.0, 0.5)):
+        x = GENERAL.initial(("s",))._replace(s=s)
+        mine = damp.apply(GENERAL, x, damp.constants(GENERAL, h, math), math)
+        with mp.workdps(40):
+            flow = partial(cubic_flow, h=mp.mpf(h), xp=mp)
+            true, factor = flow(mp.mpf(s)), mp.diff(flow, s)
+        gaps = [mine.s - true, *(a - factor * b for a, b in zip(mine.p, x.p, strict=True))]
+        gaps.append(damp.log_factor(GENERAL, x, h, math) - mp.log(factor))
+        if not small(gaps, 10):
             return False
     return True
 

@@ -14,7 +14,7 @@ import pytest
 
 import contactbench as cb
 from cases import TILTED, USER, in_mp, pairs, random_state
-from contactbench.ensembles import TILE
+from contactbench.ensembles.devices import TILE
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.solution import Status

@@ -19,14 +19,14 @@ from contactbench.results.store import merge, read
 from contactbench.results.tables import WORK_PRECISION
 from frames import row
 
-MINE = ("my-method", "my-scene")
+MINE = ("my-method", "double-well")
 
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
     """The file the README tells to write."""
     blocks = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)
-    (text,) = (block for block in blocks if "SCENES.add" in block)
+    text = "\n\n".join(block for block in blocks if "SCENES.add" in block or "@cb.fixed_step" in block)
     assert len(text.splitlines()) <= 25
     path = tmp_path_factory.mktemp("plugin") / "my.py"
     path.write_text(text)
@@ -46,7 +46,7 @@ def run(*command, **variables):
 def results(example, tmp_path_factory):
     """The benchmark with the plug-in, for real, on a small part."""
     folder = tmp_path_factory.mktemp("results")
-    keyword = "my-method and (my-scene or particle and not long) or my-scene and cvode-bdf"
+    keyword = "my-method and (double-well or particle and not long) or double-well and cvode-bdf"
     finished(bench(folder, keyword, "--plugin", str(example)))
     return folder
 
@@ -57,40 +57,44 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
     for engine in ("numba", "jax", "python"):
         assert work.loc[("particle", "my-method", engine), "time_median_s"] > 0
     for engine in ("numba", "python"):  # jax is a cross-check, on one scene
-        assert work.loc[("my-scene", "my-method", engine), "time_median_s"] > 0
-        assert work.loc[("my-scene", "my-method", engine), "solution_error"] < 0.1
+        assert work.loc[("double-well", "my-method", engine), "time_median_s"] > 0
+        assert work.loc[("double-well", "my-method", engine), "solution_error"] < 0.1
     # the truth of the user's scene was computed live: a tolerance is met against it
-    assert work.loc[("my-scene", "cvode-bdf", "c+python"), "solution_error"] < 1e-3
-    assert list(dict.fromkeys(work.index.get_level_values("scene"))) == ["particle", "my-scene"]
+    assert work.loc[("double-well", "cvode-bdf", "c+python"), "solution_error"] < 1e-3
+    assert list(dict.fromkeys(work.index.get_level_values("scene"))) == ["particle", "double-well"]
     assert [list(run["plugins"]) for run in runs(results)] == [["my.py"]]
 
 
 def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
     assert not set(MINE) & {*cb.METHODS, *cb.SCENES}
     written = {path.name for path in write.report(results, {})}
-    assert "work_precision_my-scene.svg" in written
+    assert "work_precision_double-well.svg" in written
     for name in ("README.md", "work_precision.md", "convergence.md", "report.html"):
         assert "my-method" in (results / name).read_text()
-    assert "## my-scene" in (results / "work_precision.md").read_text()
+    assert "## double-well" in (results / "work_precision.md").read_text()
     assert "my-method" in (results / "figures" / "work_precision_particle.svg").read_text()
 
 
 def test_the_tests_take_it_in(example):
     done = run(
         "pytest", "tests/methods/test_contract.py", "tests/scene/test_scene_contract.py", "--plugin", example, "-q",
-        "-p", "no:cacheprovider", "-k", "(my-method and python) or my-scene",
+        "-p", "no:cacheprovider", "-k", "(my-method and python) or double-well",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert "4 passed" in done.stdout
 
 
 def test_the_command_line_takes_it_anywhere_on_the_line(example):
-    solve = ["solve", "my-scene", "my-method", "--step", "0.01", "--json"]
+    solve = ["solve", "double-well", "my-method", "--step", "0.01", "--json"]
     for command in (["--plugin", example, *solve], [*solve, "--plugin", example]):
         done = run("contactbench.cli", *command)
         assert done.returncode == 0, done.stderr
         out = json.loads(done.stdout)
-        assert (out["scene"], out["method"], out["counts"]["evaluations"]) == ("my-scene", "my-method", 4000)
+        assert (out["scene"], out["method"], out["counts"]["evaluations"]) == (
+            "double-well",
+            "my-method",
+            4000,
+        )
 
 
 # -- files that fail -------------------------------------------------------------------------------
@@ -159,7 +163,7 @@ import contactbench as cb
 from contactbench.plugins import load_file
 
 def known():
-    return [name for name in ("my-method", "my-scene") if name in cb.METHODS or name in cb.SCENES]
+    return [name for name in ("my-method", "double-well") if name in cb.METHODS or name in cb.SCENES]
 
 if __name__ == "__main__":
     load_file(sys.argv[1])

@@ -8,9 +8,10 @@ from contactbench.measure.laws import LAWS
 from contactbench.measure.own_composition import composition
 from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.methods.one_step import step_map
+from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.shipped import results
-from contactbench.scene import Mechanical, RigidBody, shifted
+from contactbench.scene import GeneralDamping, Mechanical, RigidBody, shifted
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import reference
@@ -25,6 +26,7 @@ __all__ = [
     "BadInput",
     "Counts",
     "Ensemble",
+    "GeneralDamping",
     "Mechanical",
     "RigidBody",
     "Solution",
@@ -34,6 +36,7 @@ __all__ = [
     "composition",
     "ensemble",
     "fixed_step",
+    "math",
     "prepare",
     "reference",
     "results",

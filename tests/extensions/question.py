@@ -14,10 +14,10 @@ from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import readable
 from contactbench.report.rooms import ROOMS, Finding, Room
+from contactbench.results.columns import COMMON
+from contactbench.results.columns import number as column
 from contactbench.results.schema import Rule, table
 from contactbench.results.store import merge
-from contactbench.results.tables import COMMON
-from contactbench.results.tables import number as column
 
 HALF_LIFE = table(
     "half_life", "when H0 has fallen to a half of H0(0), by linear interpolation",

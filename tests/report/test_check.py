@@ -58,6 +58,7 @@ CHANGES = {
     "a number in a document": ("convergence.md", "not what the tables say"),
     "a number on the page": ("report.html", "not what the tables say"),
     "a number in the README": ("../README.md", "not what the tables say"),
+    "a figure of other data": ("figures/convergence.svg", "not what the tables say"),
     "a document that no table gives": ("old.md", "no table gives it"),
     "a figure that no table gives": ("figures/old.svg", "no table gives it"),
 }

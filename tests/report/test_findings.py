@@ -667,3 +667,29 @@ def test_marginal_cost_ranks_anew_and_a_cost_that_is_mostly_fixed_is_marked():
     assert {c.outcome for c in Field(noisy, MARGINAL).contests().values()} == {"tie"}
     lost = work.assign(marginal_s=-1.0)  # lost in noise: no cost, rather than the least
     assert not any(c.decided for c in Field(lost, MARGINAL).contests().values())
+
+
+def test_one_more_trajectory_has_a_table_of_its_own():
+    """Whole calls and marginal cost rank differently where one method's calls have a large fixed cost."""
+
+    def runs(method, whole, marginal):
+        return [
+            {k: v for k, v in r.items() if k != "rhs_equivalents"}
+            | {
+                "question": "error",
+                "trajectories": 100,
+                "cores": 1,
+                "time_median_s": whole,
+                "marginal_s": marginal,
+            }
+            for r in costs(method)
+        ]
+
+    timed = ensemble.timed(table("ensemble", [*runs("contact-a", 2.0, 1e-3), *runs("rk4", 1.0, 5e-3)]))
+    firsts = []
+    for marginal in (False, True):
+        view = ensemble.error_view(timed, marginal)
+        firsts.append([line[0].text for line in view.rows if Mark.best in line[-1].marks])
+    assert firsts == [["rk4"], ["contact-a"]]
+    unknown = ensemble.timed(table("ensemble", [r | {"marginal_s": math.nan} for r in runs("rk4", 1.0, 0.0)]))
+    assert ensemble.error_view(unknown, marginal=True) is None

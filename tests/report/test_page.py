@@ -7,6 +7,7 @@ import math
 import os
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -14,7 +15,7 @@ import pytest
 from contactbench.report import page
 from contactbench.report.cells import Head, Mark, View, number, word
 from contactbench.report.drawing import Axis, Curve, Figure, Heat, Note, Panel, Span
-from contactbench.report.look import METHODS
+from contactbench.report.look import METHODS, ROLES
 from contactbench.report.rooms import Finding, Room, Section, Text
 
 VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path", "use"}
@@ -29,13 +30,16 @@ def curves(shift=0.0):
             errors, tuple((k + 1 + shift) * e**-0.2 for e in errors), label=name, method=name,
             low=tuple(0.9 * (k + 1) * e**-0.2 for e in errors), high=tuple(1.1 * (k + 1) * e**-0.2 for e in errors),
             hints=tuple(f"{name} at error {e:g}" for e in errors),
+            also=(("drift", tuple(e**2 for e in errors)),),
         )
         for k, name in enumerate(NAMES)
     )  # fmt: skip
 
 
 def work(name):
-    x, y = Axis("error", "log", inverted=True), Axis("time, µs", "log")
+    drift = Axis(r"drift of $e^{\int\Gamma'} J$", "log", key="drift")
+    x = Axis("error", "log", inverted=True, key="error", others=(drift,))
+    y = Axis("time, µs", "log")
     flat = Panel(
         "time", x, y, curves(), spans=(Span("x", 1e-9, 1e-7, "round-off"),), notes=(Note(1e-5, 9.0, "here"),)
     )
@@ -48,6 +52,20 @@ def work(name):
     return Figure(
         name, f"cost on **{name}**", (flat, ball, Panel("growth", Axis("d₁"), Axis("d₂"), (line,), heat=heat))
     )
+
+
+def contest():
+    """A curve that is not the best of its family, one that leaves every range, and an axis that ends."""
+    figure = work("central")
+    flat = figure.panels[0]
+    others = (
+        Curve((1e-2, 1e-4), (3.0, 4.0), "grey", "grey", muted=True),
+        Curve((1e-2, 1e-4, 1e-6), (1.0, 1e40, 2.0), "far", "far"),
+    )
+    ended = replace(
+        flat, y=replace(flat.y, within=(None, 1e3)), curves=(*flat.curves, *others), remark="beyond: far"
+    )
+    return replace(figure, panels=(ended, *figure.panels[1:]))
 
 
 COSTS = View(
@@ -79,7 +97,7 @@ def rooms(**changed):
     parts = (
         Text("Dimensionless.", ("one", "**two**")), COSTS,
         Section("particle", (work("particle"), ROWS), choice="scene"),
-        Section("central", (work("central"),), choice="scene"),
+        Section("central", (contest(),), choice="scene"),
         Section("After", (Text("the end"),)),
     )  # fmt: skip
     finding = Finding("structure", "Structure", "All but **one** keep it.", "28 rows", ("`rk4` on particle",))
@@ -188,8 +206,10 @@ def test_an_empty_page_is_a_page():
 def test_colours_stand_out_from_the_dark_page_and_markers_are_matplotlibs():
     for method, own in METHODS.items():
         style = page.style(f"method {method}")
-        assert (page.luminance(style.dark) + 0.05) / (page.luminance(page.DARK_PAPER) + 0.05) >= page.CONTRAST
-        assert style.light.lower() == own.color.lower()
+        assert (style.light, style.dark) == (own.color, own.dark)
+    for role in ROLES:
+        dark = page.luminance(page.style(f"role {role}").dark)
+        assert (dark + 0.05) / (page.luminance(page.DARK_PAPER) + 0.05) >= page.CONTRAST
     assert page.outline("s") == "M-0.5 0.5L0.5 0.5L0.5 -0.5L-0.5 -0.5Z"
     assert page.outline("o").count("C") == 8
     assert page.luminance("#ffffff") == pytest.approx(1)
@@ -366,3 +386,94 @@ def test_a_long_table_is_filtered_by_words(chrome):
     shown = [row.text for row in visible(chrome, "#view-rows tbody tr")]
     assert len(shown) == sum(row[0].text == "rk4" for row in ROWS.rows)
     assert all("rk4" in row for row in shown)
+
+
+def test_mathtext_is_words_and_levels():
+    assert page.runs(r"$|e^{\int\Gamma'} J_0|$ of *this*") == [
+        ("|e", 0), ("∫Γ'", 1), (" J", 0), ("0", -1), ("|", 0), (" of this", 0),
+    ]  # fmt: skip
+    assert page.plain("$H_0$ against $10^{-3}$") == "H_0 against 10^-3"
+
+
+def test_an_axis_is_chosen_and_the_address_remembers_it(chrome):
+    from selenium.webdriver.support.select import Select
+
+    opened(chrome)
+    (choice,) = visible(chrome, 'select[data-axis="error"]')
+    assert [o.get_attribute("value") for o in Select(choice).options] == ["error", "drift"]
+
+    def label():
+        return visible(chrome, ".plot svg")[0].text
+
+    def curve():
+        return visible(chrome, '.line[data-name="rk4"] .curve')[0].get_attribute("d")
+
+    before = curve()
+    Select(choice).select_by_value("drift")
+    assert "drift" in label()
+    assert "^" not in label()  # a superscript is set as one
+    assert curve() != before  # error bars and the range follow
+    assert "axis.error=drift" in chrome.current_url
+    opened(chrome, hash=chrome.current_url[len(chrome.address) :])
+    assert "drift" in label()
+    Select(visible(chrome, 'select[data-axis="error"]')[0]).select_by_value("error")
+    assert (curve(), "axis." in chrome.current_url) == (before, False)
+
+
+def test_the_best_are_in_colour_and_the_others_grey_until_asked_for(chrome):
+    opened(chrome, hash="#work_precision;scene=central")
+    assert chrome.get_log("browser") == []  # values of any size are drawn
+
+    def color(name):
+        return visible(chrome, f'.line[data-name="{name}"] .curve')[0].value_of_css_property("stroke")
+
+    grey = color("grey")
+    assert not visible(chrome, '.line[data-name="grey"] .dot')
+    visible(chrome, '.key[value="colours"]')[0].click()
+    assert color("grey") != grey
+    assert len(visible(chrome, '.line[data-name="grey"] .dot')) == 2
+    assert "colours=all" in chrome.current_url
+    opened(chrome, hash=chrome.current_url[len(chrome.address) :])
+    assert color("grey") != grey
+
+
+def test_an_axis_ends_where_it_is_told_unless_nothing_is_left_then(chrome):
+    opened(chrome, hash="#work_precision;scene=central")
+    assert "beyond: far" in visible(chrome, ".plot svg")[0].text
+    assert len(visible(chrome, '.line[data-name="rk4"] .curve')) == 1
+    ticks = visible(chrome, ".plot svg")[0].text
+    assert "10³⁹" not in ticks
+    opened(chrome, hash="#work_precision;scene=central;hide=contact-strang,rk4,heyoka-taylor,my-own,grey")
+    assert len(visible(chrome, '.line[data-name="far"] .dot')) >= 2
+
+
+def test_filters_and_order_of_a_table_are_in_the_address(chrome):
+    opened(chrome)
+    visible(chrome, "details.more > summary")[0].click()
+    visible(chrome, "#view-rows input.filter")[0].send_keys("rk4")
+    visible(chrome, "#view-rows thead button")[1].click()
+    address = chrome.current_url[len(chrome.address) :]
+    assert "filter.rows=rk4" in address
+    assert "sort.rows=1%2Cup" in address
+    rows = [row.text for row in visible(chrome, "#view-rows tbody tr")]
+    opened(chrome, hash=address)
+    assert [row.text for row in visible(chrome, "#view-rows tbody tr")] == rows
+    assert all("rk4" in row for row in rows)
+
+
+@pytest.mark.parametrize("size", [WIDE, NARROW], ids=["desktop", "phone"])
+def test_names_at_curves_stand_apart_and_words_stay_in_their_figure(chrome, size):
+    opened(chrome, size)
+    boxes = """return [...document.querySelectorAll(arguments[0])].filter((e) => e.checkVisibility())
+        .map((e) => { const b = e.getBoundingClientRect(), f = e.ownerSVGElement.getBoundingClientRect();
+            return [b.left, b.top, b.right, b.bottom, f.left, f.top, f.right, f.bottom]; })"""
+    names = chrome.execute_script(boxes, ".plot .note-text")
+    assert len(names) >= 2
+    for i, (left, top, right, bottom, *_) in enumerate(names):
+        for x0, y0, x1, y1, *_ in names[:i]:
+            assert right <= x0 + 3 or x1 <= left + 3 or bottom <= y0 + 4 or y1 <= top + 4
+    for left, top, right, bottom, x0, y0, x1, y1 in chrome.execute_script(boxes, ".plot text"):
+        assert x0 - 1 <= left
+        assert right <= x1 + 1
+        assert y0 - 1 <= top
+        assert bottom <= y1 + 1

@@ -23,7 +23,7 @@ import contactbench as cb
 import properties
 from contactbench.methods import herglotz
 from contactbench.methods.contact import contact_method
-from contactbench.splitting import elliptic, flows, free_body
+from contactbench.splitting import dissipation, elliptic, flows, free_body
 from contactbench.splitting.tables import COMPOSITIONS
 from properties import BODY, CENTRAL, PARTICLE
 
@@ -39,6 +39,8 @@ MUTATED = [
         ("course", "free", "length", "momentum", "precession", "phase", "sense", "attitude", "frame"),
     ),
     (free_body, ("handedness", "circled")),
+    (dissipation, ("damped_by", "by_quadrature", "survival")),
+    (flows, ("damp_generally", "general_log_factor")),
     (herglotz, ("explicit_kick", "implicit_kick")),
 ]
 
@@ -61,6 +63,7 @@ PROPERTIES: dict[str, Callable[[], bool]] = {
         and properties.carlsons_integral_is_right()
     ),
     "free body": properties.free_body_solves_its_equations,
+    "general damping": properties.general_damping_is_right,
     "own factor": properties.flows_know_their_factors,
     "arrays": properties.flows_agree_on_arrays,
     "conformal factor": lambda: every(properties.has_its_conformal_factor, PARTICLE, BODY),
@@ -113,10 +116,10 @@ def flipped(function: Callable[..., Any]) -> Iterator[tuple[str, Callable[..., A
 def install(patch: pytest.MonkeyPatch, module: ModuleType, name: str, mutant: Callable[..., Any]) -> None:
     """Put a mutant wherever its original is used."""
     original = getattr(module, name)
-    for user in (elliptic, free_body, flows, herglotz):
+    for user in (elliptic, free_body, dissipation, flows, herglotz):
         if getattr(user, name, None) is original:
             patch.setattr(user, name, mutant)
-    for table in (flows.MECHANICAL, flows.BODY, flows.ISOTROPIC):
+    for table in (flows.MECHANICAL, flows.GENERAL, flows.BODY, flows.ISOTROPIC):
         for key, flow in table.items():
             uses = {f: mutant for f in ("constants", "apply", "log_factor") if getattr(flow, f) is original}
             patch.setitem(table, key, flow._replace(**uses))

@@ -74,7 +74,7 @@ def add(command: Command) -> None:
         "compare", compare, "race the methods on one scene: what each costs at each error, what it keeps",
         """examples:
   contactbench compare particle
-  contactbench compare my-scene --plugin my.py --error 1e-4,1e-8 --html out.html
+  contactbench compare double-well --plugin my.py --error 1e-4,1e-8 --html out.html
   contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq .margins
 
 Nothing is written but the files named.  Ctrl-C ends it with what there is.

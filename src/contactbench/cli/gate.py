@@ -8,18 +8,37 @@ import sys
 from pathlib import Path
 
 from contactbench.cli.parsing import Command
+from contactbench.errors import BadInput, positive
+
+
+def seconds(text: str) -> float:
+    """A positive number of seconds, for argparse."""
+    try:
+        return positive("seconds", text)
+    except BadInput as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def gate(arguments: argparse.Namespace) -> int:
     """Compare with the committed tables and time against another revision; 1 if something regressed."""
-    from contactbench.gate.accuracy import PARTS
-    from contactbench.gate.accuracy import gate as judge
+    from contactbench.gate.accuracy import accuracy
+    from contactbench.gate.judge import PARTS, Question
+    from contactbench.gate.judge import gate as judge
 
     signal.signal(
         signal.SIGTERM, lambda *_: sys.exit(143)
     )  # a cancelled job removes its worktree on the way out
-    parts = (arguments.only,) if arguments.only else PARTS
-    verdict = judge(Path.cwd(), arguments.baseline, arguments.fresh, arguments.base, parts)
+    if arguments.baseline is not None:
+        if arguments.fresh is None or arguments.only == "speed":
+            raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
+        verdict = accuracy(arguments.baseline, arguments.fresh)
+    else:
+        verdict = judge(
+            Question(
+                Path.cwd(), arguments.results, arguments.fresh, arguments.base,
+                (arguments.only,) if arguments.only else PARTS, arguments.tables_changed, arguments.budget,
+            )
+        )  # fmt: skip
     print(verdict.as_json() if arguments.json else verdict.as_markdown())
     return 1 if verdict.red else 0
 
@@ -33,19 +52,35 @@ def add(command: Command) -> None:
   contactbench gate --only accuracy --fresh /tmp/results-of-a-run
   contactbench gate --only speed --base origin/main
 
-Accuracy: a fresh smoke run of the benchmark (about three minutes) against the committed tables.
-Speed: the working tree against another revision, in turns on one core (about a minute).
-Prints one table of what moved.  Exit status: 0 green, 1 red, 2 could not run.""",
+Accuracy: a fresh smoke run of the benchmark (about three minutes), and the tables of the working tree, against
+the tables of another revision.  Speed: the working tree against another revision, in turns on one core (a few
+minutes).  Prints one table of what moved.  A change that means to change tables names them, in a line
+"Tables-changed: laws, claims" of a commit's message or with --tables-changed.
+Exit status: 0 green, or inconclusive as it says; 1 red; 2 could not run.""",
     )  # fmt: skip
     check.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")
     check.add_argument(
-        "--baseline", type=Path, default=Path("results"), metavar="DIR", help="committed tables"
-    )
+        "--results", type=Path, default=Path("results"), metavar="DIR",
+        help="the committed tables, a folder of the repository (default: results)",
+    )  # fmt: skip
     check.add_argument(
         "--fresh", type=Path, metavar="DIR", help="tables of a run just made (default: make them now)"
     )
     check.add_argument(
+        "--baseline", type=Path, metavar="DIR",
+        help="compare --fresh with this folder of tables instead, outside any repository: it vouches for no revision",
+    )  # fmt: skip
+    check.add_argument(
         "--base", metavar="REV",
-        help="revision to be no slower than (default: HEAD if sources have local changes, else its parent)",
+        help="revision to compare with (default: of accuracy where the main branch was left, on it HEAD; of speed "
+        "HEAD if sources have local changes, else its parent)",
+    )  # fmt: skip
+    check.add_argument(
+        "--tables-changed", action="append", default=[], metavar="TABLE",
+        help="a table that is meant to change, or all; may be repeated",
+    )  # fmt: skip
+    check.add_argument(
+        "--budget", type=seconds, metavar="SECONDS",
+        help="time for the speed part; what is not decided by then is said to be inconclusive",
     )  # fmt: skip
     check.add_argument("--json", action="store_true", help="print one JSON object")

@@ -1,15 +1,18 @@
 """A process that times cells on request, for speed.py: run by path, with the revision to be timed on PYTHONPATH.
 
 It asks nothing of the revision but ``contactbench.prepare``.  In come lines of JSON: first
-``{"core": c, "later": d, "cells": [...]}``, then one index of a cell at a time; out go the file of the
-code that is timed with the cells it refused, then lists of seconds per call.
+``{"core": c, "later": d, "cells": [...], "seconds": s}``, then an index of a cell at a time, or "costs"; out
+go the file of the code that is timed with the cells it refused, then lists of seconds per call, and for
+"costs" seconds of compilation and bytes left behind of each cell, and the peak of the process.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json
 import os
+import resource
 import sys
 from collections.abc import Callable
 from time import perf_counter
@@ -18,6 +21,12 @@ from typing import Any
 #: calls are repeated to fill this, so that the clock's resolution plays no part
 FILL = 1e-3
 REPEATS = 3
+#: what is left behind is measured over so many runs, or over as many as this takes at most, in seconds
+RUNS, RUNS_SECONDS = 300, 0.1
+#: a scene that is not timed, so that its programs are no other's
+WARM = "critical"
+
+Ready = tuple[Callable[[], Any], int, float]
 
 
 def pin(core: int | None) -> None:
@@ -27,21 +36,25 @@ def pin(core: int | None) -> None:
             os.sched_setaffinity(int(thread), {core})
 
 
-def prepared(cell: dict[str, Any]) -> tuple[Callable[[], Any], int]:
-    """A warm prepared call, and how many of it fill a repeat."""
+def prepared(cell: dict[str, Any]) -> Ready:
+    """A warm prepared call, how many of it fill a repeat, and how long its first took with its compilation."""
     import contactbench as cb
-    from contactbench.solution import keywords
 
-    scene, options = cb.SCENES[cell["scene"]], keywords(cell["control"], cell["value"])
+    scene = cb.SCENES[cell["scene"]]
+    options = {cell["control"]: cell["value"]} if cell["control"] in ("step", "rtol") else {}
+    n = cell["saves"]
+    save_at = [scene.t_end * k / n for k in range(1, n + 1)]
+    start = perf_counter()
     run = cb.prepare(
-        scene, cell["method"], engine=cell["engine"], carry=cell["carry"], save_at=[scene.t_end], **options
+        scene, cell["method"], engine=cell["engine"], carry=cell["carry"], save_at=save_at, **options
     )
     solution = run()
+    compiled = perf_counter() - start
     if not solution.ok:
         raise RuntimeError(f"{solution.status} {solution.message}")
     start = perf_counter()
     run()
-    return run, max(1, round(FILL / (perf_counter() - start)))
+    return run, max(1, round(FILL / (perf_counter() - start))), compiled
 
 
 def seconds(run: Callable[[], Any], calls: int) -> list[float]:
@@ -55,13 +68,51 @@ def seconds(run: Callable[[], Any], calls: int) -> list[float]:
     return found
 
 
+def resident() -> int:
+    """Bytes of memory this process has now."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize()
+
+
+def left_behind(run: Callable[[], Any], calls: int) -> float:
+    """Bytes by which the process grows over `RUNS` runs; of longer ones from fewer of them."""
+    if not os.path.exists("/proc/self/statm"):
+        return 0.0
+    each = FILL / calls
+    runs = max(5, min(RUNS, int(RUNS_SECONDS / each)))
+    gc.collect()
+    before = resident()
+    for _ in range(runs):
+        run()
+    gc.collect()
+    return (resident() - before) * RUNS / runs
+
+
+def costs(runs: dict[int, Ready]) -> dict[str, Any]:
+    """What is measured once; the peak on Linux in bytes."""
+    gc.unfreeze()
+    return {
+        "compile": {i: compiled for i, (_, _, compiled) in runs.items()},
+        "leaked": {i: left_behind(run, calls) for i, (run, calls, _) in runs.items()},
+        "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0,
+    }
+
+
 def main() -> None:
     request = json.loads(sys.stdin.readline())
     pin(request["core"])
     import contactbench
 
-    runs, refused = {}, {}
+    runs, refused, begun = {}, {}, perf_counter()
+    warm: set[str] = set()
     for i, cell in enumerate(request["cells"]):
+        if request["seconds"] is not None and perf_counter() - begun > request["seconds"]:
+            refused[i] = "no time left"
+            continue
+        if cell["engine"] not in warm:  # what an engine imports and sets up once is no compilation
+            warm.add(cell["engine"])
+            with contextlib.suppress(Exception):
+                prepared({**cell, "scene": WARM, "carry": [], "saves": 1})
         try:
             runs[i] = prepared(cell)
         except Exception as error:  # one cell that fails stops no other
@@ -72,7 +123,8 @@ def main() -> None:
     gc.disable()
     print(json.dumps({"code": contactbench.__file__, "refused": refused}), flush=True)
     for line in sys.stdin:
-        print(json.dumps(seconds(*runs[int(line)])), flush=True)
+        asked = json.loads(line)
+        print(json.dumps(costs(runs) if asked == "costs" else seconds(*runs[asked][:2])), flush=True)
 
 
 if __name__ == "__main__":

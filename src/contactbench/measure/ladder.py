@@ -36,7 +36,7 @@ def work_ladder(scene: Scene, order: int) -> list[float]:
     """
     if order < 6:
         fine = steps(scene, 9)
-        return [fine[0] * 5, fine[0] * 2.5, *fine] if scene.kind != "mechanical" else fine
+        return [fine[0] * 5, fine[0] * 2.5, *fine] if "body" in scene.kind else fine
     coarse = steps(scene, 1)[0] * 4
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]

@@ -370,6 +370,8 @@ class AdaptiveContactMethod(Adaptive):
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
+        if scene.kind == "general damping":
+            return f"{self.name} needs a merged drift and damping; scene {scene.name!r} has none"
         if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
         return None

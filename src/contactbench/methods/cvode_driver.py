@@ -119,6 +119,15 @@ def to_end(memory, vector, y, start, data, end, max_steps):  # type: ignore[no-u
 
 
 @numba.njit(cache=True)
+def in_a_loop(memory, vector, y, starts, data, end, max_steps):  # type: ignore[no-untyped-def]
+    """`to_end` for one start (n, d) after the other, a row each."""
+    out = np.empty((len(starts), 7 + starts.shape[1]))
+    for k in range(len(starts)):
+        out[k] = to_end(memory, vector, y, starts[k], data, end, max_steps)
+    return out
+
+
+@numba.njit(cache=True)
 def at_times(memory, vector, y, start, data, times, max_steps, out):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
 

@@ -63,6 +63,13 @@ class CyrkRun(Prepared):
         """The solver's own call: a packed state in, the packed state at the end out."""
         return self._bare(y0)[KNOWN:]
 
+    def many(self, starts: np.ndarray) -> np.ndarray:
+        """Facts and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
+        from contactbench.methods.cyrk_driver import in_a_loop
+
+        r = self.request
+        return in_a_loop(self.rhs, self.number, starts, self.data, self.end, r.rtol, r.atol, r.max_steps)
+
     def integrate(self, y0: np.ndarray) -> Outcome:
         if self.final_only:
             told = self._bare(y0)

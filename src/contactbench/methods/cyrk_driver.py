@@ -87,6 +87,15 @@ def to_end(rhs, method, start, data, end, rtol, atol, max_steps):  # type: ignor
 
 
 @numba.njit(cache=True)
+def in_a_loop(rhs, method, starts, data, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """`to_end` for one start (n, d) after the other, a row each."""
+    out = np.empty((len(starts), 5 + starts.shape[1]))
+    for k in range(len(starts)):
+        out[k] = to_end(rhs, method, starts[k], data, end, rtol, atol, max_steps)
+    return out
+
+
+@numba.njit(cache=True)
 def at_times(rhs, method, start, data, times, rtol, atol, max_steps, out):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached."""
     d = len(start)

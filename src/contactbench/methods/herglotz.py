@@ -28,10 +28,10 @@ class Herglotz(FixedStep):
     """What both have in common: mechanical scenes with Γ = γ s, one gradient per step."""
 
     def refuses(self, scene: Any) -> str | None:
-        if scene.kind != "mechanical":
+        if scene.kind not in ("mechanical", "general damping"):
             return f"{self.name} needs a configuration q in Rⁿ, which scene {scene.name!r} does not have"
         if scene.nonlinear_damping:
-            return f"{self.name} is derived for Γ = γ s; scene {scene.name!r} has κ = {scene.kappa:g}"
+            return f"{self.name} is derived for Γ = γ s; scene {scene.name!r} has another Γ"
         return None
 
 

@@ -161,6 +161,13 @@ class CompiledCvodeRun(Prepared):
         """The solver's own call: a packed state in, the packed state at the end out."""
         return self._bare(y0)[KNOWN:]
 
+    def many(self, starts: np.ndarray) -> np.ndarray:
+        """Facts and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
+        from contactbench.methods.cvode_driver import in_a_loop
+
+        s = self.solver
+        return in_a_loop(s.memory, s.vector, s.y, starts, self.data, self.end, self.request.max_steps)
+
     def integrate(self, y0: np.ndarray) -> Outcome:
         if self.final_only:
             told = self._bare(y0)

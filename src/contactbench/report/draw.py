@@ -294,9 +294,12 @@ def drawn(figure: Figure) -> Drawn:
 
 
 def digest(figure: Figure) -> str:
-    """Of everything a figure shows and how it is drawn: equal digests, equal pictures."""
+    """Of everything a figure shows, and of how it is drawn: equal digests, equal pictures.
+
+    The first half is of the data alone.
+    """
     sources = b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in SOURCES)
-    return hashlib.sha256(repr(figure).encode() + sources).hexdigest()[:32]
+    return "".join(hashlib.sha256(part).hexdigest()[:16] for part in (repr(figure).encode(), sources))
 
 
 SOURCES = ("draw", "labels", "look", "scales")
@@ -315,9 +318,14 @@ def files(figure: Figure, folder: Path) -> list[Path]:
 
 
 def current(figure: Figure, folder: Path) -> bool:
-    """Whether the files are there and show the figure as it is."""
+    """Whether the files are there and show the figure, drawn as it would be now."""
     paths = files(figure, folder)
     return paths[1].exists() and digest_of(paths[0]) == digest(figure)
+
+
+def shows(path: Path, figure: Figure) -> bool:
+    """Whether an .svg file shows the data of a figure, drawn however."""
+    return digest_of(path)[:16] == digest(figure)[:16]
 
 
 def save(figure: Figure, folder: Path) -> list[Path]:

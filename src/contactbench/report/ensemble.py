@@ -21,6 +21,7 @@ SHAPES = {
     "vmap": "every trajectory has its own steps",
     "shared": "the trajectories of a tile share their steps",
     "batch": "a vector register of trajectories",
+    "loop": "one trajectory after the other in compiled code",
     "passes": "every flow a loop over all trajectories",
     "plain": "drift and kick in one loop",
     "tiled": "all steps of some trajectories before the next",
@@ -79,15 +80,19 @@ def arithmetic_view(frame: pd.DataFrame) -> View | None:
     )
 
 
-def error_view(frame: pd.DataFrame) -> View | None:
-    """Time per trajectory at equal error on one core, one row for each way to run a method."""
+def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
+    """Time per trajectory at equal error on one core, one row for each way to run a method.
+
+    marginal : of one more trajectory, without what every call takes.
+    """
     part = asked(frame, "error")
-    if not len(part):
+    column, repeat = ("marginal_s", "marginal_repeat_ratio") if marginal else ("each", "time_repeat_ratio")
+    if not len(part) or part[column].isna().all():
         return None
-    tie = max(TIE, noise(part))
+    tie = max(TIE, noise(part, repeat))
     found: dict[tuple[str, str, str], list[Cost]] = {}
     for key, rows in part.groupby(["method", "engine", "variant"], sort=False):
-        found[key] = costs(rows, "each", TARGETS)
+        found[key] = costs(rows, column, TARGETS)
     least = [
         min((c[i].value for c in found.values() if c[i].reached), default=0.0) for i in range(len(TARGETS))
     ]
@@ -104,8 +109,14 @@ def error_view(frame: pd.DataFrame) -> View | None:
         lines.append((*map(word, key), *cells))
     heads = (*(Head(label, words=True) for label in ("method", "engine", "shape")), *error_heads())
     spoken = "; ".join(f"`{v}`: {SHAPES[v]}" for v in dict.fromkeys(part["variant"]) if v in SHAPES)
-    meaning = f"Time per trajectory on one core. {spoken}. {said(tie)} {DASHES}"
-    return View("ensemble_error", "A trajectory at equal error", meaning, heads, tuple(lines), SOURCE)
+    timed = "Time per trajectory"
+    if marginal:
+        timed = "What one more trajectory takes, from calls with a quarter of them and all"
+    meaning = f"{timed}, on one core. {spoken}. {said(tie)} {DASHES}"
+    name, title = "ensemble_error", "A trajectory at equal error"
+    if marginal:
+        name, title = "ensemble_marginal", "One more trajectory at equal error"
+    return View(name, title, meaning, heads, tuple(lines), SOURCE)
 
 
 def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View | None:
@@ -184,6 +195,7 @@ def sections(frames: Frames) -> list[Part]:
     views = (
         arithmetic_view(frame),
         error_view(frame),
+        error_view(frame, marginal=True),
         growth_view(frame, "size", "trajectories", "With the number of trajectories"),
         growth_view(frame, "cores", "cores", "With the number of cores"),
     )

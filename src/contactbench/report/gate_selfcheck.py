@@ -14,14 +14,18 @@ ABOUT = (
     "should never be red, and "
     "code with faults planted in it, which always should. Loaded: with a busy loop on all cores but "
     "one. A fault counts "
-    "as found when a red line names the method and the measure."
+    "as found when a red line names the method and the measure. "
+    "What is wanted *not seen* is smaller than the gate's limits and planted to show them."
 )
+
+
+#: wanted of what lies within the gate's limits: told, not counted
+UNSEEN = "not seen"
 
 
 def rates(frame: pd.DataFrame) -> tuple[int, int, int, int]:
     """False alarms, judgements of identical code, faults found, faults planted."""
-    same = frame["wanted"] == "none"
-    alarms, faults = frame[same], frame[~same]
+    alarms, faults = frame[frame["wanted"] == "none"], frame[~frame["wanted"].isin(["none", UNSEEN])]
     return tuple(
         int(v) for v in (alarms["red"].sum(), alarms["runs"].sum(), faults["red"].sum(), faults["runs"].sum())
     )  # type: ignore[return-value]
@@ -32,7 +36,7 @@ def part_view(frame: pd.DataFrame, part: str) -> View:
     alarms, judged, found, planted = rates(mine)
     rows = []
     for _, r in mine.iterrows():
-        good = r["red"] == 0 if r["wanted"] == "none" else r["red"] == r["runs"]
+        good = r["red"] == 0 if r["wanted"] in ("none", UNSEEN) else r["red"] == r["runs"]
         rows.append((
             word(r["planted"]), word(r["condition"]), word(r["wanted"]), number(r["runs"], count),
             number(r["red"], count, None if good else Mark.exception), number(r["seconds"], duration),
@@ -55,7 +59,10 @@ def findings(frames: Frames) -> list[Finding]:
         f"{alarms} false alarms in {judged} judgements of identical code; {found} of {planted} "
         "planted faults found."
     )
-    missed = frame[(frame["wanted"] != "none") & (frame["red"] < frame["runs"])]
+    unseen = frame.loc[frame["wanted"] == UNSEEN, "planted"]
+    if len(unseen):
+        sentence += f" It does not see: {', '.join(unseen)}."
+    missed = frame[~frame["wanted"].isin(["none", UNSEEN]) & (frame["red"] < frame["runs"])]
     exceptions = tuple(
         f"{r['part']}, {r['planted']} ({r['condition']}): {r['red']} of {r['runs']} found"
         for _, r in missed.iterrows()

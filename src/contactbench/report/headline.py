@@ -22,6 +22,21 @@ UNITS = "All quantities are dimensionless, as in the paper; only times are in se
 SOURCES = "work_precision.csv, stability.csv"
 #: scenes whose costs stand in the project's README
 DUELS = ("particle_long", "rigid_body")
+#: the findings that stand there
+EXCERPT = (
+    "law_momentum_law",
+    "law_contact_drift",
+    "order",
+    "cost_evaluations",
+    "cost_compiled",
+    "cost_marginal",
+    "claims",
+)
+GLANCE = (
+    "Every method at the same number of evaluations, or as near to it as its steps and tolerances allow; the largest "
+    "deviation over the run. Bold: at round-off. How each column is taken stands "
+    "[above the same table](#order-and-decay-laws-at-equal-cost)."
+)
 #: the scene whose figure stands here
 DRAWN = "particle"
 
@@ -75,10 +90,14 @@ def glance(frames: Frames) -> tuple[View, ...]:
 
 
 def excerpt(frames: Frames) -> list[Part]:
-    """What the project's README says of the results."""
+    """What the project's README says of the results: what a reader wants first, the rest by its address."""
     work = frames["work_precision"]
-    parts: list[Part] = [*glance(frames), Text(UNITS), spoken(all_findings(frames))]
-    for kind in (EVALUATIONS, COMPILED):
+    first = [finding for finding in all_findings(frames) if finding.name in EXCERPT]
+    parts: list[Part] = [
+        *(replace(view, meaning=f"{GLANCE} {UNITS}") for view in glance(frames)),
+        spoken(first, elsewhere="#what-was-found"),
+    ]
+    for kind in (COMPILED,):
         field = Field(work, kind) if len(work) else None
         views = [
             duel_view(field, scene, work_precision.SOURCE, TARGETS)

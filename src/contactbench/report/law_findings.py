@@ -48,7 +48,7 @@ def of_contact_methods(frames: Frames, rows: pd.DataFrame) -> str:
     open_ = len(rows) - told
     if rows["broken"].any():
         rest = f"; {open_} more are undecided" if open_ else ""
-        return f"The contact methods keep it to round-off in {kept} of {told} runs{rest}. The exceptions are below."
+        return f"The contact methods keep it to round-off in {kept} of {told} runs{rest}."
     known = {m for m, family in families(frames).items() if family == CONTACT}
     who = "Every contact method" + (" it was measured for" if set(rows["method"]) < known else "")
     if open_:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 
 from contactbench.report.cells import Cell, Head, Mark, View
@@ -16,6 +17,17 @@ FLAGGED = (Mark.exception,)
 PADDED = 40
 #: columns in a table; groups of columns that would make it wider are written one below the other
 WIDEST = 14
+
+
+def without_html(text: str) -> str:
+    """Inline Markdown in which nothing is HTML: what tables say is a user's, or anybody's."""
+    parts = re.split(r"(`[^`]*`)", text)  # code is shown as it is
+    return "".join(part if i % 2 else part.replace("<", "&lt;") for i, part in enumerate(parts))
+
+
+def escaped(text: str) -> str:
+    """Inline Markdown that stays in its cell or entry: one line, no column ends in it, no HTML."""
+    return " ".join(without_html(text).replace("|", "\\|").split())
 
 
 def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterable[bool] = ()) -> str:
@@ -38,7 +50,7 @@ def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterabl
 
 def cell(item: Cell) -> str:
     """The text as its marks say: bold what is best or kept, slanted a tie, ! an exception."""
-    text = item.text.replace("|", "\\|")
+    text = escaped(item.text)
     if not text:
         return ""
     if item.link:
@@ -54,7 +66,7 @@ def cell(item: Cell) -> str:
 
 def label(head: Head, grouped: bool) -> str:
     named = f"{head.group}: {head.label}" if grouped and head.group else head.label
-    return named.replace("|", "\\|")
+    return escaped(named)
 
 
 def table(columns: Sequence[Head], rows: Sequence[Sequence[Cell]]) -> str:
@@ -83,10 +95,11 @@ def split(view: View) -> list[list[int]]:
 
 def view(item: View, depth: int) -> str:
     if item.detail:
-        return f"{heading(item.title, depth)}\n\nIn [{item.source}]({item.source}). {item.meaning}"
+        said = without_html(item.meaning)
+        return f"{heading(item.title, depth)}\n\nIn [{item.source}]({item.source}). {said}"
     parts = [heading(item.title, depth)]
     if item.meaning:
-        parts.append(item.meaning)
+        parts.append(without_html(item.meaning))
     if not item.rows:
         return "\n\n".join([*parts, "None."])
     for indices in split(item):
@@ -97,13 +110,13 @@ def view(item: View, depth: int) -> str:
 
 
 def text(item: Text, depth: int = 0) -> str:
-    lines = "\n".join(f"- {entry}" for entry in item.items)
-    return "\n\n".join(filter(None, [item.body, lines]))
+    lines = "\n".join(f"- {' '.join(without_html(entry).split())}" for entry in item.items)
+    return "\n\n".join(filter(None, [without_html(item.body), lines]))
 
 
 def figure(item: Figure, depth: int, folder: str = "figures") -> str:
-    shown = f"![{item.title}]({folder}/{item.name}.svg)"
-    return f"{shown}\n\n{item.caption}" if item.caption else shown
+    shown = f"![{escaped(item.title)}]({folder}/{item.name}.svg)"
+    return f"{shown}\n\n{without_html(item.caption)}" if item.caption else shown
 
 
 def section(item: Section, depth: int) -> str:
@@ -111,7 +124,7 @@ def section(item: Section, depth: int) -> str:
 
 
 def heading(title: str, depth: int) -> str:
-    return f"{'#' * min(depth, 6)} {title}"
+    return f"{'#' * min(depth, 6)} {' '.join(without_html(title).split())}"
 
 
 WRITERS: dict[type, Callable[..., str]] = {Section: section, View: view, Text: text, Figure: figure}

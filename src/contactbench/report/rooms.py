@@ -47,13 +47,16 @@ class Finding:
     exceptions: tuple[str, ...] = ()
 
 
-def spoken(found: Iterable[Finding]) -> Text:
-    """Findings as a list: sentence, exceptions, what it covers."""
+def spoken(found: Iterable[Finding], elsewhere: str = "") -> Text:
+    """Findings as a list: sentence, exceptions, what it covers.  elsewhere : address of the exceptions, if not here."""
     items = []
     for finding in found:
         said = f"**{finding.title}.** {finding.sentence}"
         if finding.exceptions:
-            said += f" Exceptions: {'; '.join(finding.exceptions)}."
+            told = (
+                f"[Exceptions]({elsewhere})" if elsewhere else f"Exceptions: {'; '.join(finding.exceptions)}"
+            )
+            said += f" {told}."
         items.append(f"{said} *({finding.covers}.)*")
     return Text(items=tuple(items))
 

@@ -70,7 +70,7 @@ def made(results: Path, registries: glossary.Registries) -> tuple[dict[str, str]
     said = heard(tables(results), recorded)
     texts = documents(said, registries)
     if texts:
-        texts["report.html"] = page.page(said, recorded)
+        texts["report.html"] = page.page(said, recorded, glossary.sections(registries), page.LINKS)
     return texts, {figure.name: figure for one in said for figure in figures(one.parts)}
 
 

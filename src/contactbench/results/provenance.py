@@ -50,6 +50,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "python": sys.version.split()[0],
         "packages": versions,
         "cpu": _cpu(),
+        "isa": _instructions(),
         "cores": os.cpu_count(),
         "cores_used": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
@@ -79,6 +80,15 @@ def _cpu() -> str:
     return platform.processor() or "unknown"
 
 
+def _instructions() -> str:
+    """The processor as the compiler sees it, and a digest of the instructions it has: they decide how numbers
+    are rounded."""
+    from llvmlite import binding
+
+    features = ",".join(sorted(name for name, there in binding.get_host_cpu_features().items() if there))
+    return f"{binding.get_host_cpu_name()} {hashlib.sha256(features.encode()).hexdigest()[:12]}"
+
+
 def _git(root: Path, *arguments: str) -> str:
     try:
         done = subprocess.run(
@@ -105,12 +115,43 @@ def runs(results: Path) -> list[dict[str, Any]]:
         return []
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        found = found["runs"] if "runs" in found else [{"run": k, **v} for k, v in found.items()]
-        if all(isinstance(run, dict) and isinstance(run["profile"], str) for run in found):
-            return [{"tables": {}, **run} for run in found]
-    except (OSError, ValueError, TypeError, AttributeError, KeyError):
-        pass
-    raise BadInput(f"{path}: not the record of a benchmark run; restore it")
+    except json.JSONDecodeError as error:
+        at = f"line {error.lineno}, column {error.colno}"
+        raise BadInput(f"{path}, {at}: {error.msg}: not the record of a benchmark run; restore it") from None
+    except (OSError, UnicodeDecodeError, RecursionError) as error:
+        why = " ".join(str(error).split())[:100]
+        raise BadInput(f"{path}: {why}: not the record of a benchmark run; restore it") from None
+    if isinstance(found, dict):
+        found = (
+            found["runs"]
+            if "runs" in found
+            else [{"run": k, **v} for k, v in found.items() if isinstance(v, dict)]
+        )
+    if not isinstance(found, list) or not found:
+        raise BadInput(f"{path}: no list of runs: not the record of a benchmark run; restore it")
+    for k, run in enumerate(found):
+        wrong = odd(run)
+        if wrong:
+            raise BadInput(f"{path}, run {k + 1}: {wrong}: not the record of a benchmark run; restore it")
+    return [{"run": f"run {k + 1}", "tables": {}, **run} for k, run in enumerate(found)]
+
+
+#: what a record has, as far as it is read
+TYPES = {
+    "run": str, "profile": str, "utc": str, "python": str, "cpu": str, "isa": str, "system": str, "commit": str,
+    "references": str, "packages": dict, "tables": dict, "threads": dict, "plugins": dict, "dirty": bool,
+    "cores": int, "cores_used": int,
+}  # fmt: skip
+
+
+def odd(run: Any) -> str:
+    """What is wrong with a record, empty where nothing is; not every run need have everything but a profile."""
+    if not isinstance(run, dict):
+        return f"{str(run)[:40]!r} is no record"
+    if "profile" not in run:
+        return "no 'profile'"
+    wrong = [name for name, type_ in TYPES.items() if name in run and not isinstance(run[name], type_)]
+    return f"{wrong[0]!r} is {str(run[wrong[0]])[:40]!r}" if wrong else ""
 
 
 def save_run(

@@ -25,11 +25,21 @@ class Rule(Enum):
     """How a column may differ between two runs; the regression gate has the numbers."""
 
     same = "must not change"
-    count = "exact for fixed steps, within a tenth where a solver chooses them"
+    count = (
+        "exact for fixed steps; where a solver chooses them exact on the same processor with the same libraries, "
+        "else within a tenth"
+    )
     error = "may move by a factor of two above round-off"
     structure = "an error; if it is round-off it must stay round-off"
     slope = "the slope of an error, compared in its asymptotic range (column in_fit)"
+    order = "a fitted order: within 0.05"
     value = "a quantity that is no error: within a hundredth"
+    measured = (
+        "what a claim measured: by a factor of two, or a hundredth, above round-off and far from its bound"
+    )
+    point = "a coordinate of a curve: within a hundredth of the largest along the curve, above round-off"
+    end = "how far a run got: exact where it ended well, else within a tenth"
+    profile = "may be of a smaller profile, never only of a larger one"
 
     @property
     def decades(self) -> bool:
@@ -41,10 +51,12 @@ class Rule(Enum):
 class Column:
     """One fact about a row.
 
-    meaning : what it is, a phrase.  rule : how it may differ between two runs; without one (messages,
-    times) it is not compared.  timed : it comes from a clock.  exact : a number that is an input and is
-    written in full; others have six significant digits.  label : short name for headings.
+    meaning : what it is, a phrase.  rule : how it may differ between two runs; ungated : why it has no
+    rule and is not compared (a key needs neither, nor what a clock said).  timed : it comes from a clock.
+    exact : a number that is an input and is written in full; others have six significant digits.
+    label : short name for headings.
     shown : the views that show the column, for columns (the laws) that say so themselves.
+    infinite : infinity is a value of it (a limit there is none of); elsewhere it is a damaged file.
     """
 
     meaning: str
@@ -54,12 +66,17 @@ class Column:
     exact: bool = False
     label: str = ""
     shown: tuple[str, ...] = ()
+    ungated: str = ""
+    infinite: bool = False
 
 
-SCHEMA = Column("version of this table's columns", "whole")
+SCHEMA = Column("version of this table's columns", "whole", ungated="a file of another version is refused")
 PROVENANCE = {
     "schema": SCHEMA,
-    "profile": Column("smallest profile that makes the row: a run of it, or of a larger one, must have it"),
+    "profile": Column(
+        "smallest profile that makes the row: a run of it, or of a larger one, must have it",
+        rule=Rule.profile,
+    ),
 }
 KEY = ("scene", "method", "engine", "setting")
 #: a column that some tables have: by how much counts of the row turn on roundings of its initial data
@@ -100,7 +117,8 @@ class Table:
     @property
     def rules(self) -> dict[str, Rule]:
         """How each compared column may differ between two runs."""
-        return {name: column.rule for name, column in self.columns.items() if column.rule is not None}
+        columns = self.every_column.items()
+        return {name: column.rule for name, column in columns if column.rule is not None}
 
     def files(self, results: Path) -> dict[Path, list[str]]:
         """The table's files in a folder, and the columns of each."""

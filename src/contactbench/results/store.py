@@ -8,6 +8,7 @@ three), so that a rerun on the same machine gives the same file.  Files are repl
 from __future__ import annotations
 
 import contextlib
+import csv
 import logging
 import os
 import tempfile
@@ -25,8 +26,12 @@ from contactbench.results.schema import Column, Table, Type
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False}
+<<<<<<< HEAD
 #: a column that has its type already is taken as it is
 TYPED = {"flag": "bool", "whole": "Int64", "number": "float64"}
+=======
+DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool"}
+>>>>>>> main
 LOG = logging.getLogger("contactbench")
 _said: set[str] = set()
 
@@ -59,9 +64,13 @@ def part(table: Table, path: Path) -> pd.DataFrame:
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: not a readable CSV ({error}); move it away or restore it") from None
+        why = " ".join(str(error).split())
+        raise BadInput(f"{path}: not a readable CSV ({why}); move it away or restore it") from None
     if "schema" not in frame or not set(table.key) & set(frame.columns):
         raise BadInput(f"{path}: columns are not those of table {table.name!r}; move it away or restore it")
+    if frame["schema"].isna().any():
+        at = line(path, int(np.flatnonzero(frame["schema"].isna())[0]))
+        raise BadInput(f"{path}, line {at}: cut short; restore the file")
     old = sorted(set(frame["schema"]) - {str(table.version)})
     if old:
         raise OldTable(
@@ -75,10 +84,51 @@ def part(table: Table, path: Path) -> pd.DataFrame:
     unknown = [name for name in frame if name not in table.every_column]
     if unknown:
         note(f"{path}: columns {unknown} are not known to this version and left out")
-    frame = typed(frame.drop(columns=unknown), table, table.key)
-    if frame.duplicated(list(table.key)).any():
-        raise BadInput(f"{path}: rows with the same key {table.key}; move it away or restore it")
+    frame = frame.drop(columns=unknown)
+    for name in frame:
+        bad = damaged(frame[name], table.every_column[name])
+        if bad is not None:
+            what = f"{path}, line {line(path, bad)}, column {name!r}: {frame[name].iloc[bad]!r}"
+            raise BadInput(f"{what[:200]} is no {WORDS[table.every_column[name].type]}; restore the file")
+    frame = typed(frame, table)
+    double = frame.duplicated(list(table.key))
+    if double.any():
+        at = line(path, int(np.flatnonzero(double)[0]))
+        raise BadInput(
+            f"{path}, line {at}: the key {table.key} of an earlier row; move it away or restore it"
+        )
     return frame
+
+
+#: what the entries of a column are, in a message
+WORDS = {"text": "text", "number": "finite number", "whole": "whole number", "flag": "True or False"}
+
+
+def damaged(values: pd.Series, column: Column) -> int | None:
+    """The first row of a column read as text whose entry is not of its type; blanks are no damage."""
+    if column.type == "text":
+        return None
+    given = values[values != ""]
+    if column.type == "flag":
+        wrong = ~given.isin(list(FLAGS))
+    else:
+        numbers = pd.to_numeric(given, errors="coerce").astype(float)
+        wrong = ~np.isfinite(numbers)
+        if column.type == "whole":
+            wrong |= (numbers != np.round(numbers)) | (numbers.abs() > 2**53)
+        if column.infinite:
+            wrong &= ~given.isin(["inf", "-inf"])
+    return int(values.index.get_loc(wrong.index[wrong][0])) if wrong.any() else None
+
+
+def line(path: Path, row: int) -> int:
+    """The line of a file on which a row ends; the header is the first."""
+    with path.open(encoding="utf-8", newline="") as file:
+        lines = csv.reader(file)
+        for number, _ in enumerate(lines):
+            if number > row:
+                break
+        return lines.line_num
 
 
 def note(message: str) -> None:
@@ -88,10 +138,12 @@ def note(message: str) -> None:
         LOG.warning(message)
 
 
-def typed(frame: pd.DataFrame, table: Table, names: Iterable[str] | None = None) -> pd.DataFrame:
-    """The frame with its columns, or those named, in the types of the table."""
+def typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+    """The frame with its columns in the types of the table."""
     columns = table.every_column
-    for name in frame.columns if names is None else names:
+    if frame.empty:
+        return pd.DataFrame({name: pd.Series(dtype=DTYPES[columns[name].type]) for name in frame})
+    for name in frame.columns:
         try:
             frame[name] = converted(frame[name], columns[name])
         except (ValueError, TypeError) as error:
@@ -100,9 +152,18 @@ def typed(frame: pd.DataFrame, table: Table, names: Iterable[str] | None = None)
 
 
 def converted(values: pd.Series, column: Column) -> pd.Series:
+<<<<<<< HEAD
     """The values in the type of a column; blanks are missing, and empty text stays text."""
     if column.type in TYPED and values.dtype == TYPED[column.type]:
         return values
+=======
+    """The values in the type of a column; blanks are missing, and empty text stays text.
+
+    Infinity is blank as well, where it is no value of the column.
+    """
+    if values.dtype == DTYPES[column.type] and (column.type != "text" or not values.hasnans):
+        return values if column.type != "number" or column.infinite else values.mask(np.isinf(values))
+>>>>>>> main
     if column.type == "text":
         return values.astype(object).where(values.notna(), "").astype(str)
     blank = values.isna() | (values.astype(object) == "")
@@ -112,7 +173,10 @@ def converted(values: pd.Series, column: Column) -> pd.Series:
             raise ValueError("neither True nor False")
         return known.astype(object).where(~blank, None).astype("boolean").fillna(False).astype(bool)
     numbers = pd.to_numeric(values.astype(object).where(~blank, None))
-    return numbers.astype("Int64" if column.type == "whole" else float)
+    if column.type == "whole":
+        return numbers.astype("Int64")
+    numbers = numbers.astype(float)
+    return numbers if column.infinite else numbers.mask(np.isinf(numbers))
 
 
 @cache

@@ -3,71 +3,31 @@
 from __future__ import annotations
 
 from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
+from contactbench.results.columns import (
+    COMMON,
+    COUNTS,
+    ERROR,
+    ONE_CELL,
+    TIMING,
+    number,
+    seconds,
+    whole,
+    words,
+)
 from contactbench.results.law_columns import WithLaws, law_column
 from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
-
-def number(meaning: str, rule: Rule | None = None, exact: bool = False) -> Column:
-    return Column(meaning, "number", rule, exact=exact)
-
-
-def whole(meaning: str, rule: Rule | None = None) -> Column:
-    return Column(meaning, "whole", rule)
-
-
-def seconds(meaning: str) -> Column:
-    return Column(meaning, "number", timed=True)
-
-
-COMMON = {
-    "scene": Column("name of the scene"),
-    "method": Column("name of the method"),
-    "family": Column(
-        "contact, variational or established, as the method declares; limit: a plain C loop", rule=Rule.same
-    ),
-    "engine": Column(
-        "what runs it: numba, jax, python, c+python (compiled solver, Python callbacks), llvm, c, c++, mpmath"
-    ),
-    "control": Column("what is set: step, rtol or, of an exact method, nothing", rule=Rule.same),
-    "value": number("its value, in full; 0 for nothing", Rule.same, exact=True),
-    "variant": Column("which of several ways to run it; of a C loop, the kernel", rule=Rule.same),
-    "setting": Column("variant, control and value, printed"),
-    "status": Column("ok, diverged, budget, failed, timeout, unsupported", rule=Rule.same),
-    "message": Column("why, when the status is not ok"),
-}  # fmt: skip
-
-COUNTS = {
-    "steps": whole("accepted steps", Rule.count),
-    "evaluations": whole("evaluations of evaluation_kind in one run", Rule.count),
-    "evaluation_kind": Column("gradient, rhs, taylor (orders of Taylor coefficients) or rotation", rule=Rule.same),
-    "rhs_equivalents": number(
-        "evaluations on the scale of one right-hand side (two rotations count as one)", Rule.count
-    ),
-    "jacobians": whole("Jacobian evaluations", Rule.count),
-    "rejected": whole("rejected steps of an adaptive method; empty where the solver does not tell them"),
-}  # fmt: skip
-
-ERROR = number("max ‖y − y*‖ / max ‖y*‖", Rule.error)
-
-#: what one cell makes as a whole in the tables of laws, orders and hard scenes: a method's whole ladder
-ONE_CELL = ("scene", "method", "engine")
-
-#: how often and how long
-TIMING = {
-    "time_min_s": seconds("fastest round, seconds per call"),
-    "time_median_s": seconds("median over rounds, seconds per call"),
-    "time_iqr_s": seconds("interquartile range over rounds"),
-    "time_repeat_ratio": seconds("median of the second measurement of the cell over that of the first: the noise"),
-    "rounds": Column("timed rounds, both measurements together", "whole", timed=True),
-    "iterations": Column("calls per round", "whole", timed=True),
-}  # fmt: skip
+#: why an error bar has no rule
+ROUND_OFF = "an estimate of round-off, no reproducible number"
 
 
 def drift_column(name: str, meaning: str) -> Column:
     """What belongs to the drifts: error bars, clamps, and where the derivative is from."""
     if name.endswith("_clamped"):
         return whole(meaning, Rule.count)
-    return Column(meaning, rule=Rule.same) if name == "derivative" else number(meaning)
+    if name.endswith("_uncertainty"):
+        return number(meaning, ungated=ROUND_OFF)
+    return Column(meaning, rule=Rule.same) if name == "derivative" else number(meaning, Rule.value)
 
 
 DRIFTS = {name: drift_column(name, meaning) for name, meaning in DRIFT_COLUMNS.items()}
@@ -78,17 +38,22 @@ CONVERGENCE = table(
     "error against step size, and the order fitted to it",
     {
         **COMMON,
-        "step": number("step size h", exact=True),
+        "step": number("step size h", Rule.same, exact=True),
         "solution_error": ERROR,
         "pairwise_order": number("slope between this step and the next larger one", Rule.slope),
-        "in_fit": Column("whether the order rests on this point", "flag"),
+        "in_fit": Column(
+            "whether the order rests on this point",
+            "flag",
+            ungated="the last points of a fit come and go with rounding; the order itself is compared",
+        ),
         "order": number(
             "order of the method on this scene, extrapolated from the pairwise slopes (the same in every row)",
-            Rule.slope,
+            Rule.order,
         ),
-        "last_slope": number("pairwise slope of the two finest points the order rests on", Rule.slope),
+        "last_slope": number("pairwise slope of the two finest points the order rests on", Rule.order),
         "order_uncertainty": number(
-            "of the order: from the spread of successive extrapolations, and round-off"
+            "of the order: from the spread of successive extrapolations, and round-off",
+            ungated="an estimate of the error of a number that is compared",
         ),
         "order_nominal": whole("order the method claims", Rule.same),
         **COUNTS,
@@ -109,7 +74,7 @@ LAWS_TIME = table(
     {
         **COMMON,
         "t": number("time"),
-        "energy": number("H0"),
+        "energy": number("H0", Rule.value),
         "energy_deviation": number("|H0(y) / H0(y*) − 1|", Rule.error),
         "hamiltonian_deviation": number("|H e^{∫Γ'} − H(y₀)| / |H(y₀)|", Rule.error),
         "momentum_deviation": number("‖J e^{∫Γ'} − J(y₀)‖ / ‖J(y₀)‖", Rule.structure),
@@ -125,7 +90,7 @@ DECAY_LAWS = table(
     {
         **COMMON,
         "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
-        "cost": number("right-hand sides per unit of time asked for"),
+        "cost": number("right-hand sides per unit of time asked for", Rule.same),
         "solution_error": ERROR,
         **{
             name: law_column(LAWS[name])
@@ -142,14 +107,15 @@ WORK_PRECISION = table(
     "time and evaluations against error",
     {
         **COMMON,
-        "carried": Column("fields integrated"),
+        "carried": Column("fields integrated", rule=Rule.same),
         "solution_error": number(
             "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run", Rule.error
         ),
         **COUNTS,
         SPREAD: number(
             "largest over fewest evaluations, less 1, of runs whose initial data differ by a few roundings; of "
-            "solvers that choose their order"
+            "solvers that choose their order",
+            ungated="it is what the gate allows the counts",
         ),
         "compile_s": seconds(
             "trace and compile, once per scene structure (once per tolerance for heyoka); a program that an "
@@ -182,47 +148,78 @@ ENSEMBLE_TABLE = table(
         "solution_error": number(
             "max ‖y(T) − y*(T)‖ / max ‖y*(T)‖ over the first four trajectories", Rule.error
         ),
+        "member_deviation": number(
+            "max ‖y(T) − y₁(T)‖ / max ‖y₁(T)‖ over all trajectories, y₁ the run of each by itself: with the same fixed "
+            "steps; of a method that chooses them the most accurate run of heyoka-taylor; blank where that takes long",
+            Rule.structure,
+        ),
         "steps": whole("accepted steps of one trajectory, the most taken by any where they differ", Rule.count),
         "evaluations": whole(
             "evaluations of evaluation_kind for one trajectory, where the solver says", Rule.count
         ),
-        "evaluation_kind": Column("gradient, rhs or taylor"),
+        "evaluation_kind": Column("gradient, rhs or taylor", rule=Rule.same),
         "first_call_s": seconds("first call, compilation included"),
         **TIMING,
+        "fixed_s": seconds(
+            "what a call takes however few the trajectories: from calls with a quarter and all of them, "
+            "time = fixed + marginal · n"
+        ),
+        "fixed_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_s": seconds("what one more trajectory takes"),
+        "marginal_iqr_s": seconds("its interquartile range over rounds"),
+        "marginal_repeat_ratio": seconds("marginal_s of the second measurement over that of the first"),
     },
     key=(*KEY, "question", "trajectories", "cores"),
 )  # fmt: skip
+
+DEFINITIONS = table(
+    "definitions",
+    "what every scene and every method is, in a digest of its own numbers and not of anything measured",
+    {
+        "scene": Column("name of the scene; blank in the row of a method"),
+        "method": Column("name of the method; blank in the row of a scene"),
+        "declared": Column("what it declares, as data", rule=Rule.same),
+        "digest": Column(
+            "of a scene's numbers and functions, of a method's steps, with 50 digits: the same on every machine",
+            rule=Rule.same,
+        ),
+    },
+    key=("scene", "method"),
+    version=1,
+)
 
 CLAIMS_TABLE = table(
     "claims",
     "every claim of the paper with a measured number and the verdict that follows from it",
     {
         "id": Column("number of the claim"),
-        "where": Column("section, equation or figure of the paper"),
-        "claim": Column("what is claimed, in our words"),
-        "scene": Column("what it is measured on"),
-        "method": Column("integrator, or how the equations themselves are tested"),
-        "quantity": Column("what was measured; of several measurements the first that fails, else the first"),
-        "measured": number("its value"),
-        "relation": Column("how it must compare with the bound for the claim to hold"),
-        "bound": number("the bound"),
-        "bound_reason": Column("why the bound is what it is"),
+        "where": words("section, equation or figure of the paper"),
+        "claim": words("what is claimed, in our words"),
+        "scene": Column("what it is measured on", rule=Rule.same),
+        "method": Column("integrator, or how the equations themselves are tested", rule=Rule.same),
+        "quantity": words("what was measured; of several measurements the first that fails, else the first"),
+        "measured": number("its value", Rule.measured),
+        "relation": Column("how it must compare with the bound for the claim to hold", rule=Rule.same),
+        "bound": number("the bound", Rule.value),
+        "bound_reason": words("why the bound is what it is"),
         "verdict": Column(
             "holds; holds, corrected; refuted: computed from the measurements", rule=Rule.same
         ),
-        "correction_kind": Column("repairs (substance survives), replaces (contradicts), sharpens, extends"),
-        "correction": Column("the corrected statement"),
-        "corrected_quantity": Column("what was measured of it"),
-        "corrected_measured": number("its value"),
-        "corrected_relation": Column("how it must compare with its bound"),
-        "corrected_bound": number("its bound"),
-        "corrected_bound_reason": Column("why that bound"),
-        "evidence": Column("all measurements of the claim, separated by //"),
-        "corrected_evidence": Column("all measurements of the corrected statement, separated by //"),
-        "figures": Column("the paper's figures drawn for it"),
-        "command": Column("the command that measures it again"),
+        "correction_kind": Column(
+            "repairs (substance survives), replaces (contradicts), sharpens, extends", rule=Rule.same
+        ),
+        "correction": words("the corrected statement"),
+        "corrected_quantity": words("what was measured of it"),
+        "corrected_measured": number("its value", Rule.measured),
+        "corrected_relation": Column("how it must compare with its bound", rule=Rule.same),
+        "corrected_bound": number("its bound", Rule.value),
+        "corrected_bound_reason": words("why that bound"),
+        "evidence": words("all measurements of the claim, separated by //"),
+        "corrected_evidence": words("all measurements of the corrected statement, separated by //"),
+        "figures": Column("the paper's figures drawn for it", rule=Rule.same),
+        "command": words("the command that measures it again"),
         "status": Column("ok, or failed: not measured, no verdict", rule=Rule.same),
-        "message": Column("why, when the status is not ok"),
+        "message": Column("why, when the status is not ok", ungated="a solver's words, which change with its version"),
     },
     key=("id",),
     version=2,
@@ -240,9 +237,9 @@ PAPER_FIGURES = table(
             "what it is: truth, law, method, conservative, dissipative, flow, criterion; or its stability",
             rule=Rule.same,
         ),
-        "x": number("abscissa"),
-        "y": number("ordinate"),
-        "z": number("third coordinate, fitted order or growth rate where the figure has one"),
+        "x": number("abscissa", Rule.point),
+        "y": number("ordinate", Rule.point),
+        "z": number("third coordinate, fitted order or growth rate where the figure has one", Rule.point),
     },
     key=("figure", "panel", "curve", "point"),
     whole=("figure",),
@@ -255,10 +252,10 @@ STABILITY = table(
     WithLaws(
         {
         **COMMON,
-        "end_time": number("how far the run got"),
-        "blow_up_time": number("when the true motion reaches infinity, if it does"),
+        "end_time": number("how far the run got", Rule.end),
+        "blow_up_time": number("when the true motion reaches infinity, if it does", Rule.value),
         "condition_number": number(
-            "max ‖∂x(t)/∂x(0)‖₂ of the true motion, where stored: what errors grow to"
+            "max ‖∂x(t)/∂x(0)‖₂ of the true motion, where stored: what errors grow to", Rule.value
         ),
         "end_error": number(
             "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left then", Rule.error
@@ -284,18 +281,22 @@ STABILITY_LIMITS = table(
         "limit": number(
             "first loss of stability: the step from which an eigenvalue of the one-step map leaves the unit circle",
             Rule.value,
+            infinite=True,
         ),
-        "limit_kernel": number("of a processed method saved at the end only: its kernel's limit", Rule.value),
-        "limit_saved": number("of a processed method saved at every step", Rule.value),
+        "limit_kernel": number(
+            "of a processed method saved at the end only: its kernel's limit", Rule.value, infinite=True
+        ),
+        "limit_saved": number("of a processed method saved at every step", Rule.value, infinite=True),
         "windows": Column(
             "intervals of unstable steps below the last stable step, a…b; blank: none", rule=Rule.same
         ),
         "last": number(
             "the last stable step; islands of stability shorter than a hundredth of the step not counted",
             Rule.value,
+            infinite=True,
         ),
-        "theory": number("what theory gives, where it does"),
-        "per_evaluation": number("the limit over the evaluations of a step"),
+        "theory": number("what theory gives, where it does", Rule.value, infinite=True),
+        "per_evaluation": number("the limit over the evaluations of a step", Rule.value, infinite=True),
     },
     key=("method", "gamma", "omega"),
 )
@@ -307,12 +308,18 @@ ONE_STEP = table(
         "method": Column("name of the method"),
         "family": COMMON["family"],
         "gamma": number("damping γ"),
-        "step": number("step size h"),
+        "step": number("step size h", Rule.value),
         "radius": number(
-            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel", Rule.value
+            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel",
+            Rule.value,
+            infinite=True,
         ),
-        "radius_saved": number("the same of a processed method where every step is saved", Rule.value),
-        "true_radius": number("of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped"),
+        "radius_saved": number(
+            "the same of a processed method where every step is saved", Rule.value, infinite=True
+        ),
+        "true_radius": number(
+            "of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped", Rule.value
+        ),
     },
     key=("method", "gamma", "step"),
 )
@@ -323,12 +330,14 @@ DAMPING_RATES = table(
     {
         "experiment": Column("overdamped or weak"),
         **COMMON,
-        "t_end": number("span of the run"),
-        "damping_per_step": number("γh, fixed steps"),
+        "t_end": number("span of the run", Rule.same),
+        "damping_per_step": number("γh, fixed steps", Rule.value),
         "evaluations": whole("evaluations in one run", Rule.count),
-        "rate": number("measured rate"),
-        "true_rate": number("the same measured on the truth"),
-        "ratio": number("measured over true"),
+        "rate": number("measured rate", ungated="rate_error is the same number, and counts its round-off"),
+        "true_rate": number("the same measured on the truth", Rule.value),
+        "ratio": number(
+            "measured over true", ungated="rate_error is the same number, and counts its round-off"
+        ),
         "rate_error": number("|measured/true − 1|", Rule.error),
     },
     key=("experiment", "scene", "method", "setting", "t_end"),
@@ -345,15 +354,24 @@ STRONG_DAMPING = table(
         "damping_per_evaluation": number(
             "γh over the evaluations of a step: the damping between two evaluations"
         ),
-        "step": number("step size h"),
+        "step": number("step size h", Rule.value),
         "error": number(
-            "‖M − Φ_T‖₂/‖Φ_T‖₂ of a run M over the time T in which the motion falls by e, the end saved", Rule.error
+            "‖M − Φ_T‖₂/‖Φ_T‖₂ of a run M over the time T in which the motion falls by e, the end saved",
+            Rule.error,
+            infinite=True,
         ),
-        "error_saved": number("the same of a processed method where every step is saved", Rule.error),
-        "radius": number("largest |eigenvalue| of the one-step map, of a processed method that of its kernel"),
+        "error_saved": number("the same of a processed method where every step is saved", Rule.error, infinite=True),
+        "radius": number(
+            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel",
+            Rule.value,
+            infinite=True,
+        ),
     },
     key=("method", "gamma", "damping_per_evaluation"),
 )  # fmt: skip
+
+#: why the columns of the self-check have no rule
+OF_THE_GATE = "what the gate says of itself is not what it judges"
 
 GATE_SELFCHECK = table(
     "gate_selfcheck",
@@ -362,11 +380,19 @@ GATE_SELFCHECK = table(
         "part": Column("accuracy or speed"),
         "planted": Column("what was changed in the code the gate judges"),
         "condition": Column("what else the machine did: idle, or a busy loop on all cores but one"),
-        "wanted": Column("how many of the runs should be red"),
-        "runs": whole("judgements: runs of the gate, or faults or loops, each judged once"),
-        "red": whole("how many were red, by a line that names the method and measure of what was planted"),
+        "wanted": Column(
+            "how many of the runs should be red: none, all, 19 in 20; or not seen, which it does not claim to find",
+            ungated=OF_THE_GATE,
+        ),
+        "runs": whole(
+            "judgements: runs of the gate, or faults or loops, each judged once", ungated=OF_THE_GATE
+        ),
+        "red": whole(
+            "how many were red, by a line that names the method and measure of what was planted",
+            ungated=OF_THE_GATE,
+        ),
         "seconds": seconds("one run of the gate, median"),
-        "example": Column("what the first red one said"),
+        "example": Column("what the first red one said", ungated=OF_THE_GATE),
     },
     key=("part", "planted", "condition"),
     version=2,

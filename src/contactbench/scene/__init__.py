@@ -23,11 +23,13 @@ from contactbench.scene.algebra import (
     shifted,
 )
 from contactbench.scene.base import Scene, System
+from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.mechanical import Mechanical
 from contactbench.scene.rigid_body import RigidBody
 
 __all__ = [
     "BodyState",
+    "GeneralDamping",
     "Mechanical",
     "RigidBody",
     "Scene",

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 from contactbench.numbers.control import choose, settled
 from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.splitting.dissipation import decayed, survival
 from contactbench.splitting.free_body import free
 
 
@@ -200,6 +201,26 @@ MECHANICAL = {
 }
 
 
+def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
+    """C for any Γ(s): s follows s' = −Γ(s), and p the derivative of s(h), both solving p' = −Γ'(s) p."""
+    s = decayed(scene, x.s, h, xp)
+    factor = survival(scene, x.s, s, h, xp)
+    return settled(State(x.q, tuple(factor * p for p in x.p), s), xp)
+
+
+def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
+    """−∫Γ'(s) along it."""
+    return xp.log(survival(scene, x.s, decayed(scene, x.s, h, xp), h, xp))
+
+
+#: no merged flow is known, hence three parts
+GENERAL = {
+    "kick": MECHANICAL["kick"],
+    "drift": MECHANICAL["drift"],
+    "damp": Flow(_plain, damp_generally, {}, general_log_factor),
+}
+
+
 # -- rigid body ------------------------------------------------------------------------------------
 def rotation(x: BodyState, axis: int, a: Any, xp: Any) -> BodyState:
     """Exact time-1 flow of ½ a M_i²: M and R turn about principal axis i at the constant rate a M_i.
@@ -320,7 +341,7 @@ ISOTROPIC = BODY | {
 }
 
 
-FLOWS = {"mechanical": MECHANICAL, "isotropic body": ISOTROPIC, "body": BODY}
+FLOWS = {"mechanical": MECHANICAL, "general damping": GENERAL, "isotropic body": ISOTROPIC, "body": BODY}
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:

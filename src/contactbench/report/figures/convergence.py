@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -23,13 +24,15 @@ def guides(curves: tuple[Curve, ...], claimed: dict[str, int]) -> Iterator[Curve
     drawn = set()
     for curve in curves:
         order = claimed.get(curve.method)
-        points = [(h, e) for h, e in zip(curve.x, curve.y, strict=True) if e > ROUNDING]
-        if curve.muted or order is None or order in drawn or len(points) < 2:
+        if curve.muted or order is None or order in drawn:
             continue
         drawn.add(order)
-        h, error = np.array(sorted(points)[: max(2, len(points) - 2)]).T  # the coarsest are not asymptotic
-        middle = len(h) // 2
-        line = BELOW * error[middle] * (h / h[middle]) ** order
+        known = sorted((h, e) for h, e in zip(curve.x, curve.y, strict=True) if not math.isnan(e))
+        points = [(h, e) for h, e in known if e > ROUNDING]
+        points = points[: max(2, len(points) - 2)]  # the coarsest are not asymptotic
+        anchor = points[len(points) // 2] if points else known[-1]
+        h = np.array([h for h, _ in (points if len(points) > 1 else known[-2:])])
+        line = BELOW * anchor[1] * (h / anchor[0]) ** order
         yield Curve(
             tuple(h.tolist()), tuple(line.tolist()), role="guide", markers=False, note=f"slope {order}"
         )

@@ -21,8 +21,8 @@ ALONG_TIME = {
 }  # fmt: skip
 #: a law on a scene, against the error of the same runs
 STRUCTURE = (
-    ("contact_drift", "central", "deviation from the law of the contact form"),
-    ("momentum_law", "rigid_body", "deviation from the law of $J$"),
+    ("contact_drift", "central", "contact form: deviation"),
+    ("momentum_law", "rigid_body", "momentum map $J$: deviation"),
 )
 COLOURS = "In colour: the method of each family that is closest to the true $H_0$; thin and grey: the others."
 

@@ -20,7 +20,7 @@ ERRORS = (1e-16, 2.0)
 TIMES = {
     "time_median_s": ("time per solve (median), ms", 1e3),
     "time_min_s": ("time per solve (fastest round), ms", 1e3),
-    "call_s": ("time per solve with what `run()` adds, ms", 1e3),
+    "call_s": ("what `run()` adds to a solve, ms", 1e3),
     "marginal_s": ("time per unit of simulated time, ms", 1e3),
 }
 COUNTS = {

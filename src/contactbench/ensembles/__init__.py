@@ -1,0 +1,140 @@
+"""Ensembles: many trajectories of one scene at once, with a fixed-step method.
+
+Every process integrates the trajectories it is given.  It cuts them into chunks, so that memory stays
+bounded, and divides each chunk among its devices: the cores of a CPU, or its GPUs.  On a CPU the loop is the
+one numba compiles, for so many trajectories at a time that the processor always has one to go on with; a
+thread runs on every core.  GPUs, parameters that differ from one trajectory to the next and methods that
+cannot be recorded go to JAX, tile by tile, one array per component.  Processes meet once, for the statistics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.ensembles.chunks import ENGINES, Task, results
+from contactbench.ensembles.measures import ENERGY, Statistic, decaying, overall, tally
+from contactbench.ensembles.members import members
+from contactbench.errors import BadInput, positive
+from contactbench.methods.base import METHODS, Refused
+from contactbench.methods.entry import lookup, prepare
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.scene import BodyState, Scene, State
+from contactbench.solution import Counts, Status
+
+__all__ = ["ENGINES", "Ensemble", "Statistic", "ensemble"]
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """What `ensemble` returns.
+
+    statistics : mean and maximum of every measure.  endings : how many trajectories ended `ok` and how
+    many `diverged`.  Both are over all processes.  counts : what one trajectory cost.
+    The rest is of this process's trajectories, and None where it was not kept:
+    final : the states at the end, of arrays (n,), NaN where a trajectory diverged.
+    measures : an array (n,) for `energy_change`, H0(y(T))/H0(y₀) − 1, and for those of
+    `hamiltonian_law` and `momentum_law` the scene has, maxima over the measured times as in `LAWS`.
+    end_time : the last measured time a trajectory reached, (n,).
+    """
+
+    scene: Scene
+    method: str
+    t: np.ndarray
+    counts: Counts
+    statistics: dict[str, Statistic]
+    endings: dict[Status, int]
+    final: Any = None
+    measures: dict[str, np.ndarray] | None = None
+    end_time: np.ndarray | None = None
+
+    @property
+    def ok(self) -> np.ndarray | None:
+        """Which of this process's trajectories did not diverge."""
+        return None if self.end_time is None else self.end_time == self.t[-1]
+
+
+def ensemble(
+    scene: Scene | str,
+    method: str,
+    initial_conditions: State | BodyState | Mapping[str, Any],
+    *,
+    step: float,
+    measure_at: Sequence[float] | np.ndarray | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    carry: Sequence[str] | None = None,
+    keep: bool = True,
+    chunk: int | None = None,
+    progress: bool | None = None,
+    engine: str | None = None,
+    executor: Executor | None = None,
+) -> Ensemble:
+    """Integrate many trajectories of a scene with a fixed-step method.
+
+    initial_conditions : a State, BodyState or dict of fields, each component a number or an array (n,)
+        with one entry per trajectory; fields left out are the scene's own.
+    step : as in `prepare`.  measure_at : increasing times at which divergence is noticed and laws are
+        measured, the last of them the end; by default the scene's end time alone.
+    parameters : numbers of the scene that differ from one trajectory to the next, by name, arrays (n,).
+    carry : which of s and R to integrate; by default all the scene has.
+    keep : False returns the statistics alone, for ensembles larger than memory.
+    chunk : trajectories per device, or per task of an executor, at a time.
+    progress : show a bar; by default on a terminal.
+    engine : "numba" (CPUs, one set of parameters for all) or "jax"; by default the first that can.
+    executor : maps the chunks, each on one core of a worker: any executor of `concurrent.futures`, such as a
+        process pool, Dask's ``Client.get_executor()`` or an MPI pool.  A chunk whose worker dies is run again.
+    After `jax.distributed.initialize` every process calls with its own share of the trajectories.
+    Raises `BadInput` for anything it cannot work with.
+    """
+    from tqdm import tqdm
+
+    scene, chosen = lookup(scene, method)
+    if not isinstance(chosen, FixedStep):
+        fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
+        raise BadInput(f"method = {method!r}: an ensemble takes a fixed-step method: {fixed}")
+    run = prepare(
+        scene, method, step=positive("step", step), carry=carry, engine=chosen.engines[-1],
+        save_at=[scene.t_end] if measure_at is None else measure_at,
+    )  # fmt: skip
+    if isinstance(run, Refused):
+        raise BadInput(run.why)
+    assert isinstance(run, FixedStepRun)
+    if engine not in (None, *ENGINES):
+        raise BadInput(f"engine = {engine!r}: an ensemble runs on {' or '.join(ENGINES)}")
+    request = run.request
+    if run.n.sum() > request.max_steps:
+        raise BadInput(f"step = {step!r}: {run.n.sum()} steps, of which {request.max_steps} are allowed")
+    y0, own = members(scene, request.carry, initial_conditions, parameters or {})
+    names = [ENERGY, *decaying(scene, request.carry)]
+    end = request.save_at[-1]
+    rows: dict[int, np.ndarray] = {}
+    kept: dict[int, Any] = {}
+    task = Task(request, method, tuple(names), engine)
+    hide = None if progress is None else not progress
+    with tqdm(total=y0.shape[1], unit="trajectory", unit_scale=True, disable=hide) as bar:
+        for k, (y, measures, end_time) in results(task, run, y0, own, _chunk(chunk), executor):
+            rows[k] = tally(measures, end_time == end)
+            if keep:
+                kept[k] = y, measures, end_time
+            bar.update(len(end_time))
+    statistics, endings = overall(names, [rows[k] for k in sorted(rows)])
+    if not keep:
+        return Ensemble(scene, method, request.save_at, run.totals, statistics, endings)
+    y, measures, end_time = (
+        np.concatenate(parts, axis=-1) for parts in zip(*(kept[k] for k in sorted(kept)), strict=True)
+    )
+    return Ensemble(
+        scene, method, request.save_at, run.totals, statistics, endings,
+        scene.unpack(tuple(y), request.carry), dict(zip(names, measures, strict=True)), end_time,
+    )  # fmt: skip
+
+
+def _chunk(value: int | None) -> int | None:
+    if value is not None and (isinstance(value, bool) or int(value) != value or value < 1):
+        raise BadInput(f"chunk = {value!r}: must be a whole number ≥ 1")
+    return value

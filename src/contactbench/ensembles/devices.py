@@ -1,0 +1,122 @@
+"""Trajectories tile by tile, by JAX: on the GPUs, or where numba cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from contactbench.ensembles.measures import DECAYING
+from contactbench.measure.deviation import conformal_deviation
+from contactbench.methods.compiled import XlaNumbers
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.jax_engine import rolled
+from contactbench.solution import DIVERGENCE
+
+#: trajectories a core integrates at a time: half a kilobyte per component
+TILE = 64
+#: trajectories a device is handed at a time: enough for the call not to count
+CHUNK = {"cpu": 2**14, "gpu": 2**20}
+AXIS = "trajectories"
+
+#: final states (d, m), measures (·, m) and end times (m,)
+Result = tuple[np.ndarray, np.ndarray, np.ndarray]
+_programs: dict[Any, Callable[..., Any]] = {}
+
+
+def on_devices(
+    run: FixedStepRun, names: list[str], y0: np.ndarray, own: dict[int, np.ndarray], chunk: int | None
+) -> Iterator[Result]:
+    """Results of one chunk after the other, each divided among this process's devices."""
+    from contactbench.xla import jax
+
+    devices = jax.local_devices()
+    from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+    mesh = Mesh(np.array(devices), (AXIS,))
+    platform = mesh.devices.flat[0].platform
+    at_once = mesh.size * (chunk or CHUNK.get(platform, CHUNK["gpu"]))
+    n = y0.shape[1]
+    count = -(-n // -(-n // at_once))  # in chunks of one size, that of a single program
+    share = -(-count // mesh.size)
+    tile = min(TILE, share) if platform == "cpu" else share
+    size = mesh.size * tile * -(-share // tile)
+    r, places = run.request, tuple(own)
+    key = (r.scene.structure, r.carry, run.method_, tuple(names), places, tile, mesh)
+    if key not in _programs:
+        cut, whole = PartitionSpec(None, AXIS), PartitionSpec()
+        _programs[key] = jax.jit(
+            jax.shard_map(
+                share_of(run, names, places, tile), mesh=mesh, in_specs=(cut, cut, whole, whole),
+                out_specs=(cut, cut, PartitionSpec(AXIS)), check_vma=False,
+            )
+        )  # fmt: skip
+    sharding = NamedSharding(mesh, PartitionSpec(None, AXIS))
+    individual = np.array([*own.values()]).reshape(len(own), n)
+    numbers = np.array(r.scene.numbers())
+    ends = r.save_at[1:] if run.saves_start else r.save_at
+
+    def begun(part: slice) -> Any:
+        filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
+        arrays = (np.pad(a[:, part], filled, mode="edge") for a in (y0, individual))
+        return _programs[key](*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, ends))
+
+    parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
+    ahead = begun(parts[0])
+    for part, following in zip(parts, [*parts[1:], None], strict=True):
+        out = ahead
+        if following is not None:  # begun before this one is waited for: no device idles at its end
+            ahead = begun(following)
+        yield tuple(np.asarray(a)[..., : part.stop - part.start] for a in out)  # type: ignore[misc]
+
+
+def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile: int) -> Callable[..., Any]:
+    """What one device does: its part of a chunk, tile by tile."""
+    from contactbench.xla import jnp, lax
+
+    base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
+
+    def one_tile(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
+        values = list(numbers)
+        for place, value in zip(places, own, strict=True):
+            values[place] = value
+        scene = base.with_numbers(values)
+
+        def quantity(name: str, x: Any) -> Any:
+            return jnp.stack(DECAYING[name][0](scene, x), axis=-1)
+
+        start = scene.unpack(tuple(y0), carry)
+        bound = DIVERGENCE * scale(y0[:motion])
+        origin = {name: quantity(name, start) for name in names[1:]}
+
+        def span(carried: Any, interval: Any) -> Any:
+            (x, worst, alive, end), (h, n, t) = carried, interval
+            # parameters of its own give every trajectory stage constants of its own
+            h = jnp.broadcast_to(h, tile) if places else h
+            x = run.method_.advance(scene, x, h, n, xp, rolled)
+            y = jnp.stack(scene.pack(x))
+            alive = alive & jnp.isfinite(y).all(axis=0) & (jnp.abs(y[:motion]).max(axis=0) <= bound)
+            for name in origin:
+                terms, rate = DECAYING[name][1](scene, x), scene.conformal_rate
+                law = conformal_deviation(quantity(name, x), origin[name], t, rate, terms, jnp)
+                worst = {**worst, name: jnp.maximum(worst[name], law)}
+            return (x, worst, alive, jnp.where(alive, t, end)), None
+
+        nothing = jnp.zeros(tile)
+        begun = (start, dict.fromkeys(origin, nothing), jnp.ones(tile, bool), nothing)
+        (x, worst, alive, end), _ = lax.scan(span, begun, spans)
+        energy = scene.energy(x) / scene.energy(start) - 1
+        measures = jnp.stack([energy, *worst.values()])
+        return *(jnp.where(alive, a, jnp.nan) for a in (jnp.stack(scene.pack(x)), measures)), end
+
+    def share(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
+        tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, own)]
+        y, measures, end = lax.map(lambda part: one_tile(part[0], part[1], numbers, spans), tiles)
+        return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)
+
+    def scale(motion: Any) -> Any:
+        size = jnp.sqrt((motion * motion).sum(axis=0))
+        return jnp.where(size > 0, size, 1.0)
+
+    return share

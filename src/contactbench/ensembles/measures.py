@@ -1,0 +1,68 @@
+"""What is measured of every trajectory, and the statistics over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from contactbench.measure.laws import LAWS
+from contactbench.scene import Scene
+from contactbench.solution import Status
+
+Measured = Callable[[Scene, Any], Any]
+#: laws of the numerical solution alone, with the quantity that must decay as e^{−γt} and the size of its terms
+DECAYING: dict[str, tuple[Measured, Measured]] = {
+    "hamiltonian_law": (
+        lambda scene, x: (scene.hamiltonian(x),),
+        lambda scene, x: scene.hamiltonian_terms(x),
+    ),
+    "momentum_law": (lambda scene, x: scene.momentum(x), lambda scene, x: scene.momentum_terms(x)),
+}
+#: H0(y(T))/H0(y₀) − 1: no law, but how much of the energy is gone
+ENERGY = "energy_change"
+
+
+class Statistic(NamedTuple):
+    """Over the trajectories that ended `ok`; nan if none did."""
+
+    mean: float
+    max: float
+
+
+def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
+    """The decay laws that are defined on a scene and read only what is carried."""
+    if scene.conformal_rate is None:  # the rate follows s: what is true is not known
+        return []
+    return [
+        name for name in DECAYING if LAWS[name].applies(scene) and {*LAWS[name].needs_on(scene)} <= {*carry}
+    ]
+
+
+def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
+    """One row: how many are ok, how many not, and the sums and maxima of the measures of those that are."""
+    good = measures[:, ok]
+    return np.array([ok.sum(), (~ok).sum(), *good.sum(axis=1), *good.max(axis=1, initial=-np.inf)])
+
+
+def overall(names: list[str], rows: list[np.ndarray]) -> tuple[dict[str, Statistic], dict[Status, int]]:
+    """Statistics and endings from the rows of all chunks of all processes."""
+    from jax.experimental import multihost_utils
+
+    from contactbench.xla import jax
+
+    def joined(rows: Any) -> np.ndarray:
+        rows, split = np.asarray(rows), 2 + len(names)
+        return np.concatenate([rows[:, :split].sum(axis=0), rows[:, split:].max(axis=0)])
+
+    row = joined(rows)
+    if jax.process_count() > 1:
+        row = joined(multihost_utils.process_allgather(row))
+    ok, diverged, rest = int(row[0]), int(row[1]), row[2:].reshape(2, len(names))
+    total, largest = rest if ok else np.full_like(rest, np.nan)
+    statistics = {
+        name: Statistic(float(s) / max(ok, 1), float(m))
+        for name, s, m in zip(names, total, largest, strict=True)
+    }
+    return statistics, {Status.ok: ok, Status.diverged: diverged}

@@ -1,0 +1,245 @@
+"""The gate: which tables and which revisions are compared, and what becomes of the two parts."""
+
+from __future__ import annotations
+
+import random
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pandas as pd
+
+from contactbench.errors import BadInput
+from contactbench.gate import committed, revisions, speed
+from contactbench.gate.accuracy import against, runs, tables
+from contactbench.gate.fresh import fresh_run
+from contactbench.gate.verdict import Line, Verdict
+from contactbench.gate.workload import Cell, workload
+from contactbench.results.provenance import MADE
+from contactbench.results.schema import TABLES
+from contactbench.results.store import read
+
+PARTS = ("accuracy", "speed")
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is to be judged.
+
+    root : a folder of the working tree.  results : its tables, relative to the top of the tree.
+    fresh : tables of a run just made; None: they are made now.  base : the revision to compare with.
+    changed : tables that are meant to change, beside those the commits name.  budget : seconds of the speed part.
+    """
+
+    root: Path
+    results: Path = Path("results")
+    fresh: Path | None = None
+    base: str | None = None
+    parts: Sequence[str] = PARTS
+    changed: Iterable[str] = field(default=())
+    budget: float | None = None
+
+
+def gate(question: Question) -> Verdict:
+    """Run the parts asked for; see the command line's help."""
+    root = revisions.repository(question.root)
+    if "speed" in question.parts:  # what cannot run is said before minutes are spent
+        revisions.resolved(root, question.base)
+    base = revisions.base_of_tables(root, question.base)
+    folder = question.results if not question.results.is_absolute() else question.results.relative_to(root)
+    verdict = Verdict()
+    with tempfile.TemporaryDirectory(prefix="contactbench-gate-") as scratch:
+        old = revisions.export(root, base, folder.as_posix(), Path(scratch) / "base")
+        if "accuracy" in question.parts:
+            verdict += tables_against(question, root, base, root / folder, old, Path(scratch) / "fresh")
+        if "speed" in question.parts:
+            work = read(TABLES["work_precision"], old)
+            if work.empty:
+                raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {folder}/")
+            verdict += slower(root, workload(work), question.base, question.budget)
+    return verdict
+
+
+# -- accuracy --------------------------------------------------------------------------------------
+def tables_against(
+    question: Question, root: Path, base: str, results: Path, old: Path, scratch: Path
+) -> Verdict:
+    """A fresh run, and the tables of the tree, against those of the base revision."""
+    changed = committed.listed(revisions.messages(root, base), question.changed)
+    made_before = runs(old)
+    before, lines = committed.old_tables(old, changed)
+    head = tables(results)
+    lines += committed.record_lines(results, head)
+    told: list[str] = []
+    for name, table in TABLES.items():
+        lines += committed.differences(table, before[name], head[name], name in changed)
+        told += filter(None, [committed.described(table, before[name], head[name])])
+    notes = [f"tables changed in this change: {', '.join(told)}"] if told else []
+    verdict = Verdict(tuple(lines), (f"tables: {results} against {base[:12]}",), tuple(notes))
+
+    fresh = question.fresh
+    if fresh is None:
+        fresh = scratch
+        verdict += Verdict(tuple(fresh_run(root, fresh)))
+    reference = {name: head[name] if name in changed else before[name] for name in TABLES}
+    compared = against(reference, made_before, fresh, f"the tables of {base[:12]}")
+    clean = not revisions.dirty(root, ".", *(f":!{made}" for made in MADE))
+    fresh_tables = tables(fresh)
+    more = [
+        *committed.record_lines(fresh, fresh_tables),
+        *committed.commit_lines(fresh, revisions.commit_of(root, "HEAD"), clean),
+    ]
+    for name, table in TABLES.items():
+        more += committed.taken_out(table, before[name], head[name], fresh_tables[name])
+        more += uncommitted(name, head[name], before[name], fresh_tables[name])
+    return verdict + compared + Verdict(tuple(more))
+
+
+def uncommitted(name: str, head: pd.DataFrame, before: pd.DataFrame, fresh: pd.DataFrame) -> list[Line]:
+    """Red where a run makes a table that is not among the committed ones."""
+    if len(head) or len(before) or not len(fresh):
+        return []
+    return [Line(f"table {name}", "none", f"{len(fresh)} rows", "", "not committed", True, table=name)]
+
+
+# -- speed -----------------------------------------------------------------------------------------
+def slower(root: Path, cells: Sequence[Cell], revision: str | None, budget: float | None = None) -> Verdict:
+    """The working tree in `root` against a revision of it, on cells.
+
+    Raises `BadInput` when there is no git, no such revision, or a timing process cannot run.
+    """
+    if not cells:
+        raise BadInput("no timed rows to choose from; run the benchmark first (tox -e bench)")
+    root = revisions.repository(root)
+    commit = revisions.resolved(root, revision)
+    head = revisions.git(root, "rev-parse", "--short=12", "HEAD")
+    head += " with local changes" if revisions.dirty(root) else ""
+    until = None if budget is None else perf_counter() + budget
+    cells = cells if budget is None else random.Random(commit).sample(cells, len(cells))
+    with revisions.checkout(root, commit) as tree:
+        return timed((revisions.interpreter(tree, root), sys.executable), (tree, root), cells, until,
+                     (commit[:12], head))  # fmt: skip
+
+
+def timed(
+    pythons: Sequence[str], trees: Sequence[Path], cells: Sequence[Cell], until: float | None,
+    names: tuple[str, str],
+) -> Verdict:  # fmt: skip
+    """Time cells of two trees; those that look slower again in fresh processes."""
+    first = speed.paired_times(
+        pythons, trees, cells, speed.ROUNDS, seed=1, until=until and until - reserve(until)
+    )
+    if not first.ratios:
+        i, why = next(iter(first.refused.items()), (0, "no time left"))
+        raise BadInput(f"no cell could be timed; {cells[i].method}: {why}")
+    again: dict[int, speed.PairedRatio] = {}
+    suspects = [i for i, ratio in first.ratios.items() if ratio.low > speed.LIMIT]
+    if suspects:
+        found = speed.paired_times(
+            pythons, trees, [cells[i] for i in suspects], speed.ROUNDS, seed=2, until=until
+        )
+        again = {suspects[k]: ratio for k, ratio in found.ratios.items()}
+    lines = [
+        Line(
+            "time", "×1", f"×{ratio.ratio:.2f}", f"×{ratio.low:.2f} … ×{ratio.high:.2f}", said, said == "slower",
+            cells[i].scene, cells[i].method, cells[i].engine, cells[i].setting,
+        )
+        for i, ratio in first.ratios.items()
+        if (said := speed.verdict(ratio, again.get(i))) != "pass"
+    ]  # fmt: skip
+    lines += once_a_process(pythons, trees, cells, first.costs, until)
+    return Verdict(tuple(lines), sentences(first, lines, names), refusals(cells, first))
+
+
+def reserve(until: float) -> float:
+    """Of the time that is left, what is kept for the second look."""
+    return max(0.0, (until - perf_counter()) / 3)
+
+
+def sentences(first: speed.Measured, lines: Sequence[Line], names: tuple[str, str]) -> tuple[str, ...]:
+    middle = float(np.median([ratio.ratio for ratio in first.ratios.values()]))
+    red = sum(line.red for line in lines)
+    open_ = sum(line.verdict == "inconclusive" for line in lines)
+    cleared = len(first.ratios) - sum(line.measure == "time" for line in lines)
+    words = (
+        f"speed: {names[1]} against {names[0]}: {cleared} of {len(first.ratios)} cells no slower, {red} red, "
+        f"{open_} inconclusive, median ratio {middle:.3f}; red when the whole 95 % interval is above "
+        f"{speed.LIMIT} twice, in fresh processes"
+    )
+    if not first.unfinished:
+        return (words,)
+    least = min(ratio.rounds for ratio in first.ratios.values())
+    return (
+        words,
+        f"speed: inconclusive beyond that, the time was up after {least} rounds of {speed.ROUNDS} or more",
+    )
+
+
+def refusals(cells: Sequence[Cell], found: speed.Measured) -> tuple[str, ...]:
+    """Why cells were not timed; those there was no time for in one note."""
+    late = [i for i, why in found.refused.items() if why.endswith("no time left")]
+    notes = [
+        f"{cells[i].scene} {cells[i].method} ({cells[i].engine}) not timed: {why}"
+        for i, why in found.refused.items()
+        if i not in late
+    ]
+    return (
+        *notes,
+        *([f"inconclusive: no time to compile {len(late)} of {len(cells)} cells"] if late else []),
+    )
+
+
+def once_a_process(
+    pythons: Sequence[str], trees: Sequence[Path], cells: Sequence[Cell], first: speed.Pair, until: float | None
+) -> list[Line]:  # fmt: skip
+    """Compilation and memory: red where they are too much in every one of `CONFIRMED` pairs of processes."""
+    over = speed.suspects(first, len(cells))
+    pairs, every = [first], range(len(cells))
+    which = sorted({i for found in over.values() for i in found if i >= 0}) or list(every)
+    if -1 in {i for found in over.values() for i in found}:
+        which = list(every)
+    while over and len(pairs) < speed.CONFIRMED and (until is None or perf_counter() < until):
+        found = speed.paired_times(pythons, trees, [cells[i] for i in which], 0, seed=0, until=until)
+        pair = tuple(renumbered(side, which) for side in found.costs)
+        pairs.append((pair[0], pair[1]))
+        now = speed.suspects(pairs[-1], len(cells))
+        over = {what: kept for what, old in over.items() if (kept := old & now.get(what, set()))}
+    sure = len(pairs) == speed.CONFIRMED
+    return [
+        line
+        for what, found in over.items()
+        for i in sorted(found)
+        for line in [spent(what, i, cells, pairs, sure)]
+    ]
+
+
+def renumbered(costs: speed.Costs, which: Sequence[int]) -> speed.Costs:
+    """The costs of some cells by the numbers these have among all."""
+    return speed.Costs(
+        {which[k]: v for k, v in costs.compile.items()}, {which[k]: v for k, v in costs.leaked.items()}, costs.peak
+    )  # fmt: skip
+
+
+def spent(what: str, i: int, cells: Sequence[Cell], pairs: Sequence[speed.Pair], sure: bool) -> Line:
+    """The line of a cost: the medians of both sides over the pairs of processes."""
+
+    def middle(side: int) -> float:
+        costs = [pair[side] for pair in pairs]
+        values = {
+            "compilation": [c.compile.get(i, 0.0) for c in costs],
+            "memory left behind": [c.leaked.get(i, 0.0) / 1e6 for c in costs],
+            "peak memory": [c.peak / 1e6 for c in costs],
+        }[what]
+        return float(np.median(values))
+
+    before, after = middle(0), middle(1)
+    unit = "s" if what == "compilation" else "MB"
+    cell = cells[i] if i >= 0 else None
+    words = (what, f"{before:.3g} {unit}", f"{after:.3g} {unit}", f"{after - before:+.3g} {unit}")
+    verdict = "more" if sure else "inconclusive"
+    where = (cell.scene, cell.method, cell.engine, cell.setting) if cell else ("", "", "", "")
+    return Line(*words, verdict, sure, *where, rows=1)

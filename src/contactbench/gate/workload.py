@@ -1,0 +1,63 @@
+"""Which calls the speed part times: every method and engine, every scene, many saved times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import pandas as pd
+
+from contactbench.solution import printed_setting
+
+#: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
+SCENES = ("particle", "particle_long", "rigid_body")
+#: the methods that are timed on every other scene too, and the scene of the runs with many saved times
+EVERYWHERE, MANY_ON = ("contact-rkn6", "rk4", "heyoka-taylor"), "particle"
+#: how many saved times are many
+MANY = 1000
+#: of a method's settings the finest that takes at most so long; a method that has none is not timed there
+LONGEST = 3e-3
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One prepared call that is timed.
+
+    saves : how many equidistant times are saved, the end among them.
+    """
+
+    scene: str
+    method: str
+    engine: str
+    control: str
+    value: float
+    carry: tuple[str, ...]
+    saves: int = 1
+
+    @property
+    def setting(self) -> str:
+        many = f", {self.saves} saved times" if self.saves > 1 else ""
+        return f"{printed_setting(self.control, self.value)}{many}"
+
+    def request(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def workload(work: pd.DataFrame, scenes: Sequence[str] = SCENES) -> list[Cell]:
+    """Cells for every method and engine of the work–precision table, at settings that are worth timing.
+
+    On every scene but those named `EVERYWHERE` alone; with many saved times the first engine of each method.
+    """
+    timed = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= LONGEST)]
+    slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
+    cells: list[Cell] = []
+    many: dict[str, Cell] = {}
+    for _, row in slowest.sort_index().iterrows():
+        carry = tuple(field for field in ("s", "R") if field in row["carried"].split())
+        words = row["scene"], row["method"], row["engine"], row["control"], float(row["value"]), carry
+        if row["scene"] in scenes or row["method"] in EVERYWHERE:
+            cells.append(Cell(*words))
+        if row["scene"] == MANY_ON and row["scene"] in scenes:
+            many.setdefault(row["method"], Cell(*words, saves=MANY))
+    return [*cells, *many.values()]

@@ -1,0 +1,102 @@
+"""What a scene and a method are, in a digest that does not depend on the machine.
+
+A scene is its numbers and its functions at a few points, a method one and two of its steps, all with 50
+decimal digits and from the digits that are printed: no processor and no library rounds them otherwise, and
+a change of any coefficient shows in the first 30.  A solver of a library has no steps to look at: what it is
+asked for is in its digest, and its version in the record of the run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable
+from typing import Any
+
+from contactbench.measure.precision import DIGITS, march
+from contactbench.scene import Scene
+from contactbench.scenes import SCENES
+from contactbench.truth import decimal_context, with_decimals
+
+#: digits of a number that enter a digest
+SHOWN = 30
+#: scenes a method's steps are looked at, and the step
+STEPPED, STEP = ("particle", "quadratic_damping", "rigid_body", "rigid_body_anisotropic"), "0.25"
+#: how far the points lie from the initial state at which a scene's functions are looked at
+OFFSETS = (0, 1, -2)
+#: what says nothing of what a scene or a method does
+WORDS = ("about", "hard")
+
+
+def digest(parts: Iterable[str]) -> str:
+    """The first 16 hexadecimal digits of the SHA-256 of some lines."""
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def printed(value: Any, context: Any) -> str:
+    """Numbers, nested as they are, with their leading digits."""
+    if isinstance(value, list | tuple):
+        return f"[{' '.join(printed(each, context) for each in value)}]"
+    return str(value) if value is None else context.nstr(context.mpf(value), SHOWN)
+
+
+def declared(item: Any) -> list[str]:
+    """The fields of a scene or method that are data, as NAME=VALUE."""
+    found = []
+    for field in (each for each in dataclasses.fields(item) if each.init):
+        value = getattr(item, field.name)
+        if field.name not in WORDS and isinstance(
+            value, bool | int | float | str | tuple | dict | type(None)
+        ):
+            found.append(f"{field.name}={value!r}")
+    return found
+
+
+def scene_lines(scene: Scene) -> list[str]:
+    """The scene's data, and its functions at a few points with their leading digits."""
+    context = decimal_context(DIGITS)
+    twin = with_decimals(scene, context.mpf)
+    lines = [*declared(scene), repr(scene.numbers())]
+    start = twin.pack(twin.initial(scene.carry()))
+    for offset in OFFSETS:
+        y = [a + context.mpf(offset * (k + 1)) / 64 for k, a in enumerate(start)]
+        x = twin.unpack(y, scene.carry())
+        contact = [twin.hamiltonian(x)] if scene.is_contact else []
+        values = [twin.pack(twin.rhs(x)), [twin.energy(x)], contact, twin.momentum(x), twin.jacobian(x)]
+        lines += [printed(value, context) for value in values]
+    return lines
+
+
+def method_lines(method: Any) -> list[str]:
+    """What the method declares, and where one and two of its steps lead, where it has steps."""
+    lines = declared(method)
+    if not hasattr(method, "advance"):
+        return lines
+    context = decimal_context(DIGITS)
+    for name in STEPPED:
+        if method.refuses(SCENES[name]) is None:
+            ends = (march(method, SCENES[name], STEP, n, context) for n in (1, 2))
+            lines += [f"{name} {printed(end, context)}" for end in ends]
+    return lines
+
+
+def scene_row(scene: Scene) -> dict[str, str]:
+    """What the table of definitions says of a scene."""
+    shown = [line for line in declared(scene) if not line.endswith("=None")]
+    return {
+        "scene": scene.name,
+        "method": "",
+        "declared": "; ".join(shown),
+        "digest": digest(scene_lines(scene)),
+    }
+
+
+def method_row(method: Any) -> dict[str, str]:
+    """What the table of definitions says of a method."""
+    shown = [line for line in declared(method) if not line.endswith("=None")]
+    return {
+        "scene": "",
+        "method": method.name,
+        "declared": "; ".join(shown),
+        "digest": digest(method_lines(method)),
+    }

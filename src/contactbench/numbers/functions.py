@@ -1,0 +1,87 @@
+"""``cb.math``: sin, exp, … of whatever numbers a scene runs on.
+
+A scene is written once and runs on floats, NumPy arrays, JAX tracers, mpmath numbers, heyoka's expressions and reals,
+dual and recorded numbers.  Arithmetic and powers are theirs; of the functions beyond that, these find the one that
+fits their argument::
+
+    potential=lambda q: -cb.math.cos(q[0]), gradient=lambda q: (cb.math.sin(q[0]),)
+
+They are total, as NumPy's are: outside its domain a function of floats is nan, beyond the range of floats inf.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from contactbench.numbers.dual import Dual, DualNumbers
+from contactbench.numbers.recording import Recorded, RecordedNumbers
+
+#: of one argument, by their names in `math`; NumPy, JAX, mpmath and heyoka have them all
+NAMES = (
+    "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan",
+    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+)  # fmt: skip
+__all__ = [*NAMES, "atan2", "pi"]
+
+pi = math.pi
+
+
+def namespace(x: Any) -> Any:
+    """The functions that fit a number: a module, or an object with the names of one."""
+    if isinstance(x, int | float):
+        return math
+    if isinstance(x, Dual):
+        return DualNumbers(namespace(x.a))
+    if isinstance(x, Recorded):
+        return RecordedNumbers(x.tape)
+    if isinstance(x, complex):
+        return cmath
+    package = type(x).__module__.partition(".")[0]
+    if package in ("jax", "jaxlib"):
+        from contactbench.xla import jnp
+
+        return jnp
+    if package == "mpmath":
+        return x.context
+    if package == "heyoka" and type(x).__name__ == "expression":
+        import heyoka
+
+        return heyoka
+    return np
+
+
+def _function(name: str) -> Callable[[Any], Any]:
+    plain = getattr(math, name)
+
+    def function(x: Any) -> Any:
+        if isinstance(x, float):  # the common case, and the only one that raises
+            try:
+                return plain(x)
+            except ValueError:
+                return -math.inf if name == "log" and x == 0 else math.nan
+            except OverflowError:
+                return math.copysign(math.inf, x) if name == "sinh" else math.inf
+        return getattr(namespace(x), name)(x)
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = f"{name}(x) of any number a scene runs on."
+    return function
+
+
+for _name in NAMES:
+    globals()[_name] = _function(_name)
+
+
+def _leading(*numbers: Any) -> Any:
+    """The number that decides which functions fit: the first that is no plain one."""
+    return next((x for x in numbers if not isinstance(x, int | float)), numbers[0])
+
+
+def atan2(y: Any, x: Any) -> Any:
+    """The angle of (x, y), in (−π, π]."""
+    return namespace(_leading(y, x)).atan2(y, x)

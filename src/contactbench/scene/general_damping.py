@@ -1,0 +1,71 @@
+"""Mechanical scenes with a damping Γ(s) of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from contactbench.errors import BadInput
+from contactbench.scene.algebra import State
+from contactbench.scene.mechanical import Mechanical
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneralDamping(Mechanical):
+    """H = ‖p‖²/2m + V(q) + Γ(s) for any smooth Γ, on the three-part splitting: kick, drift and damping.
+
+    damping : ``Γ(s) -> number`` and damping_slope : ``Γ'(s) -> number``, plain arithmetic like the force; no more
+    is needed.  damping_flow : ``(s, h, xp) -> s(h)``, the solution of s' = −Γ(s) where it is known in closed form;
+    else it is found by quadrature (`splitting.dissipation`), many evaluations of Γ a step.
+
+        GeneralDamping(name="cubic", potential=V, gradient=dV, q=(1.0,), p=(0.0,), s=0.5, t_end=10.0,
+                       damping=lambda s: 0.1 * s + s**3, damping_slope=lambda s: 0.1 + 3 * s * s)
+
+    Nyström tables, Herglotz's recursion and `contact-adaptive` refuse it: their flows need a Γ at most quadratic.
+    Raises `BadInput` as `Mechanical` does, and for a gamma or kappa beside Γ.
+    """
+
+    damping: Callable[[Any], Any]
+    damping_slope: Callable[[Any], Any]
+    damping_flow: Callable[[Any, Any, Any], Any] | None = None
+
+    kind: ClassVar[str] = "general damping"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.gamma or self.kappa:
+            raise BadInput(f"gamma = {self.gamma!r}, kappa = {self.kappa!r}: Γ has them in it")
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        return ("s",)
+
+    @property
+    def nonlinear_damping(self) -> bool:
+        return True
+
+    def numbers(self) -> list[float]:
+        return [self.mass, *self.parameters.values()]
+
+    def number_names(self) -> list[str]:
+        return ["mass", *self.parameters]
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        return super().with_numbers([0.0, 0.0, *numbers])
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (*super().structure, GeneralDamping, self.damping, self.damping_slope, self.damping_flow)
+
+    def dissipation(self, s: Any) -> Any:
+        """Γ(s)."""
+        return self.damping(s)
+
+    def dissipation_rate(self, s: Any) -> Any:
+        """Γ'(s)."""
+        return self.damping_slope(s)
+
+    def jacobian(self, x: State) -> None:
+        """Γ'' is not asked for: solvers difference."""
+        return None

@@ -1,0 +1,41 @@
+"""Every Python block of README and documentation runs, page by page, in the order of the page."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import contactbench as cb
+from contactbench.report.rooms import ROOMS
+
+REPOSITORY = Path(__file__).parents[2]
+BLOCK = re.compile(r"^```python[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
+PAGES = [
+    path
+    for path in (REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md")))
+    if BLOCK.search(path.read_text())
+]
+
+
+@pytest.fixture
+def registries():
+    """As they were, when a page is over."""
+    every = (cb.SCENES, cb.METHODS, cb.LAWS, ROOMS)
+    before = [dict(registry) for registry in every]
+    yield
+    for registry, was in zip(every, before, strict=True):
+        for name in set(registry) - set(was):
+            del registry[name]
+
+
+def line_of(text: str, block: re.Match[str]) -> int:
+    return text.count("\n", 0, block.start(1))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    text, scope = page.read_text(), {}
+    for block in BLOCK.finditer(text):
+        # padded so that a traceback shows the page's own line
+        exec(compile("\n" * line_of(text, block) + block[1], str(page), "exec"), scope)

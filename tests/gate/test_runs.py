@@ -1,0 +1,78 @@
+"""What the gate runs: profiles of the benchmark, and what they visit."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import pytest
+
+import contactbench as cb
+from cases import bench, finished
+from contactbench.claims import CLAIMS
+from contactbench.claims.curves import FIGURES
+from contactbench.gate.accuracy import accuracy
+from contactbench.results.schema import PROFILES
+from contactbench.scenes import hard_scenes, standard_scenes
+from planted_faults import plugin
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def profiles():
+    """The profiles of the benchmark by name."""
+    spec = spec_from_file_location("bench_conftest", REPOSITORY / "bench" / "conftest.py")
+    conftest = module_from_spec(spec)
+    sys.modules[spec.name] = conftest
+    spec.loader.exec_module(conftest)
+    return conftest.PROFILES
+
+
+def visited(experiment, test, profile="smoke"):
+    """The cells of a test in a profile."""
+    return getattr(import_module(experiment), test).cells(profiles()[profile])
+
+
+def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_claim():
+    everything = {("scene", name) for name in cb.SCENES} | {("method", name) for name in cb.METHODS}
+    assert set(visited("bench_definitions", "test_definition")) == everything
+    standard = {scene.name for scene in standard_scenes()}
+    for experiment, test in (("bench_laws", "test_laws"), ("bench_convergence", "test_convergence")):
+        assert {cell[0] for cell in visited(experiment, test)} == standard
+    assert {cell[1] for cell in visited("bench_laws", "test_laws")} == set(cb.METHODS)
+    assert {cell[0] for cell in visited("bench_stability", "test_stability")} == {
+        s.name for s in hard_scenes()
+    }
+    long = set(import_module("bench_claims").LONG)
+    assert long < set(CLAIMS)
+    assert {cell[0] for cell in visited("bench_claims", "test_claim")} == set(CLAIMS) - long
+    assert {cell[0] for cell in visited("bench_claims", "test_paper_figure")} == set(FIGURES)
+
+
+@pytest.mark.parametrize(
+    "experiment", sorted(path.stem for path in (REPOSITORY / "bench").glob("bench_*.py"))
+)
+def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
+    """What `profile` in a row promises: a larger run has the rows of a smaller one."""
+    assert tuple(profiles()) == PROFILES
+    tests = [f for f in vars(import_module(experiment)).values() if hasattr(f, "cells")]
+    assert tests
+    for test in tests:
+        cells = [set(test.cells(profile)) for profile in profiles().values()]
+        assert cells[1]
+        assert cells[0] <= cells[1] <= cells[2]
+
+
+def test_a_wrong_coefficient_is_found_in_real_runs(tmp_path):
+    """The drift of Strang's method, and that of no other method, a part in a thousand too long."""
+    few = "convergence and particle and not long and (contact-strang or contact-abc)"
+    fault = plugin(tmp_path / "fault.py", "wrong_coefficients({'contact-strang': 1})")
+    finished(bench(tmp_path / "before", few))
+    finished(bench(tmp_path / "after", few, "--plugin", str(fault)))
+    verdict = accuracy(tmp_path / "before", tmp_path / "after")
+    assert {(line.scene, line.method, line.measure) for line in verdict.lines if line.red} == {
+        ("particle", "contact-strang", measure)
+        for measure in ("solution_error", "pairwise_order", "order", "last_slope")
+    }

@@ -1,0 +1,335 @@
+"""The gate's speed part: which calls, in which order, what is red, what is not decided."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from contactbench.errors import BadInput
+from contactbench.gate import judge, revisions, speed
+from contactbench.gate.workload import MANY, Cell, workload
+from contactbench.plugins import VARIABLE
+from contactbench.results.statistics import PairedRatio
+from contactbench.results.store import merge, read
+from contactbench.results.tables import WORK_PRECISION
+from made_up import folder, row
+from planted_faults import plugin
+from selfcheck_faults import SPENT
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize(
+    ("first", "again", "expected"),
+    [
+        ((1.0, 0.9, 1.2), None, "pass"),
+        ((1.3, 1.2, 1.4), None, "inconclusive"),
+        ((1.5, 1.4, 1.6), (1.5, 1.3, 1.7), "slower"),
+        ((1.5, 1.4, 1.6), (1.2, 1.1, 1.3), "inconclusive"),
+        ((1.5, 1.4, 1.6), None, "inconclusive"),
+        ((0.5, 0.4, 0.6), None, "pass"),
+    ],
+)
+def test_slower_takes_two_intervals_above_the_limit(first, again, expected):
+    def ratio(values):
+        return None if values is None else PairedRatio(*values, 15)
+
+    assert speed.verdict(ratio(first), ratio(again)) == expected
+
+
+def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
+    baseline = folder(tmp_path)
+    merge(
+        WORK_PRECISION,
+        [
+            row(setting=f"step={h}", carried="M R", time_median_s=time, scene="rigid_body")
+            for h, time in ((0.2, 1e-5), (0.1, 2e-3), (0.05, 5e-3))
+        ]
+        + [row("scipy-radau", "rtol=0.001", carried="q p", time_median_s=5e-3)]
+        + [row("limit-c", family="limit", variant="contact-strang", carried="q p", time_median_s=1e-5)]
+        + [row("contact-rkn6", "rtol=0.001", variant="chosen", carried="q p", time_median_s=1e-5)],
+        baseline,
+    )
+    merge(
+        WORK_PRECISION,
+        [
+            row(name, carried="q p", time_median_s=1e-4, scene="central", setting="step=0.2")
+            for name in ("rk4", "contact-abc")
+        ],
+        baseline,
+    )
+    cells = workload(read(WORK_PRECISION, baseline))
+    assert [(c.scene, c.method, c.setting, c.carry) for c in cells if c.saves == 1] == [
+        ("particle", "rk4", "step=0.1", ()),
+        ("particle", "cvode-adams", "rtol=1e-06", ()),
+        ("central", "rk4", "step=0.2", ()),
+        ("rigid_body", "rk4", "step=0.1", ("R",)),
+    ]  # neither the run out of budget nor the long one, no C loop and no chosen step; elsewhere one method
+    assert [(c.scene, c.method, c.saves) for c in cells if c.saves > 1] == [
+        ("particle", "rk4", MANY), ("particle", "cvode-adams", MANY),
+    ]  # fmt: skip
+
+
+def test_the_committed_tables_give_every_method_and_scene_a_call():
+    work = read(WORK_PRECISION, REPOSITORY / "results")
+    cells = workload(work)
+    mine = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= 3e-3)]
+    assert {cell.scene for cell in cells} == set(work["scene"])
+    assert {(c.method, c.engine) for c in cells} >= set(
+        zip(mine["method"], mine["engine"], strict=True)
+    ) - set(zip(*(mine[mine["scene"] == "central"][n] for n in ("method", "engine")), strict=True))
+    assert {cell.method for cell in cells if cell.saves == MANY} >= {
+        "contact-rkn6",
+        "scipy-dop853",
+        "heyoka-taylor",
+    }
+
+
+CELLS = [Cell("particle", "contact-strang", "python", "step", 0.1, ())]
+
+
+@contextmanager
+def patched(file, old, new):
+    """A source file with one passage replaced, for as long as the block lasts."""
+    original = file.read_text()
+    assert original.count(old) == 1
+    file.write_text(original.replace(old, new))
+    try:
+        yield
+    finally:
+        file.write_text(original)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """A clone of the project with its sources as they are now, committed."""
+    path = tmp_path_factory.mktemp("copy").resolve()
+    shutil.copytree(REPOSITORY / "src", path / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("bench", "references"):
+        shutil.copytree(REPOSITORY / name, path / name)
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(REPOSITORY / name, path)
+    for arguments in (
+        ["init", "-q"], ["add", "."],
+        ["-c", "user.name=t", "-c", "user.email=t@example.org", "commit", "-q", "-m", "all"],
+    ):  # fmt: skip
+        subprocess.run(["git", "-C", str(path), *arguments], check=True)
+    return path
+
+
+def lines(verdict, measure="time"):
+    return [line for line in verdict.lines if line.measure == measure]
+
+
+def test_the_same_code_is_not_slower_and_twice_the_work_is(copy):
+    same = judge.slower(copy, CELLS, "HEAD")
+    assert not same.red
+    once = "        x = method.advance(scene, x, h, n, xp)\n"
+    (file,) = (
+        path for path in (copy / "src" / "contactbench" / "methods").rglob("*.py") if once in path.read_text()
+    )
+    with patched(file, once, once.replace("x =", "_ =") + once):
+        slower = judge.slower(copy, CELLS, None)  # local changes: compared with HEAD
+    assert "with local changes" in slower.compared[0]
+    (line,) = lines(slower)
+    assert line.verdict == "slower"
+    assert float(line.after.removeprefix("×")) == pytest.approx(2, rel=0.15)
+    assert not subprocess.run(
+        ["git", "-C", str(copy), "worktree", "list", "--porcelain"], capture_output=True, text=True
+    ).stdout.count("contactbench-base")  # nothing is left behind
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from contactbench.gate import revisions
+
+with revisions.checkout(Path(sys.argv[1]), revisions.resolved(Path(sys.argv[1]), "HEAD")) as tree:
+    print(tree, flush=True)
+    time.sleep(60)
+"""
+
+
+def test_the_working_tree_of_a_killed_gate_is_removed_by_the_next_and_a_living_one_is_not(copy):
+    command = [sys.executable, "-c", HOLDER, str(copy)]
+    holders = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    killed, living = (Path(holder.stdout.readline().strip()) for holder in holders)
+    holders[0].kill()
+    holders[0].wait()
+    assert killed.exists()
+    with revisions.checkout(copy, revisions.resolved(copy, "HEAD")) as tree:
+        assert tree.exists()
+        assert not killed.parent.exists()
+        assert living.exists()
+        assert str(killed) not in revisions.git(copy, "worktree", "list")
+    holders[1].terminate()
+    holders[1].wait()
+    with revisions.checkout(copy, revisions.resolved(copy, "HEAD")):
+        assert not living.parent.exists()
+
+
+def test_a_cell_one_side_cannot_run_is_reported_and_a_broken_tree_is_not_compared(copy, tmp_path):
+    cells = [*CELLS, Cell("particle", "no-such-method", "jax", "step", 0.1, ())]
+    found = speed.paired_times([sys.executable] * 2, [copy] * 2, cells, rounds=2, seed=0)
+    assert set(found.ratios) == {0}
+    assert "base: UnknownName" in found.refused[1]
+    (tmp_path / "src" / "contactbench").mkdir(parents=True)
+    (tmp_path / "src" / "contactbench" / "__init__.py").write_text("raise RuntimeError('broken')")
+    with pytest.raises(BadInput, match="timing process ended: RuntimeError: broken"):
+        speed.paired_times([sys.executable] * 2, [copy, tmp_path], CELLS, rounds=2, seed=0)
+
+
+@pytest.fixture
+def clocked(monkeypatch, tmp_path):
+    """Times two trees by ``clock(tree's name, cell, readings so far)``; also gives who was asked, in order."""
+
+    def compare(clock, cells, until=None):
+        asked = []
+
+        class Side:
+            def __init__(self, _python, tree, _cells, _core, _later, _seconds):
+                self.name = tree.name
+
+            def __enter__(self):
+                return self
+
+            def __exit__(self, *_):
+                pass
+
+            def refused(self):
+                return {}
+
+            def time(self, cell):
+                asked.append((self.name, cell))
+                return clock(self.name, cell, len(asked))
+
+            def ask_costs(self):
+                pass
+
+            def costs(self):
+                return speed.Costs()
+
+        monkeypatch.setattr(speed, "Side", Side)
+        trees = [tmp_path / "base", tmp_path / "head"]
+        found = speed.paired_times(["p", "p"], trees, cells, speed.ROUNDS, seed=0, until=until)
+        return found, asked
+
+    return compare
+
+
+def test_turns_are_shuffled_and_paired(clocked):
+    """Timed in turns by a clock that drifts: the ratio does not see the drift."""
+    factor = {"base": 1.0, "head": 1.5}
+    found, asked = clocked(lambda name, cell, k: factor[name] * 1e-3 * (1 + cell) * np.exp(k / 50), CELLS * 4)
+    for ratio in found.ratios.values():
+        assert ratio.ratio == pytest.approx(1.5, rel=0.03)
+        assert ratio.rounds == speed.ROUNDS
+    first = [asked[i][0] for i in range(0, len(asked), 2)]
+    assert 20 < first.count("base") < 40  # of 60 pairs either goes first
+    assert [cell for _, cell in asked[:8:2]] != [cell for _, cell in asked[8:16:2]]
+
+
+def test_what_is_undecided_gets_more_rounds(clocked):
+    """Of three cells with a noisy clock only the one near the limit."""
+    noise = np.random.default_rng(1).normal(size=10_000)
+    factor = [1.0, 1.02 * speed.LIMIT, 2.0]
+    found, _ = clocked(
+        lambda name, cell, k: (factor[cell] if name == "head" else 1.0) * np.exp(0.1 * noise[k]), CELLS * 3
+    )
+    assert [found.ratios[i].rounds for i in range(3)] == [speed.ROUNDS, speed.MOST_ROUNDS, speed.ROUNDS]
+
+
+def test_what_there_is_no_time_for_is_said_to_be_inconclusive(clocked):
+    """The time is up after three rounds: no cell is judged slower on them."""
+    end = perf_counter() + 1e9
+    calls = []
+
+    def clock(name, cell, k):
+        calls.append(k)
+        if len(calls) == 3 * 2 * 3:
+            time_is_up.append(True)
+        return 1e-3
+
+    time_is_up = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(speed, "perf_counter", lambda: end + 1 if time_is_up else end - 1e6)
+        found, _ = clocked(clock, CELLS * 3, until=end)
+    assert found.unfinished
+    assert {ratio.rounds for ratio in found.ratios.values()} == {3}
+    said = judge.sentences(found, [], ("base", "head"))
+    assert said[1] == "speed: inconclusive beyond that, the time was up after 3 rounds of 15 or more"
+
+
+def test_a_verdict_says_inconclusive_in_words():
+    line = judge.Line("time", "×1", "×1.3", "", "inconclusive", False, "particle", "rk4")
+    verdict = judge.Verdict((line,), ("speed: …",))
+    assert not verdict.red
+    assert verdict.as_markdown().startswith("# Regression gate: green, but 1 inconclusive\n")
+    assert '"inconclusive": 1' in verdict.as_json()
+
+
+# -- compilation and memory ------------------------------------------------------------------------
+def pair(**head):
+    base = {"compile": {0: 1.0, 1: 0.02}, "leaked": {0: 0.0, 1: 2e5}, "peak": 4e8}
+    return speed.Costs(**base), speed.Costs(**{**base, **head})
+
+
+@pytest.mark.parametrize(
+    ("costs", "expected"),
+    [
+        (pair(), {}),
+        (pair(compile={0: 1.2, 1: 0.1}), {}),
+        (pair(compile={0: 1.3, 1: 0.32}), {"compilation": {0, 1}}),
+        (pair(leaked={0: 9e5, 1: 1.1e6}), {}),
+        (pair(leaked={0: 9e5, 1: 1.3e6}), {"memory left behind": {1}}),
+        (pair(peak=4.6e8), {}),
+        (pair(peak=4.8e8), {"peak memory": {-1}}),
+        (pair(compile={0: 1.0}), {}),
+    ],
+)
+def test_what_is_said_once_a_process_is_a_suspect_beyond_a_share_and_an_amount(costs, expected):
+    assert speed.suspects(costs, 2) == expected
+
+
+@pytest.mark.parametrize(("agreeing", "verdicts"), [(2, ["more"]), (1, []), (0, [])])
+def test_a_suspect_is_red_when_three_pairs_of_processes_agree(agreeing, verdicts, monkeypatch):
+    """Alone in its processes, a cell has another number than among all."""
+    more, same = ({0: 0.5} for _ in range(2)), {0: 0.02}
+    answers = [next(more) if k < agreeing else same for k in range(2)]
+
+    def paired_times(pythons, trees, cells, rounds, seed, until):
+        assert [cell.method for cell in cells] == ["rk4"]
+        return speed.Measured({}, {}, (speed.Costs({0: 0.02}), speed.Costs(answers.pop(0))))
+
+    monkeypatch.setattr(speed, "paired_times", paired_times)
+    cells = [*CELLS, Cell("particle", "rk4", "numba", "step", 0.1, ())]
+    found = judge.once_a_process((), (), cells, pair(compile={0: 1.0, 1: 0.5}), None)
+    assert [(line.method, line.measure, line.verdict) for line in found] == [
+        ("rk4", "compilation", verdict) for verdict in verdicts
+    ]
+
+
+@pytest.mark.parametrize("fault", ["compilation", "memory left behind"])
+def test_compilation_and_memory_are_planted_in_one_of_two_trees(fault, copy, tmp_path, monkeypatch):
+    (planted,) = (f.planted for f in SPENT if f.measure == fault and f.seen)
+    monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "more.py", planted.format(tree=str(copy)))))
+    cells = [Cell("particle", "contact-strang", "numba", "step", 0.4, ())]
+    verdict = judge.slower(copy, cells, "HEAD")
+    assert fault in {line.measure for line in verdict.lines if line.red}
+
+
+def test_a_slowdown_is_planted_in_one_of_two_trees(copy, tmp_path, monkeypatch):
+    call = f"slower(['contact-strang'], 1.5, {str(copy)!r})"
+    monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "slower.py", call)))
+    # calls so short that several fill a repeat: on a busy machine a long one is the likelier to be interrupted
+    cells = [Cell("particle", "contact-strang", "python", "step", 0.4, ())]
+    (line,) = lines(judge.slower(copy, cells, "HEAD"))
+    assert line.verdict == "slower"
+    assert float(line.after.removeprefix("×")) == pytest.approx(1.5, rel=0.15)

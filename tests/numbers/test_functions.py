@@ -1,0 +1,75 @@
+"""The functions a force may use: the same on every kind of number, and with the right derivative."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.numbers.dual import Dual
+from contactbench.numbers.functions import NAMES
+
+#: inside the domain of each
+POINT = {name: 1.25 if name == "acosh" else 0.375 for name in NAMES}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_kind_of_number_gives_the_same(name):
+    from contactbench.xla import jax, jnp
+
+    x, function = POINT[name], getattr(cb.math, name)
+    expected = getattr(math, name)(x)
+    assert function(x) == expected
+    assert function(np.array([x, x])) == pytest.approx([expected] * 2, rel=1e-15)
+    assert float(jax.jit(function)(jnp.asarray(x))) == pytest.approx(expected, rel=1e-15)
+    with mpmath.workdps(40):
+        precise = function(mpmath.mpf(x))
+        assert float(precise) == pytest.approx(expected, rel=1e-15)
+        assert abs(precise - getattr(mpmath, name)(mpmath.mpf(x))) == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_derivatives(name):
+    x, function = POINT[name], getattr(cb.math, name)
+    with mpmath.workdps(30):
+        expected = mpmath.diff(getattr(mpmath, name), x)
+    assert function(Dual(x, 1.0)).b == pytest.approx(float(expected), rel=1e-13)
+
+
+def test_functions_of_floats_are_total():
+    assert math.isnan(cb.math.sqrt(-1.0))
+    assert cb.math.log(0.0) == -math.inf
+    assert cb.math.exp(1e3) == math.inf
+    assert cb.math.sinh(-1e3) == -math.inf
+
+
+PENDULUM = cb.Mechanical(
+    name="pendulum",
+    about="a damped mathematical pendulum",
+    potential=lambda q: -cb.math.cos(q[0]),
+    gradient=lambda q: (cb.math.sin(q[0]),),
+    gamma=0.1,
+    q=(1.5,),
+    p=(0.0,),
+    t_end=5.0,
+)
+
+RUNS = [
+    ("contact-rkn6", "numba", {"step": 0.05}),
+    ("contact-rkn6", "jax", {"step": 0.05}),
+    ("contact-rkn6", "python", {"step": 0.05}),
+    ("rk4", "numba", {"step": 0.005}),
+    ("scipy-dop853", None, {"rtol": 1e-10}),
+    ("cvode-adams", "c", {"rtol": 1e-10}),
+    ("cyrk-dop853", None, {"rtol": 1e-10}),
+    ("diffrax-tsit5", None, {"rtol": 1e-10}),
+    ("heyoka-taylor", None, {"rtol": 1e-10}),
+]
+
+
+@pytest.mark.parametrize(("method", "engine", "setting"), RUNS)
+def test_a_pendulum_runs_everywhere(method, engine, setting):
+    sol = cb.solve(PENDULUM, method, engine=engine, **setting)
+    assert sol.status == "ok", sol.message
+    assert cb.LAWS["solution_error"](sol) < 1e-8

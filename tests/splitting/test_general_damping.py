@@ -1,0 +1,154 @@
+"""A damping Γ(s) of one's own: Γ and Γ' are enough, a closed form of s' = −Γ(s) makes it faster."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from mpmath import mp
+
+import contactbench as cb
+from cases import in_mp
+from contactbench.measure import precision
+from contactbench.splitting.dissipation import decayed, survival
+from contactbench.splitting.flows import flows_of
+from contactbench.testing import check_scene
+
+GAMMA, C = 0.1, 0.25
+
+
+def cubic(s):
+    """Γ = γs + cs³: harder at large s of either sign."""
+    return GAMMA * s + C * s * s * s
+
+
+def cubic_slope(s):
+    return GAMMA + 3 * C * s * s
+
+
+def cubic_flow(s, h, xp):
+    """Bernoulli: s(h) = e^{−γh} s/√(1 + cs²(1 − e^{−2γh})/γ)."""
+    return xp.exp(-GAMMA * h) * s / xp.sqrt(1 - C * s * s * xp.expm1(-2 * GAMMA * h) / GAMMA)
+
+
+CENTRAL = cb.SCENES["central"]
+FORCE = {"potential": CENTRAL.potential, "gradient": CENTRAL.gradient, "parameters": CENTRAL.parameters}
+SCENE = cb.GeneralDamping(
+    name="cubic", **FORCE, rotation_invariant=True, q=(1.0, 0.0), p=(0.3, 0.8), s=0.7, t_end=4.0,
+    damping=cubic, damping_slope=cubic_slope, damping_flow=cubic_flow,
+)  # fmt: skip
+QUADRATURE = SCENE.with_(name="quadrature", damping_flow=None)
+BOTH = [SCENE, QUADRATURE]
+CONTACT = [
+    name for name, method in cb.METHODS.items()
+    if method.contact and method.control == "step" and method.refuses(SCENE) is None
+]  # fmt: skip
+
+both = pytest.mark.parametrize("scene", BOTH, ids=lambda s: s.name)
+
+
+@both
+def test_it_keeps_the_contract_of_a_scene(scene):
+    check_scene(scene)
+
+
+def test_which_methods_take_it():
+    assert {
+        "contact-printed",
+        "contact-abc",
+        "contact-strang",
+        "contact-bm4",
+        "contact-bm6",
+        "contact-o8",
+    } <= {*CONTACT}
+    for name in ("contact-rkn6", "contact-rkn8", "contact-adaptive", "herglotz1", "contact-exact"):
+        assert SCENE.name in cb.METHODS[name].refuses(SCENE), name
+
+
+@pytest.mark.parametrize("s", [0.0, 1e-12, -0.3, 0.7, 2.0])
+@pytest.mark.parametrize("h", [1e-3, 0.3, -0.2, 0.8])
+def test_quadrature_is_the_closed_form(s, h):
+    """To round-off in doubles where Γ'h is below one, to 45 digits in mpmath; 2.5 are the largest here."""
+    with mp.workdps(50):
+        exact, _ = in_mp(QUADRATURE, QUADRATURE.initial(("s",)))
+        true = cubic_flow(mp.mpf(s), mp.mpf(h), mp)
+        assert abs(decayed(exact, mp.mpf(s), mp.mpf(h), mp) - true) < mp.mpf(10) ** -45
+    tolerance = 1e-15 * abs(s) if abs(s) < 1 else 1e-11
+    assert decayed(QUADRATURE, s, h, math) == pytest.approx(float(true), rel=0, abs=tolerance)
+    together = decayed(QUADRATURE, np.array([s, s]), h, np)
+    np.testing.assert_allclose(together, float(true), rtol=0, atol=tolerance)
+
+
+@both
+@pytest.mark.parametrize("s", ["0", "0.6", "-0.4"])
+def test_the_damping_flow_solves_its_equations_and_knows_its_factor(scene, s, mp50):
+    """s' = −Γ, p' = −Γ'p, and ∂s(h)/∂s is the factor on p."""
+    exact, x = in_mp(scene, scene.initial(("s",)))
+    flow, h, delta = flows_of(exact)["damp"], mp50.mpf("0.4"), mp50.mpf(10) ** -15
+    x = x._replace(s=mp50.mpf(s))
+
+    def at(h, x=x):
+        return flow.apply(exact, x, h, mp50)
+
+    here, ahead, behind = at(h), at(h + delta), at(h - delta)
+    assert abs((ahead.s - behind.s) / (2 * delta) + cubic(here.s)) < mp50.mpf(10) ** -25
+    for a, b, p in zip(ahead.p, behind.p, here.p, strict=True):
+        assert abs((a - b) / (2 * delta) + cubic_slope(here.s) * p) < mp50.mpf(10) ** -25
+    factor = mp50.exp(flow.log_factor(exact, x, h, mp50))
+    moved = [at(h, x._replace(s=x.s + d)).s for d in (delta, -delta)]
+    assert abs((moved[0] - moved[1]) / (2 * delta) - factor) < mp50.mpf(10) ** -25
+    assert abs(survival(exact, x.s, here.s, h, mp50) - factor) < mp50.mpf(10) ** -45
+
+
+@pytest.mark.parametrize(("method", "n"), [("contact-abc", 20), ("contact-bm4", 20), ("contact-bm6", 20)])
+def test_compositions_keep_their_order(method, n):
+    method = cb.METHODS[method]
+    assert precision.order_at(method, SCENE, 1.0, n) == pytest.approx(method.order, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("scene", "engine"),
+    [(SCENE, "numba"), (SCENE, "jax"), (SCENE, "python"), (QUADRATURE, "numba"), (QUADRATURE, "python")],
+    ids=lambda v: getattr(v, "name", v),
+)
+def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
+    times = [2.0, 4.0]
+    solution = cb.solve(scene, "contact-bm4", step=0.05, save_at=times, engine=engine)
+    assert solution.ok
+    other = cb.solve(SCENE, "contact-bm4", step=0.05, save_at=times, engine="python")
+    np.testing.assert_allclose(solution.y, other.y, rtol=0, atol=1e-12)
+    assert cb.LAWS["own_factor_drift"](solution) < 1e-11
+    assert cb.LAWS["solution_error"](solution) < 1e-6
+    accurate = cb.solve(scene, "scipy-dop853", rtol=1e-11, save_at=times)
+    np.testing.assert_allclose(accurate.y, solution.y, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("engine", ["numba", "python"])
+def test_blow_up_ends_as_diverged_with_the_time(engine):
+    """Γ = −s³ feeds s until it is infinite: ds/dt = s³ from 1 ends at t = ½."""
+    scene = cb.GeneralDamping(
+        name="runaway", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],), q=(0.0,), p=(0.0,), s=1.0,
+        t_end=2.0, damping=lambda s: -s * s * s, damping_slope=lambda s: -3 * s * s,
+    )  # fmt: skip
+    solution = cb.solve(scene, "contact-abc", step=0.01, save_at=[0.4, 2.0], engine=engine)
+    assert solution.status is cb.Status.diverged
+    assert solution.end_time == pytest.approx(0.5, abs=0.021)
+    assert solution.s[0] == pytest.approx(1 / math.sqrt(1 - 0.8), rel=1e-9)
+    assert np.isnan(solution.y[1]).all()
+
+
+@pytest.mark.parametrize("given", [{"gamma": 0.1}, {"kappa": 0.1}], ids=str)
+def test_gamma_and_kappa_beside_it_are_refused(given):
+    with pytest.raises(cb.BadInput, match=next(iter(given))):
+        SCENE.with_(**given)
+
+
+def test_h_and_j_decay_at_the_rate_of_the_moment():
+    """H' = −Γ'(s) H: the laws of quadratic damping apply, with the true rate."""
+    solution = cb.solve(SCENE, "scipy-dop853", rtol=1e-12, save_at=[1.0, 4.0])
+    for name in ("hamiltonian_law", "momentum_law"):
+        assert cb.LAWS[name](solution) < 1e-9
+    rough = cb.solve(SCENE, "contact-abc", step=0.2, save_at=[1.0, 4.0])
+    assert cb.LAWS["momentum_law"](rough) > 1e-5
+    assert cb.LAWS["own_factor_drift"](rough) < 1e-12
