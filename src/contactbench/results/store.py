@@ -26,12 +26,7 @@ from contactbench.results.schema import Column, Table, Type
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False}
-<<<<<<< HEAD
-#: a column that has its type already is taken as it is
-TYPED = {"flag": "bool", "whole": "Int64", "number": "float64"}
-=======
 DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool"}
->>>>>>> main
 LOG = logging.getLogger("contactbench")
 _said: set[str] = set()
 
@@ -152,18 +147,12 @@ def typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
 
 
 def converted(values: pd.Series, column: Column) -> pd.Series:
-<<<<<<< HEAD
-    """The values in the type of a column; blanks are missing, and empty text stays text."""
-    if column.type in TYPED and values.dtype == TYPED[column.type]:
-        return values
-=======
     """The values in the type of a column; blanks are missing, and empty text stays text.
 
     Infinity is blank as well, where it is no value of the column.
     """
     if values.dtype == DTYPES[column.type] and (column.type != "text" or not values.hasnans):
         return values if column.type != "number" or column.infinite else values.mask(np.isinf(values))
->>>>>>> main
     if column.type == "text":
         return values.astype(object).where(values.notna(), "").astype(str)
     blank = values.isna() | (values.astype(object) == "")
