@@ -1,5 +1,6 @@
 """For the benchmark and the tests alike: ``--plugin FILE``, by which a user's own methods and scenes join in,
-``--sample N``, which runs N of the chosen tests, always the same, and one cache of the programs that JAX compiles, shared by all processes of a run and by the runs after it."""
+``--sample N``, which runs N of the chosen tests, always the same ones, and one cache of the programs that JAX
+compiles, shared by all processes of a run and by the runs after it."""
 
 from __future__ import annotations
 

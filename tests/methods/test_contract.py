@@ -21,7 +21,7 @@ def product():
     for k, method in enumerate(cb.METHODS.values()):
         for case in method_cases(method):
             taken = [scene for scene in CASES if method.refuses(scene) is None]
-            turn = (k + method.engines.index(case.engine)) % len(taken)
+            turn = (k + 1 + method.engines.index(case.engine)) % len(taken)
             name = f"{method.name}-{case.engine}-{case.scene.name}"
             quick = case.scene is taken[turn] or case.scene not in taken
             yield pytest.param(case, id=name, marks=[] if quick else pytest.mark.slow)
