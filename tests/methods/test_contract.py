@@ -10,7 +10,7 @@ import pytest
 import contactbench as cb
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.python_engine import PythonLoop
-from contactbench.testing import METHOD_RULES, MethodCase, Violation, method_cases
+from contactbench.testing import METHOD_RULES, MethodCase, Violation, check_method, method_cases
 from contactbench.testing.method import CASES, check_case
 
 RK4 = cb.METHODS["rk4"]
@@ -133,3 +133,10 @@ def test_every_rule_has_a_method_that_breaks_it():
 
 def test_a_method_that_breaks_none_passes():
     check_case(MethodCase(Broken(), "python", CASES[0]))
+
+
+def test_engines_and_scenes_can_be_chosen():
+    by_engines = next(method for rule, method in BROKEN if rule == 9)
+    check_method(by_engines, engines=["python"], scenes=CASES[:1])
+    with pytest.raises(Violation, match="numba"):
+        check_method(by_engines, engines=["numba"], scenes=CASES[:1])
