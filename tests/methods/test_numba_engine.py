@@ -307,7 +307,7 @@ def test_an_ensemble_on_jax_is_the_same(method, scene, monkeypatch):
     def refused(*_):
         raise CannotRecord("for this test")
 
-    monkeypatch.setattr("contactbench.ensembles.loop_of", refused)
+    monkeypatch.setattr("contactbench.ensembles.chunks.loop_of", refused)
     theirs = cb.ensemble(scene, method, data, **options)
     for a, b in zip(scene.pack(ours.final), scene.pack(theirs.final), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-14)
