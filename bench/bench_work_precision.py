@@ -4,8 +4,8 @@ Timed by pytest-benchmark: compiled and warmed up before, garbage collection off
 order, results on the host before the clock stops.  What is timed is the solver's own call, by its fastest
 documented way: packed initial state in, packed final state out, none of our bookkeeping; what the public
 call adds is a column of its own.  The error is the largest over five end times, each the end of a run of
-its own: interpolation between steps, of lower order than the method for Radau and Kvaerno5, plays no
-part in it.
+its own or, of slow fixed steps, a step boundary: interpolation between steps, of lower order than the method
+for Radau and Kvaerno5, plays no part in it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from clock import VISITS, Part
 from contactbench.measure.clock import seconds
 from contactbench.measure.ladder import ENDS, LOOSEST, carried
 from contactbench.measure.laws import absolute_error
+from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import standard_scenes
 from contactbench.solution import EXACT, keywords
@@ -64,9 +65,18 @@ def limits(profile):
 
 
 def error(solutions):
-    """max ‖y − y*‖ / max ‖y*‖ over the ends of several runs."""
+    """max ‖y − y*‖ / max ‖y*‖ over the saved times of several runs."""
     pairs = [absolute_error(solution) for solution in solutions]
-    return max(error[-1] for error, _ in pairs) / max(size for _, size in pairs)
+    return max(error.max() for error, _ in pairs) / max(size for _, size in pairs)
+
+
+def passes_through(method, engine, control):
+    """Whether one run saved at all ends is, but for roundings, the runs to each of them, and slow enough to matter.
+
+    Fixed steps are, if the ends are step boundaries; not those of a processed method, which brings a state to
+    its own coordinates and back wherever it is saved.
+    """
+    return engine == "python" and control == "step" and not is_processed(method)
 
 
 def prepared(cell, profile):
@@ -93,11 +103,17 @@ def prepared(cell, profile):
     if not solution.ok:
         return outcome(solution, variant=variant) | row, None
     earlier = [scene.t_end * k / ENDS for k in range(1, ENDS)]
-    shorter = [cb.prepare(scene, method.name, save_at=[t], **options) for t in earlier]
-    row["solution_error"] = error([*(run() for run in shorter), solution])
+    saves = [earlier] if passes_through(method, engine, control) else [[t] for t in earlier]
+    others = [cb.prepare(scene, method.name, save_at=times, **options) for times in saves]
+    solutions = [run() for run in others[:-1]]
+    start = perf_counter()
+    solutions.append(others[-1]())
+    about = (perf_counter() - start) * ENDS / (ENDS - 1)
+    row["solution_error"] = error([*solutions, solution])
     if method.adaptive and method.order is None:
         row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations)
-    return outcome(solution, run.count(solution.counts), variant) | row, (run, shorter[0])
+    shortest = others[0] if len(saves) > 1 else cb.prepare(scene, method.name, save_at=earlier[:1], **options)
+    return outcome(solution, run.count(solution.counts), variant) | row, (run, shortest, about)
 
 
 #: changes of the initial data, relative: a few roundings
@@ -120,11 +136,11 @@ def test_work_precision(cell, profile, record, clock):
     if runs is None:
         record(WORK_PRECISION, **row, **clock.columns(None, cell[0]))
         return
-    run, shorter = runs
+    run, shorter, about = runs
     start = run.start
     its_own = shorter.start  # the array an engine has moved to its device ahead of the call
     part = Part(lambda: shorter.bare(its_own), 1 / ENDS, cb.SCENES[cell[0]].t_end)
-    columns = clock.columns(lambda: run.bare(start), cell[0], row["first_call_s"], part)
+    columns = clock.columns(lambda: run.bare(start), cell[0], about, part)
     if columns and columns["time_median_s"] < SHORT:  # at every visit, so that the last one's stays
         columns["call_s"] = added(run, start, columns["time_median_s"])
     record(WORK_PRECISION, **row, **columns)

@@ -13,8 +13,8 @@ from time import perf_counter
 from typing import Any
 
 from contactbench.measure.clock import (
-    LONG,
     VISITS,
+    WARM,
     Samples,
     calls_a_round,
     length_columns,
@@ -22,6 +22,10 @@ from contactbench.measure.clock import (
     seconds,
     time_columns,
 )
+
+#: rounds of a visit, at least, by the seconds a round takes: one where it is so long that what disturbs it
+#: averages out within it
+FEWEST = ((WARM, 3), (0.1, 2), (math.inf, 1))
 
 
 @dataclass
@@ -71,19 +75,20 @@ class Clock:
         self,
         run: Callable[[], Any] | None,
         group: str,
-        first_call_s: float = math.nan,
+        about_s: float = math.nan,
         part: Part | None = None,
     ) -> dict[str, Any]:
         """The time columns, from all visits so far; none where there is nothing to run.
 
-        first_call_s : what a call of this run took a moment ago, at the first visit.  part : timed in turns with it.
+        about_s : what a call of this run takes, about, which has been called a moment ago.  part : timed in
+        turns with it.
         """
         if run is None or self.benchmark.disabled:
             self.cells.pop(self.key)
             return {}
         cell = self.cells[self.key]
         if math.isnan(cell.once):
-            cell.once = first_call_s
+            cell.once = about_s
         columns = self.add(*self.rounds(run, group, part))
         if part is not None:
             columns |= length_columns(cell.measured, cell.shorter, part.share, part.span)
@@ -104,12 +109,13 @@ class Clock:
         A run that is long warms itself up.
         """
         cell = self.cells[self.key]
-        if not cell.once > LONG:
+        warm = cell.once > WARM
+        if not warm:
             start = perf_counter()
             run()
             cell.once = perf_counter() - start
         iterations = cell.iterations if cell.measured else calls_a_round(cell.once)
-        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once)
+        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once, FEWEST)
         self.benchmark.group = group
         shorter: Samples = []
 
@@ -117,8 +123,9 @@ class Clock:
             if part is not None and len(shorter) < rounds:
                 shorter.append(seconds(part.run, iterations))
 
-        between()
-        shorter.clear()  # it was warmed up
+        if not warm:
+            between()
+            shorter.clear()
         self.benchmark.pedantic(run, rounds=rounds, iterations=iterations, teardown=between)
         cell.shorter.append(shorter)
         return list(self.benchmark.stats.stats.data), iterations

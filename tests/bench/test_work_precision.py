@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 import contactbench as cb
-from bench_work_precision import evaluations_spread
+from bench_work_precision import error, evaluations_spread, passes_through
+from contactbench.measure.ladder import ENDS, work_ladder
 
 
 def spread(method, scene, rtol):
@@ -21,3 +22,23 @@ def test_a_short_run_costs_the_same_whatever_the_last_digit_of_its_initial_data(
 def test_a_long_run_of_cvode_at_a_tight_tolerance_turns_on_roundings():
     """Why its counts are not compared to a tenth: 31 to 49 thousand evaluations were met."""
     assert spread("cvode-adams", "particle_long", 1e-12) > 0.1
+
+
+FIXED = [method.name for method in cb.METHODS.values() if method.control == "step"]
+
+
+def both_ways(method):
+    """The error at the earlier ends, of runs of their own and of one that passes through them."""
+    scene = cb.SCENES["central"]
+    ends = [scene.t_end * k / ENDS for k in range(1, ENDS)]
+    options = {"step": work_ladder(scene, cb.METHODS[method].order)[2], "engine": "python", "carry": ()}
+    own = [cb.solve(scene, method, save_at=[t], **options) for t in ends]
+    return error(own), error([cb.solve(scene, method, save_at=ends, **options)])
+
+
+@pytest.mark.parametrize("method", FIXED)
+def test_fixed_steps_pass_through_the_earlier_ends(method):
+    """But for roundings, which a processed method has far more than."""
+    own, passing = both_ways(method)
+    same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)
+    assert same == passes_through(cb.METHODS[method], "python", "step")

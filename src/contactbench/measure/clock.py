@@ -19,6 +19,10 @@ ROUND_SECONDS = 1e-3
 #: rounds of one visit; where a single round is long what disturbs it averages out within it, and fewer do
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
 LONG, FEWEST_LONG_ROUNDS = 0.1, 2
+#: (seconds, rounds): at least so many rounds of up to so many seconds
+FEWEST = ((LONG, FEWEST_ROUNDS), (np.inf, FEWEST_LONG_ROUNDS))
+#: seconds from which a run that has been called before needs no warm-up: cold caches cost it less than a percent
+WARM = 0.02
 SEED = 20
 
 Samples = list[float]  #: seconds per call, one number a round
@@ -65,9 +69,14 @@ def calls_a_round(once: float) -> int:
     return max(1, round(ROUND_SECONDS / once))
 
 
-def rounds_within(seconds: float, round_seconds: float) -> int:
-    """How many rounds of one visit fit, within what is sensible."""
-    fewest = FEWEST_ROUNDS if round_seconds < LONG else FEWEST_LONG_ROUNDS
+def rounds_within(
+    seconds: float, round_seconds: float, fewest_rounds: Sequence[tuple[float, int]] = FEWEST
+) -> int:
+    """How many rounds of one visit fit, within what is sensible.
+
+    fewest_rounds : up to how many seconds a round, at least how many.
+    """
+    fewest = next(rounds for longest, rounds in fewest_rounds if round_seconds < longest)
     return min(MOST_ROUNDS, max(fewest, round(seconds / round_seconds)))
 
 

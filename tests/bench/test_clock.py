@@ -1,0 +1,52 @@
+"""How often a timed cell calls its run: often where it is short, once a visit where it is long."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from clock import VISITS, Clock, Part
+
+
+class Fixture:
+    """What the clock uses of the fixture of pytest-benchmark."""
+
+    disabled, group = False, ""
+
+    def pedantic(self, run, rounds, iterations, teardown):
+        self.stats = SimpleNamespace(stats=SimpleNamespace(data=[]))
+        for _ in range(rounds):
+            for _ in range(iterations):
+                run()
+            self.stats.stats.data.append(1.0)
+            teardown()
+
+
+def visited(about_s, visits=VISITS):
+    """Calls of a run that says it takes so long, of its part, and the columns after all visits."""
+    calls, cells = {"run": 0, "part": 0}, {}
+
+    def called(name):
+        calls[name] += 1
+
+    for _ in range(visits):
+        clock = Clock(cells, "cell", SimpleNamespace(seconds=0.02), Fixture())
+        clock.prepared(lambda: "made")
+        part = Part(lambda: called("part"), 0.2, 10.0)
+        columns = clock.columns(lambda: called("run"), "group", about_s, part)
+    return calls, columns
+
+
+@pytest.mark.parametrize(("about_s", "rounds"), [(1.0, 1), (0.2, 1), (0.05, 2)])
+def test_a_long_run_is_warm_and_has_few_rounds(about_s, rounds):
+    calls, columns = visited(about_s)
+    assert calls == {"run": VISITS * rounds, "part": VISITS * rounds}
+    assert columns["rounds"] == VISITS * rounds
+    assert columns["time_repeat_ratio"] == 1
+
+
+def test_a_short_run_is_warmed_up_and_has_three_rounds_at_least():
+    calls, columns = visited(1e-3)
+    assert columns["rounds"] >= 3 * VISITS
+    assert calls["run"] > columns["rounds"] * columns["iterations"]
