@@ -38,9 +38,19 @@ def ladder(profile):
     ]
 
 
+def save_times(scene):
+    """The times at which the laws are looked at."""
+    return scene.t_end * np.arange(1, SAVES + 1) / SAVES
+
+
 def to_the_end(scene, method, value, budget):
-    """A run saved at the end alone, and what it cost."""
-    run = cb.prepare(scene, method.name, save_at=[scene.t_end], max_steps=budget, **setting(method, value))
+    """A run to the end, saved there alone, and what it cost.
+
+    diffrax, whose steps and evaluations do not depend on what is saved, saves at all times: the program of
+    the laws then serves here too.
+    """
+    saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
+    run = cb.prepare(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
     solution = run()
     return solution, run.count(solution.counts)
 
@@ -66,8 +76,9 @@ def value_at(scene, method, target, budget=None):
 
 def laws_row(scene, method, value, budget):
     """The laws at the saved times, and how the derivative for the contact drift was obtained."""
-    saves = scene.t_end * np.arange(1, SAVES + 1) / SAVES
-    solution = cb.solve(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
+    solution = cb.solve(
+        scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)
+    )
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}
     columns = law_columns(solution)

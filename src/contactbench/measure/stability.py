@@ -259,10 +259,9 @@ def root(f: Callable[[float], float], scale: float) -> float:
     from scipy.optimize import brentq
 
     grid = np.geomspace(1e-3, 10, 4000) * scale
-    signs = np.array([f(h) > 1e-12 for h in grid])
-    if not signs.any():
+    k = next((k for k, h in enumerate(grid.tolist()) if f(h) > 1e-12), None)
+    if k is None:
         return math.inf
-    k = int(np.argmax(signs))
     return float(grid[0]) if k == 0 else float(brentq(f, grid[k - 1], grid[k], xtol=1e-13))
 
 
