@@ -1,10 +1,12 @@
 """For the benchmark and the tests alike: ``--plugin FILE``, by which a user's own methods and scenes join in,
-and one cache of the programs that JAX compiles, shared by all processes of a run and by the runs after it."""
+``--sample N``, which runs N of the chosen tests, always the same ones, and one cache of the programs that JAX
+compiles, shared by all processes of a run and by the runs after it."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import random
 from pathlib import Path
 
 import pytest
@@ -34,9 +36,11 @@ keep_compiled_programs()  # JAX reads its settings when it is imported, here and
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.getgroup("contactbench").addoption(
+    group = parser.getgroup("contactbench")
+    group.addoption(
         "--plugin", action="append", default=[], metavar="FILE", help="Python file with methods or scenes"
     )
+    group.addoption("--sample", type=int, metavar="N", help="run N of the chosen tests, always the same ones")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -49,3 +53,12 @@ def pytest_configure(config: pytest.Config) -> None:
             load_file(path)
     except BadInput as error:
         raise pytest.UsageError(str(error)) from None
+
+
+@pytest.hookimpl(trylast=True)  # of what -k and -m have left
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    wanted = config.getoption("--sample")
+    if wanted is not None and wanted < len(items):
+        chosen = set(random.Random(0).sample(range(len(items)), wanted))
+        config.hook.pytest_deselected(items=[item for i, item in enumerate(items) if i not in chosen])
+        items[:] = [item for i, item in enumerate(items) if i in chosen]

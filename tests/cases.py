@@ -50,14 +50,24 @@ def by_name(items):
 
 
 def pairs(
-    methods, scenes, applies=lambda method, scene: method.refuses(scene) is None, names=("method", "scene")
+    methods,
+    scenes,
+    applies=lambda method, scene: method.refuses(scene) is None,
+    names=("method", "scene"),
+    share=1,
 ):
     """Parametrised over the pairs of a method, or a composition, and a scene to which a test applies.
 
     applies : by default where the method does not refuse the scene.
+    share : one in so many of a method's scenes, in turn from method to method, and the other pairs slow.
     """
-    chosen = [(method, scene) for method in methods for scene in scenes if applies(method, scene)]
-    return pytest.mark.parametrize(names, chosen, ids=[f"{m.name}-{s.name}" for m, s in chosen])
+    chosen = []
+    for i, method in enumerate(methods):
+        mine = [scene for scene in scenes if applies(method, scene)]
+        for j, scene in enumerate(mine):
+            marks = [] if (i + j) % min(share, len(mine)) == 0 else [pytest.mark.slow]
+            chosen.append(pytest.param(method, scene, marks=marks, id=f"{method.name}-{scene.name}"))
+    return pytest.mark.parametrize(names, chosen)
 
 
 def random_state(scene, seed: int = 0, carry=None):

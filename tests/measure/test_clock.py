@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 import pytest
 
 from contactbench.measure.clock import LONG, MOST_ROUNDS, Race, calls_a_round, length_columns, time_columns
@@ -19,7 +20,9 @@ def test_runs_take_turns_in_changing_order_and_are_measured_twice():
         ]
         assert min(map(len, race.measured[i])) >= 3
         columns = race.columns(i)
-        assert columns["time_median_s"] == pytest.approx(2e-3, rel=3.0)
+        taken = [t for samples in race.measured[i] for t in samples]
+        assert min(taken) >= 2e-3  # asleep at least as long as asked for, however busy the machine
+        assert columns["time_median_s"] == np.median(taken)
         assert columns["rounds"] == sum(map(len, race.measured[i]))
         assert columns["time_repeat_ratio"] > 0
     after = calls[6:]  # two each to warm up; one call fills a round

@@ -10,7 +10,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-from cases import ALL_SCENES, REPOSITORY, USER, by_name, random_state
+from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import loop_of
@@ -21,12 +21,6 @@ from contactbench.numbers.source import executed, source
 from contactbench.solution import Status
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
-CASES = [
-    pytest.param(method, scene, id=f"{method.name}-{scene.name}")
-    for method in FIXED
-    for scene in ALL_SCENES
-    if not method.refuses(scene)
-]
 PARTICLE = cb.SCENES["particle"]
 
 
@@ -164,7 +158,7 @@ def test_derivatives_of_functions(name, mp50):
 
 
 # -- the engine ------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("method", "scene"), CASES)
+@pairs(FIXED, ALL_SCENES, share=3)
 def test_the_compiled_loop_is_the_same_map(method, scene):
     """As plain Python, to round-off: uneven saved times, other initial data, every field carried or none."""
     times = [0.0, 0.5, 0.75, 2.0]
@@ -177,7 +171,7 @@ def test_the_compiled_loop_is_the_same_map(method, scene):
             np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=2e-14 * np.abs(theirs.y).max())
 
 
-@pytest.mark.parametrize(("method", "scene"), CASES)
+@pairs(FIXED, ALL_SCENES, share=3)
 def test_the_tangent_loop_carries_the_derivative(method, scene):
     """Against differences of the compiled loop itself, of fourth order."""
     run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])
@@ -313,7 +307,7 @@ def test_an_ensemble_on_jax_is_the_same(method, scene, monkeypatch):
     def refused(*_):
         raise CannotRecord("for this test")
 
-    monkeypatch.setattr("contactbench.ensembles.loop_of", refused)
+    monkeypatch.setattr("contactbench.ensembles.chunks.loop_of", refused)
     theirs = cb.ensemble(scene, method, data, **options)
     for a, b in zip(scene.pack(ours.final), scene.pack(theirs.final), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-14)

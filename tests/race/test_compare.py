@@ -15,6 +15,7 @@ from contactbench.measure.ladder import ENDS
 from contactbench.methods.engines import ENGINES
 from contactbench.race import comparison, show
 from contactbench.race import scout as scouting
+from contactbench.race.keeping import kept
 from contactbench.race.table import COLUMNS, verdicts
 from contactbench.truth import OutOfTime
 
@@ -252,3 +253,15 @@ def test_text_page_and_plot_say_the_same(frame, tmp_path):
     assert [panel.title for panel in figure.panels] == ["Compiled", "Calling back into Python", "Evaluations"]
     drawn(figure).savefig(tmp_path / "plot.svg")
     assert (tmp_path / "plot.svg").stat().st_size > 10_000
+
+
+def test_round_off_of_a_map_that_grows_is_told_from_a_broken_law():
+    """Near the top of a double well round-off grows with the map; the bound of the tables of laws knows."""
+    frame = pd.DataFrame(
+        {
+            "contact_drift": [2e-12, 2e-12, 2e-12],
+            "map_growth": [50.0, 1.0, np.nan],
+            "evaluations": [2000.0] * 3,
+        }
+    )
+    assert kept(frame, cb.SCENES["oscillator"]) == ["contact drift", "", ""]

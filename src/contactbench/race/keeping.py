@@ -10,11 +10,11 @@ import pandas as pd
 from contactbench.errors import BadInput
 from contactbench.measure.ladder import setting
 from contactbench.measure.laws import Law, laws_of
+from contactbench.measure.pullback import growth
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import prepare
 from contactbench.race.scout import Attempt, Question, Scouted
-from contactbench.results.round_off import floor
-from contactbench.results.schema import Rule
+from contactbench.report.kept import bound, decided
 from contactbench.scene import Scene
 
 #: measures of a run that are no laws, or that another one covers
@@ -45,10 +45,13 @@ def laws_at(question: Question, scouted: Scouted, attempt: Attempt, seconds: flo
     options: dict[str, Any] = {**setting(item, attempt.value), "engine": scouted.engine}
     solution = prepare(scene, item.name, save_at=question.times, **options)()
     affordable = expected(scouted, attempt) <= seconds
-    return {
+    found = {
         law.name: _measured(law, solution)
         for law in laws_shown(scene) if affordable or not law.differentiates
     }  # fmt: skip
+    if affordable and scene.is_contact and solution.ok and solution.differential.taken:
+        found["map_growth"] = growth(solution.differential)
+    return found
 
 
 def _measured(law: Law, solution: object) -> float:
@@ -59,10 +62,7 @@ def _measured(law: Law, solution: object) -> float:
 
 
 def kept(frame: pd.DataFrame, scene: Scene) -> list[str]:
-    """For each row the labels of the laws kept to round-off."""
-    bound = floor(Rule.structure, frame)
+    """For each row the labels of the laws kept to round-off, by the bound of the tables of laws."""
     names = {law.name: law.label or law.name for law in laws_shown(scene) if law.name in frame}
-    return [
-        ", ".join(label for name, label in names.items() if row[name] <= limit)
-        for (_, row), limit in zip(frame.iterrows(), bound, strict=True)
-    ]
+    shown = {label: decided(frame[name], bound(frame, name))[0] for name, label in names.items()}
+    return [", ".join(label for label, keeps in shown.items() if keeps[i]) for i in frame.index]

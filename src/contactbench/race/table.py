@@ -48,7 +48,7 @@ def table(
     frame["ratio"] = frame["time_s"] / frame.groupby(["kind", "error_asked"])["time_s"].transform("min")
     frame["verdict"] = verdicts(frame, margins)
     frame["laws_kept"] = kept(frame, question.scene)
-    frame = frame[[*COLUMNS, *names, "time_repeat_ratio"]].astype(COLUMNS)
+    frame = frame.reindex(columns=[*COLUMNS, *names, "map_growth", "time_repeat_ratio"]).astype(COLUMNS)
     frame.attrs = {"margins": margins, "runs": runs(scouted)}
     return frame
 

@@ -27,7 +27,12 @@ class WithLaws(Mapping[str, Column]):
         return {**self.before, **{name: law_column(law) for name, law in LAWS.items()}, **self.after}
 
     def __getitem__(self, name: str) -> Column:
-        return self.now()[name]
+        for columns in (self.after, self.before):
+            if name in columns:
+                return columns[name]
+        if name not in LAWS:
+            raise KeyError(name)
+        return law_column(LAWS[name])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.now())

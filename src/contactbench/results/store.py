@@ -13,6 +13,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.results.round_off import floor
-from contactbench.results.schema import Column, Table
+from contactbench.results.schema import Column, Table, Type
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False}
@@ -43,7 +44,7 @@ def read(table: Table, results: Path) -> pd.DataFrame:
     """
     untimed, *times = table.files(results)
     if not untimed.exists():
-        return typed(pd.DataFrame(columns=[*table.every_column]), table)
+        return pd.DataFrame({name: no_values(column.type) for name, column in table.every_column.items()})
     frame = part(table, untimed)
     for path in times:
         if path.exists():
@@ -165,6 +166,12 @@ def converted(values: pd.Series, column: Column) -> pd.Series:
         return numbers.astype("Int64")
     numbers = numbers.astype(float)
     return numbers if column.infinite else numbers.mask(np.isinf(numbers))
+
+
+@cache
+def no_values(kind: Type) -> pd.Series:
+    """A column of this type without rows."""
+    return converted(pd.Series([], dtype=object), Column("", kind))
 
 
 # -- writing ---------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -318,16 +318,24 @@ METHOD_RULES: dict[int, Callable[[MethodCase], None]] = {
 }  # fmt: skip
 
 
-def method_cases(method: Method) -> Iterator[MethodCase]:
-    """The method on each of its engines and on scenes of every kind."""
-    for engine in method.engines:
-        for scene in CASES:
+def method_cases(
+    method: Method, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
+) -> Iterator[MethodCase]:
+    """The method on each of its engines, or some, and on scenes of every kind, or others."""
+    scenes = tuple(scenes)
+    for engine in method.engines if engines is None else engines:
+        for scene in scenes:
             yield MethodCase(method, engine, scene)
 
 
-def check_method(method: Method) -> None:
-    """Every rule of `methods.base.Method` on every engine and kind of scene; raises `Violation`."""
-    for case in method_cases(method):
+def check_method(
+    method: Method, *, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
+) -> None:
+    """Every rule of `methods.base.Method`; raises `Violation`.
+
+    engines, scenes : by default all of the method's, and one scene of every kind.
+    """
+    for case in method_cases(method, engines, scenes):
         check_case(case)
 
 
