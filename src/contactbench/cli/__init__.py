@@ -42,7 +42,7 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
         made = commands.add_parser(
             name,
             help=about,
-            description=about[0].upper() + about[1:] + ".",
+            description=f"{about[0].upper()}{about[1:].rstrip('?')}{'?' if about.endswith('?') else '.'}",
             parents=[PLUGIN],
             epilog=examples,
         )
