@@ -57,7 +57,7 @@ def wrong(method, engine, times, calls, shared, chosen=False):
 
 
 def stress(method, engine, times, calls):
-    each = max(THREADS, calls // (len(PAIRS) * len(TIMES) * 2))
+    each = THREADS * -(-calls // (THREADS * len(PAIRS) * len(TIMES) * 2))  # in all no fewer
     for shared in (True, False):
         assert wrong(method, engine, times, each, shared) == 0
 
