@@ -237,10 +237,13 @@ def test_thirty_kills_lose_and_double_nothing(tmp_path):
     kept: list = []
     timed_kills = 0
     for kill in range(KILLS):
+        old = set((tmp_path / FOLDER).glob("*/"))
         process = bench(tmp_path, SMALL, *(["--resume"] if kill else []))
         before, deadline = len(done(tmp_path, "smoke")), time.monotonic() + 60
         if kill % 2:
-            while process.poll() is None and len(done(tmp_path, "smoke")) == before:
+            while process.poll() is None and not any(
+                next(iter(entries(run)), None) for run in set((tmp_path / FOLDER).glob("*/")) - old
+            ):
                 assert time.monotonic() < deadline
                 time.sleep(0.02)
         else:
