@@ -137,6 +137,53 @@ def test_a_file_that_fails_is_one_line_that_names_it(text, says, tmp_path, regis
     assert says in err
 
 
+ENDS = {
+    "exit at import": ("import sys\nsys.exit(0)", "bad.py, line 2): SystemExit: 0"),
+    "loop at import": ("while True:\n    pass", "ended after 1 s, the time it was given (--plugin-timeout"),
+    "exit in a step": (
+        "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    raise SystemExit(0)",
+        "method 'bad', step (bad.py, line 4): SystemExit: 0",
+    ),
+    "loop in a step": (
+        "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    while x:\n        pass",
+        "ended after 1 s, the time it was given (--plugin-timeout",
+    ),
+    "a step that fails": (
+        "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    return {}['a']",
+        "method 'bad', step (bad.py, line 4): KeyError: 'a'",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(("text", "says"), ENDS.values(), ids=ENDS)
+def test_a_file_that_leaves_or_never_ends_is_told(text, says, tmp_path, registries, capsys, monkeypatch):
+    from contactbench.boundary import VARIABLE
+    from contactbench.cli import main
+
+    monkeypatch.setenv(VARIABLE, "60")
+    path = tmp_path / "bad.py"
+    path.write_text(text)
+    line = ["solve", "particle", "bad", "--step", "0.1", "--plugin", str(path), "--plugin-timeout", "1"]
+    assert main(line) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert says in err
+
+
+def test_a_traceback_is_shown_where_it_is_asked_for(tmp_path, registries, capsys):
+    from contactbench.cli import main
+
+    path = tmp_path / "bad.py"
+    path.write_text(ENDS["a step that fails"][0])
+    assert main(["list", "--plugin", str(path), "--traceback"]) == 2
+    err = capsys.readouterr().err
+    assert "Traceback (most recent call last)" in err
+    assert "return {}['a']" in err
+    assert err.splitlines()[-1].startswith("contactbench: method 'bad'")
+
+
 def test_a_missing_file_is_one_line_for_the_benchmark_too(tmp_path):
     done = run("pytest", "bench", "--plugin", tmp_path / "none.py", "--collect-only", "-q")
     assert done.returncode == 4

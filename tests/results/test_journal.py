@@ -222,3 +222,44 @@ def test_rows_of_a_run_whose_tables_are_foreign_stay_in_the_journal(tmp_path):
     shutil.move(path, tmp_path / "elsewhere")
     fold_dead_runs(tmp_path)
     assert len(read(CONVERGENCE, tmp_path)) == 1
+
+
+KILLS = 30
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_thirty_kills_lose_and_double_nothing(tmp_path):
+    """One run, killed and resumed: before its first cell, after one or two more, in the timed phase too.
+
+    Every other kill comes as soon as the process has begun, so that there are cells left for all of them.
+    """
+    kept: list = []
+    timed_kills = 0
+    for kill in range(KILLS):
+        old = set((tmp_path / FOLDER).glob("*/"))
+        process = bench(tmp_path, SMALL, *(["--resume"] if kill else []))
+        before, deadline = len(done(tmp_path, "smoke")), time.monotonic() + 60
+        if kill % 2:
+            while process.poll() is None and not any(
+                next(iter(entries(run)), None) for run in set((tmp_path / FOLDER).glob("*/")) - old
+            ):
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+        else:
+            time.sleep(0.2 * (kill % 16))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        kept += [entry for run in (tmp_path / FOLDER).glob("*/") for entry in entries(run)]
+        timed_kills += any(name == WORK_PRECISION.name for entry in kept for name, _ in entry["rows"])
+        assert len(done(tmp_path, "smoke")) >= before
+    finished(bench(tmp_path, SMALL, "--resume"))
+    assert timed_kills  # rows of timed cells were in the journal at a kill
+    for name, one in [pair for entry in kept for pair in entry["rows"]]:
+        frame = read(TABLES[name], tmp_path)
+        mine = frame[(frame["method"] == one["method"]) & (frame["setting"] == one["setting"])]
+        assert len(mine)
+    for table in (WORK_PRECISION, LAWS_TABLE, CONVERGENCE):
+        frame = read(table, tmp_path)
+        assert not frame.duplicated(list(table.key)).any()
+    assert len(read(WORK_PRECISION, tmp_path)) == TIMED
