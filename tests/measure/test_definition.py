@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 import planted_faults
-from contactbench.measure.definition import digest, method_lines, method_row, scene_row
+from contactbench.measure.definition import STEPPED, digest, method_lines, method_row, scene_row
 from contactbench.methods.contact import contact_method
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -56,4 +56,5 @@ def test_no_line_of_a_digest_is_an_address_in_memory(method):
     lines = method_lines(method)
     assert not [line for line in lines if " at 0x" in line]
     assert f"name={method.name!r}" in lines
-    assert any(line.startswith("particle [") for line in lines) == hasattr(method, "advance")
+    stepped = tuple(f"{scene} [" for scene in STEPPED)
+    assert any(line.startswith(stepped) for line in lines) == hasattr(method, "advance")

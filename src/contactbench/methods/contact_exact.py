@@ -181,7 +181,7 @@ class ExactMethod(Method):
         """Saved times are as many as steps."""
         return FREE_COST if engine in CALLBACKS else None
 
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat) -> Any:
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat | None = None) -> Any:
         """The state after the time nh, for engines that write loops of steps."""
         return evolved(scene, x, n * h, xp)
 
