@@ -404,3 +404,16 @@ def test_fixed_loops_are_long_enough_at_the_smallest_complement():
             carlson(math.sqrt(x), math.sqrt(m1), 1.5, (1.5 - x) * 1.5 * 0.5, xp) for xp in (math, Fixed(math))
         )
         assert fixed == pytest.approx(plain, rel=1e-14)
+
+
+@pytest.mark.parametrize("size", [1e-150, 1e-200, 1e-300, 1e-310, 1e-320, 5e-324])
+def test_attitude_stays_a_rotation_where_momentum_has_hardly_any_digits(size):
+    """A body that has all but stopped: squares of M underflow, then M itself is left with a digit or none."""
+    rng, scene = np.random.default_rng(3), cb.SCENES["underflow"]
+    for _ in range(50):
+        M = tuple(float(c) for c in size * rng.uniform(-4, 4, 3))
+        x = BodyState(M, (1.0, 0.0, 0.0, 0.0), None)
+        for _ in range(20):
+            x = free(scene, x, 0.5, math)
+        assert math.hypot(*x.R) == pytest.approx(1, abs=1e-13)
+        assert math.hypot(*x.M) == pytest.approx(math.hypot(*M), rel=1e-14, abs=200 * 5e-324)

@@ -87,8 +87,7 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
     ‖M‖ and J = R M are kept to round-off.  On the middle axis exactly the body stays there.
     """
     s = None if x.s is None else x.s + t * scene.energy(x)
-    L, resting = length(x.M, xp)
-    z = tuple(choose(resting, float(axis == 0), m / L, xp) for axis, m in enumerate(x.M))
+    L, z, resting = polar(x.M, xp)
     tau = choose(resting, 0.0 * t, L * t, xp)
     motion = settled(course(scene, z, xp), xp)
     turned, passed = settled(momentum(scene, motion, z, tau, xp), xp)
@@ -102,16 +101,20 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
     return settled(BodyState(M, quaternion_product(x.R, moved), s), xp)
 
 
-def length(v: Vector, xp: Any) -> tuple[Any, Any]:
-    """‖v‖, without squares that underflow, and whether it is zero; 1 then, so that no derivative of √0 is taken."""
+def polar(v: Vector, xp: Any) -> tuple[Any, Vector, Any]:
+    """‖v‖, v/‖v‖, and whether v is zero: 1 and the first axis then, so that no derivative of √0 is taken.
+
+    No square underflows, and the direction has length one where ‖v‖ itself has hardly any digits left.
+    """
     largest: Any = 0.0
     for c in v:
         size = choose(c < 0, -c, c, xp)
         largest = choose(size > largest, size, largest, xp)
     zero = largest == 0
     largest = choose(zero, 1.0, largest, xp)
-    scaled = [c / largest for c in v]
-    return largest * xp.sqrt(choose(zero, 1.0, dot(scaled, scaled), xp)), zero
+    scaled = [choose(zero, float(axis == 0), c / largest, xp) for axis, c in enumerate(v)]
+    size = xp.sqrt(dot(scaled, scaled))
+    return largest * size, tuple(c / size for c in scaled), zero
 
 
 def circled(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
