@@ -77,21 +77,6 @@ def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
     ]  # fmt: skip
 
 
-def test_the_committed_tables_give_every_method_and_scene_a_call():
-    work = read(WORK_PRECISION, REPOSITORY / "results")
-    cells = workload(work)
-    mine = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= 3e-3)]
-    assert {cell.scene for cell in cells} == set(work["scene"])
-    assert {(c.method, c.engine) for c in cells} >= set(
-        zip(mine["method"], mine["engine"], strict=True)
-    ) - set(zip(*(mine[mine["scene"] == "central"][n] for n in ("method", "engine")), strict=True))
-    assert {cell.method for cell in cells if cell.saves == MANY} >= {
-        "contact-rkn6",
-        "scipy-dop853",
-        "heyoka-taylor",
-    }
-
-
 CELLS = [Cell("particle", "contact-strang", "python", "step", 0.1, ())]
 
 

@@ -45,7 +45,7 @@ def test_a_partial_run_fills_its_part_of_every_table(results):
         "time_iqr_s", "rounds",
     ]  # fmt: skip
     assert work[needed].notna().all().all()
-    assert (work["rounds"] >= 5).all()
+    assert (work["rounds"] >= 2).all()  # both visits
     assert (work["time_min_s"] > 0).all()
     assert {"contact-strang", "rk4"} == set(read(CONVERGENCE, results)["method"])
     assert (results / "environment.json").exists()
@@ -149,7 +149,7 @@ def test_names_of_views_and_figures_are_unique_but_for_a_figure_shown_twice():
 
 def test_every_table_is_read_by_a_room_and_every_room_reads_tables():
     read_ = {name for room in ROOMS.values() for name in room.tables}
-    assert read_ == set(TABLES)
+    assert read_ == set(TABLES) - {"definitions"}  # which the gate alone reads
 
 
 def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit():

@@ -22,7 +22,9 @@ from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 RECORD = {"profile": "smoke"}
 SMALL = "particle and not long and not limit and (strang or cvode-adams)"
 TIMED = 5  # contact-strang on its three engines, cvode-adams on its two
-CELLS = 5 + 2 * TIMED  # convergence of one, decay and laws of both; what is timed is visited twice
+CELLS = (
+    6 + 2 * TIMED
+)  # the scene's definition, convergence of one, decay and laws of both; what is timed is visited twice
 
 
 def row(method="rk4", setting="step=0.1", **more):

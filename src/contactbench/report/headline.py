@@ -94,7 +94,8 @@ def excerpt(frames: Frames) -> list[Part]:
     work = frames["work_precision"]
     first = [finding for finding in all_findings(frames) if finding.name in EXCERPT]
     parts: list[Part] = [
-        *(replace(view, meaning=f"{GLANCE} {UNITS}") for view in glance(frames)),
+        *(replace(view, meaning=GLANCE) for view in glance(frames)),
+        Text(UNITS),
         spoken(first, elsewhere="#what-was-found"),
     ]
     for kind in (COMPILED,):

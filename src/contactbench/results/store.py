@@ -63,8 +63,9 @@ def part(table: Table, path: Path) -> pd.DataFrame:
         raise BadInput(f"{path}: not a readable CSV ({why}); move it away or restore it") from None
     if "schema" not in frame or not set(table.key) & set(frame.columns):
         raise BadInput(f"{path}: columns are not those of table {table.name!r}; move it away or restore it")
-    if frame["schema"].isna().any():
-        at = line(path, int(np.flatnonzero(frame["schema"].isna())[0]))
+    short = frame["schema"].isna() | (frame["schema"] == "")  # every row ends with it
+    if short.any():
+        at = line(path, int(np.flatnonzero(short)[0]))
         raise BadInput(f"{path}, line {at}: cut short; restore the file")
     old = sorted(set(frame["schema"]) - {str(table.version)})
     if old:
