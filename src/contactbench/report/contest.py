@@ -20,6 +20,7 @@ from contactbench.report.cells import DASH
 from contactbench.report.numbers import count, duration, many, names, power, times
 from contactbench.report.rooms import Frames
 from contactbench.results.statistics import TIE, cost_to_reach, noise, verdict
+from contactbench.splitting.flows import FREE_COST
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 DECADES = tuple(10.0**-k for k in range(3, 13))
@@ -54,12 +55,20 @@ class Kind:
     timed: bool = True
     #: column of the second measurement over the first
     repeat: str = "time_repeat_ratio"
+    #: whether a closed form, which costs the same for any span, takes part
+    exact: bool = True
+
+    def compares(self, rows: pd.DataFrame) -> pd.Series:
+        """The rows that take part."""
+        chosen = self.engines(rows["engine"])
+        return chosen if self.exact else chosen & (rows["control"] != "exact")
 
 
 EVALUATIONS = Kind(
     "evaluations", "Evaluations", "rhs_equivalents", lambda engine: ~engine.isin(UNTIMED), count,
     "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, "
-    "two rotations of the body, which together apply its whole vector field, count as one. Jacobians are not counted.",
+    "two rotations of the body, which together apply its whole vector field, count as one; its free flow in closed "
+    f"form counts as {FREE_COST} rotations. Jacobians are not counted.",
     timed=False,
 )  # fmt: skip
 COMPILED = Kind(
@@ -73,7 +82,8 @@ CALLED_BACK = Kind(
 MARGINAL = Kind(
     "marginal", "Marginal time, compiled", "marginal_s", COMPILED.engines, duration,
     "What one more unit of the scene's time takes, without what a call takes however short the run: from compiled "
-    "runs over a fifth of the span and all of it, at the same setting.", repeat="marginal_repeat_ratio",
+    "runs over a fifth of the span and all of it, at the same setting. A closed form costs the same for any span: it "
+    "has no marginal time and takes no part.", repeat="marginal_repeat_ratio", exact=False,
 )  # fmt: skip
 KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
 
@@ -237,7 +247,7 @@ class Field:
     def __init__(self, work: pd.DataFrame, kind: Kind) -> None:
         self.kind, self.margin = kind, margin(work, kind)
         part = contestants(work)
-        part = part[kind.engines(part["engine"]) & (part["status"] != "unsupported")]
+        part = part[kind.compares(part) & (part["status"] != "unsupported")]
         part = part.reindex(
             columns=[
                 "scene",

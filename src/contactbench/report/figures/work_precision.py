@@ -56,6 +56,12 @@ def quartiles(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
     return np.maximum(median - half, rows["time_min_s"].astype(float)), median + half
 
 
+def marginal_quartiles(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+    """About the marginal time; a bar that would reach zero ends at a tenth of it."""
+    half, cost = rows["marginal_iqr_s"].astype(float) / 2, rows["marginal_s"].astype(float)
+    return np.maximum(cost - half, cost / 10), cost + half
+
+
 def panel(part: pd.DataFrame, title: str, quantities: dict[str, tuple[str, float]], **options: Any) -> Panel:
     """Error on x, cost on y; the axis of cost ends where the contest ends."""
     x, y = error_axis(part), cost_axis(part, quantities)
@@ -71,12 +77,14 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
     panels = []
     for kind in KINDS:
-        part = rows[kind.engines(rows["engine"])]
+        part = rows[kind.compares(rows)]
         if not kind.timed:  # the same counts on every engine: one curve
             part = part.drop_duplicates(["method", "setting"])
         part = part[part[kind.cost].notna()]
         if len(part) and kind.timed:
-            panels.append(panel(part, kind.title, TIMES, apart=("engine",), bars=quartiles))
+            first = {kind.cost: TIMES[kind.cost], **TIMES}
+            bars = marginal_quartiles if kind.cost == "marginal_s" else quartiles
+            panels.append(panel(part, kind.title, first, apart=("engine",), bars=bars))
         elif len(part):
             panels.append(panel(part, kind.title, COUNTS))
     if not panels:
