@@ -32,6 +32,8 @@ LIMIT = "limit"
 CALLBACKS = ("python", "c+python")
 #: what marks a cost that is mostly fixed
 FIXED = " °"
+#: costs of whole calls, their fixed part included: of a call, and of each of its trajectories
+WHOLE = ("time_median_s", "each")
 #: of those that tie, so many are named
 NAMED = 3
 #: endings that are our doing: a finer setting might be more accurate
@@ -114,13 +116,18 @@ class Cost:
     """What an error costs a method: nan with the reason where it is not reached.
 
     bound : every setting is more accurate than that; it is the cost of the cheapest.
-    fixed : more than half of it does not grow with the length of the run.
+    share : how much of it does not grow with the run, nan where that was not measured.
     """
 
     value: float
     bound: bool = False
     reason: str = DASH
-    fixed: bool = False
+    share: float = math.nan
+
+    @property
+    def fixed(self) -> bool:
+        """Whether more than half of it does not grow with the length of the run, or the number of trajectories."""
+        return self.share > 0.5
 
     @property
     def reached(self) -> bool:
@@ -141,21 +148,22 @@ def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cos
     )
     loosest, reason = max(errors, default=math.nan), unreached(rows)
     values = ((target, cost_to_reach(errors, spent, target)) for target in targets)
-    fixed = np.zeros(len(ok), dtype=bool)
-    if column == "time_median_s" and "fixed_s" in rows:
-        shares = rows["fixed_s"].astype(float) / rows[column].astype(float)
-        fixed = (shares > 0.5).to_numpy(dtype=bool)
-    mostly = fixed[ok].tolist()
+    fixed = np.full(len(ok), math.nan)
+    if column in WHOLE and "fixed_s" in rows:
+        fixed = (rows["fixed_s"].astype(float) / rows["time_median_s"].astype(float)).to_numpy(dtype=float)
+    shares = fixed[ok].tolist()
     return [
-        Cost(value, target > loosest, reason, _fixed(errors, spent, mostly, target))
+        Cost(value, target > loosest, reason, _fixed(errors, spent, shares, target))
         for target, value in values
     ]
 
 
-def _fixed(errors: list[float], spent: list[float], fixed: list[bool], target: float) -> bool:
-    """Whether the cheapest setting that reaches an error spends more than half on what does not grow."""
-    reach = [(s, f) for e, s, f in zip(errors, spent, fixed, strict=True) if e <= target and math.isfinite(s)]
-    return bool(reach) and min(reach)[1]
+def _fixed(errors: list[float], spent: list[float], shares: list[float], target: float) -> float:
+    """How much the cheapest setting that reaches an error spends on what does not grow."""
+    reach = [
+        (s, f) for e, s, f in zip(errors, spent, shares, strict=True) if e <= target and math.isfinite(s)
+    ]
+    return min(reach)[1] if reach else math.nan
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,10 @@ DASHES = (
 )
 
 
+#: what the marks of single methods mean
+CHEAPEST = "Bold: the cheapest, alone; italic: those that tie for it."
+
+
 def error_heads(words: bool = False) -> list[Head]:
     return [Head(f"error {power(target)}", words=words) for target in TARGETS]
 
@@ -49,7 +53,8 @@ def winners_view(
     heads = (Head("scene", words=True), *error_heads(words=True))
     meaning = (
         f"{field.kind.about} The cheapest at each error, then the next beyond a tie. "
-        f"{said(field.margin)} {DASHES}"
+        f"{said(field.margin)} Bold: the cheapest, alone, or contact methods that tie among themselves; italic: a "
+        f"contact method and another tie. {DASHES}"
     )
     return View(name, title, meaning, heads, tuple(rows), source)
 
@@ -71,7 +76,7 @@ def costs_view(field: Field, scene: str, source: str) -> View:
             )
         else:
             rows.append((word(method), *cells))
-    meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
+    meaning = f"{field.kind.about} {said(field.margin)} {CHEAPEST} {DASHES}"
     title = f"{field.kind.title} on {scene}"
     heads = (Head("method", words=True), *error_heads())
     return View(f"{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
@@ -102,7 +107,9 @@ def duel_view(field: Field, scene: str, source: str, targets: Iterable[float] = 
         Head("cheaper", words=True),
     )  # fmt: skip
     title = f"{field.kind.title} on {scene}: the best contact method and the best other"
-    meaning = f"{field.kind.about} {said(field.margin)} {DASHES}"
+    meaning = (
+        f"{field.kind.about} {said(field.margin)} Bold: the cheaper of the two; italic: they tie. {DASHES}"
+    )
     return View(f"duel_{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs
-from contactbench.report.contest_views import DASHES, error_heads, said
+from contactbench.report.contest_views import CHEAPEST, DASHES, error_heads, said
 from contactbench.report.figures import ensemble as figures
 from contactbench.report.numbers import count, duration, many, names, power, times
 from contactbench.report.raw import raw
@@ -112,7 +111,7 @@ def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
     timed = "Time per trajectory"
     if marginal:
         timed = "What one more trajectory takes, from calls with a quarter of them and all"
-    meaning = f"{timed}, on one core. {spoken}. {said(tie)} {DASHES}"
+    meaning = f"{timed}, on one core. {spoken}. {said(tie)} {CHEAPEST} {DASHES}"
     name, title = "ensemble_error", "A trajectory at equal error"
     if marginal:
         name, title = "ensemble_marginal", "One more trajectory at equal error"
@@ -138,33 +137,33 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
     return View(f"ensemble_{question}", title, "Median of the whole call.", heads, tuple(rows), SOURCE)
 
 
-def affine(line: pd.DataFrame) -> tuple[float, float]:
-    """Fixed seconds of a call and seconds per trajectory beyond, fitted to relative accuracy over their number."""
-    n, spent = line["trajectories"].to_numpy(dtype=float), line["time_median_s"].to_numpy(dtype=float)
-    weighted = np.stack([1 / spent, n / spent], axis=1)
-    fixed, each = np.linalg.lstsq(weighted, np.ones(len(n)), rcond=None)[0]
-    return max(float(fixed), 0.0), float(each)
+def leaders(part: pd.DataFrame, column: str, repeat: str) -> dict[float, dict[str, Cost]]:
+    """The cheapest at each error, and those that tie with it, cheapest first."""
+    tie = max(TIE, noise(part, repeat))
+    found = {
+        f"{method} {variant}".strip(): costs(rows, column, TARGETS)
+        for (method, variant), rows in part.groupby(["method", "variant"], sort=False)
+    }
+    first = {}
+    for i, target in enumerate(TARGETS):
+        reached = sorted((own[i].value, name) for name, own in found.items() if own[i].reached)
+        if reached:
+            first[target] = {name: found[name][i] for value, name in reached if value <= tie * reached[0][0]}
+    return first
 
 
-def overhead(frame: pd.DataFrame, part: pd.DataFrame) -> str:
-    """How much of the times at equal error is the fixed cost of a call, where it was measured."""
-    many_of = part["trajectories"].max()
+def told(first: dict[float, dict[str, Cost]]) -> str:
+    """The cheapest at each error, what it costs, and how much of that is fixed where it was measured."""
     said = []
-    for (method, setting), line in asked(frame, "size").groupby(["method", "setting"], sort=False):
-        if line["trajectories"].nunique() < 3:
-            continue
-        fixed, each = affine(line)
-        whole = fixed + many_of * each
+    for target, own in first.items():
+        least = next(iter(own.values()))
+        shares = [f"{100 * c.share:.0f} %" for c in own.values() if c.share >= 0]
+        fixed = f" ({names(shares)} fixed)" if len(shares) == len(own) else ""
         said.append(
-            f"{method} at {setting} takes {duration(fixed)} a call and {duration(each)} a trajectory, so that "
-            f"{100 * fixed / whole:.0f} % of a call with {count(many_of)} are fixed"
+            f"{power(target)} {'tie: ' if len(own) > 1 else ''}{names(list(own))} "
+            f"{'≤ ' if least.bound else ''}{duration(least.value)}{fixed}"
         )
-    if not said:
-        return ""
-    return (
-        f" They are whole calls of {count(many_of)} trajectories, their fixed cost included: {names(said)}. "
-        "The cheaper the method, the less these times say about larger ensembles."
-    )
+    return "; ".join(said)
 
 
 def findings(frames: Frames) -> list[Finding]:
@@ -173,21 +172,17 @@ def findings(frames: Frames) -> list[Finding]:
     part = part[(part["family"] != LIMIT) & COMPILED.engines(part["engine"])]
     if not len(part):
         return []
-    tie = max(TIE, noise(part))
-    found = {
-        key: costs(rows, "each", TARGETS) for key, rows in part.groupby(["method", "variant"], sort=False)
-    }
-    leaders = []
-    for i, target in enumerate(TARGETS):
-        reached = sorted((c[i].value, f"{m} {v}".strip()) for (m, v), c in found.items() if c[i].reached)
-        if reached:
-            first = [name for value, name in reached if value <= tie * reached[0][0]]
-            leaders.append(
-                f"{power(target)} {'tie: ' if len(first) > 1 else ''}{names(first)} {duration(reached[0][0])}"
-            )
-    sentence = f"Least time per trajectory at equal error: {'; '.join(leaders)}.{overhead(frame, part)}"
-    covers = f"{many(part['method'].nunique(), 'method')}, one core, {count(part['trajectories'].max())} trajectories"
-    return [Finding("ensembles", "Ensembles", sentence, covers)] if leaders else []
+    calls, many_of = leaders(part, "each", "time_repeat_ratio"), count(part["trajectories"].max())
+    if not calls:
+        return []
+    sentence = f"Least time per trajectory at equal error, whole calls of {many_of}: {told(calls)}."
+    more = leaders(part, "marginal_s", "marginal_repeat_ratio")
+    if more and {e: set(own) for e, own in more.items()} != {e: set(own) for e, own in calls.items()}:
+        sentence += f" One more trajectory, without what every call takes: {told(more)}."
+    covers = f"{many(part['method'].nunique(), 'method')}, one core, {many_of} trajectories"
+    if " fixed)" in sentence:
+        covers += "; fixed: whatever their number, at the cheapest setting that reaches the error"
+    return [Finding("ensembles", "Ensembles", sentence, covers)]
 
 
 def sections(frames: Frames) -> list[Part]:

@@ -14,6 +14,8 @@ from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room
 from contactbench.results.tables import ONE_STEP, STABILITY_LIMITS
 
+ISLANDS = "intervals of stable steps no longer than 1 % of the step at which they begin are left out"
+
 
 def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View | None:
     """Methods × damping of one limit at ω = 1; theory in parentheses beside the first loss of stability."""
@@ -40,7 +42,8 @@ def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View 
     meaning = f"{upper(STABILITY_LIMITS.columns[column].meaning)}; q'' + γq' + q = 0."
     if column == "limit":
         meaning += (
-            " In parentheses what theory gives. Marked: larger steps are stable again, see the windows."
+            " In parentheses what theory gives. Marked: larger steps are stable again, see the windows; "
+            f"{ISLANDS}."
         )
     return View(name, title, meaning, heads, tuple(rows), "stability_limits.csv")
 
@@ -60,7 +63,9 @@ def windows_view(frame: pd.DataFrame) -> View | None:
     heads = (
         Head("method", words=True), Head("γ"), Head("first loss of stability"), Head("unstable steps", words=True),
     )  # fmt: skip
-    meaning = f"{upper(STABILITY_LIMITS.columns['windows'].meaning)}; ω = 1."
+    meaning = (
+        f"{upper(STABILITY_LIMITS.columns['windows'].meaning)}; ω = 1. {upper(ISLANDS)}: they end no window."
+    )
     return View("windows", "Windows of instability", meaning, heads, tuple(rows), "stability_limits.csv")
 
 
