@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import contactbench as cb
 from contactbench import truth
 from contactbench.errors import BadInput
 from contactbench.scene import Mechanical
@@ -300,3 +301,20 @@ def test_no_method_under_test_is_imported(path):
 @each_scene
 def test_recomputation_confirms_the_files(generate, name):
     assert generate.check(SCENES[name]) == []
+
+
+def test_a_power_at_zero_is_told_as_that_and_a_product_has_a_reference():
+    """heyoka's series of x**3 divides by x; the motion itself is harmless."""
+    own = {"q": (0.0,), "p": (0.5,), "gamma": 0.2, "t_end": 1.0}
+    power = cb.Mechanical(
+        name="power", potential=lambda q: q[0] ** 4 / 4, gradient=lambda q: (q[0] ** 3,), **own
+    )
+    product = cb.Mechanical(
+        name="product", potential=lambda q: q[0] * q[0] * q[0] * q[0] / 4, gradient=lambda q: (q[0] * q[0] * q[0],),
+        **own,
+    )  # fmt: skip
+    with pytest.raises(cb.BadInput, match=r"write x \* x \* x"):
+        cb.reference(power, [1.0])
+    assert cb.solve(power, "heyoka-taylor", rtol=1e-9).status == "failed"
+    assert cb.solve(product, "heyoka-taylor", rtol=1e-9).status == "ok"
+    assert cb.reference(product, [1.0]).digits >= 30

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,11 @@ def taylor(
         raise BadInput(f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed")
     if outcome != heyoka.taylor_outcome.time_limit:
         watch.check(float(integrator.time))
+        if math.isnan(float(integrator.time)):
+            raise BadInput(
+                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; heyoka has none for "
+                "x**3 and higher powers at x = 0: write x * x * x"
+            )
         raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
 
