@@ -105,12 +105,13 @@ class TaylorRun(Prepared):
         stopped = (float(ta.time), ta.state.copy())
         if outcome == self.outcomes.step_limit:
             return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
-        # heyoka's series of x**n divides by x: not finite at once is a failure of the series, not of the motion
-        begun = np.isfinite(ta.time) and ta.time > 0
-        status = Status.diverged if outcome == self.outcomes.err_nf_state and begun else Status.failed
         message = f"{outcome.name} at t = {ta.time:.6g}"
-        if not begun:
+        if (
+            not ta.time > 0
+        ):  # heyoka's series of x**n divides by x: a failure of the series, not of the motion
             message += "; heyoka has no series of x**3 and higher powers at x = 0: write x * x * x"
+            return self.finished(y0, y[:0], counts, Status.failed, message)
+        status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
         return self.finished(y0, y, counts, status, message, stopped)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -68,8 +68,8 @@ def taylor(
         watch.check(float(integrator.time))
         if math.isnan(float(integrator.time)):
             raise BadInput(
-                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; heyoka has none for "
-                "x**3 and higher powers at x = 0: write x * x * x"
+                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; heyoka has "
+                "none for x**3 and higher powers at x = 0: write x * x * x"
             )
         raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
