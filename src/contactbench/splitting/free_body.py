@@ -223,7 +223,11 @@ def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle:
     spun = quaternion_product((xp.cos(angle / 2), xp.sin(angle / 2), 0.0, 0.0), frame(local(turned), xp))
     w, *v = quaternion_product((w, *(-c for c in v)), spun)
     body = [choose(on_smallest, v[(j - smallest) % 3], v[(j - largest) % 3], xp) for j in range(3)]
-    return (w, *body)
+    turn = (w, *body)
+    unit = (
+        3 - dot(turn, turn)
+    ) / 2  # 1/‖turn‖ to round-off: what is off has one sign, and would add up over many steps
+    return tuple(unit * c for c in turn)
 
 
 def frame(z: Vector, xp: Any) -> Vector:
