@@ -224,6 +224,7 @@ def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle:
     w, *v = quaternion_product((w, *(-c for c in v)), spun)
     body = [choose(on_smallest, v[(j - smallest) % 3], v[(j - largest) % 3], xp) for j in range(3)]
     turn = (w, *body)
+    # 1/‖turn‖ to round-off: what is off has one sign, and would add up over many steps
     unit = (3 - dot(turn, turn)) / 2
     return tuple(unit * c for c in turn)
 
