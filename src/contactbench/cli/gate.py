@@ -14,8 +14,8 @@ from contactbench.errors import BadInput, positive
 def seconds(text: str) -> float:
     """A positive number of seconds, for argparse."""
     try:
-        return positive("seconds", text)
-    except BadInput as error:
+        return positive("seconds", float(text))
+    except (BadInput, ValueError) as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
