@@ -36,7 +36,7 @@ MUTATED = [
     (elliptic, ("jacobi", "carlson", "arc", "bent_part")),
     (
         free_body,
-        ("course", "free", "length", "momentum", "precession", "phase", "sense", "attitude", "frame"),
+        ("course", "free", "polar", "momentum", "precession", "phase", "sense", "attitude", "frame"),
     ),
     (free_body, ("handedness", "circled")),
     (dissipation, ("damped_by", "by_quadrature", "survival")),
