@@ -307,7 +307,10 @@ def test_a_power_at_zero_is_a_product_to_heyoka():
     """heyoka's own series of x**3 divides by x: a double well begun on its top would have no run and no reference."""
     own = {"q": (0.0,), "p": (0.5,), "gamma": 0.2, "t_end": 5.0}
     power = cb.Mechanical(
-        name="power", potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, gradient=lambda q: (q[0] ** 3 - q[0],), **own
+        name="power",
+        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
+        gradient=lambda q: (q[0] ** 3 - q[0],),
+        **own,
     )
     product = cb.Mechanical(
         name="product", potential=lambda q: q[0] * q[0] * q[0] * q[0] / 4 - q[0] * q[0] / 2,
