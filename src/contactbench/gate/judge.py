@@ -124,7 +124,9 @@ def slower(root: Path, cells: Sequence[Cell], revision: str | None, budget: floa
     cells = cells if budget is None else kinds_first(cells, commit)
     with revisions.checkout(root, commit) as tree:
         pythons, trees = (revisions.interpreter(tree, root), sys.executable), (tree, root)
-        for python, sources in zip(pythons, trees, strict=True):  # neither has to compile modules it imports late
+        for python, sources in zip(
+            pythons, trees, strict=True
+        ):  # neither has to compile modules it imports late
             subprocess.run([python, "-m", "compileall", "-q", str(sources / "src")], capture_output=True)
         return timed(pythons, trees, cells, until, (commit[:12], head))
 
@@ -166,7 +168,7 @@ def timed(
         if (said := speed.verdict(ratio, again.get(i))) != "pass"
     ]  # fmt: skip
     lines += once_a_process(pythons, trees, cells, first.costs, until)
-    return Verdict(tuple(lines), sentences(first, lines, names), refusals(cells, first))
+    return Verdict(tuple(lines), sentences(first, lines, names), refusals(cells, first), len(first.ratios))
 
 
 def reserve(until: float) -> float:
