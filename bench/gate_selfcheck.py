@@ -126,8 +126,12 @@ def work_off(tasks: Sequence[Task], journal: Journal, results: Path) -> None:
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             running = {pool.submit(task.judge): task for task in left if task.shared}
-            for future in as_completed(running):
-                finished(running[future], future.result())
+            try:
+                for future in as_completed(running):
+                    finished(running[future], future.result())
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
         for task in left:
             if not task.shared:
                 finished(task, task.judge())
@@ -154,6 +158,8 @@ def main() -> int:
         )
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))  # worktrees are removed on the way out
     results = arguments.results.resolve()
+    if not (results / "work_precision.csv").exists():
+        sys.exit(f"gate_selfcheck: {results}: no tables of a benchmark there")
     parts = (arguments.only,) if arguments.only else judge.PARTS
     question = {"commit": revisions.commit_of(ROOT, "HEAD"), "parts": list(parts), "runs": arguments.runs}
     journal = Journal(results / FOLDER / "gate_selfcheck.jsonl", question)

@@ -217,17 +217,12 @@ def tasks(runs: int, results: Path, scratch: Path) -> list[Task]:
     return [
         Task("other rounding", 1, partial(other_rounding, results)),
         Task("other numbers", 40, partial(others, "all", OTHER, 1.03, truth, scratch)),
-        Task("other numbers, a little", 40, partial(others, "not seen", UNSEEN, LITTLE, truth, scratch)),
         *(Task(f"coefficients, part {k + 1}", 15, partial(coefficients, k, scratch)) for k in range(SHARES)),
         *(Task(fault.what, 6, partial(one_fault, fault, scratch)) for fault in FAULTS),
+        Task("other numbers, a little", 40, partial(others, "not seen", UNSEEN, LITTLE, truth, scratch)),
         *(
-            Task(
-                f"identical code, {condition}, {k + 1}",
-                40,
-                partial(identical, condition, k, truth, scratch),
-                shared=False,
-            )
+            Task(f"identical code, {c}, {k + 1}", 40, partial(identical, c, k, truth, scratch), shared=False)
             for k in range(runs)
-            for condition in (AS_IT_WAS, LOADED)
+            for c in (AS_IT_WAS, LOADED)
         ),
     ]

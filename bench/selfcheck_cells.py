@@ -32,7 +32,7 @@ Rows = dict[str, list[dict[str, Any]]]
 def planted(call: str, path: Path) -> Iterator[None]:
     """What a plug-in file at `path` registers, for as long as the block lasts."""
     whole = [(registry, dict(registry)) for registry in Registry.every]
-    loaded, named = dict(plugins.LOADED), os.environ.get(plugins.VARIABLE)
+    loaded, named = dict(plugins.LOADED), os.environ.get(plugins.VARIABLE, "")
     if call:
         plugins.load_file(plugin(path, call))
     try:
@@ -43,8 +43,7 @@ def planted(call: str, path: Path) -> Iterator[None]:
             registry.update(kept)
         plugins.LOADED.clear()
         plugins.LOADED.update(loaded)
-        if named is None:
-            os.environ.pop(plugins.VARIABLE, None)
+        os.environ[plugins.VARIABLE] = named
 
 
 def rows_of(experiment: str, cell: tuple[Any, ...]) -> Rows:

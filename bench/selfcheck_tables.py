@@ -70,7 +70,8 @@ DOCTORED = (
     ),
     Doctored(
         "profile edited from smoke to full", (HEAD,),
-        rewritten("laws", lambda f: f.assign(profile=f["profile"].replace("smoke", "full"))), "committed profile", "laws",
+        rewritten("laws", lambda f: f.assign(profile=f["profile"].replace("smoke", "full"))),
+        "committed profile", "laws",
     ),
     Doctored(
         "profiles blanked", (HEAD,), rewritten("laws", lambda f: f.assign(profile="")), "committed profile", "laws",
