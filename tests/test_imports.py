@@ -10,7 +10,9 @@ import pytest
 #: libraries, and parts of the package, that take long to load
 HEAVY = {"jax", "numba", "matplotlib", "mpmath", "pandas", "diffrax", "heyoka", "sksundae", "CyRK"}
 SOLVERS = {"scipy.integrate", "scipy.linalg", "scipy.optimize"}
-PARTS = {f"contactbench.{part}" for part in ("ensembles", "gate", "race", "report", "results.store", "testing")}
+PARTS = {
+    f"contactbench.{part}" for part in ("ensembles", "gate", "race", "report", "results.store", "testing")
+}
 
 
 def loaded(statement: str) -> str:
