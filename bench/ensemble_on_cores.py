@@ -1,4 +1,4 @@
-"""One ensemble cell on several cores, its row and times printed: ``python ensemble_on_cores.py '[[cores], [cell]]'``."""
+"""An ensemble cell on several cores, its row and times: ``python ensemble_on_cores.py '[[cores], [cell]]'``."""
 
 from __future__ import annotations
 
