@@ -6,9 +6,9 @@ import argparse
 import json
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
+from contactbench.cli.outputs import output, picture
 from contactbench.cli.parsing import Command
 from contactbench.cli.solve import assignments
 from contactbench.errors import BadInput
@@ -90,8 +90,8 @@ Exit status: 0 done, 2 bad input or no reference, 130 interrupted.""",
         "--error", default="1e-3,1e-6,1e-9", metavar="E,E,…", help="errors asked for, relative to the motion"
     )
     race.add_argument("--budget", default="60s", metavar="TIME", help="for everything (default: 60s)")
-    race.add_argument("--html", type=Path, metavar="FILE", help="one page: tables and figure")
-    race.add_argument("--plot", type=Path, metavar="FILE", help="the figure alone (.svg, .png, .pdf)")
-    race.add_argument("--csv", type=Path, metavar="FILE", help="the rows")
+    race.add_argument("--html", type=output, metavar="FILE", help="one page: tables and figure")
+    race.add_argument("--plot", type=picture, metavar="FILE", help="the figure alone (.svg, .png, .pdf)")
+    race.add_argument("--csv", type=output, metavar="FILE", help="the rows")
     race.add_argument("--json", action="store_true", help="print one JSON object")
     race.add_argument("--quiet", action="store_true", help="no progress on stderr")
