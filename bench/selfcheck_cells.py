@@ -13,7 +13,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,8 @@ def rows_of(experiment: str, cell: tuple[Any, ...]) -> Rows:
         found.setdefault(table.name, []).append({**family, **row, "profile": profile.name})
 
     given = {"cell": cell, "record": record, "profile": profile}
-    test(**{name: given[name] for name in inspect.signature(test).parameters})
+    with suppress(AssertionError):  # a cell that fails keeps its rows, as in a run of the benchmark
+        test(**{name: given[name] for name in inspect.signature(test).parameters})
     return found
 
 
