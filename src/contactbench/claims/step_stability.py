@@ -38,8 +38,9 @@ def largest_radius(name: str, gamma: float) -> float:
     return float(max(np.max(coarse), np.max(radius(name, gamma, np.linspace(0.97 * h, 1.03 * h, 2001)))))
 
 
-def unconditional_from(name: str, low: float = 0.3, high: float = 0.7) -> float:
+def unconditional_from(name: str) -> float:
     """The γ/ω from which no step size has an eigenvalue outside the unit circle, by bisection."""
+    low, high = 0.3, 0.7
     while high - low > 1e-9:
         middle = (low + high) / 2
         low, high = (middle, high) if largest_radius(name, middle) > 1 + SLACK else (low, middle)
