@@ -72,7 +72,7 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         assert r.rtol is not None
         self.composition = RKN6
-        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
+        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), ("gradient",), 1)
         scene: Any = r.scene
         #: gradients that the curvature of a state costs where the scene has no Hessian
         self.by_gradients = len(scene.q) if scene.hessian is None else 0
