@@ -150,13 +150,14 @@ def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str,
         return [text_of(c) for c in ([*map(value, end), *map(slope, end)] if tangent else end)]
 
     def going(x: list[Any], time: Any, density: Any, steps: Any, due: Any) -> tuple[Any, Any]:
-        square = dot(x[: scene.motion], x[: scene.motion])
-        healthy = (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
+        healthy = (steps < budget) & (epsilon > SHORTEST * span * density)
+        for c in x[: scene.motion]:
+            healthy = healthy & (c * c <= bound)
         return time + epsilon / density <= due, healthy
 
     start = [tape.assign(f"start[{i}]", "f", outer) for i in range(size)]
     square = dot(start[: scene.motion], start[: scene.motion])
-    bound = scene.motion * DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
+    bound = DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
     first = first_density(twin, scene.unpack(start[:d], carry), epsilon, span, xp.maximum)
     outer.add(*(f"x{i} = {text_of(c)}" for i, c in enumerate(start)))
     outer.add("time = 0.0", "steps = 0.0", f"density = {text_of(first)}")
@@ -204,7 +205,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
     def integrate(self, y0: np.ndarray) -> Outcome:
         r, epsilon, span = self.request, self.epsilon, self.span
         scene: Any = r.scene
-        bound = self._motion * divergence_bound(y0[: self._motion]) ** 2  # beyond it one component is out
+        bound = divergence_bound(y0[: self._motion]) ** 2
         x, time, steps = scene.unpack(y0.tolist(), r.carry), 0.0, 0
         y = np.full((len(r.save_at), len(y0)), math.nan)
         density = math.nan
@@ -215,7 +216,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
                     step = epsilon / density
                     if steps == r.max_steps or not step > SHORTEST * span:
                         break
-                    if not sum(c * c for part in x[:2] for c in part) <= bound:
+                    if not all(c * c <= bound for part in x[:2] for c in part):
                         break
                     x = advance(self.composition, scene, x, step, 1, math)
                     density = next_density(scene, x, density, epsilon, span, max)
@@ -321,7 +322,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         epsilon, span, budget = options
         start = scene.unpack(list(y0), r.carry)
         square = y0[: self._motion] @ y0[: self._motion]
-        bound = self._motion * DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
+        bound = DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
 
         def pace(x: Any) -> Any:
             return lax.stop_gradient(x) if frozen else x
@@ -332,8 +333,8 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
 
         def healthy(carried: Any) -> Any:
             x, _time, density, steps = carried
-            square = sum(c * c for part in x[:2] for c in part)
-            return (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
+            inside = jnp.all(jnp.stack([c * c <= bound for part in x[:2] for c in part]))
+            return (steps < budget) & (epsilon > SHORTEST * span * density) & inside
 
         def step(carried: Any) -> Any:
             x, time, density, steps = carried

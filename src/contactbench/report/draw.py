@@ -29,7 +29,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 from matplotlib.transforms import Bbox
 
 from contactbench.report import labels
-from contactbench.report.drawing import Axis, Curve, Figure, Heat, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Heat, Panel, Span
 from contactbench.report.look import MUTED, ROLES, look
 from contactbench.report.scales import decades, points, spanned
 
@@ -37,6 +37,8 @@ SHADED = "#f0f4ff"
 #: inches around a panel: left, right, below, above; heads of figures, rows of the legend
 AROUND = (0.78, 0.16, 0.58, 0.3)
 REMARK, TITLE, LEGEND_ROW, HANDLE, LETTER, BAR = 0.17, 0.34, 0.24, 0.7, 0.075, 0.8
+#: the height of the label of a span
+TAG = 0.16
 #: figures that are worth starting processes for
 FEWEST_FOR_PROCESSES = 8
 OTHERS = "other methods"
@@ -206,9 +208,7 @@ def draw_panel(figure: Drawn, axes: Axes, panel: Panel, size: tuple[float, float
         else:
             shade(span.low, span.high, color=SHADED, zorder=0)
         if span.label:
-            place = (0.02, span.high) if span.axis == "y" else (span.low, 0.98)
-            transform = axes.get_yaxis_transform() if span.axis == "y" else axes.get_xaxis_transform()
-            axes.text(*place, plain(span.label), transform=transform, color="#5566aa", fontsize=8, va="top")
+            tag(axes, span)
     if panel.z is not None:
         put(axes, "z", panel.z, (), size[1])
         axes.view_init(*panel.view)  # type: ignore[attr-defined]
@@ -222,6 +222,20 @@ def draw_panel(figure: Drawn, axes: Axes, panel: Panel, size: tuple[float, float
     if panel.remark:
         axes.text(0.5, 1.012, plain(panel.remark), transform=axes.transAxes, ha="center", va="bottom",
                   fontsize=8, color="#666666")  # fmt: skip
+
+
+def tag(axes: Axes, span: Span) -> None:
+    """The label of a span, inside it; above it where too little of it is seen, nowhere where nothing is."""
+    low, high = sorted(axes.get_ylim() if span.axis == "y" else axes.get_xlim())
+    if not low < span.high or not span.low < high:
+        return
+    if span.axis == "x":
+        place, transform, side = (max(low, span.low), 0.98), axes.get_xaxis_transform(), "top"
+    else:
+        place, transform = (0.02, min(high, span.high)), axes.get_yaxis_transform()
+        seen = axes.transData.transform([(1, place[1]), (1, max(low, span.low))])[:, 1]
+        side = "top" if seen[0] - seen[1] > TAG * axes.figure.dpi else "bottom"
+    axes.text(*place, plain(span.label), transform=transform, color="#5566aa", fontsize=8, va=side)
 
 
 def sphere(axes: Axes) -> None:
