@@ -23,10 +23,6 @@ from contactbench.measure.clock import (
     time_columns,
 )
 
-#: rounds of a visit, at least, by the seconds a round takes: one where it is so long that what disturbs it
-#: averages out within it
-FEWEST = ((WARM, 3), (0.1, 2), (math.inf, 1))
-
 
 @dataclass
 class Cell:
@@ -115,7 +111,7 @@ class Clock:
             run()
             cell.once = perf_counter() - start
         iterations = cell.iterations if cell.measured else calls_a_round(cell.once)
-        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once, FEWEST)
+        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once)
         self.benchmark.group = group
         shorter: Samples = []
 

@@ -230,7 +230,7 @@ def test_splitting_force_and_friction_gets_the_creep_wrong(damping, expected):
 
 
 def test_the_slow_rate_is_the_one_orbits_show():
-    from hard_cells import overdamped_row
+    from stability_rows import overdamped_row
 
     for name in ("contact-abc", "contact-strang"):
         row = overdamped_row(name, "step", 0.1, None)
@@ -239,7 +239,7 @@ def test_the_slow_rate_is_the_one_orbits_show():
 
 
 def test_a_rate_is_read_off_an_oscillating_energy():
-    from hard_cells import energy_rate
+    from stability_rows import energy_rate
 
     t = np.arange(1, 1001) * 10.0
     energy = np.exp(-1e-5 * t) * (1 + 0.03 * np.cos(2.1 * t + 0.3))
@@ -252,7 +252,7 @@ def test_a_rate_is_read_off_an_oscillating_energy():
 )
 def test_weak_damping_is_measured_at_the_same_cost(name, off):
     """At eight evaluations a unit of time the dissipation of a peer is a good part of the true one."""
-    from hard_cells import COST, weak_row
+    from stability_rows import COST, weak_row
 
     row = weak_row("weak_damping", name, 1000.0)
     assert row["status"] == "ok"
@@ -263,8 +263,8 @@ def test_weak_damping_is_measured_at_the_same_cost(name, off):
 @pytest.mark.parametrize("t_end", [1e4, 1e5])
 def test_the_exact_solution_has_no_error_of_its_rate(t_end):
     """A method that returns the truth, through all that a method goes through."""
-    from hard_cells import weak_row
     from planted import plant_truth
+    from stability_rows import weak_row
 
     with plant_truth() as name:
         row = weak_row("weak_damping", name, t_end)
@@ -274,7 +274,7 @@ def test_the_exact_solution_has_no_error_of_its_rate(t_end):
 
 
 def test_the_truth_between_frozen_times_is_that_of_one_long_run():
-    from hard_cells import SAMPLES, against_truth
+    from stability_rows import SAMPLES, against_truth
 
     scene = cb.SCENES["weak_damping_particle"]
     times = scene.t_end * np.arange(1, SAMPLES + 1) / SAMPLES
@@ -285,7 +285,7 @@ def test_the_truth_between_frozen_times_is_that_of_one_long_run():
 def test_the_error_of_a_rate_is_no_matter_of_sampling():
     """Twice as many samples give the same; on the 200 frozen times, 50 apart, the oscillation of H0 is
     taken for a slow one, and the error is a hundred times as large."""
-    from hard_cells import against_truth
+    from stability_rows import against_truth
 
     scene, found = cb.SCENES["weak_damping_particle"], []
     for samples in (200, 1000, 2000):

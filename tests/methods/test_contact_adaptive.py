@@ -58,6 +58,15 @@ def test_engines_agree(scene):
         assert runs[0].counts == run.counts
 
 
+@pytest.mark.parametrize("scene", [KEPLER.with_(t_end=10.0), USER], ids=lambda s: s.name)
+def test_python_runs_the_recorded_loop_as_it_is_written(scene):
+    run = cb.prepare(scene, NAME, rtol=1e-5, save_at=np.linspace(0, scene.t_end, 4), engine="python")
+    assert run.loop is not None
+    ours, theirs = run.integrate(run.start), run.as_written(run.start)
+    np.testing.assert_allclose(ours.y, theirs.y, rtol=1e-12, atol=1e-12)
+    assert (ours.status, ours.counts) == (theirs.status, theirs.counts)
+
+
 def test_saving_does_not_disturb_the_steps():
     alone = cb.solve(KEPLER, NAME, rtol=1e-4, save_at=[100.0], engine="python")
     often = cb.solve(KEPLER, NAME, rtol=1e-4, save_at=np.arange(0, 101) * 1.0, engine="python")

@@ -172,6 +172,15 @@ def test_the_compiled_loop_is_the_same_map(method, scene):
 
 
 @pairs(FIXED, ALL_SCENES, share=3)
+def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
+    run = cb.prepare(scene, method.name, engine="python", step=0.06, save_at=[0.5, 0.75, 2.0])
+    y0, spans = run.start.tolist(), list(zip(run.h.tolist(), run.n.tolist(), strict=True))
+    ours, theirs = np.array(run.recorded(run.program, y0, spans)), np.array(run.as_written(y0, spans))
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-14 * np.abs(theirs).max())
+    assert np.array_equal(run().y, ours)
+
+
+@pairs(FIXED, ALL_SCENES, share=3)
 def test_the_tangent_loop_carries_the_derivative(method, scene):
     """Against differences of the compiled loop itself, of fourth order."""
     run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])

@@ -28,8 +28,9 @@ from contactbench.measure.deviation import (
     relative_deviation,
 )
 from contactbench.measure.law import Gate, Law, Measured
+from contactbench.measure.pairing import pairs
 from contactbench.measure.pullback import Pullback, growth, pullback
-from contactbench.scene import Scene, rotation_matrix
+from contactbench.scene import Mechanical, Scene, rotation_matrix
 from contactbench.solution import Differential, Solution
 from contactbench.truth import reference
 
@@ -258,6 +259,38 @@ def own_factor_drift(solution: Solution) -> Deviation | float:
         return math.nan
     values, form, terms, error = pulled
     return conformal(values, form, 1.0, -log_factor, terms, error)
+
+
+# -- pairs of Lyapunov exponents -------------------------------------------------------------------
+#: what the laws of pairs have in common
+PAIRS: dict[str, Any] = {
+    "applies": lambda scene: isinstance(scene, Mechanical) and scene.conformal_rate is not None,
+    "gate": Gate.structure, "structural": True, "differentiates": True,
+}  # fmt: skip
+
+
+def pairing_deviation(solution: Solution, differential: Differential) -> Deviation | float:
+    """That of the pairs of singular values from e^{−γt}."""
+    assert isinstance(solution.scene, Mechanical)
+    n = len(solution.scene.q)
+    found = pairs(differential, n)
+    if found is None:
+        return math.nan
+    values, terms, error = found
+    return conformal(values, np.ones(n), solution.t, decay_rate(solution), terms, error)
+
+
+@law(
+    "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p); "
+    "relative to no less than a thousandth of σ_1‖σ‖", "pairing drift", **PAIRS,
+)  # fmt: skip
+def pairing_drift(solution: Solution) -> Deviation | float:
+    return pairing_deviation(solution, solution.differential)
+
+
+@law(f"pairing_drift with {FROZEN}", "pairing drift, steps frozen", **PAIRS)
+def pairing_drift_frozen(solution: Solution) -> Deviation | float:
+    return pairing_deviation(solution, solution.frozen_differential)
 
 
 @law(

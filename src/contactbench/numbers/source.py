@@ -68,3 +68,8 @@ def executed(text: str) -> dict[str, Any]:
     scope: dict[str, Any] = {}
     exec(PREAMBLE + text, scope)
     return scope
+
+
+def executed_on_lists(text: str) -> dict[str, Any]:
+    """The same for functions of arrays, which become lists of lists: ``w[u, i]`` is ``w[u][i]``."""
+    return executed(re.sub(r"\[(\w+), ", r"[\1][", text))

@@ -25,7 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure as Drawn
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import Bbox
 
 from contactbench.report import labels
@@ -37,8 +37,8 @@ SHADED = "#f0f4ff"
 #: inches around a panel: left, right, below, above; heads of figures, rows of the legend
 AROUND = (0.78, 0.16, 0.58, 0.3)
 REMARK, TITLE, LEGEND_ROW, HANDLE, LETTER, BAR = 0.17, 0.34, 0.24, 0.7, 0.075, 0.8
-#: the height of the label of a span
-TAG = 0.16
+#: the height of the label of a span; first digits of the ticks of a linear axis
+TAG, STEPS = 0.16, (1, 2, 2.5, 5, 10)
 #: figures that are worth starting processes for
 FEWEST_FOR_PROCESSES = 8
 OTHERS = "other methods"
@@ -181,6 +181,7 @@ def put(axes: Axes, which: str, axis: Axis, values: Iterable[float], inches: flo
         if log and ticks is None:
             ticks = tuple(decades(low, high, inches / (0.45 if which == "x" else 0.3)))
     if ticks is None and not log and which != "z":
+        own.set_major_locator(MaxNLocator(max(3, int(inches / (0.62 if which == "x" else 0.3))), steps=STEPS))
         own.get_major_formatter().set_useMathText(True)
     if ticks is not None:
         own.set_major_locator(FixedLocator([value for value, _ in ticks]))
@@ -235,7 +236,9 @@ def tag(axes: Axes, span: Span) -> None:
         place, transform = (0.02, min(high, span.high)), axes.get_yaxis_transform()
         seen = axes.transData.transform([(1, place[1]), (1, max(low, span.low))])[:, 1]
         side = "top" if seen[0] - seen[1] > TAG * axes.figure.dpi else "bottom"
-    axes.text(*place, plain(span.label), transform=transform, color="#5566aa", fontsize=8, va=side)
+        place = (0.5 if side == "bottom" else place[0], place[1])  # curves begin and end low
+    align = "center" if side == "bottom" else "left"
+    axes.text(*place, plain(span.label), transform=transform, color="#5566aa", fontsize=8, va=side, ha=align)
 
 
 def sphere(axes: Axes) -> None:
