@@ -11,7 +11,6 @@ import pytest
 import contactbench as cb
 from cases import USER, by_name
 from contactbench.measure.deviation import conformal_deviation, relative_deviation
-from contactbench.measure.law import Gate
 from contactbench.measure.laws import laws_of, momentum_deviation, row
 from contactbench.solution import Solution, Status
 
@@ -181,7 +180,6 @@ def test_a_law_says_how_it_is_shown_and_compared(law):
     assert law.definition
     assert MathTextParser("path").parse(law.label)
     assert law.shown
-    assert law.gate is Gate.count or (law.gate is Gate.structure) == law.structural
 
 
 def test_entries_taken_against_their_terms_are_counted():

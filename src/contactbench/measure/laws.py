@@ -139,7 +139,7 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
 
 @law(
     f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", "H law",
-    needs=("s",), applies=lambda scene: scene.is_contact, compares_decay=True, shown=("laws", "stability"),
+    needs=("s",), applies=lambda scene: scene.is_contact, shown=("laws", "stability"),
 )  # fmt: skip
 def hamiltonian_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
@@ -178,7 +178,7 @@ def momentum_deviation(solution: Solution) -> Deviation:
 @law(
     f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}", "J law",
     needs=("R",), applies=lambda scene: scene.is_contact and scene.has_momentum_law,
-    gate=Gate.structure, structural=True, compares_decay=True, shown=("laws", "stability"),
+    gate=Gate.structure, shown=("laws", "stability"),
 )  # fmt: skip
 def momentum_law(solution: Solution) -> Deviation:
     return momentum_deviation(solution)
@@ -201,7 +201,7 @@ def momentum_balance(solution: Solution) -> float:
 # -- contact structure -----------------------------------------------------------------------------
 #: what the laws of Φ*η have in common
 CONTACT: dict[str, Any] = {
-    "needs": ("R", "s"), "applies": lambda scene: scene.is_contact, "gate": Gate.structure, "structural": True,
+    "needs": ("R", "s"), "applies": lambda scene: scene.is_contact, "gate": Gate.structure,
     "differentiates": True,
 }  # fmt: skip
 FROZEN = "the steps taken held fixed"
@@ -232,7 +232,7 @@ def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
 
 @law(
     f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}", "contact drift",
-    compares_decay=True, shown=("laws", "stability"), **CONTACT,
+    shown=("laws", "stability"), **CONTACT,
 )  # fmt: skip
 def contact_drift(solution: Solution) -> Deviation | float:
     return contact_deviation(solution, pullback(solution, solution.differential))
@@ -245,7 +245,7 @@ def distribution_drift(solution: Solution) -> Deviation | float:
 
 @law(
     f"contact_drift with {FROZEN}", "contact drift, steps frozen",
-    compares_decay=True, **CONTACT,
+    **CONTACT,
 )  # fmt: skip
 def contact_drift_frozen(solution: Solution) -> Deviation | float:
     return contact_deviation(solution, pullback(solution, solution.frozen_differential))
@@ -272,7 +272,7 @@ def own_factor_drift(solution: Solution) -> Deviation | float:
 # -- pairs of Lyapunov exponents -------------------------------------------------------------------
 #: what the laws of pairs have in common
 PAIRS: dict[str, Any] = {
-    "applies": damped_linearly, "gate": Gate.structure, "structural": True, "differentiates": True,
+    "applies": damped_linearly, "gate": Gate.structure, "differentiates": True,
 }  # fmt: skip
 
 
@@ -291,7 +291,7 @@ def pairing_drift_frozen(solution: Solution) -> Deviation | float:
 
 @law(
     "max ‖RᵀR − 1‖_F", "attitude drift", needs=("R",), applies=lambda scene: "R" in scene.optional,
-    gate=Gate.structure, structural=True,
+    gate=Gate.structure,
 )  # fmt: skip
 def attitude_drift(solution: Solution) -> float:
     R = solution.R

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,8 +45,9 @@ class ContactMethod(FixedStep):
             return None
         return modified_hamiltonian(scene, self.composition, x, h)
 
-    def counts(self, scene: Scene, n: int) -> int:
-        return plan(self.composition, scene).count(flows_of(scene), self.kind_on(scene), n)
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        kinds = (self.kind_on(scene), *(["attitude"] if "R" in scene.carry(carry) else []))
+        return plan(self.composition, scene).count(flows_of(scene), kinds, n)
 
     def kind_on(self, scene: Scene) -> str:
         return "gradient" if "kick" in flows_of(scene) else "rotation"

@@ -30,7 +30,8 @@ class FixedStepRun(Prepared):
         self.saves_start = r.save_at[0] == 0
         self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
         self.ends = r.save_at[1:] if self.saves_start else r.save_at
-        self.first_step, self.each_step = self.method_.counts(r.scene, 1), self.method_.per_step(r.scene)
+        self.first_step = self.method_.counts(r.scene, 1, r.carry)
+        self.each_step = self.method_.per_step(r.scene, r.carry)
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
