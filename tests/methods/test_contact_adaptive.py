@@ -143,3 +143,14 @@ def test_a_body_is_refused_with_the_reason():
     solution = cb.solve("rigid_body", NAME, rtol=1e-4)
     assert solution.status is cb.Status.unsupported
     assert "curvature of a potential" in solution.message
+
+
+@pytest.mark.parametrize("engine", cb.METHODS[NAME].engines)
+def test_an_escape_is_told_by_the_criterion_of_fixed_steps(engine):
+    """A component beyond 10⁶ times the scale: the same moment, up to the last step (before: 2e-3 later)."""
+    scene = cb.SCENES["escape"]
+    ends = [
+        cb.solve(scene, NAME, rtol=1e-13, engine=engine).end_time,
+        cb.solve(scene, "contact-rkn8", step=2e-4).end_time,
+    ]
+    assert abs(ends[0] - ends[1]) < 5e-4

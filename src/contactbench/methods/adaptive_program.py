@@ -47,13 +47,14 @@ def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str,
         return [text_of(c) for c in ([*map(value, end), *map(slope, end)] if tangent else end)]
 
     def going(x: list[Any], time: Any, density: Any, steps: Any, due: Any) -> tuple[Any, Any]:
-        square = dot(x[: scene.motion], x[: scene.motion])
-        healthy = (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
+        healthy = (steps < budget) & (epsilon > SHORTEST * span * density)
+        for c in x[: scene.motion]:
+            healthy = healthy & (c * c <= bound)
         return time + epsilon / density <= due, healthy
 
     start = [tape.assign(f"start[{i}]", "f", outer) for i in range(size)]
     square = dot(start[: scene.motion], start[: scene.motion])
-    bound = scene.motion * DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
+    bound = DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
     first = first_density(twin, scene.unpack(start[:d], carry), epsilon, span, xp.maximum)
     outer.add(*(f"x{i} = {text_of(c)}" for i, c in enumerate(start)))
     outer.add("time = 0.0", "steps = 0.0", f"density = {text_of(first)}")

@@ -65,7 +65,7 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         assert r.rtol is not None
         self.composition = RKN6
-        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
+        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), ("gradient",), 1)
         scene: Any = r.scene
         #: gradients that the curvature of a state costs where the scene has no Hessian
         self.by_gradients = len(scene.q) if scene.hessian is None else 0
@@ -143,7 +143,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         """The same without a recorded loop."""
         r, epsilon, span = self.request, self.epsilon, self.span
         scene: Any = r.scene
-        bound = self._motion * divergence_bound(y0[: self._motion]) ** 2  # beyond it one component is out
+        bound = divergence_bound(y0[: self._motion]) ** 2
         x, time, steps = scene.unpack(y0.tolist(), r.carry), 0.0, 0
         y = np.full((len(r.save_at), len(y0)), math.nan)
         density = math.nan
@@ -154,7 +154,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
                     step = epsilon / density
                     if steps == r.max_steps or not step > SHORTEST * span:
                         break
-                    if not sum(c * c for part in x[:2] for c in part) <= bound:
+                    if not all(c * c <= bound for part in x[:2] for c in part):
                         break
                     x = advance(self.composition, scene, x, step, 1, math)
                     density = next_density(scene, x, density, epsilon, span, max)
@@ -260,7 +260,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         epsilon, span, budget = options
         start = scene.unpack(list(y0), r.carry)
         square = y0[: self._motion] @ y0[: self._motion]
-        bound = self._motion * DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
+        bound = DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
 
         def pace(x: Any) -> Any:
             return lax.stop_gradient(x) if frozen else x
@@ -271,8 +271,8 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
 
         def healthy(carried: Any) -> Any:
             x, _time, density, steps = carried
-            square = sum(c * c for part in x[:2] for c in part)
-            return (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
+            inside = jnp.all(jnp.stack([c * c <= bound for part in x[:2] for c in part]))
+            return (steps < budget) & (epsilon > SHORTEST * span * density) & inside
 
         def step(carried: Any) -> Any:
             x, time, density, steps = carried
