@@ -261,6 +261,40 @@ def test_a_verdict_says_inconclusive_in_words():
 
 
 # -- compilation and memory ------------------------------------------------------------------------
+def test_both_trees_begin_with_empty_caches_of_their_own(copy, tmp_path, monkeypatch):
+    """A program kept elsewhere, which one tree alone might find, is neither read nor written."""
+    seen = []
+    for name in ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+    class Seen(speed.Side):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            assert not any(Path(self.caches.name).iterdir())
+
+        def costs(self):
+            folder = Path(self.caches.name)
+            seen.append({path.relative_to(folder).parts[0] for path in folder.rglob("*") if path.is_file()})
+            return super().costs()
+
+    monkeypatch.setattr(speed, "Side", Seen)
+    cells = [Cell("particle", "rk4", engine, "step", 0.4, ()) for engine in ("numba", "jax")]
+    found = speed.paired_times([sys.executable] * 2, [copy] * 2, cells, rounds=0, seed=0)
+    assert found.refused == {}
+    assert seen == [{"programs", "numba", "xla"}] * 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_with_little_time_every_method_and_engine_comes_first():
+    cells = [Cell("particle", name, e, "step", h, ()) for name in "ab" for e in "xy" for h in (0.1, 0.2, 0.4)]
+    ordered = judge.kinds_first(cells, "seed")
+    assert sorted(map(repr, ordered)) == sorted(map(repr, cells))
+    assert [len({(c.method, c.engine) for c in ordered[k : k + 4]}) for k in (0, 4, 8)] == [4, 4, 4]
+    assert ordered == judge.kinds_first(cells, "seed") != judge.kinds_first(cells, "another")
+
+
 def pair(**head):
     base = {"compile": {0: 1.0, 1: 0.02}, "leaked": {0: 0.0, 1: 2e5}, "peak": 4e8}
     return speed.Costs(**base), speed.Costs(**{**base, **head})
