@@ -18,7 +18,6 @@ from time import perf_counter
 import pandas as pd
 
 from contactbench.gate import judge, revisions
-from contactbench.gate.accuracy import tables
 from contactbench.results.provenance import environment, save_run
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, write
@@ -26,6 +25,8 @@ from selfcheck_faults import AS_IT_WAS, ROOT, Judgement, Task, said
 
 BASE, HEAD, FRESH = "base", "head", "fresh"
 MINE = "contact-strang"
+#: what is looked at, of every kind a table
+TABLES_USED = ("laws", "convergence", "stability", "claims")
 
 
 @dataclass(frozen=True)
@@ -109,17 +110,19 @@ class Folders:
             folder = self.scratch / name
             if folder.exists():
                 return folder
-            if name != FRESH:
-                shutil.copytree(
-                    self.results, folder, ignore=shutil.ignore_patterns("*.md", "*.html", "figures", ".*")
-                )
-                return folder
             folder.mkdir(parents=True)
-            made = {n: f[f["profile"] == "smoke"] for n, f in tables(self.results).items()}
-            made = {n: f for n, f in made.items() if len(f)}
-            for n, frame in made.items():
-                write(frame, TABLES[n], folder)
-            save_run("fresh", environment("smoke", 0), list(made), list(made), folder)
+            frames = {one: read(TABLES[one], self.results) for one in TABLES_USED}
+            if name == FRESH:
+                frames = {one: frame[frame["profile"] == "smoke"] for one, frame in frames.items()}
+            for one, frame in frames.items():
+                write(frame, TABLES[one], folder)
+            save_run(
+                name,
+                environment("smoke" if name == FRESH else "standard", 0),
+                TABLES_USED,
+                TABLES_USED,
+                folder,
+            )
             return folder
 
     def judged(self, change: Callable[[Path], None] | None, to: tuple[str, ...], name: str) -> list:

@@ -32,7 +32,7 @@ LIMIT = 1.25
 ROUNDS = 15
 #: rounds a cell gets at most, as long as it is undecided
 MOST_ROUNDS = 60
-#: seconds of compilation, and share of what the base takes, that the head may take more
+#: seconds of processor time of compilation, and share of what the base takes, that the head may take more
 COMPILE, COMPILE_SHARE = 0.1, 0.15
 #: bytes that repeated runs of a cell may leave behind more than the base's
 LEAK = 1_000_000

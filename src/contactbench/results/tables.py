@@ -380,7 +380,7 @@ GATE_SELFCHECK = table(
         "part": Column("accuracy or speed"),
         "planted": Column("what was changed in the code the gate judges"),
         "condition": Column(
-            "what was done beside it: as it was, nothing more than the machine did anyway; loaded, a busy loop on all "
+            "what was done beside it: as it was, no more than the machine did anyway; loaded, a busy loop on all "
             "cores but one"
         ),
         "wanted": Column(
