@@ -215,10 +215,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         if not frozen:
             return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0, frozen)
-        r, (run, _) = self.request, self.loop(tangent=True)
-        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
-        tangents = [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
-        pushed = [self.solved(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in tangents]
+        run, _ = self.loop(tangent=True)
+        pushed = [self.solved(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in self.tangents(y0)]
         return np.stack(pushed, axis=-1)
 
 

@@ -52,7 +52,6 @@ class CyrkRun(Prepared):
         self.number, self.message = cyrk_driver.number(self.solver), cyrk_driver.message
         self.to_end, self.at_times = cyrk_driver.to_end, cyrk_driver.at_times
         self.end, self.size = float(r.save_at[-1]), len(self._own_start)
-        self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
         self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
@@ -89,8 +88,7 @@ class CyrkRun(Prepared):
             steps -= 1  # CyRK counts the step that failed
         if saved < len(later):
             rows = rows[: int(saved)]
-        if len(later) < len(r.save_at):
-            rows = np.concatenate([y0[None], rows])
+        rows = self.from_start(y0, rows)
         counts = self.counted(int(steps), int(evaluations))
         if not self.final_only:
             counts = counts._replace(rejected=None)

@@ -152,7 +152,6 @@ class CompiledCvodeRun(Prepared):
         )  # fmt: skip
         self.alone = Lock()  # one memory: calls from several threads take turns
         self.to_end, self.at_times = cvode_driver.to_end, cvode_driver.at_times
-        self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
         self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
@@ -190,8 +189,7 @@ class CompiledCvodeRun(Prepared):
             flag, reached, saved, steps, evaluations, jacobians, rejected = told[:KNOWN].tolist()
         if saved < len(later):
             rows = rows[: int(saved)]
-        if len(later) < len(r.save_at):
-            rows = np.concatenate([y0[None], rows])
+        rows = self.from_start(y0, rows)
         counts = Counts(int(steps), int(evaluations), int(jacobians), int(rejected))
         if flag >= 0:
             return self.finished(y0, rows, counts)
