@@ -35,6 +35,10 @@ from contactbench.solution import (
 #: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
 #: for differential equations at large
 FAMILIES = ("contact", "variational", "established")
+#: Python's way to say inf or nan
+NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+#: a step this small against the span hardly moves the clock: a singularity is ahead
+SHORTEST = 1e-15
 
 
 class Method(ABC):
@@ -372,7 +376,7 @@ def begins(scene: Scene, start: Any) -> None:
     """
     try:
         slope = [float(component) for component in scene.pack(scene.rhs(start))]
-    except (OverflowError, ZeroDivisionError, ValueError) as error:
+    except NO_NUMBER as error:
         if isinstance(error, BadInput):
             raise
         slope = [math.nan]

@@ -29,11 +29,20 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.adaptive_program import SHORTEST, recorded_loop
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
+from contactbench.methods.adaptive_program import recorded_loop
+from contactbench.methods.base import (
+    METHODS,
+    NO_NUMBER,
+    SHORTEST,
+    Adaptive,
+    Outcome,
+    Prepared,
+    Refused,
+    Request,
+    stopwatch,
+)
 from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.llvm import compiled
-from contactbench.methods.python_engine import NO_NUMBER
 from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.recording import CannotRecord, recorded
 from contactbench.numbers.source import executed_on_lists

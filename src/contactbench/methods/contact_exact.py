@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Method, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
@@ -68,7 +68,7 @@ class ExactPython(ExactRun):
         try:
             for t in times.tolist():
                 rows.append(scene.pack(evolved(scene, x, t, math)))
-        except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
+        except NO_NUMBER:
             rows.append([math.nan] * len(y0))
         return np.array(rows, dtype=float)
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
 from contactbench.methods.c_functions import c_functions, derivative
+from contactbench.methods.cyrk_interface import KNOWN, why_not
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
@@ -29,8 +30,6 @@ from contactbench.solution import Counts, Status
 SUCCESS, TOO_MANY_STEPS = 1, (-52, -53)
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
-#: how many numbers about a run the compiled calls return before the state (cyrk_driver.FACTS)
-KNOWN = 5
 
 
 @dataclass
@@ -135,8 +134,6 @@ class CyrkMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        from contactbench.methods.cyrk_interface import why_not
-
         why = why_not()
         if why:
             return Refused(self.name, request, why)

@@ -15,20 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
+from contactbench.methods.base import (
+    METHODS,
+    NO_NUMBER,
+    SHORTEST,
+    Adaptive,
+    Outcome,
+    Prepared,
+    Refused,
+    Request,
+)
 from contactbench.methods.c_functions import c_functions, derivative
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
-from contactbench.methods.cvode_library import ADAMS, BDF, Library, library
+from contactbench.methods.cvode_library import ADAMS, BDF, KNOWN, TOO_MUCH_WORK, Library, library
 from contactbench.methods.cvode_solver import Solver
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord
 from contactbench.solution import Counts, Status
-
-TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
-#: a step this small against the span hardly moves the clock: the solver is at a singularity
-SHORTEST = 1e-15
-#: how many numbers about a run the compiled calls return before the state (cvode_driver.FACTS)
-KNOWN = 7
 
 
 @dataclass
@@ -79,7 +82,7 @@ class CvodeRun(Prepared):
         final_only = len(r.save_at) == 1
         try:
             rows, steps, result = (self._to_the_end if final_only else self._step_by_step)(solver, y0)
-        except (OverflowError, ZeroDivisionError, ValueError) as error:
+        except NO_NUMBER as error:
             message = f"{type(error).__name__}: {error}"
             return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
         status, message = Status.ok, ""
