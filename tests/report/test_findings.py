@@ -138,6 +138,26 @@ def test_an_energy_that_is_exact_on_one_scene_only_is_said_with_the_scene():
     assert "part A" not in finding.sentence
 
 
+def test_the_modified_hamiltonian_is_compared_with_h_in_the_same_runs():
+    def found(*rows):
+        made = law_findings.findings(frames(laws=list(rows)))
+        return next((f for f in made if f.name == "modified_hamiltonian"), None)
+
+    def row(method, plain, fixed):
+        return kept_row("central", method) | {"hamiltonian_law": plain, "modified_hamiltonian": fixed}
+
+    rows = [row("contact-a", 2e-3, 1e-5), row("contact-a", 4e-3, 1e-6), row("contact-a", 1e-3, 1e-5)]
+    finding = found(*rows)
+    assert (
+        "contact-a's decays as e^{−γt} 200 times as exactly as H in the median of 3 runs" in finding.sentence
+    )
+    assert "(100 to 4000 times)" in finding.sentence
+    assert not finding.exceptions
+    assert found(*rows, row("contact-b", 1e-6, 2e-6)).exceptions
+    assert "contact-b" not in found(*rows, row("contact-b", 1e-6, 1e-6)).sentence  # no correction up to h⁴
+    assert found(row("contact-a", 1e-13, 1e-14)) is None  # round-off
+
+
 def test_the_least_drift_of_the_others_is_over_all_scenes_and_settings_and_says_where():
     finding = law("contact_drift", laws=LAWS)
     assert "7.0e-12 (heyoka-taylor on `rigid_body`, step=1e-09)" in finding.sentence

@@ -8,11 +8,14 @@ doi:10.1103/PhysRevA.38.2103).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from contactbench.solution import SAFETY, Differential
+from contactbench.measure.deviation import Deviation, conformal
+from contactbench.scene import Mechanical
+from contactbench.solution import SAFETY, Differential, Solution
 
 
 class Pairs(NamedTuple):
@@ -43,3 +46,14 @@ def pairs(differential: Differential, n: int) -> Pairs | None:
     gaps = np.linalg.norm(np.diff(values, axis=0), axis=-1)
     best = int(np.argmin(gaps.max(axis=1)))
     return Pairs(values[best], terms[best], SAFETY * gaps[best])
+
+
+def pairing_deviation(solution: Solution, differential: Differential) -> Deviation | float:
+    """That of the pairs from e^{−γt}."""
+    scene = solution.scene
+    assert isinstance(scene, Mechanical)
+    found = pairs(differential, len(scene.q))
+    if found is None:
+        return math.nan
+    values, terms, error = found
+    return conformal(values, np.ones(len(scene.q)), solution.t, scene.conformal_rate, terms, error)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from contactbench.methods.base import Outcome, Prepared
 from contactbench.methods.grid import UNCOUNTED, steps_in
 from contactbench.methods.step_map import StepMap
 from contactbench.solution import Counts, Status
+
+#: relative differences of steps that are round-off of the saved times
+EQUAL = 1e-9
 
 
 @dataclass
@@ -68,6 +72,12 @@ class FixedStepRun(Prepared):
         if len(known) < len(logs):
             return None
         return np.cumsum([0.0, *known] if self.saves_start else known)
+
+    def modified_hamiltonian(self, x: Any) -> Any | None:
+        """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
+        if np.ptp(self.h) > EQUAL * self.h[0]:
+            return None
+        return self.method_.modified_hamiltonian(self.request.scene, x, float(self.h[0]))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

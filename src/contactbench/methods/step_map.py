@@ -66,6 +66,10 @@ class StepMap(Method):
             return None
         return n * math.log(factor) if factor > 0 else math.nan
 
+    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+        """H̃ at x of which steps of size h are the flow, up to a power of h; None where none is known."""
+        return None
+
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         """Evaluations in n uninterrupted steps; carry : as in `solve`."""
         return n * self.evaluations
