@@ -8,6 +8,7 @@ from contactbench.report import (  # noqa: F401  registers the rooms, in no part
     claims,
     convergence,
     damping,
+    definitions,
     ensemble,
     gate_selfcheck,
     headline,
