@@ -1,4 +1,4 @@
-"""Timing in turns: every run twice, neither first nor last always, long runs less often."""
+"""Timing in turns: every run twice, neither first nor last always, three times each at least."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from contactbench.measure.clock import LONG, MOST_ROUNDS, Race, calls_a_round, length_columns, time_columns
+from contactbench.measure.clock import MOST_ROUNDS, WARM, Race, calls_a_round, length_columns, time_columns
 
 
 def test_runs_take_turns_in_changing_order_and_are_measured_twice():
@@ -31,11 +31,10 @@ def test_runs_take_turns_in_changing_order_and_are_measured_twice():
     assert len({tuple(turn) for turn in rounds}) > 1
 
 
-def test_a_long_run_has_two_rounds_a_visit_where_there_is_no_time_for_more():
-    race = Race([lambda: time.sleep(1.1 * LONG), lambda: None])
+def test_every_run_has_three_rounds_a_visit_where_there_is_no_time_for_more():
+    race = Race([lambda: time.sleep(5 * WARM), lambda: None])
     race.go(0.0)
-    assert [len(samples) for samples in race.measured[0]] == [2, 2]
-    assert [len(samples) for samples in race.measured[1]] == [3, 3]
+    assert [[len(samples) for samples in visits] for visits in race.measured] == [[3, 3], [3, 3]]
 
 
 def test_an_interrupted_race_keeps_the_rounds_it_has():

@@ -303,18 +303,33 @@ def test_recomputation_confirms_the_files(generate, name):
     assert generate.check(SCENES[name]) == []
 
 
-def test_a_power_at_zero_is_told_as_that_and_a_product_has_a_reference():
-    """heyoka's series of x**3 divides by x; the motion itself is harmless."""
-    own = {"q": (0.0,), "p": (0.5,), "gamma": 0.2, "t_end": 1.0}
+def test_a_power_at_zero_is_a_product_to_heyoka():
+    """heyoka's own series of x**3 divides by x: a double well begun on its top would have no run and no reference."""
+    own = {"q": (0.0,), "p": (0.5,), "gamma": 0.2, "t_end": 5.0}
     power = cb.Mechanical(
-        name="power", potential=lambda q: q[0] ** 4 / 4, gradient=lambda q: (q[0] ** 3,), **own
+        name="power",
+        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
+        gradient=lambda q: (q[0] ** 3 - q[0],),
+        **own,
     )
     product = cb.Mechanical(
-        name="product", potential=lambda q: q[0] * q[0] * q[0] * q[0] / 4, gradient=lambda q: (q[0] * q[0] * q[0],),
-        **own,
+        name="product", potential=lambda q: q[0] * q[0] * q[0] * q[0] / 4 - q[0] * q[0] / 2,
+        gradient=lambda q: (q[0] * q[0] * q[0] - q[0],), **own,
     )  # fmt: skip
-    with pytest.raises(cb.BadInput, match=r"write x \* x \* x"):
-        cb.reference(power, [1.0])
-    assert cb.solve(power, "heyoka-taylor", rtol=1e-9).status == "failed"
-    assert cb.solve(product, "heyoka-taylor", rtol=1e-9).status == "ok"
-    assert cb.reference(product, [1.0]).digits >= 30
+    exact = cb.reference(product, [5.0])
+    assert cb.reference(power, [5.0]).decimals == exact.decimals
+    assert exact.digits >= 30
+    run = cb.solve(power, "heyoka-taylor", rtol=1e-14, save_at=[5.0])
+    assert run.ok
+    assert np.abs(run.y[-1] - exact.y[-1]).max() < 1e-14
+    assert run.sensitivity.shape == (1, 3, 3)  # of the variational equations, by derivatives of the product
+
+
+def test_a_root_at_zero_is_told_as_that():
+    root = cb.Mechanical(
+        name="root", potential=lambda q: cb.math.sqrt(q[0] * q[0]) ** 3, q=(0.0,), p=(0.5,), t_end=1.0,
+        gradient=lambda q: (3 * q[0] * cb.math.sqrt(q[0] * q[0]),),
+    )  # fmt: skip
+    run = cb.solve(root, "heyoka-taylor", rtol=1e-9)
+    assert run.status == "failed"
+    assert "no series of the root" in run.message

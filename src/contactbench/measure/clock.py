@@ -16,11 +16,8 @@ import numpy as np
 VISITS = 2
 #: seconds a round takes at least, so that the clock's resolution plays no part
 ROUND_SECONDS = 1e-3
-#: rounds of one visit; where a single round is long what disturbs it averages out within it, and fewer do
+#: rounds of one visit, however long they take
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
-LONG, FEWEST_LONG_ROUNDS = 0.1, 2
-#: (seconds, rounds): at least so many rounds of up to so many seconds
-FEWEST = ((LONG, FEWEST_ROUNDS), (np.inf, FEWEST_LONG_ROUNDS))
 #: seconds from which a run that has been called before needs no warm-up: cold caches cost it less than a percent
 WARM = 0.02
 SEED = 20
@@ -69,15 +66,9 @@ def calls_a_round(once: float) -> int:
     return max(1, round(ROUND_SECONDS / once))
 
 
-def rounds_within(
-    seconds: float, round_seconds: float, fewest_rounds: Sequence[tuple[float, int]] = FEWEST
-) -> int:
-    """How many rounds of one visit fit, within what is sensible.
-
-    fewest_rounds : up to how many seconds a round, at least how many.
-    """
-    fewest = next(rounds for longest, rounds in fewest_rounds if round_seconds < longest)
-    return min(MOST_ROUNDS, max(fewest, round(seconds / round_seconds)))
+def rounds_within(seconds: float, round_seconds: float) -> int:
+    """How many rounds of one visit fit, within what is sensible."""
+    return min(MOST_ROUNDS, max(FEWEST_ROUNDS, round(seconds / round_seconds)))
 
 
 class Race:
@@ -98,7 +89,7 @@ class Race:
         rounds = []
         for i, run in enumerate(self.runs):
             once = seconds(run, 1)
-            if once < LONG:
+            if once < WARM:
                 once = min(once, seconds(run, 1))
             self.iterations[i] = calls_a_round(once)
             rounds.append(once * self.iterations[i])
@@ -107,7 +98,7 @@ class Race:
     def go(self, seconds: float) -> None:
         """Both visits, within about so many seconds.
 
-        A run that takes longer than its share has fewer rounds than the others, no fewer than `rounds_within` says.
+        A run that takes longer than its share has fewer rounds than the others, no fewer than `FEWEST_ROUNDS` a visit.
         """
         start, lengths = perf_counter(), self.warm_up()
         if not lengths:

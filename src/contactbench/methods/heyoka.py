@@ -18,6 +18,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, stopwatch
 from contactbench.methods.variational import SOURCE, integrated, variational_request
+from contactbench.numbers.series import NO_SERIES, SeriesNumbers, equations
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -26,7 +27,7 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tup
     """The scene's equations as heyoka expressions, its numbers as constants."""
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
     variables = variables if isinstance(variables, list) else [variables]
-    slopes = scene.pack(scene.rhs(scene.unpack(variables, carry)))
+    slopes = equations(scene, variables, carry)
     return [
         (v, heyoka.expression(s) if isinstance(s, float) else s)
         for v, s in zip(variables, slopes, strict=True)
@@ -37,9 +38,8 @@ def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
     """Df on heyoka expressions: the scene's own Jacobian, or heyoka's derivatives of its right-hand side."""
     if scene.has_jacobian:
         return scene.jacobian(x)
-    import heyoka
-
-    return [[heyoka.diff(slope, c) for c in scene.pack(x)] for slope in scene.pack(scene.rhs(x))]
+    variables = scene.pack(x)
+    return [[SeriesNumbers().diff(slope, c) for c in variables] for slope in scene.pack(scene.rhs(x))]
 
 
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
@@ -106,10 +106,8 @@ class TaylorRun(Prepared):
         if outcome == self.outcomes.step_limit:
             return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
         message = f"{outcome.name} at t = {ta.time:.6g}"
-        if (
-            not ta.time > 0
-        ):  # heyoka's series of x**n divides by x: a failure of the series, not of the motion
-            message += "; heyoka has no series of x**3 and higher powers at x = 0: write x * x * x"
+        if not ta.time > 0:  # a function without a series at the start: no failure of the motion
+            message += f"; {NO_SERIES}"
             return self.finished(y0, y[:0], counts, Status.failed, message)
         status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
         return self.finished(y0, y, counts, status, message, stopped)

@@ -20,6 +20,7 @@ import numpy as np
 
 from contactbench.numbers.dual import Dual, DualNumbers
 from contactbench.numbers.recording import Recorded, RecordedNumbers
+from contactbench.numbers.series import Series, SeriesNumbers
 
 #: of one argument, by their names in `math`; NumPy, JAX, mpmath and heyoka have them all
 NAMES = (
@@ -41,6 +42,8 @@ def namespace(x: Any) -> Any:
         return RecordedNumbers(x.tape)
     if isinstance(x, complex):
         return cmath
+    if isinstance(x, Series):
+        return SeriesNumbers()
     package = type(x).__module__.partition(".")[0]
     if package in ("jax", "jaxlib"):
         from contactbench.xla import jnp

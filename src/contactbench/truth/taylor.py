@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import BadInput
+from contactbench.numbers.series import NO_SERIES, equations
 from contactbench.scene import Scene
 from contactbench.truth.base import NEVER, BlowUp, Stopwatch, with_decimals
 from contactbench.truth.digits import Rows, decimal_context, distance
@@ -23,7 +24,7 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], bits: int, heyoka: Any) 
     """The scene as heyoka expressions with numbers of `bits` bits, and its initial state."""
     twin = with_decimals(scene, lambda text: heyoka.real(text, bits))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
-    slopes = twin.pack(twin.rhs(twin.unpack(variables, carry)))
+    slopes = equations(twin, variables, carry)
     return list(zip(variables, slopes, strict=True)), twin.pack(twin.initial(carry))
 
 
@@ -68,8 +69,7 @@ def taylor(
         watch.check(float(integrator.time))
         if math.isnan(float(integrator.time)):
             raise BadInput(
-                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; heyoka has "
-                "none for x**3 and higher powers at x = 0: write x * x * x"
+                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; {NO_SERIES}"
             )
         raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]

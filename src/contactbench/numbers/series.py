@@ -1,0 +1,86 @@
+"""heyoka's expressions, with small powers written as products.
+
+heyoka expands x**n by the recurrence of a real power, which divides by x: from n = 3 on the series at x = 0, where
+nothing happens to the motion, is nan.  A product has a series everywhere.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from contactbench.numbers.recording import LARGEST_POWER
+
+#: what a run says that has no step at all
+NO_SERIES = "heyoka has no series of the root and other fractional powers of x, nor of |x|, at x = 0"
+
+
+class Series:
+    """A heyoka expression under arithmetic: `expression` is what it stands for."""
+
+    __slots__ = ("expression",)
+    __array_ufunc__ = None  # NumPy's scalars leave the arithmetic to this class
+
+    def __init__(self, expression: Any) -> None:
+        self.expression = expression
+
+    def __repr__(self) -> str:
+        return f"<series {self.expression}>"
+
+    def __pow__(self, exponent: Any) -> Series:
+        if isinstance(exponent, Series):
+            return Series(self.expression**exponent.expression)
+        n = float(exponent)
+        if n != int(n) or not 3 <= n <= LARGEST_POWER:  # a square has a recurrence of its own
+            return Series(self.expression**exponent)
+        half: Any = self ** (n // 2) if n >= 4 else self
+        return half * half * self if n % 2 else half * half
+
+    def __rpow__(self, base: Any) -> Series:
+        import heyoka
+
+        return Series(heyoka.expression(base) ** self.expression)
+
+    def __neg__(self) -> Series:
+        return Series(-self.expression)
+
+    def __pos__(self) -> Series:
+        return self
+
+
+def bare(x: Any) -> Any:
+    """The expression of a series; any other number as it is."""
+    return x.expression if isinstance(x, Series) else x
+
+
+def _arithmetic(apply: Callable[[Any, Any], Any]) -> tuple[Callable[..., Series], Callable[..., Series]]:
+    def forward(self: Series, other: Any) -> Series:
+        return Series(apply(self.expression, bare(other)))
+
+    def reflected(self: Series, other: Any) -> Series:
+        return Series(apply(other, self.expression))
+
+    return forward, reflected
+
+
+for _name in ("add", "sub", "mul", "truediv"):
+    _forward, _reflected = _arithmetic(getattr(operator, _name))
+    setattr(Series, f"__{_name}__", _forward)
+    setattr(Series, f"__r{_name}__", _reflected)
+
+
+class SeriesNumbers:
+    """The number namespace that goes with them: heyoka's functions."""
+
+    def __getattr__(self, name: str) -> Callable[..., Series]:
+        import heyoka
+
+        function = getattr(heyoka, name)
+        return lambda *numbers: Series(function(*map(bare, numbers)))
+
+
+def equations(system: Any, variables: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
+    """The right-hand side of a system in packed order, as heyoka expressions of its variables."""
+    x = system.unpack([Series(variable) for variable in variables], carry)
+    return [bare(slope) for slope in system.pack(system.rhs(x))]
