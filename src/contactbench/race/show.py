@@ -47,10 +47,20 @@ def sentences(frame: pd.DataFrame) -> Iterator[str]:
     )
     margin = ", ".join(f"×{m:.2f} ({kind})" for kind, m in margins.items())
     yield f"Times within {margin} of the least are a tie: what two measurements of one run differ by here."
-    for (method, status, reason), _ in frame[frame["status"] != "ok"].groupby(
+    for (method, status, reason), rows in frame[frame["reason"] != ""].groupby(
         ["method", "status", "reason"], sort=False
     ):
-        yield f"{method}: {status}: {reason}."
+        at = ", ".join(f"{error:g}" for error in rows["error_asked"])
+        yield f"{method}, error {at}: {'not timed' if status == 'ok' else status}: {reason}."
+    if unrefined := frame.attrs["unrefined"]:
+        yield f"No time was left to look for a cheaper setting of {', '.join(unrefined)}."
+    unknown = [
+        method
+        for method, rows in frame[frame["status"] == "ok"].groupby("method", sort=False)
+        if not measured(rows).any()
+    ]
+    if unknown:
+        yield f"No time was left to measure the laws of {', '.join(unknown)}."
     if frame.attrs["interrupted"]:
         yield "Interrupted: this is what there was."
 

@@ -27,6 +27,7 @@ def table(
     chosen: dict[tuple[str, float], Attempt],
     times: dict[int, dict[str, Any]],
     laws: dict[int, dict[str, float]],
+    untimed: dict[int, str],
 ) -> pd.DataFrame:
     """One row for each method and error asked; the margins and every run in ``attrs``."""
     rows = []
@@ -37,7 +38,7 @@ def table(
             rows.append({
                 "scene": question.scene.name, "method": each.method, "family": METHODS[each.method].family,
                 "engine": each.engine, "kind": each.kind, "error_asked": error,
-                **(reached(question, attempt) if attempt else unreached(question, each, error)),
+                **(reached(question, attempt, untimed.get(id(attempt), "")) if attempt else unreached(question, each, error)),
                 "time_s": timed.get("time_median_s", math.nan),
                 "time_repeat_ratio": timed.get("time_repeat_ratio", math.nan), **kept_at,
             })  # fmt: skip
@@ -53,10 +54,10 @@ def table(
     return frame
 
 
-def reached(question: Question, attempt: Attempt) -> dict[str, Any]:
+def reached(question: Question, attempt: Attempt, untimed: str) -> dict[str, Any]:
     return {
         "setting": attempt.setting, "error_reached": max(attempt.error, question.floor()),
-        "evaluations": attempt.counts.rhs_equivalents, "status": "ok", "reason": "",
+        "evaluations": attempt.counts.rhs_equivalents, "status": "ok", "reason": untimed,
     }  # fmt: skip
 
 
@@ -100,5 +101,5 @@ def runs(scouted: list[Scouted]) -> list[dict[str, Any]]:
             "status": str(a.status), "message": a.message, "error": a.error,
             "evaluations": math.nan if a.counts.rhs_equivalents is None else a.counts.rhs_equivalents,
         }
-        for each in scouted for a in each.attempts
+        for each in scouted for a in sorted(each.attempts, key=lambda a: -a.value)
     ]  # fmt: skip
