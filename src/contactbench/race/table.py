@@ -93,13 +93,20 @@ def verdicts(frame: pd.DataFrame, margins: dict[Any, float]) -> list[str]:
     ]
 
 
-def runs(scouted: list[Scouted]) -> list[dict[str, Any]]:
+class Runs(tuple):
+    """Rows that are not copied: pandas makes a deep copy of all ``attrs`` in every operation on a frame."""
+
+    def __deepcopy__(self, memo: object) -> Runs:
+        return self
+
+
+def runs(scouted: list[Scouted]) -> Runs:
     """Every setting tried."""
-    return [
+    return Runs(
         {
             "method": each.method, "engine": each.engine, "kind": each.kind, "setting": a.setting, "value": a.value,
             "status": str(a.status), "message": a.message, "error": a.error,
             "evaluations": math.nan if a.counts.rhs_equivalents is None else a.counts.rhs_equivalents,
         }
         for each in scouted for a in sorted(each.attempts, key=lambda a: -a.value)
-    ]  # fmt: skip
+    )  # fmt: skip
