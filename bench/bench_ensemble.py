@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from c_loops import KERNELS, SHAPES
 from cells import cells, controlled
 from clock import VISITS, Part
 from contactbench.ensembles import ENGINES
 from contactbench.results.tables import ENSEMBLE_TABLE
-from limit import KERNELS, SHAPES
-from peers import prepared
+from ensemble_peers import prepared
 
 pytestmark = pytest.mark.timed
 
@@ -161,7 +161,7 @@ def on_cores(cell):
     """The same in a process of its own on several cores, and seconds per call, one number a round."""
     cores = usable_cores()[-cell[-1] :]
     done = subprocess.run(
-        [sys.executable, Path(__file__).with_name("on_cores.py"), json.dumps([cores, cell])],
+        [sys.executable, Path(__file__).with_name("ensemble_on_cores.py"), json.dumps([cores, cell])],
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]

@@ -27,7 +27,7 @@ from contactbench.measure.stability import (
 from contactbench.results.tables import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.scenes import hard_scenes
 from contactbench.solution import EXACT
-from hard_cells import SolverError, overdamped_row, stability_row, weak_row
+from stability_rows import SolverError, overdamped_row, stability_row, weak_row
 
 #: seconds after which a call hangs; the dearest, over 10⁵ units of time, takes about twenty
 LIMIT = 900.0

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from c_loops import KERNELS, kernel
 from cells import RTOLS, cells, controlled, engines, outcome, step_budget, work_ladder
 from clock import VISITS, Part
 from contactbench.measure.clock import seconds
@@ -25,7 +26,6 @@ from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import standard_scenes
 from contactbench.solution import EXACT, keywords
-from limit import KERNELS, kernel
 
 pytestmark = pytest.mark.timed
 

@@ -48,7 +48,7 @@ NAMES = ("planted-hang", "planted-crash", "planted-raise", "planted-nan", "plant
 
 def row(method):
     """A row of the stability table, made where the planted methods are registered."""
-    from hard_cells import stability_row
+    from stability_rows import stability_row
 
     for name in NAMES:
         if name not in METHODS:

@@ -14,9 +14,10 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import TILTED, in_mp, random_state
-from contactbench.measure.precision import contact_defect, local_order, momentum_defect, order_at
+from contactbench.measure.precision import local_order, order_at
 from contactbench.scene import cross, dot, quaternion_product
 from contactbench.splitting import elliptic, flows
+from decimals import contact_defect, momentum_defect
 
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
 ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"]

@@ -1,4 +1,4 @@
-"""What `import contactbench` loads, and what it leaves as it is."""
+"""What `import contactbench` and the shortest commands load, and what they leave as it is."""
 
 from __future__ import annotations
 
@@ -7,14 +7,47 @@ import sys
 
 import pytest
 
-HEAVY = ("jax", "scipy", "numba", "matplotlib", "mpmath", "pandas", "diffrax", "heyoka")
+#: libraries, and parts of the package, that take long to load
+HEAVY = {"jax", "numba", "matplotlib", "mpmath", "pandas", "diffrax", "heyoka", "sksundae", "CyRK"}
+SOLVERS = {"scipy.integrate", "scipy.linalg", "scipy.optimize"}
+PARTS = {
+    f"contactbench.{part}" for part in ("ensembles", "gate", "race", "report", "results.store", "testing")
+}
 
 
-@pytest.mark.parametrize("statement", ["import contactbench", "from contactbench.methods import METHODS"])
-def test_nothing_heavy_is_loaded_and_jax_is_left_alone(statement):
+def loaded(statement: str) -> str:
+    """The modules that are there after a statement, one a line, whatever it prints itself."""
     program = (
-        f"import os, sys; before = dict(os.environ); {statement}; print(*set(sys.modules) & set({HEAVY!r})); "
+        "import contextlib, io, os, sys; before = dict(os.environ)\n"
+        f"with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit): {statement}\n"
+        "assert before == dict(os.environ); print(*sys.modules, sep='\\n')"
     )
-    program += "print(before == dict(os.environ))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-    assert done.stdout == "\nTrue\n", done.stdout + done.stderr
+    assert not done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("statement", "more"),
+    [
+        ("import contactbench", {"scipy", "contactbench.claims"}),
+        ("from contactbench.methods import METHODS", {"scipy", "contactbench.claims"}),
+        ("from contactbench.cli import main; main(['--help'])", {"scipy", "contactbench.claims"}),
+        ("from contactbench.cli import main; main(['list'])", set()),
+    ],
+)
+def test_nothing_heavy_is_loaded_and_the_environment_is_left_alone(statement, more):
+    found = set(loaded(statement).split())
+    assert "contactbench" in found
+    assert not found & (HEAVY | SOLVERS | PARTS | more)
+
+
+def test_what_is_loaded_when_first_asked_for_is_the_same_from_then_on():
+    import contactbench as cb
+    from contactbench.ensembles import ensemble
+
+    assert set(cb.LATER) <= set(cb.__all__)
+    assert all(getattr(cb, name) is getattr(cb, name) for name in cb.LATER)
+    assert cb.ensemble is ensemble
+    with pytest.raises(AttributeError, match="no attribute 'assemble'"):
+        _ = cb.assemble

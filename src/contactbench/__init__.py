@@ -1,11 +1,10 @@
 """contactbench: contact splitting integrators against the established ones, measured."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from contactbench.ensembles import Ensemble, ensemble
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
-from contactbench.measure.own_composition import composition
 from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.methods.one_step import step_map
 from contactbench.numbers import functions as math
@@ -17,6 +16,8 @@ from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import reference
 
 if TYPE_CHECKING:
+    from contactbench.ensembles import Ensemble, ensemble
+    from contactbench.measure.own_composition import composition
     from contactbench.race.comparison import compare
 
 __all__ = [
@@ -47,13 +48,18 @@ __all__ = [
 __version__ = "0.1.0"
 
 
-def __getattr__(name: str) -> Any:
-    """What needs pandas and matplotlib, imported when first asked for."""
-    if name == "compare":
-        from contactbench.race.comparison import compare as found
+#: what not every program needs, and where it is imported from when first asked for
+LATER = {
+    "Ensemble": "ensembles", "ensemble": "ensembles", "composition": "measure.own_composition",
+    "compare": "race.comparison",
+}  # fmt: skip
 
-        return found
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __getattr__(name: str) -> Any:
+    if name not in LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = found = getattr(import_module(f"{__name__}.{LATER[name]}"), name)
+    return found
 
 
 def __dir__() -> list[str]:

@@ -132,10 +132,10 @@ def reported(what: str, error: BaseException) -> BaseException:
 
 
 @contextmanager
-def their_code(what: str, limited: bool = True) -> Iterator[None]:
+def their_code(what: str) -> Iterator[None]:
     """Whatever goes wrong inside, an exit or an endless loop included, is a `UserError` that names `what`."""
     try:
-        with within(limit() if limited else 0.0):
+        with within(limit()):
             yield
     except (BadInput, KeyboardInterrupt, GeneratorExit):
         raise

@@ -113,8 +113,9 @@ def load_installed() -> None:
 
     Nobody asked for them just now, so a broken one is a warning that names it.
     """
+    installed = entry_points()  # every package is looked at: once for both groups
     for group, registry in GROUPS.items():
-        for point in entry_points(group=group):
+        for point in installed.select(group=group):
             try:
                 with within(limit()):
                     _register(registry, point.load())

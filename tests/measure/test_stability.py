@@ -23,7 +23,6 @@ from contactbench.measure.stability import (
     slow_rate_ratio,
     spectral_radius,
     stability,
-    stability_limit,
     step_matrix,
     true_radius,
 )
@@ -37,17 +36,17 @@ as_a_whole = pytest.mark.parametrize("method", fixed_step_methods(), ids=lambda 
 @pytest.mark.parametrize("name", THEORY)
 @pytest.mark.parametrize(("gamma", "omega"), [(0.0, 1.0), (0.1, 2.0), (1.0, 0.5), (10.0, 1.0), (50.0, 10.0)])
 def test_limits_are_those_of_theory(name, gamma, omega):
-    expected, found = THEORY[name](gamma, omega), stability_limit(cb.METHODS[name], gamma, omega)
+    expected, found = THEORY[name](gamma, omega), stability(cb.METHODS[name], gamma, omega).limit
     assert found == expected or found == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.1, 1.0, 10.0, 50.0])
 def test_without_the_merged_flow_the_limit_is_two_at_every_damping(gamma):
-    assert stability_limit(cb.METHODS["contact-abc"], gamma, 1.0) == pytest.approx(2.0, rel=1e-9)
+    assert stability(cb.METHODS["contact-abc"], gamma, 1.0).limit == pytest.approx(2.0, rel=1e-9)
 
 
 def test_with_the_merged_flow_it_grows_like_twice_the_damping():
-    assert stability_limit(cb.METHODS["contact-strang"], 50.0, 1.0) == pytest.approx(100.0, rel=1e-3)
+    assert stability(cb.METHODS["contact-strang"], 50.0, 1.0).limit == pytest.approx(100.0, rel=1e-3)
 
 
 def largest(method, gamma, h, steps, at_once=50):
@@ -186,7 +185,7 @@ def test_windows_at_random_damping_are_those_of_long_runs(method):
 def test_a_processed_method_is_repeated_by_its_kernel_or_as_a_whole():
     method = cb.METHODS["contact-rkn8"]
     assert [m.name for m in fixed_step_methods() if is_processed(m)] == ["contact-rkn8"]
-    at_the_end, at_every_step = stability_limit(kernel(method), 10.0, 1.0), stability_limit(method, 10.0, 1.0)
+    at_the_end, at_every_step = (stability(m, 10.0, 1.0).limit for m in (kernel(method), method))
     assert at_the_end == pytest.approx(2.8435, abs=1e-4)
     assert at_every_step == pytest.approx(2.3295, abs=1e-4)
     h, scene = (at_the_end + at_every_step) / 2, oscillator(10.0)
@@ -230,7 +229,7 @@ def test_splitting_force_and_friction_gets_the_creep_wrong(damping, expected):
 
 
 def test_the_slow_rate_is_the_one_orbits_show():
-    from hard_cells import overdamped_row
+    from stability_rows import overdamped_row
 
     for name in ("contact-abc", "contact-strang"):
         row = overdamped_row(name, "step", 0.1, None)
@@ -239,7 +238,7 @@ def test_the_slow_rate_is_the_one_orbits_show():
 
 
 def test_a_rate_is_read_off_an_oscillating_energy():
-    from hard_cells import energy_rate
+    from stability_rows import energy_rate
 
     t = np.arange(1, 1001) * 10.0
     energy = np.exp(-1e-5 * t) * (1 + 0.03 * np.cos(2.1 * t + 0.3))
@@ -252,7 +251,7 @@ def test_a_rate_is_read_off_an_oscillating_energy():
 )
 def test_weak_damping_is_measured_at_the_same_cost(name, off):
     """At eight evaluations a unit of time the dissipation of a peer is a good part of the true one."""
-    from hard_cells import COST, weak_row
+    from stability_rows import COST, weak_row
 
     row = weak_row("weak_damping", name, 1000.0)
     assert row["status"] == "ok"
@@ -263,8 +262,8 @@ def test_weak_damping_is_measured_at_the_same_cost(name, off):
 @pytest.mark.parametrize("t_end", [1e4, 1e5])
 def test_the_exact_solution_has_no_error_of_its_rate(t_end):
     """A method that returns the truth, through all that a method goes through."""
-    from hard_cells import weak_row
     from planted import plant_truth
+    from stability_rows import weak_row
 
     with plant_truth() as name:
         row = weak_row("weak_damping", name, t_end)
@@ -274,7 +273,7 @@ def test_the_exact_solution_has_no_error_of_its_rate(t_end):
 
 
 def test_the_truth_between_frozen_times_is_that_of_one_long_run():
-    from hard_cells import SAMPLES, against_truth
+    from stability_rows import SAMPLES, against_truth
 
     scene = cb.SCENES["weak_damping_particle"]
     times = scene.t_end * np.arange(1, SAMPLES + 1) / SAMPLES
@@ -285,7 +284,7 @@ def test_the_truth_between_frozen_times_is_that_of_one_long_run():
 def test_the_error_of_a_rate_is_no_matter_of_sampling():
     """Twice as many samples give the same; on the 200 frozen times, 50 apart, the oscillation of H0 is
     taken for a slow one, and the error is a hundred times as large."""
-    from hard_cells import against_truth
+    from stability_rows import against_truth
 
     scene, found = cb.SCENES["weak_damping_particle"], []
     for samples in (200, 1000, 2000):

@@ -58,6 +58,15 @@ def test_engines_agree(scene):
         assert runs[0].counts == run.counts
 
 
+@pytest.mark.parametrize("scene", [KEPLER.with_(t_end=10.0), USER], ids=lambda s: s.name)
+def test_python_runs_the_recorded_loop_as_it_is_written(scene):
+    run = cb.prepare(scene, NAME, rtol=1e-5, save_at=np.linspace(0, scene.t_end, 4), engine="python")
+    assert run.loop is not None
+    ours, theirs = run.integrate(run.start), run.as_written(run.start)
+    np.testing.assert_allclose(ours.y, theirs.y, rtol=1e-12, atol=1e-12)
+    assert (ours.status, ours.counts) == (theirs.status, theirs.counts)
+
+
 def test_saving_does_not_disturb_the_steps():
     alone = cb.solve(KEPLER, NAME, rtol=1e-4, save_at=[100.0], engine="python")
     often = cb.solve(KEPLER, NAME, rtol=1e-4, save_at=np.arange(0, 101) * 1.0, engine="python")
@@ -134,3 +143,14 @@ def test_a_body_is_refused_with_the_reason():
     solution = cb.solve("rigid_body", NAME, rtol=1e-4)
     assert solution.status is cb.Status.unsupported
     assert "curvature of a potential" in solution.message
+
+
+@pytest.mark.parametrize("engine", cb.METHODS[NAME].engines)
+def test_an_escape_is_told_by_the_criterion_of_fixed_steps(engine):
+    """A component beyond 10⁶ times the scale: the same moment, up to the last step (before: 2e-3 later)."""
+    scene = cb.SCENES["escape"]
+    ends = [
+        cb.solve(scene, NAME, rtol=1e-13, engine=engine).end_time,
+        cb.solve(scene, "contact-rkn8", step=2e-4).end_time,
+    ]
+    assert abs(ends[0] - ends[1]) < 5e-4

@@ -6,7 +6,8 @@ import pytest
 
 import contactbench as cb
 from cases import by_name, pairs
-from contactbench.measure.precision import contact_defect, error_at, momentum_defect, order_at
+from contactbench.measure.precision import error_at, order_at
+from decimals import contact_defect, momentum_defect
 
 METHODS = [m for m in cb.METHODS.values() if m.control == "step" and (m.contact or m.factor)]
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))

@@ -11,13 +11,14 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
+from contactbench.methods.callback import recorded
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
 from contactbench.numbers.program import record
 from contactbench.numbers.recording import ALIASES, FUNCTIONS, CannotRecord
-from contactbench.numbers.source import executed, source
+from contactbench.numbers.source import executed
 from contactbench.solution import Status
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
@@ -30,21 +31,10 @@ PARTICLE = cb.SCENES["particle"]
 def test_source_computes_what_the_scene_does(scene, what):
     """To the last bit: the operations are the same, in the same order."""
     for carry in {scene.carry(()), scene.carry()}:
-        function = source(scene, what, carry)
         x = random_state(scene, carry=carry)
-        out = [math.nan] * function.outputs
-        executed(function.text)[what](scene.pack(x), scene.numbers(), out)
         result = getattr(scene, what)(x)
-        expected = scene.pack(result) if what == "rhs" else [entry for row in result for entry in row]
-        assert out == expected
-        moved = [1.01 * number for number in scene.numbers()]
-        executed(function.text)[what](scene.pack(x), moved, out)
-        assert out != expected  # the scene's numbers are arguments
-
-
-def test_a_scene_without_hessian_has_no_jacobian():
-    with pytest.raises(CannotRecord, match="'user' has no jacobian"):
-        source(USER, "jacobian", ())
+        expected = scene.pack(result) if what == "rhs" else result
+        assert recorded(scene, what, carry)(scene.pack(x)) == expected
 
 
 # -- programs --------------------------------------------------------------------------------------
@@ -169,6 +159,15 @@ def test_the_compiled_loop_is_the_same_map(method, scene):
             ours, theirs = run(**data), plain(**data)
             assert (ours.status, ours.counts) == (Status.ok, theirs.counts)
             np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=2e-14 * np.abs(theirs.y).max())
+
+
+@pairs(FIXED, ALL_SCENES, share=3)
+def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
+    run = cb.prepare(scene, method.name, engine="python", step=0.06, save_at=[0.5, 0.75, 2.0])
+    y0, spans = run.start.tolist(), list(zip(run.h.tolist(), run.n.tolist(), strict=True))
+    ours, theirs = np.array(run.recorded(run.program, y0, spans)), np.array(run.as_written(y0, spans))
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-14 * np.abs(theirs).max())
+    assert np.array_equal(run().y, ours)
 
 
 @pairs(FIXED, ALL_SCENES, share=3)

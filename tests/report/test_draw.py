@@ -12,7 +12,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from contactbench.report import draw, labels, scales
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.figures import convergence, laws, stability, work_precision
 from contactbench.report.figures.best import MOST, best_of_each, cheapest, contest_ends, family_and_order
 from contactbench.report.look import FAMILIES, METHODS, MUTED
@@ -221,3 +221,65 @@ def test_what_shows_the_same_is_not_drawn_again(tmp_path, monkeypatch):
     assert (vector.read_bytes(), picture.read_bytes()) == before  # no dates, no chance
     picture.unlink()
     assert not draw.current(figure, tmp_path)
+
+
+@pytest.mark.parametrize(("low", "inside"), [(1e-15, True), (3e-13, False), (1e-10, None)])
+def test_the_label_of_a_span_is_not_cut(low, inside):
+    """Inside the span, above it where there is no room, and left out where the span is not seen."""
+    axis = Axis("deviation", "log", limits=(low, 1e-2))
+    span = Span("y", 1e-17, 1e-12, "round-off")
+    made = draw.drawn(Figure("f", "t", (Panel("p", Axis("t", limits=(0, 1)), axis, (), spans=(span,)),)))
+    made.canvas.draw()
+    (axes,) = made.axes
+    words = [text for text in axes.texts if text.get_text() == "round-off"]
+    if inside is None:
+        assert not words
+    else:
+        (box,) = (text.get_window_extent() for text in words)
+        assert axes.bbox.y0 <= box.y0 < box.y1 <= axes.bbox.y1
+        edge = axes.transData.transform((0.5, 1e-12))[1]
+        assert box.y1 <= edge + 1 if inside else box.y0 >= edge - 1
+    plt.close(made)
+
+
+def test_laws_show_the_printed_scheme_a_second_order_one_and_the_best_contact_method():
+    rows = [
+        row("rigid_body", m, 0.1, t=t, energy_deviation=deviation, momentum_deviation=1e-15)
+        for m, deviation in (
+            ("contact-printed", 1e-2), ("contact-abc", 1e-3), ("contact-strang", 1e-4), ("contact-o8", 1e-12),
+            ("contact-exact", 1e-15), ("rk4", 1e-6), ("scipy-dop853", 1e-8), ("cyrk-dop853", 1e-8),
+            ("cyrk-vern8", 1e-9),
+        ) for t in (1.0, 2.0)
+    ]  # fmt: skip
+    for panel in laws.along_time(table("laws_time", rows), "rigid_body").panels:
+        assert {c.method for c in panel.curves if not c.muted} == {
+            "contact-printed", "contact-strang", "contact-exact", "rk4", "cyrk-vern8",
+        }  # fmt: skip
+
+
+def test_a_cost_that_is_not_positive_is_no_point():
+    """A marginal time is a difference of two times, and may come out at zero or below."""
+    rows = [
+        row("particle", "rk4", h, solution_error=h**4, engine="numba", rhs_equivalents=4 / h, time_median_s=1e-5 / h,
+            time_min_s=1e-5 / h, time_iqr_s=1e-7, marginal_s=m, marginal_iqr_s=1e-9)
+        for h, m in ((0.4, -2e-9), (0.2, 0.0), (0.1, 3e-8), (0.05, 6e-8))
+    ]  # fmt: skip
+    *_, panel = work_precision.figure(table("work_precision", rows), "particle").panels
+    assert panel.title == "Marginal time, compiled"
+    (found,) = panel.curves
+    assert [y == y for y in found.y] == [False, False, True, True]
+
+
+def test_a_jump_under_strong_damping_is_told_with_the_radius_that_explains_it():
+    def line(step, error, radius, method="rk4"):
+        return {"method": method, "family": "established", "gamma": 10.0, "damping_per_evaluation": 2.5 * step,
+                "step": step, "error": error, "radius": radius}  # fmt: skip
+
+    def caption(*lines):
+        return stability.strong(table("strong_damping", lines), [10.0]).caption
+
+    jump = line(0.2, 1e-9, 0.97), line(0.3, 4e3, 1.25)
+    said = "`rk4` at γ = 10 from 1.0e-09 (h = 0.2, spectral radius 0.970) to 4.0e+03 (h = 0.3, 1.250)"
+    assert said in caption(*jump)
+    assert "jumps" not in caption(jump[0], line(0.3, 4e3, 0.99))  # not for that reason
+    assert "jumps" not in caption(line(0.2, 0.1, 0.97), jump[1])  # no jump: it was inaccurate before

@@ -36,6 +36,7 @@ from contactbench.report.contest import (
     tally,
 )
 from contactbench.report.contest_views import costs_view, duel_view, losses_view, winners_view
+from contactbench.report.figures import hard as figures_hard
 from frames import frames, row, table
 
 ROUND = 3e-15
@@ -135,6 +136,26 @@ def test_an_energy_that_is_exact_on_one_scene_only_is_said_with_the_scene():
     rows[0] |= {"hamiltonian_law": 2e-12}  # just accurate
     (finding,) = (f for f in law_findings.findings(frames(laws=rows)) if f.name == "energies")
     assert "part A" not in finding.sentence
+
+
+def test_the_modified_hamiltonian_is_compared_with_h_in_the_same_runs():
+    def found(*rows):
+        made = law_findings.findings(frames(laws=list(rows)))
+        return next((f for f in made if f.name == "modified_hamiltonian"), None)
+
+    def row(method, plain, fixed):
+        return kept_row("central", method) | {"hamiltonian_law": plain, "modified_hamiltonian": fixed}
+
+    rows = [row("contact-a", 2e-3, 1e-5), row("contact-a", 4e-3, 1e-6), row("contact-a", 1e-3, 1e-5)]
+    finding = found(*rows)
+    assert (
+        "contact-a's decays as e^{−γt} 200 times as exactly as H in the median of 3 runs" in finding.sentence
+    )
+    assert "(100 to 4000 times)" in finding.sentence
+    assert not finding.exceptions
+    assert found(*rows, row("contact-b", 1e-6, 2e-6)).exceptions
+    assert "contact-b" not in found(*rows, row("contact-b", 1e-6, 1e-6)).sentence  # no correction up to h⁴
+    assert found(row("contact-a", 1e-13, 1e-14)) is None  # round-off
 
 
 def test_the_least_drift_of_the_others_is_over_all_scenes_and_settings_and_says_where():
@@ -300,7 +321,22 @@ def test_h_is_kept_by_nobody_and_how_far_the_contact_methods_are_off_is_said():
     (finding,) = (f for f in law_findings.findings(frames(laws=rows)) if f.name == "energies")
     assert "H law: contact-a keeps it to round-off (on `particle`)." in finding.sentence
     assert "off" not in finding.sentence.partition("H law: contact-a keeps it to round-off")[2]  # of whom?
-    assert "standard scenes" in finding.title
+    hard = kept_row("tumbling") | {"hamiltonian_law": ROUND, "energy_law": ROUND}
+    (finding,) = (
+        f for f in law_findings.findings(frames(laws=rows, stability=[hard])) if f.name == "energies"
+    )
+    assert "H law: contact-a keeps it to round-off (on `particle` and `tumbling`)." in finding.sentence
+    assert "on the standard scenes" in finding.covers
+    hard["hamiltonian_law"] = 7.0
+    (finding,) = (
+        f for f in law_findings.findings(frames(laws=rows, stability=[hard])) if f.name == "energies"
+    )
+    assert "H law: no method keeps it" in finding.sentence  # the hard scenes count
+    assert (
+        "7.0e+00" not in finding.sentence.partition("H law: no method")[2]
+    )  # but not how far one is off there
+    hard |= {"energy_law": ROUND}
+    assert "on `tumbling` contact-a keeps it at every setting (part A is" in finding.sentence
     other = kept_row("particle", "contact-b") | {"hamiltonian_law": 0.3, "energy_law": 0.02}
     (finding,) = (f for f in law_findings.findings(frames(laws=[*rows, other])) if f.name == "energies")
     assert "the other contact methods are up to 3.0e-01 off (contact-b on `particle`" in finding.sentence
@@ -553,19 +589,50 @@ def test_endings_name_who_has_no_bad_one_or_that_there_is_nobody():
     assert "No method has all of its runs among them." in finding.sentence
 
 
-def test_blow_up_is_one_line_per_method():
+def test_blow_up_is_one_line_per_method_and_each_criterion_has_its_own_columns():
     rows = [
-        row("escape", "rk4", h, status="diverged", blow_up_time=2.0, end_time=2.0 + h) for h in (0.2, 0.1)
+        row(
+            "escape", "rk4", h, status="diverged", blow_up_time=2.0, end_time=2.0 + end, rhs_equivalents=8 / h
+        )
+        for h, end in ((0.2, -0.1), (0.1, 0.1), (0.05, -0.04))
     ]
     view = stability.blow_up_view(table("stability", rows))
     (line,) = view.rows
-    assert [c.text for c in line[1:]] == ["diverged", "+5.000 %", "+10.000 %", DASH, DASH]
-    groups = [head.group for head in view.columns[2:]]
-    assert groups[0] == groups[1] != groups[2] == groups[3]
-    adaptive = [r | {"method": "cvode-adams", "control": "rtol"} for r in rows]
-    first, second = stability.blow_up_view(table("stability", [*rows, *adaptive])).rows
+    said = ["-2.000 %", "-5.000 %", "+5.000 %"]  # finest, earliest, latest
+    assert [c.text for c in line[1:]] == ["diverged", *said, DASH, DASH, DASH]
+    assert [head.label for head in view.columns[2:]] == ["finest", "earliest", "latest"] * 2
+    assert "by 2.000 %, as the finest runs have it" in view.meaning
+    others = [r | {"method": "cvode-adams", "control": "rtol"} for r in rows]
+    ours = [r | {"method": "contact-adaptive", "family": "contact", "control": "rtol"} for r in rows]
+    first, second, third = stability.blow_up_view(table("stability", [*rows, *others, *ours])).rows
     assert first == line
-    assert [c.text for c in second[1:]] == ["diverged", DASH, DASH, "+5.000 %", "+10.000 %"]
+    assert [c.text for c in second[1:]] == ["diverged", DASH, DASH, DASH, *said]
+    assert [c.text for c in third[1:]] == ["diverged", *said, DASH, DASH, DASH]
+    drawn = [p for f in figures_hard.hard(table("stability", [*rows, *others, *ours])) for p in f.panels]
+    assert [{c.method for c in p.curves} for p in drawn] == [{"rk4", "contact-adaptive"}, {"cvode-adams"}]
+
+
+def test_the_settings_of_a_ladder_are_in_its_heads():
+    rows = [
+        *(row("critical", "rk4", h, solution_error=h, end_time=8.0, rhs_equivalents=32 / h) for h in (2, 0.4)),
+        *(row("critical", "contact-a", h, solution_error=h, end_time=8.0, rhs_equivalents=8 / h) for h in (0.4, 0.1)),
+        *(row("critical", m, e, control="rtol", solution_error=e) for m, es in
+          (("cvode-adams", (1e-4, 1e-14)), ("heyoka-taylor", (1e-4, 2.3e-16))) for e in es),
+        row("needle", "rk4", 0.3, solution_error=0.1, end_time=8.0, rhs_equivalents=100.0),
+    ]  # fmt: skip
+    assert stability.rungs(table("stability", rows[:8])) == ["h/n 0.5, rtol 1e-04", "h/n 0.1, rtol 1e-14"]
+    view = stability.map_view(table("stability", rows))
+    assert [(h.group, h.label) for h in view.columns[1:]] == [
+        ("critical", "h/n 0.5, rtol 1e-04"), ("critical", "h/n 0.1, rtol 1e-14"), ("needle", "h/n 0.08"),
+    ]  # fmt: skip
+
+
+def test_hard_scenes_are_drawn_by_kind_and_a_scene_of_ones_own_is_among_others():
+    rows = [
+        row(s, "rk4", 0.1, solution_error=1e-3, rhs_equivalents=80.0) for s in ("mine", "needle", "critical")
+    ]
+    drawn = {f.name: [p.title for p in f.panels] for f in figures_hard.hard(table("stability", rows))}
+    assert drawn == {"hard_damping": ["critical"], "hard_bodies": ["needle"], "hard_others": ["mine"]}
 
 
 def test_what_was_not_run_is_no_ending():
@@ -651,6 +718,35 @@ def test_a_trajectory_at_equal_error_names_ties():
     assert "10⁻³ tie: contact-a and rk4" in finding.sentence
     (finding,) = ensemble.findings(frames(ensemble=[*runs("contact-a", 1.0), *runs("rk4", 0.5, "vmap")]))
     assert "10⁻³ rk4 vmap" in finding.sentence
+
+
+def test_ensembles_stand_beside_c_loops_and_a_fall_of_throughput_is_told():
+    def run(method, seconds, **more):
+        return row("particle", method, 0.1, engine="numba", trajectories=100, cores=1, evaluations=10,
+                   time_median_s=seconds, time_min_s=seconds) | more  # fmt: skip
+
+    arithmetic = [
+        run("contact-a", 8e-7, question="arithmetic"),
+        run("contact-a", 9e-7, question="arithmetic", engine="jax"),
+        run("limit-c", 1e-6, question="arithmetic", variant="contact-a plain"),
+        run("limit-c", 5e-7, question="arithmetic", variant="contact-a tiled"),
+    ]
+    cores = [run("contact-a", t, question="cores", cores=c) for c, t in ((1, 1e-6), (2, 8e-7))]
+    (finding,) = ensemble.findings(frames(ensemble=[*arithmetic, *cores]))
+    assert "contact-a (numba) 0.8 ns, ×0.80 (plain) and ×1.60 (tiled)." in finding.sentence
+    assert "On 2 cores contact-a (numba) has ×1.25 the throughput of 1." in finding.sentence
+
+    def meaning(*rates):
+        size = [
+            run("contact-a", n / r, question="size", trajectories=n)
+            for n, r in zip((10, 100, 1000), rates, strict=True)
+        ]
+        view = ensemble.growth_view(ensemble.timed(table("ensemble", size)), "size", "trajectories", "t")
+        return view.meaning
+
+    assert "falls" not in meaning(1e6, 2e6, 2e6)
+    assert "from 100 to 1000 trajectories it falls to ×0.90, within the noise" in meaning(1e6, 2e6, 1.8e6)
+    assert "from 100 to 1000 trajectories it falls to ×0.50, more than the noise" in meaning(1e6, 2e6, 1e6)
 
 
 def calls(method, whole, share, marginal):

@@ -1,4 +1,4 @@
-"""Equal-error costs and timing statistics on data whose answer is known."""
+"""Equal-error costs and paired ratios on data whose answer is known."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.results.statistics import cost_to_reach, paired_ratio, timing
+from contactbench.results.statistics import cost_to_reach, paired_ratio
 
 
 def test_a_cost_is_interpolated_inside_and_refused_beyond_the_most_accurate():
@@ -29,11 +29,6 @@ def test_who_is_more_accurate_than_asked_pays_for_the_cheapest_setting():
     assert cost_to_reach(errors, costs, 1e-2) == pytest.approx(1.0)
     assert cost_to_reach(errors, costs, 1e-5) == pytest.approx(10.0)
     assert math.isnan(cost_to_reach(errors, costs, 1e-7))
-
-
-def test_timing_statistics():
-    stats = timing([1.0, 2.0, 3.0, 4.0, 100.0])
-    assert (stats.minimum, stats.median, stats.iqr, stats.rounds) == (1.0, 3.0, 2.0, 5)
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 1.3, 2.0])

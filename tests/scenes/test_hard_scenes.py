@@ -108,14 +108,14 @@ def test_blow_up_of_escape_is_confirmed_by_another_solver():
 # -- what is run is decided by counts ----------------------------------------------------------------
 def test_the_clock_decides_nothing(monkeypatch):
     """A clock that says every call took minutes changes the time in the row and nothing else."""
-    import hard_cells
+    import stability_rows
 
     method = cb.METHODS["contact-adaptive"]  # its derivative is taken here, at the cost of many runs
     asked = ("critical", method.name, method.engines[0], "rtol", 1e-6, 10_000)
-    row = hard_cells.stability_row(*asked)
+    row = stability_rows.stability_row(*asked)
     ticks = iter(range(0, 10**6, 300))
-    monkeypatch.setattr(hard_cells, "perf_counter", lambda: float(next(ticks)))
-    slow = hard_cells.stability_row(*asked)
+    monkeypatch.setattr(stability_rows, "perf_counter", lambda: float(next(ticks)))
+    slow = stability_rows.stability_row(*asked)
     assert slow.pop("time_s") == 300.0
     assert row.pop("time_s") < 300.0
     assert slow == row
@@ -180,7 +180,7 @@ def test_after_a_spent_budget_no_tighter_tolerance_is_run():
 def test_heyoka_is_as_accurate_as_doubles_are(scene, measure):
     """At its finest tolerance; at 10⁻¹⁰ it had been taken for worse than a contact method at its finest step."""
     from bench_stability import settings
-    from hard_cells import stability_row
+    from stability_rows import stability_row
 
     method = cb.METHODS["heyoka-taylor"]
     errors = [

@@ -66,7 +66,7 @@ def test_counts_are_the_calls_really_made(composition, scene, monkeypatch):
 
         probe = scene._replaced(gradient=counted)
         advance(composition, probe, random_state(scene), 0.1, 7, math)
-        assert plan(composition, scene).count(flows_of(scene), kind, 7) == calls[0]
+        assert plan(composition, scene).count(flows_of(scene), (kind,), 7) == calls[0]
     else:
         turned = flows.rotation
 
@@ -74,21 +74,25 @@ def test_counts_are_the_calls_really_made(composition, scene, monkeypatch):
             calls[0] += 1
             return turned(*arguments)
 
-        def counting_free(*arguments):
-            calls[0] += flows.FREE_COST
-            return flows.free(*arguments)
+        def counting_free(scene, x, *arguments):
+            calls[0] += flows.MOMENTUM_COST if x.R is None else flows.FREE_COST
+            return flows.free(scene, x, *arguments)
 
         for module in (flows, contactbench.splitting.composition):
             monkeypatch.setattr(module, "rotation", counting)
         for table in (flows.BODY, flows.ISOTROPIC):
             monkeypatch.setitem(table, "free", table["free"]._replace(apply=counting_free))
-        advance(composition, scene, random_state(scene), 0.1, 7, math)
-        assert plan(composition, scene).count(flows_of(scene), "rotation", 7) == calls[0]
+        for carry, kinds in ((None, ("rotation", "attitude")), ((), ("rotation",))):
+            calls[0] = 0
+            advance(composition, scene, random_state(scene, carry=carry), 0.1, 7, math)
+            assert plan(composition, scene).count(flows_of(scene), kinds, 7) == calls[0]
+            if composition.name in cb.METHODS:
+                assert cb.METHODS[composition.name].counts(scene, 7, carry) == calls[0]
 
 
 def test_strang_costs_one_gradient_a_step():
     scene = cb.SCENES["particle"]
-    assert plan(STRANG, scene).count(flows_of(scene), "gradient", 1000) == 1001
+    assert plan(STRANG, scene).count(flows_of(scene), ("gradient",), 1000) == 1001
 
 
 @pytest.mark.parametrize("composition", [PRINTED, ABC, STRANG], ids=lambda c: c.name)

@@ -19,7 +19,7 @@ from contactbench.scene import BodyState, rotate, rotation_matrix
 from contactbench.solution import Status
 from contactbench.splitting import elliptic
 from contactbench.splitting.elliptic import bent_part, carlson, jacobi
-from contactbench.splitting.flows import FREE_COST, flows_of, rotation
+from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of, rotation
 from contactbench.splitting.free_body import FARTHEST, free
 from contactbench.truth import decimal_context, reference, with_decimals
 from contactbench.xla import jax, jnp
@@ -288,7 +288,8 @@ def test_a_million_periods_are_one_evaluation(inertia):
     np.testing.assert_allclose(late.M, soon.M, rtol=0, atol=1e-8)
 
 
-def test_the_cost_is_counted():
+@pytest.mark.parametrize(("R", "cost"), [((1, 0, 0, 0), FREE_COST), (None, MOMENTUM_COST)])
+def test_the_cost_is_counted(R, cost):
     """Square roots, divisions and transcendental functions of one flow, loops of fixed length."""
 
     class Number(float):
@@ -319,14 +320,14 @@ def test_the_cost_is_counted():
 
     def long_operations(apply):
         Number.long = 0
-        x = BodyState(tuple(map(Number, BODY.M)), tuple(map(Number, (1, 0, 0, 0))), Number(0))
+        x = BodyState(tuple(map(Number, BODY.M)), R and tuple(map(Number, R)), Number(0))
         apply(x, Counting(math))
         return Number.long
 
     once = long_operations(lambda x, xp: rotation(x, 0, Number(0.3), xp))
     whole = long_operations(lambda x, xp: free(BODY, x, Number(0.3), xp))
     assert once == 2
-    assert whole / once == pytest.approx(FREE_COST, abs=0.5)
+    assert whole / once == pytest.approx(cost, abs=0.5)
 
 
 # -- the method ------------------------------------------------------------------
@@ -351,6 +352,8 @@ def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scen
     for name in ("contact_drift", "own_factor_drift"):
         assert cb.LAWS[name](solution) < 1e-13 * magnified, name
     assert solution.counts == (10, 10 * FREE_COST, 0, 0, "rotation")
+    momentum = cb.solve(scene, "contact-exact", save_at=times, engine=engine, carry=())
+    assert momentum.counts == (10, 10 * MOMENTUM_COST, 0, 0, "rotation")
 
 
 def test_contact_exact_on_its_engines_and_from_other_data():

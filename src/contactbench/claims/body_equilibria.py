@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded when first used
 
-from contactbench.claims.calculus import ROUND_OFF, ROUND_OFF_WHY, largest, points
+from contactbench.claims.calculus import IDENTITY, ROUND_OFF, largest, points
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.claims.linearisation import (
+    EIGENVALUES,
     INERTIA,
-    SPECTRUM,
-    SPECTRUM_WHY,
     body,
     momentum_rate,
     random_damping,
@@ -95,45 +94,36 @@ def equilibrium_set(seed: int = 3, cases: int = 27, inertia: Sequence[float] = I
         ),
         points(3, seed=seed),
     )
-    return Evidence(
-        [
-            at_most(
-                f"farthest of the equilibria found from the set, {cases} symmetric D of rank 1, 2, 3",
-                max(distances),
-                1e-5,
-                "square root of the solver's 10⁻¹², since the residual may vanish quadratically, times 10",
-            ),
-            at_least(
-                "equilibria found, all M ≠ 0",
-                count,
-                10,
-                "the search must find something to be worth anything",
-            ),
-            at_most(
-                "max |M·M' + M·DM|, which makes M·DM = 0 necessary, a full D", work, ROUND_OFF, ROUND_OFF_WHY
-            ),
-        ],
-        [
-            at_least(
-                "distance from the set of an equilibrium of a D that is not symmetric",
-                distance_from_set(u, skew),
-                1e-2,
-                "far above the residual of the equilibrium",
-            ),
-            at_most(
-                "its residual |M × I⁻¹M − DM|, I = (1, 2, 3)",
-                np.abs(equation(INERTIA, skew)(u)).max(),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            ),
-            at_least(
-                "smallest eigenvalue of the symmetric part of that D",
-                np.linalg.eigvalsh((skew + skew.T) / 2).min(),
-                -ROUND_OFF,
-                "zero up to round-off",
-            ),
-        ],
-    )
+    statement = [
+        at_most(
+            f"farthest of the equilibria found from the set, {cases} symmetric D of rank 1, 2, 3",
+            max(distances),
+            1e-5,
+            "square root of the solver's 10⁻¹², since the residual may vanish quadratically, times 10",
+        ),
+        at_least(
+            "equilibria found, all M ≠ 0", count, 10, "the search must find something to be worth anything"
+        ),
+        at_most("max |M·M' + M·DM|, which makes M·DM = 0 necessary, a full D", work, *IDENTITY),
+    ]
+    corrected = [
+        at_least(
+            "distance from the set of an equilibrium of a D that is not symmetric",
+            distance_from_set(u, skew),
+            1e-2,
+            "far above the residual of the equilibrium",
+        ),
+        at_most(
+            "its residual |M × I⁻¹M − DM|, I = (1, 2, 3)", np.abs(equation(INERTIA, skew)(u)).max(), *IDENTITY
+        ),
+        at_least(
+            "smallest eigenvalue of the symmetric part of that D",
+            np.linalg.eigvalsh((skew + skew.T) / 2).min(),
+            -ROUND_OFF,
+            "zero up to round-off",
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 @claim(
@@ -162,37 +152,32 @@ def relative_equilibria(gamma: float = 0.1, inertia: Sequence[float] = INERTIA) 
     of_direction = direction_growths(scene)
     a = 1 / np.asarray(inertia)
     free = np.sqrt((a[1] - a[2]) * (a[0] - a[1]))
-    return Evidence(
-        [
-            at_most(
-                "max ‖M'‖ at the six unit momenta on the axes",
-                max(np.linalg.norm(f) for f in rates),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            )
-        ],
-        [
-            at_most("max ‖M × M'‖ there: the direction stays", turning, ROUND_OFF, ROUND_OFF_WHY),
-            at_most(
-                "growth rate of the direction near axes 1 and 3",
-                max(of_direction[0], of_direction[2]),
-                SPECTRUM,
-                SPECTRUM_WHY,
-            ),
-            at_least(
-                "growth rate of the direction near axis 2",
-                of_direction[1],
-                0.99 * free,
-                "√((1/I₂ − 1/I₃)(1/I₁ − 1/I₂)) at ‖M‖ = 1, Euler's equations, less one per cent",
-            ),
-            at_most(
-                "max |(H0/‖M‖²)(t)/(H0/‖M‖²)(0) − 1| along the true body",
-                np.abs(shape / shape[0] - 1).max(),
-                1e-13,
-                "the reference rounded to double precision",
-            ),
-        ],
-    )
+    statement = [
+        at_most(
+            "max ‖M'‖ at the six unit momenta on the axes", max(np.linalg.norm(f) for f in rates), *IDENTITY
+        )
+    ]
+    corrected = [
+        at_most("max ‖M × M'‖ there: the direction stays", turning, *IDENTITY),
+        at_most(
+            "growth rate of the direction near axes 1 and 3",
+            max(of_direction[0], of_direction[2]),
+            *EIGENVALUES,
+        ),
+        at_least(
+            "growth rate of the direction near axis 2",
+            of_direction[1],
+            0.99 * free,
+            "√((1/I₂ − 1/I₃)(1/I₁ − 1/I₂)) at ‖M‖ = 1, Euler's equations, less one per cent",
+        ),
+        at_most(
+            "max |(H0/‖M‖²)(t)/(H0/‖M‖²)(0) − 1| along the true body",
+            np.abs(shape / shape[0] - 1).max(),
+            1e-13,
+            "the reference rounded to double precision",
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 def direction_growths(scene: Any) -> np.ndarray:

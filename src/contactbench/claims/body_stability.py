@@ -11,6 +11,7 @@ import scipy  # its parts are loaded when first used
 from contactbench.claims.calculus import SEED
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.claims.linearisation import (
+    EIGENVALUES,
     INERTIA,
     SPECTRUM,
     SPECTRUM_WHY,
@@ -141,50 +142,46 @@ def extreme_axes(
     undamped = spectra_of(
         [(0 * D_, I_, M_) for D_, I_, M_ in diagonal_cases((0, 2), cases // 3, seed)]
     )  # one D = 0 for each
-    return Evidence(
-        [
-            at_most(
-                "growth rate at M* = e₃, D = ½ [[1, −1, 0], [−1, 1, 0], [0, 0, 0]], I = (1, 2, 3)",
-                rate,
-                -SPECTRUM,
-                SPECTRUM_WHY,
-            ),
-        ],
-        [
-            *judged((0, 2), seed, cases, integrated),
-            at_most(
-                f"M₃/M₃* at t = {t:.0f}, started 10⁻⁶ from that M*",
-                end[axis] / M[axis],
-                0.0,
-                "the motion has left M* for the other half of the axis",
-            ),
-            at_most(
-                "transverse momentum there",
-                np.linalg.norm(np.delete(end, axis)),
-                1e-9,
-                "10³ times the tolerance 10⁻¹² of the solver",
-            ),
-            at_most(
-                "growth rate at the rotation it ends in",
-                growth(D, end * (np.arange(3) == axis), inertia),
-                -SPECTRUM,
-                SPECTRUM_WHY,
-            ),
-            at_most(
-                "largest transverse growth rate of random diagonal D",
-                values[:, :2].max(),
-                -SPECTRUM,
-                SPECTRUM_WHY,
-            ),
-            at_most(
-                "|real part| of the eigenvalue along the axis there",
-                np.abs(values[:, 2]).max(),
-                SPECTRUM,
-                SPECTRUM_WHY,
-            ),
-            at_most("max |real part| at D = 0", np.abs(undamped).max(), SPECTRUM, SPECTRUM_WHY),
-        ],
-    )
+    statement = [
+        at_most(
+            "growth rate at M* = e₃, D = ½ [[1, −1, 0], [−1, 1, 0], [0, 0, 0]], I = (1, 2, 3)",
+            rate,
+            -SPECTRUM,
+            SPECTRUM_WHY,
+        )
+    ]
+    corrected = [
+        *judged((0, 2), seed, cases, integrated),
+        at_most(
+            f"M₃/M₃* at t = {t:.0f}, started 10⁻⁶ from that M*",
+            end[axis] / M[axis],
+            0.0,
+            "the motion has left M* for the other half of the axis",
+        ),
+        at_most(
+            "transverse momentum there",
+            np.linalg.norm(np.delete(end, axis)),
+            1e-9,
+            "10³ times the tolerance 10⁻¹² of the solver",
+        ),
+        at_most(
+            "growth rate at the rotation it ends in",
+            growth(D, end * (np.arange(3) == axis), inertia),
+            -SPECTRUM,
+            SPECTRUM_WHY,
+        ),
+        at_most(
+            "largest transverse growth rate of random diagonal D",
+            values[:, :2].max(),
+            -SPECTRUM,
+            SPECTRUM_WHY,
+        ),
+        at_most(
+            "|real part| of the eigenvalue along the axis there", np.abs(values[:, 2]).max(), *EIGENVALUES
+        ),
+        at_most("max |real part| at D = 0", np.abs(undamped).max(), *EIGENVALUES),
+    ]
+    return Evidence(statement, corrected)
 
 
 #: full transverse blocks (d₃₃, d₁₁, d₃₁) at e₂ that the product d₁₁ d₃₃ alone would misjudge
@@ -226,37 +223,32 @@ def intermediate_axis(
 
     edge = scipy.optimize.brentq(rate, coupling / 10, 10 * coupling, xtol=1e-15)
     one = np.eye(3)[1]
-    return Evidence(
-        [
-            at_least(
-                "growth rate, D = diag(d, 0, d) with d² three times the border",
-                rate(3 * coupling),
-                SPECTRUM,
-                SPECTRUM_WHY,
-            )
-        ],
-        [
-            *judged((1,), seed, cases, integrated),
-            at_most(
-                "|d² / (|M*|² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂)) − 1| at the border for D = diag(d, 0, d)",
-                abs(edge / coupling - 1),
-                1e-10,
-                "round-off of the eigenvalues, over their slope",
-            ),
-            at_least(
-                "growth rate at d₁ = d₃ = d₁₃ = ½, I = (1, 2, 3), |M*| = 1",
-                growth(about_axis_2(*SADDLE), one),
-                SPECTRUM,
-                SPECTRUM_WHY,
-            ),
-            at_most(
-                "growth rate at d₁ = 0.29, d₃ = 0.2, d₁₃ = −0.2",
-                growth(about_axis_2(*CALM), one),
-                -SPECTRUM,
-                SPECTRUM_WHY,
-            ),
-        ],
-    )
+    statement = [
+        at_least(
+            "growth rate, D = diag(d, 0, d) with d² three times the border", rate(3 * coupling), *EIGENVALUES
+        )
+    ]
+    corrected = [
+        *judged((1,), seed, cases, integrated),
+        at_most(
+            "|d² / (|M*|² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂)) − 1| at the border for D = diag(d, 0, d)",
+            abs(edge / coupling - 1),
+            1e-10,
+            "round-off of the eigenvalues, over their slope",
+        ),
+        at_least(
+            "growth rate at d₁ = d₃ = d₁₃ = ½, I = (1, 2, 3), |M*| = 1",
+            growth(about_axis_2(*SADDLE), one),
+            *EIGENVALUES,
+        ),
+        at_most(
+            "growth rate at d₁ = 0.29, d₃ = 0.2, d₁₃ = −0.2",
+            growth(about_axis_2(*CALM), one),
+            -SPECTRUM,
+            SPECTRUM_WHY,
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 @claim(
@@ -288,30 +280,29 @@ def decay_to_the_origin(
         solve(tilted, "scipy-dop853", rtol=1e-9, save_at=[80.0, 8000.0], carry=()).y, axis=1
     )
     gone = 1e-9, "10³ times the tolerance 10⁻¹² of the solver"
-    return Evidence(
-        [
-            at_most(
-                "‖M(t)‖/‖M(0)‖ after 80 damping times, D = diag(0, 1, 1), D M(0) ≠ 0",
-                np.linalg.norm(left),
-                1e-2,
-                "what decays at the damping rates is gone",
-            )
-        ],
-        [
-            at_least("|M₁|/‖M(0)‖ then", abs(left[0]), 1e-2, "far above what a decaying component leaves"),
-            at_most("what is left across axis 1", np.hypot(left[1], left[2]), *gone),
-            at_least(
-                "|M₁(80)|/‖M(0)‖, a random full D with D e₁ = 0 and a random start",
-                abs(other[0]),
-                1e-2,
-                "far above what a decaying component leaves",
-            ),
-            at_most("what is left across axis 1 there", np.hypot(other[1], other[2]), *gone),
-            at_most(
-                "‖M(8000)‖/‖M(80)‖ where ker D holds no principal axis",
-                sizes[1] / sizes[0],
-                0.15,
-                "along ker D ‖M‖' = −c‖M‖³, hence t^{−1/2}: 0.1, and half as much again for the transient",
-            ),
-        ],
-    )
+    statement = [
+        at_most(
+            "‖M(t)‖/‖M(0)‖ after 80 damping times, D = diag(0, 1, 1), D M(0) ≠ 0",
+            np.linalg.norm(left),
+            1e-2,
+            "what decays at the damping rates is gone",
+        )
+    ]
+    corrected = [
+        at_least("|M₁|/‖M(0)‖ then", abs(left[0]), 1e-2, "far above what a decaying component leaves"),
+        at_most("what is left across axis 1", np.hypot(left[1], left[2]), *gone),
+        at_least(
+            "|M₁(80)|/‖M(0)‖, a random full D with D e₁ = 0 and a random start",
+            abs(other[0]),
+            1e-2,
+            "far above what a decaying component leaves",
+        ),
+        at_most("what is left across axis 1 there", np.hypot(other[1], other[2]), *gone),
+        at_most(
+            "‖M(8000)‖/‖M(80)‖ where ker D holds no principal axis",
+            sizes[1] / sizes[0],
+            0.15,
+            "along ker D ‖M‖' = −c‖M‖³, hence t^{−1/2}: 0.1, and half as much again for the transient",
+        ),
+    ]
+    return Evidence(statement, corrected)

@@ -21,7 +21,8 @@ SEED = 20
 POINTS = 64
 #: sums of a few dozen products of numbers of size one, differentiated by AD: a few hundred ulp
 ROUND_OFF = 1e-12
-ROUND_OFF_WHY = "round-off of automatic differentiation on numbers of size one"
+#: bound and reason of what holds identically
+IDENTITY = ROUND_OFF, "round-off of automatic differentiation on numbers of size one"
 
 
 def points(dimension: int, count: int = POINTS, seed: int = SEED) -> np.ndarray:

@@ -68,20 +68,15 @@ def conservative_limit(**changes: Any) -> Evidence:
         ),
     ]
     closes = 1e-3, "ten times h² = 10⁻⁴ of the step used"
-    return Evidence(
-        [
-            *bounded,
-            at_most(
-                "nearest return to the start over T = 100, particle", returned(PARTICLE, **changes), *closes
-            ),
-        ],
-        [
-            *bounded,
-            at_most("nearest return to the start over T = 100, oscillator", returned("oscillator"), *closes),
-            at_most(
-                "the same, particle from q₁ = p₁ = 0",
-                returned(PARTICLE, q=(0.0, 0.5), p=(0.0, 0.3)),
-                *closes,
-            ),
-        ],
-    )
+    statement = [
+        *bounded,
+        at_most("nearest return to the start over T = 100, particle", returned(PARTICLE, **changes), *closes),
+    ]
+    corrected = [
+        *bounded,
+        at_most("nearest return to the start over T = 100, oscillator", returned("oscillator"), *closes),
+        at_most(
+            "the same, particle from q₁ = p₁ = 0", returned(PARTICLE, q=(0.0, 0.5), p=(0.0, 0.3)), *closes
+        ),
+    ]
+    return Evidence(statement, corrected)

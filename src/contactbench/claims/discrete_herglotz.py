@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.claims.calculus import (
+    IDENTITY,
     ROUND_OFF,
-    ROUND_OFF_WHY,
     SEED,
     largest,
     one_step,
@@ -18,8 +18,7 @@ from contactbench.claims.calculus import (
 )
 from contactbench.claims.ledger import Correction, Evidence, at_most, claim
 from contactbench.claims.orders import (
-    ORDER_MISS,
-    ORDER_WHY,
+    ORDER,
     PARTICLE,
     exact_errors,
     slope,
@@ -76,31 +75,22 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
     reached, gradient = jax.jit(jax.value_and_grad(action))(q[1:-1])
     free = one_step(method, scene.with_(gamma=0.0), h)
     orders = {name: slope(exact_errors(METHODS[name])) for name in (HERGLOTZ, "herglotz2")}
-    return Evidence(
-        [
-            at_most(
-                "max |∂s_N/∂q_k| along a computed curve of 20 steps",
-                np.abs(gradient).max(),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            ),
-            at_most(
-                "|s_N − s_N of the recursion| along it",
-                abs(float(reached) - path[-1].s),
-                ROUND_OFF,
-                "round-off of 20 steps",
-            ),
-            at_most(
-                "max |DΦᵀΩDΦ − Ω| at γ = 0",
-                largest(lambda y: symplectic_defect(free, y), points(5, seed=seed)),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            ),
-        ],
-        [
-            at_most("|order − 1| of herglotz1, 50 digits", abs(orders[HERGLOTZ] - 1), ORDER_MISS, ORDER_WHY),
-            at_most(
-                "|order − 2| of herglotz2, 50 digits", abs(orders["herglotz2"] - 2), ORDER_MISS, ORDER_WHY
-            ),
-        ],
-    )
+    statement = [
+        at_most("max |∂s_N/∂q_k| along a computed curve of 20 steps", np.abs(gradient).max(), *IDENTITY),
+        at_most(
+            "|s_N − s_N of the recursion| along it",
+            abs(float(reached) - path[-1].s),
+            ROUND_OFF,
+            "round-off of 20 steps",
+        ),
+        at_most(
+            "max |DΦᵀΩDΦ − Ω| at γ = 0",
+            largest(lambda y: symplectic_defect(free, y), points(5, seed=seed)),
+            *IDENTITY,
+        ),
+    ]
+    corrected = [
+        at_most("|order − 1| of herglotz1, 50 digits", abs(orders[HERGLOTZ] - 1), *ORDER),
+        at_most("|order − 2| of herglotz2, 50 digits", abs(orders["herglotz2"] - 2), *ORDER),
+    ]
+    return Evidence(statement, corrected)

@@ -11,6 +11,7 @@ from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, 
 from contactbench.claims.orders import (
     ABC,
     ENERGY_LADDER,
+    ORDER,
     ORDER_MISS,
     ORDER_WHY,
     PAPER_STEP,
@@ -48,16 +49,13 @@ def closeness(**changes: Any) -> Evidence:
     """changes : of the particle: ``gamma`` and the initial data, which the paper does not print."""
     printed, rk4 = paper_run(PRINTED, **changes).y, paper_run(RK4, **changes).y
     size = np.abs(rk4).max()
-    return Evidence(
-        [
-            at_most(
-                "max |(q, p) − (q, p)_RK4| / max |(q, p)|",
-                np.abs(printed - rk4).max() / size,
-                1e-2,
-                "one per cent of the amplitude, a line's width in the paper's figure",
-            )
-        ]
+    measured = at_most(
+        "max |(q, p) − (q, p)_RK4| / max |(q, p)|",
+        np.abs(printed - rk4).max() / size,
+        1e-2,
+        "one per cent of the amplitude, a line's width in the paper's figure",
     )
+    return Evidence([measured])
 
 
 def rises(name: str, gamma: float, h: float, **changes: Any) -> tuple[int, float]:
@@ -98,50 +96,45 @@ def monotone_methods(gamma: float = 0.1, weak: float = 1e-3, coarse: float = 0.1
     edges = {(name, h): monotone_from(name, h) for name in (PRINTED, STRANG) for h in (0.1, 0.05)}
     turning = rises(PRINTED, gamma, PAPER_STEP, q=(0.0, 1.0), p=(0.0, 0.0))
     rate = slope({h: rises(STRANG, 0.0, h)[1] for h in (0.2, 0.1, 0.05, 0.025)})
-    return Evidence(
-        [
-            at_most(
-                f"steps that raise H0 at γ = {gamma:g}, h = 0.01, {name}", n, 0, "monotone decay has none"
-            )
-            for name, (n, _) in paper.items()
-        ],
-        [
-            *(
-                at_least(
-                    f"steps that raise H0 at γ = {weak:g}, h = {coarse:g}, {name}",
-                    rises(name, weak, coarse)[0],
-                    1,
-                    "not monotone",
-                )
-                for name in (PRINTED, STRANG)
-            ),
-            at_most(
-                f"the same, {RK4}", rises(RK4, weak, coarse)[0], 0, "its own dissipation lowers H0 further"
-            ),
-            *(
-                at_most(
-                    f"|γ/(¾ h²) − 1| at the border of monotone decay, {name}, h = {h:g}",
-                    abs(edge / (0.75 * h * h) - 1),
-                    0.15,
-                    "the border is found to 2 %, and the printed order approaches the constant as h → 0",
-                )
-                for (name, h), edge in edges.items()
-            ),
+    statement = [
+        at_most(f"steps that raise H0 at γ = {gamma:g}, h = 0.01, {name}", n, 0, "monotone decay has none")
+        for name, (n, _) in paper.items()
+    ]
+    corrected = [
+        *(
             at_least(
-                f"steps that raise H0 from q₁ = p₁ = 0, γ = {gamma:g}, h = 0.01, contact-printed",
-                turning[0],
+                f"steps that raise H0 at γ = {weak:g}, h = {coarse:g}, {name}",
+                rises(name, weak, coarse)[0],
                 1,
-                "not monotone at the turning points",
-            ),
-            at_most("largest of these rises over H0(0)", turning[1], PAPER_STEP**3, "O(h³)"),
+                "not monotone",
+            )
+            for name in (PRINTED, STRANG)
+        ),
+        at_most(f"the same, {RK4}", rises(RK4, weak, coarse)[0], 0, "its own dissipation lowers H0 further"),
+        *(
             at_most(
-                "|power of h in the largest rise of a step at γ = 0 − 3|",
-                abs(rate - 3),
-                ORDER_MISS,
-                "the derivative of an oscillation of size h², over a step h",
-            ),
-        ],
-    )
+                f"|γ/(¾ h²) − 1| at the border of monotone decay, {name}, h = {h:g}",
+                abs(edge / (0.75 * h * h) - 1),
+                0.15,
+                "the border is found to 2 %, and the printed order approaches the constant as h → 0",
+            )
+            for (name, h), edge in edges.items()
+        ),
+        at_least(
+            f"steps that raise H0 from q₁ = p₁ = 0, γ = {gamma:g}, h = 0.01, contact-printed",
+            turning[0],
+            1,
+            "not monotone at the turning points",
+        ),
+        at_most("largest of these rises over H0(0)", turning[1], PAPER_STEP**3, "O(h³)"),
+        at_most(
+            "|power of h in the largest rise of a step at γ = 0 − 3|",
+            abs(rate - 3),
+            ORDER_MISS,
+            "the derivative of an oscillation of size h², over a step h",
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 def balance_defect(name: str, h: float, gamma: float) -> float:
@@ -166,25 +159,21 @@ def balance_defect(name: str, h: float, gamma: float) -> float:
 def dissipation_law(gamma: float = 0.1) -> Evidence:
     ladder = min(1, gamma / 0.1) * np.array([0.025, 0.0125, 0.00625, 0.003125])  # h well below γ
     orders = {name: slope({h: balance_defect(name, h, gamma) for h in ladder}) for name in (PRINTED, STRANG)}
-    return Evidence(
-        [
-            at_most(
-                "max |H0(t) − H0(0) + γ∫‖p‖²|/H0(0), h = 0.01",
-                balance_defect(PRINTED, PAPER_STEP, gamma),
-                1e-2,
-                "one per cent of the energy, a line's width in the paper's figure",
-            ),
-            at_least(
-                "order of this defect, contact-printed",
-                orders[PRINTED],
-                1 - ORDER_MISS,
-                "its order is 1 (C25)",
-            ),
-            at_least(
-                "order of this defect, contact-strang", orders[STRANG], 2 - ORDER_MISS, "its order is 2 (C25)"
-            ),
-        ]
-    )
+    statement = [
+        at_most(
+            "max |H0(t) − H0(0) + γ∫‖p‖²|/H0(0), h = 0.01",
+            balance_defect(PRINTED, PAPER_STEP, gamma),
+            1e-2,
+            "one per cent of the energy, a line's width in the paper's figure",
+        ),
+        at_least(
+            "order of this defect, contact-printed", orders[PRINTED], 1 - ORDER_MISS, "its order is 1 (C25)"
+        ),
+        at_least(
+            "order of this defect, contact-strang", orders[STRANG], 2 - ORDER_MISS, "its order is 2 (C25)"
+        ),
+    ]
+    return Evidence(statement)
 
 
 @claim(
@@ -210,24 +199,21 @@ def exponential_energy(**changes: Any) -> Evidence:
     run = solve(scene, PRINTED, step=PAPER_STEP, save_at=t, carry=("s",), engine="python")
     numerical = scene.hamiltonian(run.states()) * growing
     width = 1e-2, "one per cent of the energy, a line's width in the paper's figure"
-    return Evidence(
-        [
-            at_most(
-                "read for H0: max |H0(t) e^{γt}/H0(0) − 1| of the truth", np.abs(H0 / H0[0] - 1).max(), *width
-            )
-        ],
-        [
-            at_most(
-                "read for H: max |H(t) e^{γt}/H(0) − 1| of the truth",
-                np.abs(H / H[0] - 1).max(),
-                1e-13,
-                "the reference rounded to double precision; q, p and s decay as H does",
-            ),
-            at_most(
-                "the same of contact-printed, h = 0.01", np.abs(numerical / numerical[0] - 1).max(), *width
-            ),
-        ],
-    )
+    statement = [
+        at_most(
+            "read for H0: max |H0(t) e^{γt}/H0(0) − 1| of the truth", np.abs(H0 / H0[0] - 1).max(), *width
+        )
+    ]
+    corrected = [
+        at_most(
+            "read for H: max |H(t) e^{γt}/H(0) − 1| of the truth",
+            np.abs(H / H[0] - 1).max(),
+            1e-13,
+            "the reference rounded to double precision; q, p and s decay as H does",
+        ),
+        at_most("the same of contact-printed, h = 0.01", np.abs(numerical / numerical[0] - 1).max(), *width),
+    ]
+    return Evidence(statement, corrected)
 
 
 NOMINAL = {PRINTED: 1, ABC: 2, STRANG: 2, RK4: 4}
@@ -256,44 +242,39 @@ def convergence_orders(**changes: Any) -> Evidence:
         for name in NOMINAL
     }
     claimed = 2 - ORDER_MISS, 2 + ORDER_MISS
-    return Evidence(
-        [
-            measurement
-            for label in READINGS
-            for measurement in (
-                at_least(
-                    f"order of the {label} error, {PRINTED}", orders[PRINTED, label], claimed[0], ORDER_WHY
-                ),
-                at_most(f"order of the {label} error, {RK4}", orders[RK4, label], claimed[1], ORDER_WHY),
-            )
-        ],
-        [
-            *(
-                at_most(
-                    f"|order of the {label} error − {NOMINAL[name]}|, {name} (order {order:.2f})",
-                    abs(order - NOMINAL[name]),
-                    ORDER_MISS,
-                    ORDER_WHY,
-                )
-                for (name, label), order in orders.items()
-            ),
+    statement = [
+        measurement
+        for label in READINGS
+        for measurement in (
+            at_least(f"order of the {label} error, {PRINTED}", orders[PRINTED, label], claimed[0], ORDER_WHY),
+            at_most(f"order of the {label} error, {RK4}", orders[RK4, label], claimed[1], ORDER_WHY),
+        )
+    ]
+    corrected = [
+        *(
             at_most(
-                "max |H0(t) e^{2γt}/H0(0) − 1| of contact-printed and contact-abc on rigid_body, h = 0.4",
-                max(body_energy_error(name, 0.4) for name in (PRINTED, ABC)),
-                ROUND_OFF,
-                "round-off of 50 steps",
-            ),
-            *(
-                at_most(
-                    f"|order of the solution error − {NOMINAL[name]}| on rigid_body, {name}",
-                    abs(slope(body_errors(name)) - NOMINAL[name]),
-                    ORDER_MISS,
-                    ORDER_WHY,
-                )
-                for name in (PRINTED, ABC)
-            ),
-        ],
-    )
+                f"|order of the {label} error − {NOMINAL[name]}|, {name} (order {order:.2f})",
+                abs(order - NOMINAL[name]),
+                *ORDER,
+            )
+            for (name, label), order in orders.items()
+        ),
+        at_most(
+            "max |H0(t) e^{2γt}/H0(0) − 1| of contact-printed and contact-abc on rigid_body, h = 0.4",
+            max(body_energy_error(name, 0.4) for name in (PRINTED, ABC)),
+            ROUND_OFF,
+            "round-off of 50 steps",
+        ),
+        *(
+            at_most(
+                f"|order of the solution error − {NOMINAL[name]}| on rigid_body, {name}",
+                abs(slope(body_errors(name)) - NOMINAL[name]),
+                *ORDER,
+            )
+            for name in (PRINTED, ABC)
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 @claim(
@@ -309,22 +290,18 @@ def contact_drifts(**changes: Any) -> Evidence:
     end = {"save_at": [scene.t_end]}
     ours = max(law(solve(scene, name, step=0.1, **end)) for name in (PRINTED, ABC, STRANG))
     why = "a thousand times the bound the contact methods keep"
-    return Evidence(
-        [
-            at_most(
-                "largest contact_drift of the contact methods, h = 0.1",
-                ours,
-                ROUND_OFF,
-                "round-off of 200 steps",
-            ),
-            at_least(
-                "contact_drift of rk4, h = 0.1", law(solve(scene, RK4, step=0.1, **end)), 1e3 * ROUND_OFF, why
-            ),
-            at_least(
-                "contact_drift of diffrax-tsit5, rtol 10⁻⁶",
-                law(solve(scene, "diffrax-tsit5", rtol=1e-6, **end)),
-                1e3 * ROUND_OFF,
-                why,
-            ),
-        ]
-    )
+    statement = [
+        at_most(
+            "largest contact_drift of the contact methods, h = 0.1", ours, ROUND_OFF, "round-off of 200 steps"
+        ),
+        at_least(
+            "contact_drift of rk4, h = 0.1", law(solve(scene, RK4, step=0.1, **end)), 1e3 * ROUND_OFF, why
+        ),
+        at_least(
+            "contact_drift of diffrax-tsit5, rtol 10⁻⁶",
+            law(solve(scene, "diffrax-tsit5", rtol=1e-6, **end)),
+            1e3 * ROUND_OFF,
+            why,
+        ),
+    ]
+    return Evidence(statement)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.claims.calculus import (
+    IDENTITY,
     ROUND_OFF,
-    ROUND_OFF_WHY,
     SEED,
     canonical,
     contact_equations,
@@ -88,8 +88,7 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
         at_most(
             f"max |dφ_h/dh − X(φ_h)|/(1 + |φ_h|), |φ_0 − id|: {label}",
             flow_defect(flow_map(MECHANICAL[name], scene), lambda y, H=part: H(canonical(y)), seed),
-            ROUND_OFF,
-            ROUND_OFF_WHY,
+            *IDENTITY,
         )
         for label, (name, part) in parts.items()
     ]
@@ -120,41 +119,34 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
         "C": ("damp", lambda x: curved.dissipation(x.s)),
         "A and C together": ("drift_damp", lambda x: curved.kinetic(x.p) + curved.dissipation(x.s)),
     }
-    return Evidence(
-        [*exact, at_most("max |φ_h*η − e^{−γh}η| (A, B: factor 1)", contact, ROUND_OFF, ROUND_OFF_WHY)],
-        [
-            *(
-                at_most(
-                    f"the same defect on T*SO(3) × R: {label}",
-                    body_flow_defect(name, seed),
-                    ROUND_OFF,
-                    ROUND_OFF_WHY,
-                )
-                for label, name in (("A (free)", "free"), ("C (damp)", "damp"))
-            ),
-            *(
-                at_most(
-                    f"the same defect with Γ = γs + ½κs², κ = {kappa:g}: {label}",
-                    flow_defect(flow_map(MECHANICAL[name], curved), lambda y, H=part: H(canonical(y)), seed),
-                    ROUND_OFF,
-                    ROUND_OFF_WHY,
-                )
-                for label, (name, part) in dissipated.items()
-            ),
+    statement = [*exact, at_most("max |φ_h*η − e^{−γh}η| (A, B: factor 1)", contact, *IDENTITY)]
+    corrected = [
+        *(
+            at_most(f"the same defect on T*SO(3) × R: {label}", body_flow_defect(name, seed), *IDENTITY)
+            for label, name in (("A (free)", "free"), ("C (damp)", "damp"))
+        ),
+        *(
             at_most(
-                "A with s += h (p·T_p − T) for T = ¼ Σ p⁴",
-                flow_defect(drift(True), quartic, seed),
-                10 * ROUND_OFF,
-                "round-off of AD on numbers of size up to 100",
-            ),
-            at_least(
-                "A as printed, s += h T, for the same T",
-                flow_defect(drift(False), quartic, seed),
-                1e-3,
-                "far above round-off: it is not the flow",
-            ),
-        ],
-    )
+                f"the same defect with Γ = γs + ½κs², κ = {kappa:g}: {label}",
+                flow_defect(flow_map(MECHANICAL[name], curved), lambda y, H=part: H(canonical(y)), seed),
+                *IDENTITY,
+            )
+            for label, (name, part) in dissipated.items()
+        ),
+        at_most(
+            "A with s += h (p·T_p − T) for T = ¼ Σ p⁴",
+            flow_defect(drift(True), quartic, seed),
+            10 * ROUND_OFF,
+            "round-off of AD on numbers of size up to 100",
+        ),
+        at_least(
+            "A as printed, s += h T, for the same T",
+            flow_defect(drift(False), quartic, seed),
+            1e-3,
+            "far above round-off: it is not the flow",
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 @claim(
@@ -171,36 +163,35 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
 def printed_composition(**changes: Any) -> Evidence:
     """changes : of the particle, e.g. ``gamma``."""
     palindromes = [METHODS[name] for name in (ABC, STRANG)]
-    return Evidence(
-        [
-            at_least(
-                "order of contact-printed, 50 digits",
-                slope(exact_errors(METHODS[PRINTED], **changes)),
-                2 - ORDER_MISS,
-                ORDER_WHY,
-            ),
-            at_most(
-                "|Φ_{−h} Φ_h x − x| at h = 1/10, 50 digits",
-                asymmetry(PRINTED, **changes),
-                1e-40,
-                "round-off at 50 digits",
-            ),
-        ],
-        [
-            at_least(
-                "smallest order of contact-abc and contact-strang",
-                min(slope(exact_errors(m, **changes)) for m in palindromes),
-                2 - ORDER_MISS,
-                ORDER_WHY,
-            ),
-            at_most(
-                "largest |Φ_{−h} Φ_h x − x| of the two",
-                max(asymmetry(m.name, **changes) for m in palindromes),
-                1e-40,
-                "round-off at 50 digits",
-            ),
-        ],
-    )
+    statement = [
+        at_least(
+            "order of contact-printed, 50 digits",
+            slope(exact_errors(METHODS[PRINTED], **changes)),
+            2 - ORDER_MISS,
+            ORDER_WHY,
+        ),
+        at_most(
+            "|Φ_{−h} Φ_h x − x| at h = 1/10, 50 digits",
+            asymmetry(PRINTED, **changes),
+            1e-40,
+            "round-off at 50 digits",
+        ),
+    ]
+    corrected = [
+        at_least(
+            "smallest order of contact-abc and contact-strang",
+            min(slope(exact_errors(m, **changes)) for m in palindromes),
+            2 - ORDER_MISS,
+            ORDER_WHY,
+        ),
+        at_most(
+            "largest |Φ_{−h} Φ_h x − x| of the two",
+            max(asymmetry(m.name, **changes) for m in palindromes),
+            1e-40,
+            "round-off at 50 digits",
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 STEPS_OF_ANY_SIZE = (0.5, 0.1, 0.02)
@@ -235,27 +226,24 @@ def contact_structure(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     }
     scene = SCENES[PARTICLE].with_(gamma=gamma)
     long = solve(scene, PRINTED, step=0.5, save_at=[scene.t_end])
-    return Evidence(
-        [
-            at_most(
-                f"drift of one step over h³, h = {STEPS_OF_ANY_SIZE}",
-                max(d / h**3 for h, d in drifts.items()),
-                1.0,
-                "a constant of size one in O(h³)",
-            )
-        ],
-        [
-            at_most(
-                f"drift of one step, h = {STEPS_OF_ANY_SIZE}", max(drifts.values()), ROUND_OFF, ROUND_OFF_WHY
-            ),
-            at_most(
-                "contact_drift of contact-printed over T = 20 at h = ½",
-                LAWS["contact_drift"](long),
-                ROUND_OFF,
-                "round-off of 40 steps",
-            ),
-        ],
-    )
+    statement = [
+        at_most(
+            f"drift of one step over h³, h = {STEPS_OF_ANY_SIZE}",
+            max(d / h**3 for h, d in drifts.items()),
+            1.0,
+            "a constant of size one in O(h³)",
+        )
+    ]
+    corrected = [
+        at_most(f"drift of one step, h = {STEPS_OF_ANY_SIZE}", max(drifts.values()), *IDENTITY),
+        at_most(
+            "contact_drift of contact-printed over T = 20 at h = ½",
+            LAWS["contact_drift"](long),
+            ROUND_OFF,
+            "round-off of 40 steps",
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 @claim(
@@ -290,25 +278,24 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     size = np.linalg.norm(run.M, axis=1) * np.exp(gamma * run.t) / np.linalg.norm(run.scene.M)
     exact = "round-off of the steps taken"
     least = 3 - ORDER_MISS, ORDER_WHY
-    return Evidence(
-        [
-            at_least("power of h in the error of H0 after one step, contact-printed", printed[0], *least),
-            at_least("power of h in the error of s after one step, contact-printed", printed[1], *least),
-        ],
-        [
-            at_least("the same for H0, contact-abc and contact-strang", worst[0], *least),
-            at_least("the same for s, contact-abc and contact-strang", worst[1], *least),
-            at_least(
-                "smaller of the two powers, contact-printed",
-                min(printed),
-                2 - ORDER_MISS,
-                "order 1 (C25): h² per step",
-            ),
-            at_most("momentum_law on central at h = ½", central, ROUND_OFF, exact),
-            at_most("momentum_law on rigid_body at h = ½", body, ROUND_OFF, exact),
-            at_most("max |‖M‖ e^{γt}/‖M(0)‖ − 1| there", np.abs(size - 1).max(), ROUND_OFF, exact),
-        ],
-    )
+    statement = [
+        at_least("power of h in the error of H0 after one step, contact-printed", printed[0], *least),
+        at_least("power of h in the error of s after one step, contact-printed", printed[1], *least),
+    ]
+    corrected = [
+        at_least("the same for H0, contact-abc and contact-strang", worst[0], *least),
+        at_least("the same for s, contact-abc and contact-strang", worst[1], *least),
+        at_least(
+            "smaller of the two powers, contact-printed",
+            min(printed),
+            2 - ORDER_MISS,
+            "order 1 (C25): h² per step",
+        ),
+        at_most("momentum_law on central at h = ½", central, ROUND_OFF, exact),
+        at_most("momentum_law on rigid_body at h = ½", body, ROUND_OFF, exact),
+        at_most("max |‖M‖ e^{γt}/‖M(0)‖ − 1| there", np.abs(size - 1).max(), ROUND_OFF, exact),
+    ]
+    return Evidence(statement, corrected)
 
 
 @claim(
@@ -331,19 +318,18 @@ def verlet_limit(h: float = PAPER_STEP, steps: int = 2000) -> Evidence:
             most = max(most, np.abs(q - np.array(x.q)).max(), np.abs(p - np.array(x.p)).max())
         return most
 
-    return Evidence(
-        [
-            at_most(
-                f"max |difference| from velocity Verlet over {steps} steps at γ = 0",
-                difference(0.0),
-                0.0,
-                "the same numbers, bit for bit",
-            ),
-            at_most(
-                "the same at γ = 10⁻⁸",
-                difference(1e-8),
-                1e-8 * 5 * h * steps,
-                "five times γ t: the amplitude decays by γ t/2, and the phase shifts with it",
-            ),
-        ]
-    )
+    statement = [
+        at_most(
+            f"max |difference| from velocity Verlet over {steps} steps at γ = 0",
+            difference(0.0),
+            0.0,
+            "the same numbers, bit for bit",
+        ),
+        at_most(
+            "the same at γ = 10⁻⁸",
+            difference(1e-8),
+            1e-8 * 5 * h * steps,
+            "five times γ t: the amplitude decays by γ t/2, and the phase shifts with it",
+        ),
+    ]
+    return Evidence(statement)

@@ -34,7 +34,9 @@ from contactbench.xla import jax
 
 ANISOTROPIC = "rigid_body_anisotropic"
 INERTIA = (1.0, 2.0, 3.0)
-SPECTRUM, SPECTRUM_WHY = 1e-12, "round-off of the eigenvalues of a 3×3 matrix of size one"
+SPECTRUM = 1e-12
+SPECTRUM_WHY = "round-off of the eigenvalues of a 3×3 matrix of size one"
+EIGENVALUES = SPECTRUM, SPECTRUM_WHY
 RANKS = (0, 1, 2)  #: of a symmetric D ≥ 0 on R³ with a kernel
 
 

@@ -21,7 +21,9 @@ PARTICLE = "particle"
 PRINTED, ABC, STRANG, RK4 = "contact-printed", "contact-abc", "contact-strang", "rk4"
 DIGITS = 50
 #: a fitted order may miss the nominal one by this much at the step sizes used
-ORDER_MISS, ORDER_WHY = 0.1, "the next term of the error bends the slope by a few per cent at the steps used"
+ORDER_MISS = 0.1
+ORDER_WHY = "the next term of the error bends the slope by a few per cent at the steps used"
+ORDER = ORDER_MISS, ORDER_WHY
 PAPER_STEP = 0.01
 #: errors of H0 in double precision below this are round-off of some 10⁴ steps; 50-digit errors stay above
 ENERGY_FLOOR = 1e-12

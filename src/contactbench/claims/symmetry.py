@@ -6,8 +6,8 @@ import numpy as np
 import scipy  # its parts are loaded when first used
 
 from contactbench.claims.calculus import (
+    IDENTITY,
     ROUND_OFF,
-    ROUND_OFF_WHY,
     SEED,
     along,
     canonical,
@@ -22,7 +22,7 @@ from contactbench.claims.calculus import (
     pullback,
     vector_field,
 )
-from contactbench.claims.geometry import SOLVER, SOLVER_BOUND, SOLVER_WHY, TRUTH, TRUTH_WHY
+from contactbench.claims.geometry import SOLVED, SOLVER, TRUE
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
@@ -67,17 +67,11 @@ def cotangent_lifts(seed: int = SEED) -> Evidence:
         "rotations of space": (lambda y: turned(y, 0.7, AXIS), points(7, seed=seed)),
         "a nonlinear change of coordinates": (lifted, points(5, seed=seed)),
     }
-    return Evidence(
-        [
-            at_most(
-                f"max |Φ*η − η|, {label}",
-                largest(strictness(map_), at),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            )
-            for label, (map_, at) in defects.items()
-        ]
-    )
+    statement = [
+        at_most(f"max |Φ*η − η|, {label}", largest(strictness(map_), at), *IDENTITY)
+        for label, (map_, at) in defects.items()
+    ]
+    return Evidence(statement)
 
 
 @claim(
@@ -99,31 +93,19 @@ def infinitesimal_strictness(seed: int = SEED) -> Evidence:
 
     lie = lambda y: lie_derivative(generator, eta, y)  # noqa: E731
     at = points(7, seed=seed)
-    return Evidence(
-        [
-            at_most(
-                "max |L_ξ η + dJ_ξ|",
-                largest(lambda y: lie(y) + jax.grad(momentum)(y), at),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            )
-        ],
-        [
-            at_most("max |L_ξ η|", largest(lie, at), ROUND_OFF, ROUND_OFF_WHY),
-            at_most(
-                "max |J_ξ + ι_ξ η|",
-                largest(lambda y: momentum(y) + eta(y) @ generator(y), at),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            ),
-            at_most(
-                "max |dJ_ξ − ι_ξ dη|",
-                largest(lambda y: jax.grad(momentum)(y) - generator(y) @ exterior(eta, y), at),
-                ROUND_OFF,
-                ROUND_OFF_WHY,
-            ),
-        ],
-    )
+    statement = [
+        at_most("max |L_ξ η + dJ_ξ|", largest(lambda y: lie(y) + jax.grad(momentum)(y), at), *IDENTITY)
+    ]
+    corrected = [
+        at_most("max |L_ξ η|", largest(lie, at), *IDENTITY),
+        at_most("max |J_ξ + ι_ξ η|", largest(lambda y: momentum(y) + eta(y) @ generator(y), at), *IDENTITY),
+        at_most(
+            "max |dJ_ξ − ι_ξ dη|",
+            largest(lambda y: jax.grad(momentum)(y) - generator(y) @ exterior(eta, y), at),
+            *IDENTITY,
+        ),
+    ]
+    return Evidence(statement, corrected)
 
 
 def times(scene):
@@ -168,26 +150,23 @@ def momentum_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         rate = jax.grad(invariant)(y)[-1]
         return along(contact_equations(invariant), momentum, y) + rate * momentum(y)
 
-    return Evidence(
-        [
-            at_most(
-                "max ‖J e^{λt} − J(0)‖/‖J(0)‖ along the true central", deviation("central"), TRUTH, TRUTH_WHY
-            ),
-            at_most("the same for the true rigid body, J = R M", deviation("rigid_body"), TRUTH, TRUTH_WHY),
-            at_most(
-                "max |J' + Γ'(s) J| for Γ = γ s + ½ κ s²",
-                largest(defect, points(5, seed=seed)),
-                10 * ROUND_OFF,
-                "round-off of AD on forces of size up to 100",
-            ),
-            at_most(
-                "max |J' + R(H) J|, random invariant H(q, p, s)",
-                largest(general, points(5, seed=seed) / 2),
-                10 * ROUND_OFF,
-                "round-off of AD on a quartic",
-            ),
-        ]
-    )
+    statement = [
+        at_most("max ‖J e^{λt} − J(0)‖/‖J(0)‖ along the true central", deviation("central"), *TRUE),
+        at_most("the same for the true rigid body, J = R M", deviation("rigid_body"), *TRUE),
+        at_most(
+            "max |J' + Γ'(s) J| for Γ = γ s + ½ κ s²",
+            largest(defect, points(5, seed=seed)),
+            10 * ROUND_OFF,
+            "round-off of AD on forces of size up to 100",
+        ),
+        at_most(
+            "max |J' + R(H) J|, random invariant H(q, p, s)",
+            largest(general, points(5, seed=seed) / 2),
+            10 * ROUND_OFF,
+            "round-off of AD on a quartic",
+        ),
+    ]
+    return Evidence(statement)
 
 
 @claim(
@@ -204,18 +183,14 @@ def level_sets(gamma: float = 0.1) -> Evidence:
         return np.abs(J - J[0]).max() / (abs(J[0]) or 1.0)
 
     why = "far above the uncertainty 10⁻¹³ of the truth"
-    return Evidence(
-        [
-            at_least(f"max |J(t) − J(0)|/|J(0)| at λ = {gamma:g}", change(damped), 1e-3, why),
-            at_most("the same at λ = 0", change(damped.with_(gamma=0.0)), TRUTH, TRUTH_WHY),
-            at_most(
-                f"max |J(t)| at λ = {gamma:g}, J(0) = 0",
-                change(damped.with_(q=(1.0, 0.0), p=(0.3, 0.0))),
-                TRUTH,
-                TRUTH_WHY,
-            ),
-        ]
-    )
+    statement = [
+        at_least(f"max |J(t) − J(0)|/|J(0)| at λ = {gamma:g}", change(damped), 1e-3, why),
+        at_most("the same at λ = 0", change(damped.with_(gamma=0.0)), *TRUE),
+        at_most(
+            f"max |J(t)| at λ = {gamma:g}, J(0) = 0", change(damped.with_(q=(1.0, 0.0), p=(0.3, 0.0))), *TRUE
+        ),
+    ]
+    return Evidence(statement)
 
 
 @claim(
@@ -241,7 +216,7 @@ def time_dependent_reduction(gamma: float = 0.1) -> Evidence:
 
     run = scipy.integrate.solve_ivp(reduced, (0, scene.t_end), [radius[0], radial[0]], t_eval=t, **SOLVER)
     error = np.hypot(run.y[0] - radius, run.y[1] - radial).max() / np.hypot(radius, radial).max()
-    return Evidence([at_most("max ‖(r, p_r) reduced − full‖ / max ‖full‖", error, SOLVER_BOUND, SOLVER_WHY)])
+    return Evidence([at_most("max ‖(r, p_r) reduced − full‖ / max ‖full‖", error, *SOLVED)])
 
 
 @claim(
@@ -317,37 +292,24 @@ def symplectification(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 
     somewhere = points(6, seed=seed)
     somewhere[:, 5] = 0.5 + np.abs(somewhere[:, 5])
-    return Evidence(
-        [
-            at_most(
-                "max ‖projected − true‖ / max ‖true‖",
-                np.linalg.norm(projected - truth, axis=1).max() / np.linalg.norm(truth, axis=1).max(),
-                SOLVER_BOUND,
-                SOLVER_WHY,
-            ),
-            at_most(
-                "max |r(t) e^{−γt} − 1|",
-                np.abs(r * np.exp(-gamma * t) - 1).max(),
-                SOLVER_BOUND,
-                SOLVER_WHY,
-            ),
-            at_most(
-                "max |K(q, 3P, s, 3r) − 3K(q, P, s, r)|",
-                largest(degree, somewhere),
-                10 * ROUND_OFF,
-                "round-off of AD on numbers of size up to 100",
-            ),
-            at_most(
-                "max |r J − r(0) J(0)|/|J(0)|, central: the lifted momentum is conserved",
-                np.abs(level / level[0] - 1).max(),
-                SOLVER_BOUND,
-                SOLVER_WHY,
-            ),
-            at_most(
-                "max |(ρ, p_ρ, s) reduced, then projected, − true|, central",
-                off.max(),
-                SOLVER_BOUND,
-                SOLVER_WHY,
-            ),
-        ]
-    )
+    statement = [
+        at_most(
+            "max ‖projected − true‖ / max ‖true‖",
+            np.linalg.norm(projected - truth, axis=1).max() / np.linalg.norm(truth, axis=1).max(),
+            *SOLVED,
+        ),
+        at_most("max |r(t) e^{−γt} − 1|", np.abs(r * np.exp(-gamma * t) - 1).max(), *SOLVED),
+        at_most(
+            "max |K(q, 3P, s, 3r) − 3K(q, P, s, r)|",
+            largest(degree, somewhere),
+            10 * ROUND_OFF,
+            "round-off of AD on numbers of size up to 100",
+        ),
+        at_most(
+            "max |r J − r(0) J(0)|/|J(0)|, central: the lifted momentum is conserved",
+            np.abs(level / level[0] - 1).max(),
+            *SOLVED,
+        ),
+        at_most("max |(ρ, p_ρ, s) reduced, then projected, − true|, central", off.max(), *SOLVED),
+    ]
+    return Evidence(statement)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -44,7 +43,7 @@ class Cell:
         return asdict(self)
 
 
-def workload(work: pd.DataFrame, scenes: Sequence[str] = SCENES) -> list[Cell]:
+def workload(work: pd.DataFrame) -> list[Cell]:
     """Cells for every method and engine of the work–precision table, at settings that are worth timing.
 
     On every scene but those named `EVERYWHERE` alone; with many saved times the first engine of each method.
@@ -56,8 +55,8 @@ def workload(work: pd.DataFrame, scenes: Sequence[str] = SCENES) -> list[Cell]:
     for _, row in slowest.sort_index().iterrows():
         carry = tuple(field for field in ("s", "R") if field in row["carried"].split())
         words = row["scene"], row["method"], row["engine"], row["control"], float(row["value"]), carry
-        if row["scene"] in scenes or row["method"] in EVERYWHERE:
+        if row["scene"] in SCENES or row["method"] in EVERYWHERE:
             cells.append(Cell(*words))
-        if row["scene"] == MANY_ON and row["scene"] in scenes:
+        if row["scene"] == MANY_ON:
             many.setdefault(row["method"], Cell(*words, saves=MANY))
     return [*cells, *many.values()]

@@ -86,6 +86,20 @@ def relative(amounts: np.ndarray, start: np.ndarray, t: Any, gamma: Any, terms: 
         return np.exp(np.log(amounts) - np.maximum(log_true_size(start, t, gamma), floor))
 
 
+def conformal(
+    values: np.ndarray,
+    start: np.ndarray,
+    t: Any,
+    rate: Any,
+    terms: np.ndarray,
+    error: np.ndarray | None = None,
+) -> Deviation:
+    """`conformal_deviation` with its error bar, `error` being that of the values, and where it was clamped."""
+    bar = None if error is None else relative(error, start, t, rate, terms)
+    size = conformal_deviation(values, start, t, rate, terms)
+    return Deviation(size, bar, clamped(start, t, rate, terms) & (t > 0))
+
+
 def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """|numerical/exact − 1| where the exact value is meaningful, the excess over that range where not."""
     meaningful = np.abs(exact) > MEANINGFUL

@@ -46,9 +46,7 @@ class Law:
     """A measure, and what those who show or compare it must know.
 
     definition : its meaning, a header or axis label; label : a short name, mathtext.  needs : the fields it
-    reads.  gate : how two runs are compared.  shown : the documents that list it.  structural : a contact
-    method keeps it to round-off whatever the step size (see `structural_on`).  compares_decay : it compares
-    with the decay e^{−∫Γ'} of the truth.
+    reads.  gate : how two runs are compared.  shown : the documents that list it.
     """
 
     name: str
@@ -59,10 +57,8 @@ class Law:
     applies: Callable[[Scene], bool] = lambda scene: True
     gate: Gate = Gate.error
     shown: tuple[str, ...] = ("laws",)
-    structural: bool = False
     #: whether it takes the derivative of the map, which may cost many runs
     differentiates: bool = False
-    compares_decay: bool = False
 
     def __call__(self, solution: Solution) -> float:
         """The measure; nan unless the run ended `ok` and the law is defined for its method.
@@ -98,13 +94,6 @@ class Law:
             raise BadInput(f"law {self.name!r}: {error}") from error
         except Exception as error:
             raise reported(f"law {self.name!r}", error) from error.__cause__
-
-    def structural_on(self, scene: Scene) -> bool:
-        """Whether a contact method keeps it to round-off on this scene.
-
-        Where Γ'(s) changes, the factor of a contact map follows the numerical s and has its error.
-        """
-        return self.structural and not (self.compares_decay and scene.rate_changes)
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
         """The optional fields it reads on this scene."""

@@ -160,11 +160,6 @@ def stability(method: Any, gamma: float, omega: float) -> Stability:
     return Stability(stable[0][1], windows, stable[-1][1])
 
 
-def stability_limit(method: Any, gamma: float, omega: float) -> float:
-    """The step up to which orbits stay bounded, the first loss of stability; see `stability`."""
-    return stability(method, gamma, omega).limit
-
-
 def trace_and_determinant(
     method: Any, gamma: float, omega: float, h: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

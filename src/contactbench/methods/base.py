@@ -235,6 +235,10 @@ class Prepared(ABC):
         """
         return None
 
+    def modified_hamiltonian(self, x: Any) -> Any | None:
+        """H̃ at x (see `splitting.modified`), None where the run is not known to be the flow of one."""
+        return None
+
     def __call__(self, **data: Any) -> Solution:
         r = self.request
         if data:

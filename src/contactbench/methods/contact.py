@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Scene
+from contactbench.scene import Mechanical, Scene
 from contactbench.splitting.composition import (
     Composition,
     advance,
@@ -18,6 +19,7 @@ from contactbench.splitting.composition import (
     refusal,
 )
 from contactbench.splitting.flows import flows_of
+from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
 
 
@@ -38,8 +40,14 @@ class ContactMethod(FixedStep):
             return super().log_factor(scene, x, h, n)
         return log_factor(self.composition, scene, x, h, n, math)
 
-    def counts(self, scene: Scene, n: int) -> int:
-        return plan(self.composition, scene).count(flows_of(scene), self.kind_on(scene), n)
+    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+        if not isinstance(scene, Mechanical) or not has_modified_hamiltonian(self.composition):
+            return None
+        return modified_hamiltonian(scene, self.composition, x, h)
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        kinds = (self.kind_on(scene), *(["attitude"] if "R" in scene.carry(carry) else []))
+        return plan(self.composition, scene).count(flows_of(scene), kinds, n)
 
     def kind_on(self, scene: Scene) -> str:
         return "gradient" if "kick" in flows_of(scene) else "rotation"

@@ -22,36 +22,29 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from contactbench.methods.adaptive_program import SHORTEST, recorded_loop
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
 from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.llvm import compiled
+from contactbench.methods.python_engine import NO_NUMBER
 from contactbench.methods.step_density import first_density, next_density
-from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.recording import (
-    Block,
-    CannotRecord,
-    Recorded,
-    RecordedNumbers,
-    Tape,
-    recorded,
-    text_of,
-)
-from contactbench.scene import Mechanical, Scene, dot
+from contactbench.numbers.recording import CannotRecord, recorded
+from contactbench.numbers.source import executed_on_lists
+from contactbench.scene import Mechanical, Scene
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
-from contactbench.splitting.composition import Composition, advance, plan
+from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
-#: a step this small against the span hardly moves the clock: a singularity is ahead
-SHORTEST = 1e-15
 
 
 class ScalarNumbers(XlaNumbers):
@@ -72,7 +65,7 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         assert r.rtol is not None
         self.composition = RKN6
-        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), "gradient", 1)
+        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), ("gradient",), 1)
         scene: Any = r.scene
         #: gradients that the curvature of a state costs where the scene has no Hessian
         self.by_gradients = len(scene.q) if scene.hessian is None else 0
@@ -118,93 +111,39 @@ class AdaptiveContactRun(Prepared):
         return Counts(taken, evaluations, curvatures, 0, "gradient")
 
 
-def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool) -> str:
-    """Source of ``run(start, numbers, options, times, y, facts)``, the loop over steps and saved times.
-
-    options : ε, the span, the budget of steps.  y : states at the saved times, NaN where not reached.
-    facts : time, density and steps at the end of the sequence, and the state there.
-    tangent : the state is followed by a tangent, which is carried along with the steps as they are.
-    """
-    tape, d = Tape(), len(scene.labels(carry))
-    outer = tape.root
-    interval = Block(outer)
-    inner = Block(interval)
-    size = d * (1 + tangent)
-    twin: Any = scene.with_numbers(
-        [tape.assign(f"numbers[{i}]", "f", outer) for i in range(len(scene.numbers()))]
-    )
-    epsilon, span, budget = (tape.assign(f"options[{i}]", "f", outer) for i in range(3))
-    xp = RecordedNumbers(tape)
-
-    def carried(block: Block) -> tuple[list[Recorded], Recorded, Recorded, Recorded]:
-        x = [Recorded(tape, f"x{i}", "f", block) for i in range(size)]
-        time, density, steps = (Recorded(tape, name, "f", block) for name in ("time", "density", "steps"))
-        return x, time, density, steps
-
-    def advanced(x: list[Any], h: Any) -> list[str]:
-        """One step of size h."""
-        numbers: Any = xp
-        if tangent:
-            x, numbers = list(map(Dual, x[:d], x[d:])), DualNumbers(xp)
-        end = scene.pack(advance(composition, twin, scene.unpack(x, carry), h, 1, numbers))
-        return [text_of(c) for c in ([*map(value, end), *map(slope, end)] if tangent else end)]
-
-    def going(x: list[Any], time: Any, density: Any, steps: Any, due: Any) -> tuple[Any, Any]:
-        square = dot(x[: scene.motion], x[: scene.motion])
-        healthy = (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
-        return time + epsilon / density <= due, healthy
-
-    start = [tape.assign(f"start[{i}]", "f", outer) for i in range(size)]
-    square = dot(start[: scene.motion], start[: scene.motion])
-    bound = scene.motion * DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
-    first = first_density(twin, scene.unpack(start[:d], carry), epsilon, span, xp.maximum)
-    outer.add(*(f"x{i} = {text_of(c)}" for i, c in enumerate(start)))
-    outer.add("time = 0.0", "steps = 0.0", f"density = {text_of(first)}")
-
-    # a step of the sequence
-    x, time, density, steps = carried(inner)
-    due = tape.assign("times[j]", "f", interval)
-    ahead, healthy = going(x, time, density, steps, due)
-    inner.add(f"if not ({text_of(ahead)} and {text_of(healthy)}):", "    break")
-    h = epsilon / density
-    end = advanced(x, h)
-    inner.add(f"{', '.join(f'x{i}' for i in range(size))} = {', '.join(end)}", f"time = {text_of(time + h)}")
-    inner.add("steps = steps + 1.0")
-    after = Block(inner, inner.indent)
-    moved = [Recorded(tape, f"x{i}", "f", after) for i in range(d)]
-    following = next_density(twin, scene.unpack(moved, carry), density, epsilon, span, xp.maximum)
-    inner.lines += after.lines
-    inner.add(f"density = {text_of(following)}")
-
-    # the shortened one to the saved time
-    interval.add("while True:")
-    interval.lines += inner.lines
-    x, time, density, steps = carried(interval)
-    ahead, healthy = going(x, time, density, steps, due)
-    complete = healthy & ~ahead
-    there = advanced(x, due - time)
-    interval.add(*(f"y[j, {i}] = {c} if {text_of(complete)} else nan" for i, c in enumerate(there)))
-
-    outer.add("for j in range(len(times)):")
-    outer.lines += interval.lines
-    outer.add("facts[0] = time", "facts[1] = density", "facts[2] = steps")
-    outer.add(*(f"facts[{3 + i}] = x{i}" for i in range(size)), "return 0")
-    return "\n".join(["def run(start, numbers, options, times, y, facts):", *outer.lines, ""])
-
-
 class AdaptivePythonLoop(AdaptiveContactRun):
     """Plain Python floats."""
 
     sensitivity_source = "forward-mode AD, accepted steps frozen, on jax"
     map_source = "forward-mode AD through the steps and their choice, on jax"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r, elapsed, scene, self.loop = self.request, stopwatch(), cast("Mechanical", self.request.scene), None
+        with suppress(CannotRecord):
+            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent=False))
+            self.loop = executed_on_lists(text)["run"]
+            self.compile_s = elapsed()
+
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0, frozen)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        if self.loop is not None:
+            r = self.request
+            y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0] * (3 + len(y0))
+            options = self.epsilon, self.span, r.max_steps
+            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
+                self.loop(y0.tolist(), r.scene.numbers(), options, r.save_at.tolist(), y, facts)
+                time, density, steps, *last = facts
+                return self.ended(y0, np.array(y), int(steps), time, last, density)
+        return self.as_written(y0)
+
+    def as_written(self, y0: np.ndarray) -> Outcome:
+        """The same without a recorded loop."""
         r, epsilon, span = self.request, self.epsilon, self.span
         scene: Any = r.scene
-        bound = self._motion * divergence_bound(y0[: self._motion]) ** 2  # beyond it one component is out
+        bound = divergence_bound(y0[: self._motion]) ** 2
         x, time, steps = scene.unpack(y0.tolist(), r.carry), 0.0, 0
         y = np.full((len(r.save_at), len(y0)), math.nan)
         density = math.nan
@@ -215,7 +154,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
                     step = epsilon / density
                     if steps == r.max_steps or not step > SHORTEST * span:
                         break
-                    if not sum(c * c for part in x[:2] for c in part) <= bound:
+                    if not all(c * c <= bound for part in x[:2] for c in part):
                         break
                     x = advance(self.composition, scene, x, step, 1, math)
                     density = next_density(scene, x, density, epsilon, span, max)
@@ -226,7 +165,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
                     y[k] = scene.pack(advance(self.composition, scene, x, due - time, 1, math))
                     continue
                 break
-        except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
+        except NO_NUMBER:
             pass
         return self.ended(y0, y, steps, time, [float(c) for c in scene.pack(x)], density)
 
@@ -321,7 +260,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         epsilon, span, budget = options
         start = scene.unpack(list(y0), r.carry)
         square = y0[: self._motion] @ y0[: self._motion]
-        bound = self._motion * DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
+        bound = DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
 
         def pace(x: Any) -> Any:
             return lax.stop_gradient(x) if frozen else x
@@ -332,8 +271,8 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
 
         def healthy(carried: Any) -> Any:
             x, _time, density, steps = carried
-            square = sum(c * c for part in x[:2] for c in part)
-            return (steps < budget) & (epsilon > SHORTEST * span * density) & (square <= bound)
+            inside = jnp.all(jnp.stack([c * c <= bound for part in x[:2] for c in part]))
+            return (steps < budget) & (epsilon > SHORTEST * span * density) & inside
 
         def step(carried: Any) -> Any:
             x, time, density, steps = carried

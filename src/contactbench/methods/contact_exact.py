@@ -2,7 +2,7 @@
 
 Every saved state comes from the initial one by the flow `free_damp`, so that errors do not add up.  There is
 neither step nor tolerance to be set: the result has the digits that round-off of the phase leaves.  An
-evaluation counts as the rotations it costs (see `FREE_COST`).
+evaluation counts as the rotations it costs, few where the attitude is not carried (see `MOMENTUM_COST`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.numbers.control import Repeat
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
-from contactbench.splitting.flows import FREE_COST, flows_of
+from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
 
 
 def evolved(scene: Any, x: Any, t: Any, xp: Any) -> Any:
@@ -50,7 +50,8 @@ class ExactRun(Prepared):
         y = self.states_at(y0, later)
         if times[0] == 0:
             y = np.concatenate([y0[None], y])
-        return self.finished(y0, y, Counts(len(later), len(later) * FREE_COST, 0, 0, "rotation"))
+        each = FREE_COST if "R" in self.request.carry else MOMENTUM_COST
+        return self.finished(y0, y, Counts(len(later), len(later) * each, 0, 0, "rotation"))
 
 
 class ExactPython(ExactRun):

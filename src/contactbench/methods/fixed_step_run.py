@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from contactbench.methods.base import Outcome, Prepared
 from contactbench.methods.grid import UNCOUNTED, steps_in
 from contactbench.methods.step_map import StepMap
 from contactbench.solution import Counts, Status
+
+#: relative differences of steps that are round-off of the saved times
+EQUAL = 1e-9
 
 
 @dataclass
@@ -26,7 +30,8 @@ class FixedStepRun(Prepared):
         self.saves_start = r.save_at[0] == 0
         self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
         self.ends = r.save_at[1:] if self.saves_start else r.save_at
-        self.first_step, self.each_step = self.method_.counts(r.scene, 1), self.method_.per_step(r.scene)
+        self.first_step = self.method_.counts(r.scene, 1, r.carry)
+        self.each_step = self.method_.per_step(r.scene, r.carry)
         self.kind = self.method_.kind_on(r.scene)
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
@@ -68,6 +73,12 @@ class FixedStepRun(Prepared):
         if len(known) < len(logs):
             return None
         return np.cumsum([0.0, *known] if self.saves_start else known)
+
+    def modified_hamiltonian(self, x: Any) -> Any | None:
+        """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
+        if np.ptp(self.h) > EQUAL * self.h[0]:
+            return None
+        return self.method_.modified_hamiltonian(self.request.scene, x, float(self.h[0]))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request

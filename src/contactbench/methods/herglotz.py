@@ -13,6 +13,7 @@ the paper, §5.1, eq. (79).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,7 +90,7 @@ class SecondHerglotz(Herglotz):
         x = repeat(n - 1, joined, x)
         return implicit_kick(scene, x, half, *pull(scene, x))
 
-    def counts(self, scene: Scene, n: int) -> int:
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
         return n + 1
 
 

@@ -42,24 +42,30 @@ class Loop:
 _loops: dict[Any, Loop] = {}
 
 
-def loop_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
-    """The loop of a method on a scene.
+def program_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
+    """The recorded loop of a method on a scene.
 
     tangent : packed states are followed by a tangent vector, which is carried along.
     Raises `CannotRecord` where the method or the scene branches on values.
     """
+    d = len(scene.labels(carry))
+
+    def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+        if tangent:
+            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
+        start = scene.unpack(y, carry)
+        end = scene.pack(method.advance(scene.with_numbers(numbers), start, h, n, xp, repeat))
+        return [*map(value, end), *map(slope, end)] if tangent else end
+
+    return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
+
+
+def loop_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+    """The same, compiled; once for all scenes of one structure."""
     key = (method, scene.structure, carry, tangent)
     if key not in _loops:
-        elapsed, d = stopwatch(), len(scene.labels(carry))
-
-        def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
-            if tangent:
-                y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
-            start = scene.unpack(y, carry)
-            end = scene.pack(method.advance(scene.with_numbers(numbers), start, h, n, xp, repeat))
-            return [*map(value, end), *map(slope, end)] if tangent else end
-
-        program = record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
+        elapsed = stopwatch()
+        program = program_of(method, scene, carry, tangent)
         _loops[key] = Loop(program, compiled(program.text), elapsed())
     return _loops[key]
 

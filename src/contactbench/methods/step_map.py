@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,13 +66,17 @@ class StepMap(Method):
             return None
         return n * math.log(factor) if factor > 0 else math.nan
 
-    def counts(self, scene: Scene, n: int) -> int:
-        """Evaluations in n uninterrupted steps."""
+    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+        """H̃ at x of which steps of size h are the flow, up to a power of h; None where none is known."""
+        return None
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        """Evaluations in n uninterrupted steps; carry : as in `solve`."""
         return n * self.evaluations
 
-    def per_step(self, scene: Scene) -> int:
+    def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
         """Evaluations of a step in the middle of a run."""
-        return self.counts(scene, 2) - self.counts(scene, 1)
+        return self.counts(scene, 2, carry) - self.counts(scene, 1, carry)
 
     def kind_on(self, scene: Scene) -> str:
         """What `counts` counts on this scene."""

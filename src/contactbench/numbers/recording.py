@@ -54,11 +54,9 @@ class Block:
 class Tape:
     """A recording: names of values, and the block that is being written."""
 
-    def __init__(self, sparse: bool = False) -> None:
+    def __init__(self) -> None:
         self.root = self.block = Block()
         self.count = 0
-        #: zeros are zeros whatever they are multiplied with, inf and nan too
-        self.sparse = sparse
 
     def name(self, kind: str = "f") -> str:
         self.count += 1
@@ -158,11 +156,6 @@ class Recorded:
     def _binary(self, sign: str, a: Any, b: Any, commutes: bool = False) -> Any:
         if isinstance(a, Dual | np.ndarray) or isinstance(b, Dual | np.ndarray):
             return NotImplemented
-        if self.tape.sparse and (is_constant(a, 0) or is_constant(b, 0)):
-            if sign == "*" or (sign == "/" and is_constant(a, 0)):
-                return 0.0
-            if sign in "+-":
-                return b if is_constant(a, 0) and sign == "+" else -b if is_constant(a, 0) else a
         if self.kind == "i" and all(isinstance(x, int) or kind_of(x) == "i" for x in (a, b)):
             a, b = (int(x) if isinstance(x, int) else x for x in (a, b))
             return self.tape.operation(f"{{0}} {sign} {{1}}", "i", a, b)

@@ -20,7 +20,7 @@ from contactbench.report.cells import DASH
 from contactbench.report.numbers import count, duration, many, names, power, times
 from contactbench.report.rooms import Frames
 from contactbench.results.statistics import TIE, cost_to_reach, noise, verdict
-from contactbench.splitting.flows import FREE_COST
+from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 DECADES = tuple(10.0**-k for k in range(3, 13))
@@ -68,7 +68,8 @@ EVALUATIONS = Kind(
     "evaluations", "Evaluations", "rhs_equivalents", lambda engine: ~engine.isin(UNTIMED), count,
     "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, "
     "two rotations of the body, which together apply its whole vector field, count as one; its free flow in closed "
-    f"form counts as {FREE_COST} rotations. Jacobians are not counted.",
+    f"form counts as {FREE_COST} rotations, as {MOMENTUM_COST} where the attitude is not carried. Jacobians are not "
+    "counted.",
     timed=False,
 )  # fmt: skip
 COMPILED = Kind(

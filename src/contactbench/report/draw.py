@@ -25,11 +25,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure as Drawn
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import Bbox
 
 from contactbench.report import labels
-from contactbench.report.drawing import Axis, Curve, Figure, Heat, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Heat, Panel, Span
 from contactbench.report.look import MUTED, ROLES, look
 from contactbench.report.scales import decades, points, spanned
 
@@ -37,6 +37,8 @@ SHADED = "#f0f4ff"
 #: inches around a panel: left, right, below, above; heads of figures, rows of the legend
 AROUND = (0.78, 0.16, 0.58, 0.3)
 REMARK, TITLE, LEGEND_ROW, HANDLE, LETTER, BAR = 0.17, 0.34, 0.24, 0.7, 0.075, 0.8
+#: the height of the label of a span; first digits of the ticks of a linear axis
+TAG, STEPS = 0.16, (1, 2, 2.5, 5, 10)
 #: figures that are worth starting processes for
 FEWEST_FOR_PROCESSES = 8
 OTHERS = "other methods"
@@ -179,6 +181,7 @@ def put(axes: Axes, which: str, axis: Axis, values: Iterable[float], inches: flo
         if log and ticks is None:
             ticks = tuple(decades(low, high, inches / (0.45 if which == "x" else 0.3)))
     if ticks is None and not log and which != "z":
+        own.set_major_locator(MaxNLocator(max(3, int(inches / (0.62 if which == "x" else 0.3))), steps=STEPS))
         own.get_major_formatter().set_useMathText(True)
     if ticks is not None:
         own.set_major_locator(FixedLocator([value for value, _ in ticks]))
@@ -206,9 +209,7 @@ def draw_panel(figure: Drawn, axes: Axes, panel: Panel, size: tuple[float, float
         else:
             shade(span.low, span.high, color=SHADED, zorder=0)
         if span.label:
-            place = (0.02, span.high) if span.axis == "y" else (span.low, 0.98)
-            transform = axes.get_yaxis_transform() if span.axis == "y" else axes.get_xaxis_transform()
-            axes.text(*place, plain(span.label), transform=transform, color="#5566aa", fontsize=8, va="top")
+            tag(axes, span)
     if panel.z is not None:
         put(axes, "z", panel.z, (), size[1])
         axes.view_init(*panel.view)  # type: ignore[attr-defined]
@@ -222,6 +223,22 @@ def draw_panel(figure: Drawn, axes: Axes, panel: Panel, size: tuple[float, float
     if panel.remark:
         axes.text(0.5, 1.012, plain(panel.remark), transform=axes.transAxes, ha="center", va="bottom",
                   fontsize=8, color="#666666")  # fmt: skip
+
+
+def tag(axes: Axes, span: Span) -> None:
+    """The label of a span, inside it; above it where too little of it is seen, nowhere where nothing is."""
+    low, high = sorted(axes.get_ylim() if span.axis == "y" else axes.get_xlim())
+    if not low < span.high or not span.low < high:
+        return
+    if span.axis == "x":
+        place, transform, side = (max(low, span.low), 0.98), axes.get_xaxis_transform(), "top"
+    else:
+        place, transform = (0.02, min(high, span.high)), axes.get_yaxis_transform()
+        seen = axes.transData.transform([(1, place[1]), (1, max(low, span.low))])[:, 1]
+        side = "top" if seen[0] - seen[1] > TAG * axes.figure.dpi else "bottom"
+        place = (0.5 if side == "bottom" else place[0], place[1])  # curves begin and end low
+    align = "center" if side == "bottom" else "left"
+    axes.text(*place, plain(span.label), transform=transform, color="#5566aa", fontsize=8, va=side, ha=align)
 
 
 def sphere(axes: Axes) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
@@ -39,26 +42,39 @@ def asked(frame: pd.DataFrame, question: str) -> pd.DataFrame:
     return frame[frame["question"] == question]
 
 
-def arithmetic_view(frame: pd.DataFrame) -> View | None:
-    """Every method beside each shape of the C loop of the same method, same step."""
+def beside_loops(frame: pd.DataFrame) -> tuple[list[str], pd.DataFrame]:
+    """The shapes of the C loops, and every method with the time per gradient of each loop of its step in a column.
+
+    Fastest rounds; nan where there is no such loop.
+    """
     frame = asked(frame, "arithmetic")
     frame = frame.assign(stage=frame["time_min_s"] / frame["trajectories"] / frame["evaluations"])
     loops = frame[frame["family"] == LIMIT]
     kernels = loops["variant"].str.partition(" ")
     shapes = list(dict.fromkeys(kernels[2])) if len(loops) else []
+    own = frame[frame["family"] != LIMIT].reset_index(drop=True)
+    for shape in shapes:
+        keys = zip(kernels[0], loops["value"], kernels[2], strict=True)
+        stage = {
+            (method, value): s
+            for (method, value, kind), s in zip(keys, loops["stage"], strict=True)
+            if kind == shape
+        }
+        own[shape] = [stage.get(key, math.nan) for key in zip(own["method"], own["value"], strict=True)]
+    return shapes, own
+
+
+def arithmetic_view(frame: pd.DataFrame) -> View | None:
+    """Every method beside each shape of the C loop of the same method, same step."""
+    shapes, found = beside_loops(frame)
     rows = []
-    for _, own in frame[frame["family"] != LIMIT].iterrows():
+    for _, own in found.iterrows():
         cells = [
-            word(own["method"]),
-            word(own["engine"]),
-            word(own["setting"]),
+            *(word(own[name]) for name in ("method", "engine", "setting")),
             number(own["stage"], duration),
         ]
         for shape in shapes:
-            same = (kernels[0] == own["method"]) & (kernels[2] == shape) & (loops["value"] == own["value"])
-            stage = loops[same]["stage"]
-            cells.append(number(stage.iloc[0] if len(stage) else None, duration))
-            cells.append(number(own["stage"] / stage.iloc[0] if len(stage) else None, times))
+            cells += [number(own[shape], duration), number(own["stage"] / own[shape], times)]
         rows.append(tuple(cells))
     if not rows:
         return None
@@ -118,11 +134,25 @@ def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
     return View(name, title, meaning, heads, tuple(lines), SOURCE)
 
 
+def falls(line: pd.DataFrame, by: str, margin: float) -> str:
+    """Where throughput falls although the number of something grows, and whether that is more than noise."""
+    said = []
+    for (before, more), (rate, after) in zip(pairwise(line[by]), pairwise(line["rate"]), strict=True):
+        if after < rate:
+            noisy = "within" if rate / after <= margin else "more than"
+            said.append(
+                f"from {count(before)} to {count(more)} {by} it falls to {times(after / rate)}, {noisy} the noise"
+            )
+    return "; ".join(said)
+
+
 def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View | None:
     """Throughput against the number of something, and relative to the smallest number."""
     part = asked(frame, question).sort_values(by, kind="stable")
+    margin, fallen = max(TIE, noise(frame)), []
     rows = []
     for (method, engine, setting), line in part.groupby(["method", "engine", "setting"], sort=False):
+        fallen += [f"{method}: {said}" for said in [falls(line, by, margin)] if said]
         for _, row in line.iterrows():
             rows.append((
                 word(method), word(engine), word(setting), number(row[by], count), number(row["rate"], "{:.3g}".format),
@@ -134,7 +164,11 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
         *(Head(label, words=True) for label in ("method", "engine", "setting")), Head(by), Head("trajectories/s"),
         Head("gradients/s"), Head("relative", f"to the smallest number of {by}"),
     )  # fmt: skip
-    return View(f"ensemble_{question}", title, "Median of the whole call.", heads, tuple(rows), SOURCE)
+    meaning = "Throughput of the whole call (median)."
+    if fallen:
+        twice = f"measured twice, 19 of 20 cells differ by at most {100 * (margin - 1):.0f} %"
+        meaning += f" {'. '.join(fallen)} ({twice})."
+    return View(f"ensemble_{question}", title, meaning, heads, tuple(rows), SOURCE)
 
 
 def leaders(part: pd.DataFrame, column: str, repeat: str) -> dict[float, dict[str, Cost]]:
@@ -166,8 +200,43 @@ def told(first: dict[float, dict[str, Cost]]) -> str:
     return "; ".join(said)
 
 
+def limit_finding(frame: pd.DataFrame) -> list[Finding]:
+    """The fastest engine of each method beside the C loops of the same steps, and what more cores bring."""
+    shapes, found = beside_loops(frame)
+    said = []
+    for method, rows in found.groupby("method", sort=False):
+        own = rows.loc[rows["stage"].idxmin()]
+        ratios = [f"{times(own['stage'] / own[s])} ({s})" for s in shapes if own[s] > 0]
+        if ratios:
+            said.append(f"{method} ({own['engine']}) {duration(own['stage'])}, {names(ratios)}")
+    if not said:
+        return []
+    sentence = (
+        f"Time per gradient and trajectory, and its ratio to C loops of the same steps: {'; '.join(said)}."
+    )
+    for (method, engine, _), line in asked(frame, "cores").groupby(
+        ["method", "engine", "setting"], sort=False
+    ):
+        line = line.sort_values("cores", kind="stable")
+        first, last = line.iloc[0], line.iloc[-1]
+        if last["cores"] > first["cores"]:
+            sentence += (
+                f" On {last['cores']:.0f} cores {method} ({engine}) has {times(last['rate'] / first['rate'])} the "
+                f"throughput of {first['cores']:.0f}."
+            )
+    covers = (
+        f"one core, fastest round; below ×1: faster than C; margin of noise {100 * (noise(frame) - 1):.0f} %"
+    )
+    return [Finding("ensemble_limit", "Ensembles beside C loops", sentence, covers)]
+
+
 def findings(frames: Frames) -> list[Finding]:
     frame = timed(frames["ensemble"])
+    return [*error_finding(frame), *limit_finding(frame)]
+
+
+def error_finding(frame: pd.DataFrame) -> list[Finding]:
+    """Who takes the least time per trajectory at equal error."""
     part = asked(frame, "error")
     part = part[(part["family"] != LIMIT) & COMPILED.engines(part["engine"])]
     if not len(part):

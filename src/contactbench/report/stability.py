@@ -9,7 +9,8 @@ import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import EVALUATIONS, Field, standing
-from contactbench.report.figures import work_precision as figures
+from contactbench.report.escape import blow_up_view
+from contactbench.report.figures import hard as figures
 from contactbench.report.kept import MEANINGS, bounded, called, drift_cell, laws, numbers
 from contactbench.report.numbers import count, many, names, scientific
 from contactbench.report.raw import raw
@@ -19,13 +20,27 @@ from contactbench.results.tables import STABILITY
 
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
-RUNGS = ("coarse", "medium", "fine")
+#: what a head of the ladder says
+SETTINGS = (
+    "Heads name the settings: h/n, the time that an evaluation of a fixed-step method is worth (its step over the "
+    "evaluations of a step, as near as the saved times allow), and the tolerance of an adaptive one (the loosest, "
+    "where they differ)"
+)
 
 
-def rungs(frame: pd.DataFrame) -> list[str]:
-    """Names for the settings of a ladder, coarse to fine."""
-    most = int(frame.groupby(["scene", "method", "engine"]).size().max()) if len(frame) else 0
-    return list(RUNGS) if most == len(RUNGS) else [f"setting {i + 1}" for i in range(most)]
+def rungs(here: pd.DataFrame) -> list[str]:
+    """What the settings of a scene's ladder are, coarse to fine."""
+    tried = here[here["status"] != "unsupported"]
+    rung = tried.groupby(["method", "engine"]).cumcount()
+    heads = []
+    for k in range(int(rung.max()) + 1 if len(tried) else 0):
+        part = tried[rung == k]
+        steps = part[part["control"] == "step"]
+        each, rtols = steps["end_time"] / steps["rhs_equivalents"], part[part["control"] == "rtol"]["value"]
+        said = [f"h/n {each.max():.3g}"] if each.notna().any() else []
+        said += [f"rtol {scientific(rtols.max(), 0)}"] if len(rtols) else []
+        heads.append(", ".join(said) or f"setting {k + 1}")
+    return heads
 
 
 def ending(row: pd.Series, digits: int = 0) -> Cell:
@@ -39,16 +54,19 @@ def ending(row: pd.Series, digits: int = 0) -> Cell:
 
 def map_view(frame: pd.DataFrame) -> View:
     """Every run at a glance: methods × scenes, each with its ladder of settings."""
-    scenes, steps = list(dict.fromkeys(frame["scene"])), rungs(frame)
+    scenes = {scene: rungs(here) for scene, here in frame.groupby("scene", sort=False)}
     rows = []
     for method, mine in frame.groupby("method", sort=False):
         cells = [word(method)]
-        for scene in scenes:
+        for scene, steps in scenes.items():
             runs = [ending(r) for _, r in mine[mine["scene"] == scene].iterrows()]
             cells += [*runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
         rows.append(tuple(cells))
-    heads = (Head("method", words=True), *(Head(rung, group=scene) for scene in scenes for rung in steps))
-    meaning = "Solution error at each setting of the ladder, coarse to fine, or how the run ended."
+    heads = (
+        Head("method", words=True),
+        *(Head(rung, group=str(s)) for s, steps in scenes.items() for rung in steps),
+    )
+    meaning = f"Solution error at each setting, coarse to fine, or how the run ended. {SETTINGS}."
     return View(
         "how_it_ends", "How it ends", meaning, heads, tuple(rows), "stability.csv", detail=True, map=True
     )
@@ -56,7 +74,8 @@ def map_view(frame: pd.DataFrame) -> View:
 
 def scene_view(frame: pd.DataFrame, scene: str) -> View:
     """One hard scene: the ladder of errors, the worst of each law, the cost of the finest run."""
-    here, steps = frame[frame["scene"] == scene], rungs(frame)
+    here = frame[frame["scene"] == scene]
+    steps = rungs(here)
     part = bounded(here[here["status"] != "unsupported"])
     ok = part[part["status"] == "ok"]
     shown = [law for law in laws(STABILITY, "stability") if law != "solution_error" and ok[law].notna().any()]
@@ -116,36 +135,6 @@ def condition_note(part: pd.DataFrame) -> str:
     )
 
 
-def blow_up_view(frame: pd.DataFrame) -> View | None:
-    """When a run is said to have diverged against the true time of blow-up: one line per method."""
-    part = frame[frame["blow_up_time"].notna() & (frame["status"] != "unsupported")]
-    if not len(part):
-        return None
-    rows = []
-    for method, mine in part.groupby("method", sort=False):
-        told = Mark.right if set(mine["status"]) == {"diverged"} else Mark.bad
-        cells = [word(method), word(", ".join(dict.fromkeys(mine["status"])), told)]
-        for control in ("step", "rtol"):
-            ended = mine[(mine["control"] == control) & (mine["status"] == "diverged")]
-            off = 100 * (ended["end_time"] / ended["blow_up_time"] - 1)
-            finest, worst = (off.iloc[-1], off.loc[off.abs().idxmax()]) if len(off) else (None, None)
-            cells += [number(value, "{:+.3f} %".format) for value in (finest, worst)]
-        rows.append(tuple(cells))
-    heads = [Head("method", words=True), Head("status", "over all settings", words=True)]
-    for group in ("fixed steps: out of scale at", "adaptive: got to"):
-        heads += [
-            Head("finest", "at the finest setting, relative to the true time of blow-up", group=group),
-            Head("worst", "the same at the setting where it is furthest off", group=group),
-        ]
-    scene, time = part["scene"].iloc[0], part["blow_up_time"].iloc[0]
-    meaning = (
-        f"The motion of `{scene}` reaches infinity at t = {time:.10g}. Two criteria, not to be compared: of a run with "
-        "fixed steps, when its state exceeds 10⁶ times the scale of the scene, which the true motion does somewhat "
-        "earlier than it blows up; of an adaptive run, how far it got. Both relative to the time of blow-up."
-    )
-    return View("blow_up", "Blow-up", meaning, tuple(heads), tuple(rows), "stability.csv")
-
-
 def findings(frames: Frames) -> list[Finding]:
     hard = frames["stability"]
     found = []
@@ -191,15 +180,15 @@ def sections(frames: Frames) -> list[Part]:
         f"{called(name)}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
         for name, c in laws(STABILITY, "stability").items()
     )
-    drawn, ends = figures.hard(hard), blow_up_view(hard)
+    ends = blow_up_view(hard)
     parts: list[Part] = [
         Text(
             "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
             "in steps and evaluations; how each ended is part of the result. Which method is cheapest where is in "
             "[README.md](README.md). Of a law that is kept or not, bold: every run keeps it to round-off. "
-            f"{MEANINGS['dagger']}. {MEANINGS['undecided']}."
+            f"{MEANINGS['dagger']}. {MEANINGS['undecided']}. {SETTINGS}."
         ),
-        *([drawn] if drawn else []),
+        *figures.hard(hard),
         *([ends] if ends else []),
         map_view(hard),
     ]

@@ -1,4 +1,4 @@
-"""What reports and the gate compute from rows: costs at equal error, noise and ties, timing statistics."""
+"""What reports and the gate compute from rows: costs at equal error, paired ratios, noise and ties."""
 
 from __future__ import annotations
 
@@ -35,22 +35,6 @@ def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float
         return math.nan
     x, y = np.log([e for e, _ in front]), np.log([c for _, c in front])
     return float(np.exp(np.interp(math.log(target), x, y)))
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Seconds per call over rounds: minimum, median and interquartile range."""
-
-    minimum: float
-    median: float
-    iqr: float
-    rounds: int
-
-
-def timing(samples: Sequence[float]) -> Timing:
-    """Statistics of per-call times."""
-    lower, middle, upper = np.percentile(samples, [25, 50, 75])
-    return Timing(float(min(samples)), float(middle), float(upper - lower), len(samples))
 
 
 #: resampled medians behind a bootstrap interval

@@ -27,23 +27,3 @@ from contactbench.scene.definition import verify
 from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.mechanical import Mechanical
 from contactbench.scene.rigid_body import RigidBody
-
-__all__ = [
-    "BodyState",
-    "GeneralDamping",
-    "Mechanical",
-    "RigidBody",
-    "Scene",
-    "State",
-    "System",
-    "Vector",
-    "cross",
-    "dot",
-    "norm",
-    "quaternion_of",
-    "quaternion_product",
-    "rotate",
-    "rotation_matrix",
-    "shifted",
-    "verify",
-]

@@ -16,7 +16,7 @@ order, which leaves it far fewer conditions, and it is the kernel that is paid f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -163,11 +163,11 @@ class Plan:
     closing: tuple[Stage, ...]
     joint: tuple[Stage, ...]
 
-    def count(self, flows: dict[str, Flow], kind: str, n: int) -> int:
-        """How many operations of a kind n steps take."""
+    def count(self, flows: dict[str, Flow], kinds: Collection[str], n: int) -> int:
+        """How many operations of some kinds n steps take."""
 
         def cost(stages: tuple[Stage, ...]) -> int:
-            return sum(flows[name].costs.get(kind, 0) for name, _ in stages)
+            return sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
 
         return cost(self.opening) + n * cost(self.inner) + (n - 1) * cost(self.joint) + cost(self.closing)
 

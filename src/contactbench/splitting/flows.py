@@ -34,7 +34,8 @@ def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
 class Flow(NamedTuple):
     """One exact subflow φ_h.
 
-    costs : what one application adds to the counts, by kind ("gradient", "rotation").
+    costs : what one application adds to the counts, by kind ("gradient", "rotation"; "attitude": the rotations
+        that R takes beside the others, where it is carried).
     log_factor : ``(scene, x, h, xp) -> log c`` with φ_h*η = c η at x.
     Flows for h1 and h2 compose to the flow for h1 + h2, so that neighbours may be merged.
     """
@@ -326,18 +327,20 @@ def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodySt
     return body_damp(scene, free(scene, x, tau, xp), decay, xp)
 
 
-#: what `free` costs in rotations: it has FREE_COST times as many square roots, divisions and transcendental
-#: functions as the two of a rotation, with loops of fixed length (counted anew in the tests)
-FREE_COST = 177
+#: what `free` costs in rotations: it has so many times the two square roots, divisions and transcendental
+#: functions of a rotation, with loops of fixed length (counted anew in the tests).  The momentum takes few of
+#: them, the attitude the others, where it is carried.
+MOMENTUM_COST, FREE_COST = 23, 177
+FREE_COSTS = {"rotation": MOMENTUM_COST, "attitude": FREE_COST - MOMENTUM_COST}
 
 BODY = {
     "turn": Flow(_plain, turn, {"rotation": 1}),
     "top": Flow(_plain, top, {"rotation": 1}),
-    "free": Flow(_plain, free, {"rotation": FREE_COST}),
+    "free": Flow(_plain, free, FREE_COSTS),
     "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
 }
 ISOTROPIC = BODY | {
-    "free_damp": Flow(_free_damp_constants, free_damp, {"rotation": FREE_COST}, linear_log_factor),
+    "free_damp": Flow(_free_damp_constants, free_damp, FREE_COSTS, linear_log_factor),
 }
 
 

@@ -32,6 +32,18 @@ def family_and_order(curve: Curve) -> tuple[str, int | None]:
     return own.family, own.order
 
 
+#: families whose adaptive solvers differ by their makers more than by what they do to a law
+ADAPTIVE = ("scipy", "cyrk", "diffrax")
+
+
+def structure_class(curve: Curve) -> tuple[str, int]:
+    """Groups for laws: contact methods of order 1 (the printed scheme), 2 and higher; kinds of other methods."""
+    own = look(curve.method, curve.family)
+    if own.family == "contact":
+        return "contact", min(own.order or 3, 3)
+    return "adaptive" if own.family in ADAPTIVE else own.family, 0
+
+
 def best_of_each(
     curves: Iterable[Curve],
     score: Callable[[Curve, Sequence[Curve]], float],
@@ -78,10 +90,11 @@ def lowest(curve: Curve, own: Sequence[Curve]) -> float:
     return -float(np.median(values)) if values else math.nan
 
 
-def like(chosen: Iterable[Curve]) -> Callable[[Curve, Sequence[Curve]], float]:
-    """The score that chooses the methods in colour among others' curves again; those before the rest."""
+def like(chosen: Iterable[Curve], curves: Iterable[Curve]) -> tuple[Curve, ...]:
+    """The curves, all but those of the methods that were chosen muted."""
     names = {curve.method for curve in chosen if not curve.muted}
-    return lambda curve, own: float(curve.method in names)
+    muted = [c if c.method in names else replace(c, muted=True) for c in curves]
+    return tuple(sorted(muted, key=lambda c: not c.muted))
 
 
 def highest(curve: Curve, own: Sequence[Curve]) -> float:

@@ -63,9 +63,9 @@ def growth_panel(part: pd.DataFrame, by: str, whole: str) -> Panel:
                 Curve(
                     floats(rows["cores"]),
                     floats(1e-9 * ideal),
+                    "proportional to the cores",
                     role="guide",
                     markers=False,
-                    note="proportional",
                 )
             )
     counts = sorted(set(part[by].astype(int)))

@@ -9,7 +9,7 @@ import pandas as pd
 
 from contactbench.report.curves import by_method, number_axis, round_off
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.figures.best import best_of_each, like, lowest
+from contactbench.report.figures.best import best_of_each, like, lowest, structure_class
 
 DECAYED = r"e^{-\int\Gamma'} η"
 #: columns of the table along time: panel and axis
@@ -24,16 +24,18 @@ STRUCTURE = (
     ("contact_drift", "central", "contact form: deviation"),
     ("momentum_law", "rigid_body", "momentum map $J$: deviation"),
 )
-COLOURS = "In colour: the method of each family that is closest to the true $H_0$; thin and grey: the others."
+#: whose best stand in colour
+CLASSES = "contact methods of order 1, 2 and higher, RK4, Herglotz, SUNDIALS, heyoka, and the other adaptive solvers"
+COLOURS = f"In colour: the closest to the true $H_0$ of {CLASSES}; thin and grey: the others."
 
 
 def along_time(frame: pd.DataFrame, scene: str) -> Figure:
     """The deviations from the H0, H, J and contact laws along time."""
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
-    closest = like(best_of_each(by_method(rows, "t", "energy_deviation"), lowest))
+    closest = best_of_each(by_method(rows, "t", "energy_deviation"), lowest, structure_class)
     panels = tuple(
         Panel(
-            title, Axis("t"), number_axis(label), best_of_each(by_method(rows, "t", column, every=4), closest),
+            title, Axis("t"), number_axis(label), like(closest, by_method(rows, "t", column, every=4)),
             spans=(round_off("y"),),
         )
         for column, (title, label) in ALONG_TIME.items() if rows[column].notna().any()
@@ -53,15 +55,15 @@ def structure(frame: pd.DataFrame) -> Figure | None:
     for law, scene, label in STRUCTURE:
         rows = ok[(ok["scene"] == scene) & ok[law].notna()]
         if len(rows):
-            curves = best_of_each(by_method(rows, "solution_error", law), most_accurate)
+            curves = best_of_each(by_method(rows, "solution_error", law), most_accurate, structure_class)
             x = number_axis("solution error", inverted=True)
             panels.append(Panel(scene, x, number_axis(label), curves, spans=(round_off("y"),)))
     if not panels:
         return None
     return Figure(
         "structure", "Structure against accuracy, same runs", tuple(panels),
-        "A law that is kept by construction does not depend on the error. Shaded: round-off. In colour: "
-        "the most accurate method of each family; thin and grey: the others.", 2, source="laws.csv", size=(6.2, 4.6),
+        "A law that is kept by construction does not depend on the error. Shaded: round-off. In colour: the most "
+        f"accurate of {CLASSES}; thin and grey: the others.", 2, source="laws.csv", size=(6.2, 4.6),
     )  # fmt: skip
 
 

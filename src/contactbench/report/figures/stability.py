@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 
 from contactbench.report.curves import by_method, floats, number_axis
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.figures.best import best_of_each, cheapest, family_and_order, highest
+from contactbench.report.numbers import names, scientific
 from contactbench.results.tables import STRONG_DAMPING
 
 SHOWN = "In colour: the best of each family and order; thin and grey: the others."
@@ -75,6 +77,34 @@ def radius(frame: pd.DataFrame) -> Figure:
     )  # fmt: skip
 
 
+#: a curve jumps from an error below the first to one above the second
+JUMP = (1e-3, 1.0)
+
+
+def jumps(frame: pd.DataFrame) -> str:
+    """Where an error jumps because the step passes the limit of stability, in words."""
+    said = []
+    for (method, gamma), part in frame.groupby(["method", "gamma"], sort=False):
+        part = part.sort_values("step", kind="stable")
+        before, after = part.iloc[:-1], part.iloc[1:]
+        jump = (before["error"].to_numpy() < JUMP[0]) & (after["error"].to_numpy() > JUMP[1])
+        crosses = (before["radius"].to_numpy() <= 1) & (after["radius"].to_numpy() > 1)
+        for k in np.flatnonzero(jump & crosses):
+            (h, r, e), (h2, r2, e2) = (
+                line[["step", "radius", "error"]] for line in (before.iloc[k], after.iloc[k])
+            )
+            said.append(
+                f"`{method}` at γ = {gamma:g} from {scientific(e)} (h = {h:.3g}, spectral radius {r:.3f}) to "
+                f"{scientific(e2)} (h = {h2:.3g}, {r2:.3f})"
+            )
+    if not said:
+        return ""
+    return (
+        f" A curve jumps where its step passes the limit of stability: {names(said)}. As soon as the step is "
+        "stable, the motion, which has only its slow decay left, is resolved."
+    )
+
+
 def strong(frame: pd.DataFrame, gammas: list[float]) -> Figure:
     """Evaluations in the time 1/γ against the error they buy."""
     frame = frame.assign(spent=1 / frame["damping_per_evaluation"])
@@ -88,6 +118,7 @@ def strong(frame: pd.DataFrame, gammas: list[float]) -> Figure:
         )  # fmt: skip
     return Figure(
         "strong_damping", "Cost against error under strong damping", tuple(panels),
-        f"{STRONG_DAMPING.columns['error'].meaning}. One evaluation in 1/γ: γh per evaluation is one. {SHOWN}", 2,
+        f"{STRONG_DAMPING.columns['error'].meaning}. One evaluation in 1/γ: γh per evaluation is one. {SHOWN}"
+        f"{jumps(frame)}", 2,
         source="strong_damping.csv", size=(6.2, 4.6),
     )  # fmt: skip

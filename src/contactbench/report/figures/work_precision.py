@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import pandas as pd
 
 from contactbench.report.contest import KINDS, contestants
 from contactbench.report.curves import by_method
-from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest, contest_ends
 
 SOURCE = "work_precision.csv"
@@ -63,9 +62,13 @@ def marginal_quartiles(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
 
 
 def panel(part: pd.DataFrame, title: str, quantities: dict[str, tuple[str, float]], **options: Any) -> Panel:
-    """Error on x, cost on y; the axis of cost ends where the contest ends."""
+    """Error on x, cost on y; the axis of cost ends where the contest ends.
+
+    A difference of two times that is not positive is noise, and no cost.
+    """
     x, y = error_axis(part), cost_axis(part, quantities)
     also = {a.key: 1.0 for a in x.others} | {a.key: quantities[a.key][1] for a in y.others}
+    part = part.assign(**{a.key: part[a.key].where(part[a.key] > 0) for a in (y, *y.others)})
     found = by_method(part, x.key, y.key, scale=quantities[y.key][1], also=also, **options)
     y, beyond = contest_ends(y, found)
     return Panel(title, x, y, best_of_each(found, cheapest), remark=beyond)
@@ -94,43 +97,11 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
         "Engines of different panels are not compared."
     )
     return Figure(
-        f"work_precision_{scene}", f"{scene}: cost against error", tuple(panels), caption, source=SOURCE
+        f"work_precision_{scene}",
+        f"{scene}: cost against error",
+        tuple(panels),
+        caption,
+        2,
+        source=SOURCE,
+        size=(6.2, 4.4),
     )
-
-
-def hard(frame: pd.DataFrame) -> Figure | None:
-    """Cost against error on the hard scenes; where the true motion escapes, against the time told."""
-    ok = frame[(frame["status"] == "ok") & frame["solution_error"].notna()]
-    panels = []
-    for scene in dict.fromkeys(frame["scene"]):
-        part = ok[ok["scene"] == scene].sort_values("rhs_equivalents", kind="stable")
-        if len(part):
-            panels.append(panel(part, str(scene), COUNTS))
-        elif escaped := escape_panel(frame[frame["scene"] == scene], str(scene)):
-            panels.append(escaped)
-    if not panels:
-        return None
-    return Figure(
-        "hard_scenes", "Hard scenes: evaluations against error", tuple(panels),
-        f"Runs that ended as the true motion does. More accurate to the right, cheaper below. {COLOURS}",
-        3, source="stability.csv", size=(5.6, 4.6),
-    )  # fmt: skip
-
-
-def escape_panel(rows: pd.DataFrame, scene: str) -> Panel | None:
-    """When a run is told to have diverged, beside the true time; None where no motion escapes."""
-    out = rows[(rows["status"] == "diverged") & rows["blow_up_time"].notna() & rows["end_time"].notna()]
-    if not len(out):
-        return None
-    off = 100 * (out["end_time"].astype(float) / out["blow_up_time"].astype(float) - 1)
-    out = out.assign(off=off).sort_values("rhs_equivalents", kind="stable")
-    x = Axis("escape told early (−) or late (+), % of its time")
-    return Panel(
-        f"{scene}: reaches infinity", x, cost_axis(out, COUNTS),
-        best_of_each(by_method(out, "off", "rhs_equivalents"), nearest),
-        spans=(Span("x", 0.0, 0.0),), remark="told where the state is beyond 10⁶ times the scene's scale",
-    )  # fmt: skip
-
-
-def nearest(curve: Curve, own: Sequence[Curve]) -> float:
-    return -float(np.median(np.abs(curve.x)))

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import contactbench as cb
+from c_loops import ensemble_kernel
 from contactbench.methods.base import Refused
-from limit import ensemble_kernel
 
 #: trajectories integrated together: the fastest of 64, 256 and all, for vmap and for shared steps
 TILE = 64

@@ -1,4 +1,4 @@
-"""Run one ensemble cell on several cores and print its row and times: ``python on_cores.py '[[cores], [cell]]'``."""
+"""An ensemble cell on several cores, its row and times: ``python ensemble_on_cores.py '[[cores], [cell]]'``."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import contactbench as cb
-import hard_cells
-from hard_cells import CALLS, QUICK, time_of
+import stability_rows
+from stability_rows import CALLS, QUICK, time_of
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ def test_a_long_run_in_python_is_timed_by_its_first_call(monkeypatch, method, en
     def counted():
         count[0] += 1
 
-    monkeypatch.setattr(hard_cells, "work", lambda solution: work)
+    monkeypatch.setattr(stability_rows, "work", lambda solution: work)
     seconds = time_of(counted, solution, 7.0)
     assert count[0] == calls
     assert (seconds == 7.0) == (calls == 0)

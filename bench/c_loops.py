@@ -1,4 +1,4 @@
-"""The C loops of limit.c, compiled when the benchmark runs, with the coefficients of our compositions."""
+"""The C loops of c_loops.c, compiled when the benchmark runs, with the coefficients of our compositions."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def library() -> ctypes.CDLL | str:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return "no C compiler on this machine"
-    source = Path(__file__).with_name("limit.c")
+    source = Path(__file__).with_name("c_loops.c")
     with tempfile.TemporaryDirectory(prefix="contactbench-", ignore_cleanup_errors=True) as folder:
-        target = Path(folder) / "limit.so"  # needed no longer than until it is loaded
+        target = Path(folder) / "c_loops.so"  # needed no longer than until it is loaded
         done = subprocess.run(
             [compiler, *FLAGS, "-o", target, source], capture_output=True, text=True, timeout=120
         )
@@ -88,7 +88,7 @@ def staggered(rows: int, m: int) -> np.ndarray:
     return buffer[first : first + rows * stride].reshape(rows, stride)[:, :m]
 
 
-#: shapes of the ensemble loops, see limit.c
+#: shapes of the ensemble loops, see c_loops.c
 SHAPES = ("passes", "plain", "tiled")
 
 

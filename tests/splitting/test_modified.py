@@ -1,0 +1,218 @@
+"""The modified Hamiltonian of the splittings: its brackets, its order, and a million steps along which it decays."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import USER, by_name, random_state
+from contactbench.methods.fixed_step_run import EQUAL
+from contactbench.scene import State, dot
+from contactbench.splitting import modified
+from contactbench.splitting.modified import bracket, has_modified_hamiltonian, modified_hamiltonian, weights
+from contactbench.splitting.tables import COMPOSITIONS
+
+LAW = cb.LAWS["modified_hamiltonian"]
+PARTICLE, CENTRAL = cb.SCENES["particle"], cb.SCENES["central"]
+SCENES = [cb.SCENES["oscillator"], PARTICLE, CENTRAL.with_(mass=1.5), USER]
+KNOWN = "contact-strang", "contact-bm4", "contact-bm6", "contact-rkn4", "contact-rkn6", "contact-o8"
+STRANG = next(c for c in COMPOSITIONS if c.name == "contact-strang")
+
+
+def test_the_series_of_strang_is_the_one_that_is_printed_everywhere():
+    """−1/24 [B, [B, A]] + 1/12 [A, [A, B]] and −1/720 [A, [A, [A, [A, B]]]] (Hairer, Lubich, Wanner, §III.4.2)."""
+    found = weights(STRANG.stages)
+    assert found["A"] == Fraction(1, 12)
+    assert found["B"] == Fraction(1, 24)
+    assert found["AAA"] == Fraction(-1, 720)
+
+
+def test_words_of_the_logarithm_are_a_lie_polynomial():
+    """Turned into brackets and written out again, all words are back (Dynkin, Specht, Wever)."""
+    words = modified.logarithm(modified.flow_of(STRANG.stages))
+
+    def written(word):
+        if len(word) == 1:
+            return {word: Fraction(1)}
+        inner = written(word[1:])
+        return {word[0] + w: c for w, c in inner.items()} | {
+            w + word[0]: inner.get(w[1:] + word[0], Fraction(0)) * (w[0] == word[0]) - c
+            for w, c in inner.items()
+        }
+
+    again: dict[str, Fraction] = {}
+    for word, c in words.items():
+        for other, d in written(word).items():
+            again[other] = again.get(other, Fraction(0)) + c * d / len(word)
+    assert {w: c for w, c in again.items() if c} == {w: c for w, c in words.items() if c}
+
+
+@by_name(SCENES)
+def test_second_order_terms_are_the_known_formulas(scene):
+    """{B, {B, A}} = ‖∇V‖²/m and {A, {A, B}} = p·V''p/m² + γ p·∇V/m + γ² V."""
+    x = random_state(scene, 3)
+    gradient, m = scene.dV(x.q), scene.mass
+    assert -bracket(scene, "B")(x.q, x.p) == pytest.approx(dot(gradient, gradient) / m, rel=1e-14)
+    assert scene.hessian is None or bracket(scene, "A")(x.q, x.p) == pytest.approx(
+        dot(x.p, [dot(row, x.p) for row in scene.hessian(x.q, **scene.parameters)]) / m**2
+        + scene.gamma * dot(x.p, gradient) / m
+        + scene.gamma**2 * scene.V(x.q),
+        rel=1e-13,
+    )
+
+
+@pytest.mark.parametrize("letters", ["".join(w) for k in (0, 1, 2) for w in product("AB", repeat=k)])
+def test_brackets_are_jacobis_on_the_whole_of_contact_space(letters):
+    """By automatic differentiation of the full bracket in q, p and s."""
+    from contactbench.xla import jax, jnp
+
+    scene, x = CENTRAL.with_(gamma=0.3, mass=1.5), random_state(CENTRAL, 8)
+
+    def parts(y):
+        return tuple(y[:2]), tuple(y[2:4]), y[4]
+
+    def A(y):
+        _, p, s = parts(y)
+        return scene.kinetic(p) + scene.gamma * s
+
+    def B(y):
+        return scene.V(parts(y)[0])
+
+    def jacobi(f, g):
+        def value(y):
+            p, df, dg = y[2:4], jax.grad(f)(y), jax.grad(g)(y)
+            canonical = df[:2] @ dg[2:4] - df[2:4] @ dg[:2]
+            return canonical + df[4] * (p @ dg[2:4] - g(y)) - dg[4] * (p @ df[2:4] - f(y))
+
+        return value
+
+    function = jacobi(A, B)
+    for letter in reversed(letters):
+        function = jacobi(A if letter == "A" else B, function)
+    here = float(function(jnp.array([*x.q, *x.p, x.s])))
+    assert bracket(scene, letters)(x.q, x.p) == pytest.approx(here, rel=1e-12, abs=1e-13)
+
+
+# -- order -----------------------------------------------------------------------------------------
+def deviation(scene, name, h, degree=modified.DEGREE):
+    """max |H̃ e^{γt} / H̃(y₀) − 1|."""
+    composition = next(c for c in COMPOSITIONS if c.name == name)
+    solution = cb.solve(scene, name, step=h, save_at=0.4 * np.arange(1, 51))
+
+    def tilde(x):
+        return modified_hamiltonian(scene, composition, x, h, degree)
+
+    return np.abs(
+        tilde(solution.states()) * np.exp(scene.gamma * solution.t) / tilde(solution.start()) - 1
+    ).max()
+
+
+def order(*args):
+    coarse, fine = (deviation(args[0], args[1], h, *args[2:]) for h in (0.1, 0.05))
+    return math.log2(coarse / fine)
+
+
+@pytest.mark.parametrize(("degree", "expected"), [(1, 2), (3, 4), (5, 6)])
+@by_name([scene.with_(t_end=20.0, s=0.2) for scene in SCENES])
+def test_every_bracket_gains_two_orders(scene, degree, expected):
+    assert order(scene, "contact-strang", degree) == pytest.approx(expected, abs=0.15)
+
+
+@pytest.mark.parametrize("name", ["contact-bm4", "contact-rkn4"])
+def test_the_first_correction_of_a_method_of_order_four_is_the_fifth(name):
+    assert order(PARTICLE, name, 3) == pytest.approx(4, abs=0.15)
+    assert order(PARTICLE, name, 5) == pytest.approx(6, abs=0.15)
+
+
+@pytest.mark.parametrize("word", sorted(weights(STRANG.stages)))
+def test_one_coefficient_off_by_a_hundredth_loses_the_order(word, monkeypatch):
+    whole = weights(STRANG.stages)
+    changed = whole | {word: whole[word] * Fraction(101, 100)}
+    right = deviation(CENTRAL, "contact-strang", 0.02)
+    monkeypatch.setattr(modified, "weights", lambda stages: changed)
+    coarse, fine = (deviation(CENTRAL, "contact-strang", h) for h in (0.04, 0.02))
+    assert fine > 3 * right
+    assert math.log2(coarse / fine) < 5
+
+
+# -- the law ---------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def million():
+    """10⁶ steps of a method, H and H̃ decaying to 1/e."""
+
+    def run(method):
+        scene = PARTICLE.with_(gamma=1e-5, t_end=1e5)
+        solution = cb.solve(scene, method, step=0.1, save_at=25.0 * np.arange(1, 4001))
+        assert solution.counts.steps == 10**6
+        return solution
+
+    return run
+
+
+def halves(law, solution):
+    """The largest deviation in the first half of the run, and in the second."""
+    size = cb.LAWS[law].along(solution).size
+    return size[:2000].max(), size[2000:].max()
+
+
+def test_over_a_million_steps_the_modified_hamiltonian_decays_as_it_should(million):
+    """The deviations do not grow: those of H are of order h², those of H̃ of order h⁶."""
+    solution = million("contact-strang")
+    early, late = halves("hamiltonian_law", solution)
+    assert 1e-3 < late < 1.1 * early < 1e-2
+    early, late = halves("modified_hamiltonian", solution)
+    assert late < 1.1 * early < 1e-7
+
+
+def test_over_a_million_steps_the_hamiltonian_of_rk4_drifts(million):
+    early, late = halves("hamiltonian_law", million("rk4"))
+    assert late > 1.9 * early > 1e-3
+
+
+@pytest.mark.parametrize("method", [name for name, m in cb.METHODS.items() if m.control == "step"])
+def test_the_law_is_blank_where_a_run_is_not_the_flow_of_one_function(method):
+    """Neither for other methods, nor for stages before the first step, nor for three parts."""
+    composition = getattr(cb.METHODS[method], "composition", None)
+    known = composition is not None and has_modified_hamiltonian(composition)
+    found = LAW(cb.solve(PARTICLE, method, step=0.1, save_at=[10.0, 20.0]))
+    assert math.isfinite(found) == known
+    assert known == (method in KNOWN)
+
+
+def test_steps_of_two_sizes_have_no_modified_hamiltonian():
+    solution = cb.solve(PARTICLE, "contact-strang", step=0.1, save_at=[10.0, 10.05, 20.05])
+    assert np.isnan(LAW(solution))
+    steps = solution.run.h
+    assert np.ptp(steps) > EQUAL * steps[0]
+
+
+def test_a_potential_that_takes_no_dual_numbers_has_the_law_blank():
+    scene = cb.Mechanical(
+        name="by NumPy", potential=lambda q: -np.cos(q[0]), gradient=lambda q: (np.sin(q[0]),),
+        q=(1.0,), p=(0.0,), gamma=0.1, t_end=2.0,
+    )  # fmt: skip
+    assert np.isnan(LAW(cb.solve(scene, "contact-strang", step=0.1, engine="python")))
+
+
+def test_a_pendulum_by_cb_math_has_it():
+    scene = cb.Mechanical(
+        name="pendulum", potential=lambda q: -cb.math.cos(q[0]), gradient=lambda q: (cb.math.sin(q[0]),),
+        q=(1.0,), p=(0.0,), gamma=0.1, t_end=20.0,
+    )  # fmt: skip
+    assert order(scene, "contact-strang") == pytest.approx(6, abs=0.15)
+
+
+def test_states_may_be_arrays():
+    x = State(
+        (np.array([0.1, 0.2]), np.array([0.3, 0.4])),
+        (np.array([0.5, 0.6]), np.array([0.7, 0.8])),
+        np.zeros(2),
+    )
+    both = modified_hamiltonian(PARTICLE, STRANG, x, 0.1)
+    one = modified_hamiltonian(PARTICLE, STRANG, State((0.2, 0.4), (0.6, 0.8), 0.0), 0.1)
+    assert both[1] == pytest.approx(one, rel=1e-15)
