@@ -52,10 +52,10 @@ def compare(
     Returns one row for each method and error, columns: scene, method, family, engine, kind, error_asked,
     setting, error_reached, time_s (median), evaluations (of the right-hand side, or what equals one), ratio (to
     the least time of its kind at that error), verdict (cheapest, tie, or ×ratio), laws_kept, a column for each
-    law, status, reason (why a method got no further, or was not timed).  ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error:
-    smaller ones are not claimed), "margins" (by kind: the ratio up to which times are a tie, measured as A/A),
-    "runs" (every setting tried), "unrefined" (methods of which there was no time to look for a coarser
-    setting between two that were tried), "interrupted", "seconds".
+    law, status, reason (why a method got no further, or was not timed).  ``attrs``: "reference" (source, digits,
+    digits confirmed by a second engine, error: smaller ones are not claimed), "margins" (by kind: the ratio up to
+    which times are a tie, measured as A/A), "runs" (every setting tried), "unrefined" (methods without a last
+    search for a coarser setting), "interrupted", "seconds".
     Ctrl-C ends it with what there is.  Raises `BadInput`, also where no reference can be computed.
     """
     scene, _ = lookup(scene, next(iter(METHODS)))
@@ -197,20 +197,25 @@ class Comparison:
         the fewest rounds of all would take longer than there is."""
         self.say("timing")
         kinds = {each.method: each.kind for each in self.scouted}
+        runs = {
+            kind: {id(a): a for (name, _), a in self.chosen.items() if kinds[name] == kind} for kind in KINDS
+        }
+        least = {kind: sum(FEWEST_CALLS * a.seconds for a in runs[kind].values()) for kind in KINDS}
         for kind in KINDS:
-            attempts = {id(a): a for (name, _), a in self.chosen.items() if kinds[name] == kind}
-            seconds, fits = max(0.0, self.left(1.0)), {}
-            for key, attempt in sorted(attempts.items(), key=lambda item: item[1].seconds):
+            kept = sum(
+                least[later] for later in KINDS[KINDS.index(kind) + 1 :]
+            )  # for those that are yet to come
+            given = max(self.left(1.0) - kept, self.left(1.0) / 2, 0.0)
+            seconds, fits = given, {}
+            for key, attempt in sorted(runs[kind].items(), key=lambda item: item[1].seconds):
                 seconds -= FEWEST_CALLS * attempt.seconds
                 if seconds < 0:
-                    self.untimed[key] = (
-                        f"a run takes {attempt.seconds:.2g} s, which is more than was left for timing"
-                    )
+                    self.untimed[key] = "too slow for the time that was left"
                 else:
                     fits[key] = attempt
             race = Race([bare(a) for a in fits.values()])
             try:
-                race.go(0.0 if self.interrupted else max(0.0, self.left(1.0)))
+                race.go(0.0 if self.interrupted else given)
             finally:
                 self.times |= {key: race.columns(i) for i, key in enumerate(fits)}
 

@@ -38,7 +38,8 @@ def table(
             rows.append({
                 "scene": question.scene.name, "method": each.method, "family": METHODS[each.method].family,
                 "engine": each.engine, "kind": each.kind, "error_asked": error,
-                **(reached(question, attempt, untimed.get(id(attempt), "")) if attempt else unreached(question, each, error)),
+                **(reached(question, attempt) if attempt else unreached(question, each, error)),
+                **({"reason": untimed[id(attempt)]} if id(attempt) in untimed else {}),
                 "time_s": timed.get("time_median_s", math.nan),
                 "time_repeat_ratio": timed.get("time_repeat_ratio", math.nan), **kept_at,
             })  # fmt: skip
@@ -54,10 +55,10 @@ def table(
     return frame
 
 
-def reached(question: Question, attempt: Attempt, untimed: str) -> dict[str, Any]:
+def reached(question: Question, attempt: Attempt) -> dict[str, Any]:
     return {
         "setting": attempt.setting, "error_reached": max(attempt.error, question.floor()),
-        "evaluations": attempt.counts.rhs_equivalents, "status": "ok", "reason": untimed,
+        "evaluations": attempt.counts.rhs_equivalents, "status": "ok", "reason": "",
     }  # fmt: skip
 
 
