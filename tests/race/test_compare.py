@@ -221,7 +221,7 @@ def test_what_a_cheap_method_leaves_goes_to_the_others(monkeypatch):
 def test_xla_compiles_an_adaptive_solver_once():
     """Another budget of steps would be another program: a dozen compilations instead of one."""
     scene = double_well()
-    found = cb.compare(scene, ["diffrax-tsit5"], (1e-3, 1e-6), budget=120.0)
+    found = cb.compare(scene, ["diffrax-tsit5"], (1e-3, 1e-6), budget=300.0)
     assert list(found["status"]) == ["ok", "ok"]
     assert len(found.attrs["runs"]) > 5
     of_the_motion = [key for key in _programs if key[:3] == ("run", scene.structure, ())]

@@ -28,6 +28,8 @@ FEWEST_CALLS = 1 + VISITS * FEWEST_ROUNDS
 KINDS = ("compiled", "callbacks")
 #: seconds that compiling the first method of an engine takes on an idle core: without them it is not begun
 COMPILING = {"jax": 5.0, "c++": 3.0}
+#: times as long on a loaded machine, at most, by what share of the time this process has had so far
+MOST_WAITING = 4.0
 #: what compiles so slowly begins when every other method is done or had this part of the budget
 PATIENCE = 0.03
 
@@ -163,7 +165,8 @@ class Comparison:
         """Whether there is time to compile it, by what the last one of its engine took or this machine's load."""
         expected = self.compiling.get(each.engine, 0.0)
         if expected and self.compiling[each.engine] == COMPILING[each.engine]:  # none of them yet
-            expected *= max(1.0, (perf_counter() - self.begun) / max(process_time() - self.computed, 0.1))
+            waiting = (perf_counter() - self.begun) / max(process_time() - self.computed, 0.1)
+            expected *= min(max(1.0, waiting), MOST_WAITING)
         if expected <= self.left(SCOUTING):
             return True
         each.why = (
