@@ -311,6 +311,16 @@ def test_text_page_and_plot_say_the_same(frame, tmp_path):
     assert (tmp_path / "plot.svg").stat().st_size > 10_000
 
 
+def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
+    own = frame[frame["method"] == "contact-strang"].copy()
+    assert "contact drift" in show.kept_by(own)
+    own.loc[own.index[0], ["contact_drift", "laws_kept"]] = [np.nan, ""]  # measured at one of the two errors
+    assert "contact drift" in show.kept_by(own)
+    own["contact_drift"], own["laws_kept"] = np.nan, ""
+    assert "not measured: contact drift" in show.kept_by(own)
+    assert show.kept_by(frame[frame["method"] == "rk4"]) == "none"
+
+
 def test_a_curve_says_what_an_error_costs_and_never_turns_back():
     tried = pd.DataFrame(
         {

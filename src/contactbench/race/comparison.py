@@ -27,7 +27,7 @@ REFERENCE, CHECK, SCOUTING, LAWS = 0.4, 0.42, 0.6, 0.8
 FEWEST_CALLS = 1 + VISITS * FEWEST_ROUNDS
 KINDS = ("compiled", "callbacks")
 #: seconds that compiling the first method of an engine takes on an idle core: without them it is not begun
-COMPILING = {"jax": 5.0, "c++": 3.0}
+COMPILING = {"jax": 5.0, "c++": 1.5}
 #: times as long on a loaded machine, at most, by what share of the time this process has had so far
 MOST_WAITING = 4.0
 #: what compiles so slowly begins when every other method is done or had this part of the budget

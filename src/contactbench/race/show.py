@@ -88,9 +88,20 @@ def cell(row: Any) -> Cell:
 
 
 def kept_by(rows: pd.DataFrame) -> str:
-    """The laws kept at every setting at which they were measured."""
-    sets = [set(text.split(", ")) - {""} for text in rows.loc[measured(rows), "laws_kept"]]
-    return (", ".join(sorted(set.intersection(*sets))) or "none") if sets else "not measured"
+    """The laws kept at every setting at which they were measured, and those that there was no time for."""
+    done = rows[measured(rows)]
+    if done.empty:
+        return "not measured"
+    kept, unknown = [], []
+    for law in (LAWS[name] for name in rows.columns if name in LAWS):
+        label, known = law.label or law.name, done.loc[done[law.name].notna(), "laws_kept"]
+        if known.empty and law.differentiates:
+            unknown.append(label)
+        elif len(known) and all(label in text.split(", ") for text in known):
+            kept.append(label)
+    if unknown:
+        return f"{', '.join(kept)}{'; ' if kept else ''}not measured: {', '.join(unknown)}"
+    return ", ".join(kept) or "none"
 
 
 def measured(rows: pd.DataFrame) -> pd.Series:
