@@ -202,6 +202,6 @@ def sections(frames: Frames) -> list[Part]:
 ROOMS.add(
     Room(
         "stability", "Numerical stability on hard scenes", "how every method ends on the hard scenes, at what error",
-        50, ("stability",), sections, findings,
+        50, ("stability",), sections, findings, tab="Hard scenes",
     )
 )  # fmt: skip
