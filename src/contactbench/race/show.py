@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.laws import LAWS
-from contactbench.report.cells import Cell, Head, Mark, View, marks, word
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
@@ -22,7 +22,6 @@ from contactbench.report.rooms import Part, Room, Text
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: of those that tie, so many are named
 NAMED = 4
-DASH = "—"
 
 
 def sentences(frame: pd.DataFrame) -> Iterator[str]:
