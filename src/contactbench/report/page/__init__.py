@@ -268,6 +268,7 @@ def panel(of: Panel) -> dict[str, Any]:
             "x": rounded(of.heat.x), "y": rounded(of.heat.y), "label": f"{plain(of.heat.label)} (± {limit:.3g})",
             "colors": [[shade(v / limit) for v in row] for row in values.tolist()],
         }  # fmt: skip
+        out.setdefault("remark", f"colour: {out['heat']['label']}")
     return out
 
 
