@@ -253,6 +253,8 @@ def panel(of: Panel) -> dict[str, Any]:
     out: dict[str, Any] = {
         "title": plain(of.title), "x": axis(of.x), "y": axis(of.y), "curves": [curve(c) for c in of.curves],
     }  # fmt: skip
+    if any(level for _, level in runs(of.title)):
+        out["runs"] = runs(of.title)
     if of.equal:
         out["equal"] = True
     if of.remark:

@@ -27,7 +27,7 @@
     figure.setAttribute("aria-label", `${panel.title}: ${curves.length} curves, arrow keys walk along their points`);
     plot.tip = html("div", { class: "tip", hidden: "" });
     box.append(plot.tip);
-    svg("text", { class: "title", x: (pad.left + width - pad.right) / 2, y: 14, "text-anchor": "middle" }, figure, panel.title);
+    svg("text", { class: "title", x: (pad.left + width - pad.right) / 2, y: 14, "text-anchor": "middle" }, figure, panel.runs || panel.title);
     if (panel.remark) svg("text", { class: "soft remark", x: (pad.left + width - pad.right) / 2, y: 28, "text-anchor": "middle" }, figure, panel.remark);
     const known = (name) => {
       const other = name === "x" ? "y" : "x";
