@@ -477,3 +477,24 @@ def test_names_at_curves_stand_apart_and_words_stay_in_their_figure(chrome, size
         assert right <= x1 + 1
         assert y0 - 1 <= top
         assert bottom <= y1 + 1
+
+
+def test_mathematics_in_a_sentence_is_set():
+    assert page.inline("H e^{∫Γ'} and $H_0$, `e^{x}`") == (
+        "H e<sup>∫Γ&#39;</sup> and H<sub>0</sub>, <code>e^{x}</code>"
+    )
+    assert page.plain("H e^{∫Γ'} and $H_0$") == "H e^(∫Γ') and H_0"
+
+
+def test_every_section_is_reached_from_the_row_of_links_and_what_is_shown_stays_in_the_address(chrome):
+    opened(chrome, hash="#;hide=rk4")
+    assert all(link.rect["x"] + link.rect["width"] <= WIDE[0] for link in find(chrome, "nav a"))
+    last = find(chrome, "nav a")[-1]
+    section = last.get_attribute("href").rpartition("#")[2]
+    last.click()
+    assert chrome.current_url.endswith(f"#{section};scene=particle;hide=rk4")
+    opened(chrome, NARROW, hash=f"#{section}")
+    chrome.execute_async_script("setTimeout(arguments[0], 300)")
+    marked = [a for a in find(chrome, "nav a") if a.get_attribute("aria-current")]
+    assert all(a.rect["x"] >= 0 and a.rect["x"] + a.rect["width"] <= NARROW[0] for a in marked)
+    assert marked

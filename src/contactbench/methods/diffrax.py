@@ -13,13 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun, capacity
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
-
-#: a step this small against the span hardly moves the clock: the solver is at a singularity
-SHORTEST = 1e-15
 
 #: right-hand sides evaluated inside counted programs
 _calls = [0]

@@ -8,6 +8,7 @@ from contactbench.report import (  # registers the rooms, in no particular order
     claims,
     convergence,
     damping,
+    definitions,
     ensemble,
     gate_selfcheck,
     headline,

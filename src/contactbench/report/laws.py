@@ -78,6 +78,6 @@ def sections(frames: Frames) -> list[Part]:
 ROOMS.add(
     Room(
         "laws", "Decay laws and drifts", "which methods preserve the laws, law by law and at equal cost", 20,
-        ("laws", "decay_laws", "laws_time", "convergence", "stability"), sections, findings,
+        ("laws", "decay_laws", "laws_time", "convergence", "stability"), sections, findings, tab="Laws",
     )
 )  # fmt: skip

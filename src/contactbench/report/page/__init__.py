@@ -43,7 +43,7 @@ COLD, HOT = "#2166ac", "#b2182b"
 
 # -- inline text -----------------------------------------------------------------------------------
 INLINE = re.compile(
-    r"`(?P<code>[^`]+)`|\*\*(?P<strong>.+?)\*\*|\*(?P<em>[^*]+)\*|\[(?P<text>[^]]+)\]\((?P<to>[^)]+)\)"
+    r"\$(?P<math>[^$]+)\$|\^\{(?P<sup>[^{}]+)\}|`(?P<code>[^`]+)`|\*\*(?P<strong>.+?)\*\*|\*(?P<em>[^*]+)\*|\[(?P<text>[^]]+)\]\((?P<to>[^)]+)\)"
 )
 #: an address that is not a file beside the page, an anchor, or a page of the web
 SCHEME = re.compile(r"\s*(?!https?:)[a-z][a-z0-9+.-]*:", re.IGNORECASE)
@@ -65,14 +65,31 @@ def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
             out += Markup('<a href="{}">{}</a>').format((addresses or {}).get(to, to), inline(found["text"]))
         else:
             inside = escape(found[kind]) if kind == "code" else inline(found[kind], addresses)
-            out += Markup("<{0}>{1}</{0}>").format(Markup(kind), inside)
+            out += (
+                mathematics(found[0])
+                if kind == "math"
+                else Markup("<{0}>{1}</{0}>").format(Markup(kind), inside)
+            )
         last = found.end()
     return out + escape(text[last:])
+
+
+def mathematics(text: str) -> Markup:
+    """Simple mathtext with its superscripts and subscripts."""
+    tags = {1: "<sup>{}</sup>", -1: "<sub>{}</sub>"}
+    return Markup().join(Markup(tags.get(level, "{}")).format(word) for word, level in runs(text))
 
 
 def plain(text: str) -> str:
     """Inline Markdown and simple mathtext as plain words."""
     return "".join({1: "^", -1: "_"}.get(level, "") + word for word, level in runs(text))
+
+
+def worded(found: re.Match[str]) -> str:
+    """Marked words without their marks; a superscript as it is typed."""
+    if found.lastgroup == "sup":
+        return f"^({found['sup']})"
+    return found["text" if found.lastgroup == "to" else str(found.lastgroup)]
 
 
 SYMBOLS = {r"\Vert": "‖", r"\int": "∫", r"\Gamma": "Γ", r"\ast": "*", r"\mu": "µ", r"\,": " ", "\\": ""}
@@ -84,7 +101,7 @@ def runs(text: str) -> list[tuple[str, int]]:
     out: list[tuple[str, int]] = []
     for i, part in enumerate(text.split("$")):
         if i % 2 == 0:
-            words = INLINE.sub(lambda f: f["text" if f.lastgroup == "to" else str(f.lastgroup)], part)
+            words = INLINE.sub(worded, part)
             out.append((words, 0))
             continue
         for sign, symbol in SYMBOLS.items():
@@ -302,6 +319,13 @@ def breakable(text: str) -> Markup:
     return Markup(str(escape(text)).replace("_", "_<wbr>"))
 
 
+def listed(value: Any) -> str:
+    """A recorded value in words."""
+    return (
+        ", ".join(f"{k} {v}".strip() for k, v in value.items()) if isinstance(value, Mapping) else str(value)
+    )
+
+
 def cell_class(cell: Cell) -> str:
     return " ".join(sorted(mark.value for mark in cell.marks))
 
@@ -354,6 +378,7 @@ def page(
         "groupby_neighbours": neighbours,
         "look": cell_class,
         "breakable": breakable,
+        "listed": listed,
     }
     return environment.get_template("page.html").render(
         css=source("page.css"), script="".join(map(source, SCRIPTS)), payload=script_safe(payload), styles=styles,
