@@ -35,6 +35,10 @@ from contactbench.solution import (
 #: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
 #: for differential equations at large
 FAMILIES = ("contact", "variational", "established")
+#: Python's way to say inf or nan
+NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+#: a step this small against the span hardly moves the clock: a singularity is ahead
+SHORTEST = 1e-15
 
 
 class Method(ABC):
@@ -259,7 +263,20 @@ class Prepared(ABC):
         self._motion, self._end = r.scene.motion, float(r.save_at[-1])
         self._own_bound = divergence_bound(self._own_start[: self._motion])
         self._saves = len(r.save_at)
+        self.saves_start = r.save_at[0] == 0
+        #: the saved times > 0
+        self.later = r.save_at[1:] if self.saves_start else r.save_at
         self._set = (r.control, r.value)
+
+    def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """The saved states, of those at `later` times: the initial one before them where it is saved."""
+        return np.concatenate([y0[None], y]) if self.saves_start else y
+
+    def tangents(self, y0: np.ndarray) -> list[np.ndarray]:
+        """The scene's tangent vectors at a packed state, packed."""
+        r = self.request
+        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
+        return [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
 
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
         """Index of the first saved state in y that is not finite or out of scale, or None."""
@@ -359,7 +376,7 @@ def begins(scene: Scene, start: Any) -> None:
     """
     try:
         slope = [float(component) for component in scene.pack(scene.rhs(start))]
-    except (OverflowError, ZeroDivisionError, ValueError) as error:
+    except NO_NUMBER as error:
         if isinstance(error, BadInput):
             raise
         slope = [math.nan]

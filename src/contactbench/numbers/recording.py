@@ -140,6 +140,15 @@ def _value_needed(what: str) -> Callable[..., Any]:
     return refuse
 
 
+def _comparison(sign: str) -> Callable[..., Any]:
+    def compare(self: Recorded, other: Any) -> Any:
+        if isinstance(other, Dual):
+            return NotImplemented
+        return self.tape.operation(f"{{0}} {sign} {{1}}", "b", self, other)
+
+    return compare
+
+
 class Recorded:
     """A value of the recorded program, known by its name there."""
 
@@ -198,28 +207,9 @@ class Recorded:
         return self.tape.operation("{0} ** {1}", "f", base, self)
 
     # -- truth values ------------------------------------------------------------------------------
-    def _compare(self, sign: str, other: Any) -> Any:
-        if isinstance(other, Dual):
-            return NotImplemented
-        return self.tape.operation(f"{{0}} {sign} {{1}}", "b", self, other)
-
-    def __eq__(self, other: Any) -> Any:
-        return self._compare("==", other)
-
-    def __ne__(self, other: Any) -> Any:
-        return self._compare("!=", other)
-
-    def __lt__(self, other: Any) -> Any:
-        return self._compare("<", other)
-
-    def __le__(self, other: Any) -> Any:
-        return self._compare("<=", other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self._compare(">", other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self._compare(">=", other)
+    __eq__ = _comparison("==")  # type: ignore[assignment]
+    __ne__ = _comparison("!=")  # type: ignore[assignment]
+    __lt__, __le__, __gt__, __ge__ = map(_comparison, ("<", "<=", ">", ">="))
 
     def __and__(self, other: Any) -> Any:
         return self.tape.operation("{0} and {1}", "b", self, other)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.cells import Cell, Head, Mark, View, marks, word
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
@@ -21,7 +21,6 @@ from contactbench.report.rooms import Part, Room, Text
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: of those that tie, so many are named
 NAMED = 4
-DASH = "—"
 
 
 def sentences(frame: pd.DataFrame) -> Iterator[str]:

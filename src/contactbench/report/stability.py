@@ -121,8 +121,8 @@ def left_out(rows: pd.DataFrame) -> str:
     return f"Out of reach of {'; '.join(why)}." if why else ""
 
 
-def shortened(text: str, most: int = 90) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
+def shortened(text: str) -> str:
+    return text if len(text) <= 90 else text[:89] + "…"
 
 
 def condition_note(part: pd.DataFrame) -> str:
