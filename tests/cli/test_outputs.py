@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import contactbench as cb
 from contactbench import cli
-from contactbench.cli import outputs
+from contactbench.cli import parsing
 
 REPOSITORY = Path(__file__).parents[2]
 OPTIONS = [
@@ -34,7 +35,6 @@ def places(folder):
 @pytest.fixture
 def idle(monkeypatch):
     """Nothing may be solved."""
-    import contactbench as cb
 
     def working(*_, **__):
         raise AssertionError("the work has begun")
@@ -51,27 +51,34 @@ def test_an_output_that_cannot_be_written_is_refused_first(
     path = places(tmp_path)[place].with_suffix(suffix)
     if place == "a folder":
         path.mkdir(exist_ok=True)
-    with pytest.raises(SystemExit) as ended:
-        cli.main([*line.split(), option, str(path)])
+    assert cli.main([*line.split(), option, str(path)]) == 2
     said = capsys.readouterr().err
-    assert ended.value.code == 2
     assert said.count("\n") == 1
-    assert f"{path}: cannot be written: " in said
+    assert said.startswith(f"contactbench: {option} {path}: ")
 
 
 @pytest.mark.parametrize("line", ["solve particle rk4 --step 0.1", "compare particle rk4"])
 def test_a_figure_that_nobody_draws_is_refused_first(line, idle, tmp_path, capsys):
-    with pytest.raises(SystemExit) as ended:
-        cli.main([*line.split(), "--plot", str(tmp_path / "x.txt")])
-    assert ended.value.code == 2
+    assert cli.main([*line.split(), "--plot", str(tmp_path / "x.txt")]) == 2
     assert "must end in .svg, .png, .pdf" in capsys.readouterr().err
 
 
 def test_trying_a_file_changes_nothing(tmp_path):
     path = tmp_path / "there.csv"
     path.write_text("kept")
-    assert outputs.output(str(path)).read_text() == "kept"
-    assert not outputs.output(str(tmp_path / "new.csv")).exists()
+    parsing.writable("--csv", path)
+    assert path.read_text() == "kept"
+    parsing.writable("--csv", tmp_path / "new.csv")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_the_system_refuses_is_refused_first(tmp_path, monkeypatch):
+    def refused(*_, **__):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(cb.BadInput, match="--csv .*new.csv: cannot be written: Read-only file system"):
+        parsing.writable("--csv", tmp_path / "new.csv")
 
 
 def test_a_report_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch, capsys):
@@ -90,8 +97,8 @@ def test_a_report_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch,
     def full(**_):
         raise OSError(30, "Read-only file system")
 
-    monkeypatch.setattr(outputs.tempfile, "NamedTemporaryFile", full)
+    monkeypatch.setattr(parsing.tempfile, "NamedTemporaryFile", full)
     assert cli.main(["report", "--results", str(tmp_path)]) == 2
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 3
-    assert said[-1] == f"contactbench: {tmp_path}: cannot be written: Read-only file system"
+    assert said[-1] == f"contactbench: --results {tmp_path}: cannot be written: Read-only file system"

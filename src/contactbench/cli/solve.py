@@ -8,8 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from contactbench.cli.outputs import output, picture
-from contactbench.cli.parsing import Command
+from contactbench.cli.parsing import PICTURES, Command, writable
 from contactbench.errors import BadInput
 
 
@@ -31,6 +30,8 @@ def assignments(pairs: list[str]) -> dict[str, Any]:
 
 def solve(arguments: argparse.Namespace) -> int:
     """Solve a scene once and print where it ended."""
+    writable("--plot", arguments.plot, PICTURES)
+    writable("--out", arguments.out)
     import contactbench as cb
 
     scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
@@ -147,7 +148,7 @@ Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input
     one.add_argument("--max-steps", type=int, help="step budget")
     one.add_argument("--laws", action="store_true", help="how far the run is from every law of the scene")
     one.add_argument(
-        "--plot", type=picture, metavar="FILE", help="motion and energies over time (.svg, .png, .pdf)"
+        "--plot", type=Path, metavar="FILE", help="motion and energies over time (.svg, .png, .pdf)"
     )
-    one.add_argument("--out", type=output, metavar="FILE", help="the saved states as CSV")
+    one.add_argument("--out", type=Path, metavar="FILE", help="the saved states as CSV")
     one.add_argument("--json", action="store_true", help="print one JSON object")
