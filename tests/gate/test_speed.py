@@ -12,6 +12,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 
+import selfcheck_speed
 from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions, speed
 from contactbench.gate.workload import MANY, Cell, workload
@@ -75,6 +76,14 @@ def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
     assert [(c.scene, c.method, c.saves) for c in cells if c.saves > 1] == [
         ("particle", "rk4", MANY), ("particle", "cvode-adams", MANY),
     ]  # fmt: skip
+
+
+def test_many_saved_times_are_timed_on_the_first_engine_of_a_method_and_every_planted_fault_has_its_cell():
+    cells = workload(read(WORK_PRECISION, REPOSITORY / "results"))
+    many = {cell.method: cell.engine for cell in cells if cell.saves > 1}
+    assert many["rk4"] == many["contact-strang"] == "numba"
+    for fault in SPENT:
+        assert len([cell for cell in cells if selfcheck_speed.of(fault, cell)]) == 1, fault.what
 
 
 CELLS = [Cell("particle", "contact-strang", "python", "step", 0.05, ())]

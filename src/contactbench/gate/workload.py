@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas as pd
 
+from contactbench.methods import METHODS
 from contactbench.solution import printed_setting
 
 #: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
@@ -58,5 +59,12 @@ def workload(work: pd.DataFrame) -> list[Cell]:
         if row["scene"] in SCENES or row["method"] in EVERYWHERE:
             cells.append(Cell(*words))
         if row["scene"] == MANY_ON:
-            many.setdefault(row["method"], Cell(*words, saves=MANY))
+            cell = Cell(*words, saves=MANY)
+            many[cell.method] = min(many.get(cell.method, cell), cell, key=preference)
     return [*cells, *many.values()]
+
+
+def preference(cell: Cell) -> int:
+    """Where the engine of a cell stands among those of its method."""
+    engines = METHODS[cell.method].engines if cell.method in METHODS else ()
+    return engines.index(cell.engine) if cell.engine in engines else len(engines)
