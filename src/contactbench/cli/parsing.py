@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
+
+from contactbench.errors import BadInput
 
 
 class Parser(argparse.ArgumentParser):
@@ -13,10 +16,26 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # -1e-3 is a value too, and told as a bad one
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)\n")
 
+
+def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
+    """Raise `BadInput` unless a file can be written there, before anything is computed for it."""
+    if path is None:
+        return
+    if not path.parent.is_dir():
+        raise BadInput(f"{option} {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise BadInput(f"{option} {path}: is a folder")
+    if kinds and path.suffix.lower() not in kinds:
+        raise BadInput(f"{option} {path}: must end in {', '.join(kinds)}")
+
+
+#: what a plot can be saved as
+PICTURES = (".svg", ".png", ".pdf")
 
 #: taken from anywhere on the line and loaded first, so that every command knows what it brings
 PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Outcome, Prepared, Refused, Request
 from contactbench.methods.compiled import CompiledRun, capacity
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -177,7 +178,11 @@ class DiffraxMethod(Adaptive):
         return 2 if self.stiff else None
 
     def prepare(self, request: Request) -> Prepared:
-        return DiffraxRun(self.name, request, self)
+        try:
+            return DiffraxRun(self.name, request, self)
+        except CannotRecord as why:
+            what = f"{self.name} on {request.scene.name!r} cannot be compiled"
+            return Refused(self.name, request, f"{what}: {why}")
 
 
 METHODS.add(DiffraxMethod("diffrax-tsit5", "Tsit5", 5, 6, "Tsitouras 5(4), explicit"))
