@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -23,7 +24,10 @@ class Parser(argparse.ArgumentParser):
 
 
 def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
-    """Raise `BadInput` unless a file can be written there, before anything is computed for it."""
+    """Raise `BadInput` unless a file can be written there, before anything is computed for it.
+
+    A file that is there is left as it is, one that is not is not made.
+    """
     if path is None:
         return
     if not path.parent.is_dir():
@@ -32,6 +36,23 @@ def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> Non
         raise BadInput(f"{option} {path}: is a folder")
     if kinds and path.suffix.lower() not in kinds:
         raise BadInput(f"{option} {path}: must end in {', '.join(kinds)}")
+    there = path.exists()
+    try:
+        with path.open("ab"):
+            pass
+    except OSError as error:
+        raise BadInput(f"{option} {path}: cannot be written: {error.strerror}") from None
+    if not there:
+        path.unlink()
+
+
+def writable_folder(option: str, folder: Path) -> None:
+    """Raise `BadInput` unless files can be made in a folder."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise BadInput(f"{option} {folder}: cannot be written: {error.strerror}") from None
 
 
 #: what a plot can be saved as
