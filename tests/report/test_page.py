@@ -498,3 +498,27 @@ def test_every_section_is_reached_from_the_row_of_links_and_what_is_shown_stays_
     marked = [a for a in find(chrome, "nav a") if a.get_attribute("aria-current")]
     assert all(a.rect["x"] >= 0 and a.rect["x"] + a.rect["width"] <= NARROW[0] for a in marked)
     assert marked
+
+
+def test_a_scene_that_a_figure_does_not_have_leaves_it_as_it_is(chrome, tmp_path):
+    from selenium.webdriver.support.select import Select
+
+    def sections(*names):
+        return tuple(Section(s, (Text(s),), choice="scene", anchor=f"{names[0]}-{s}") for s in names)
+
+    said = [page.Said(room("one"), sections("particle", "central"), ()),
+            page.Said(room("two"), sections("central", "needle", "particle"), ())]  # fmt: skip
+    path = tmp_path / "report.html"
+    path.write_text(page.page(said, RUNS), encoding="utf-8")
+    chrome.get(path.as_uri())
+
+    def chosen():
+        return [o.get_attribute("data-option") for o in visible(chrome, ".option")]
+
+    first, second = find(chrome, "select")
+    Select(second).select_by_visible_text("central")
+    assert chosen() == ["central", "central"]
+    Select(second).select_by_visible_text("needle")
+    assert chosen() == ["central", "needle"]
+    Select(first).select_by_visible_text("particle")
+    assert chosen() == ["particle", "particle"]

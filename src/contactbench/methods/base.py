@@ -169,6 +169,17 @@ class Prepared(ABC):
     #: seconds spent tracing and compiling; zero where nothing is compiled
     compile_s: float = field(default=0.0, kw_only=True)
 
+    def __init_subclass__(cls) -> None:
+        """The short repr, which `dataclass` would replace in every class."""
+        super().__init_subclass__()
+        cls.__repr__ = Prepared.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        """One line: what a call runs."""
+        r = self.request
+        saved = f"{len(r.save_at)} states to t = {r.save_at[-1]:g}"
+        return f"<{self.method} on {r.scene.name} ({r.engine}, {r.setting}), prepared: a call gives {saved}>"
+
     @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:
         """Run from a packed initial state."""
@@ -185,6 +196,9 @@ class Prepared(ABC):
     def saved_states(self, y0: np.ndarray) -> np.ndarray:
         """The saved states of `integrate`, (k, d), to the bit: where a faster way is known that is not timed."""
         return self.integrate(y0).y
+
+    #: of fixed steps: the step asked for, and the longest taken
+    steps_taken = (math.nan, math.nan)
 
     #: how `sensitivity` differentiates the map of the steps taken; empty: it cannot
     sensitivity_source = ""
@@ -244,8 +258,9 @@ class Prepared(ABC):
         if not out.checked:
             out = audited(out, self._end)
         return Solution(
-            *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0, self, *self._set
-        )
+            *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0, self, *self._set,
+            *(out.steps or self.steps_taken),
+        )  # fmt: skip
 
     @cached_property
     def _asked(self) -> tuple[Scene, str, str, str, tuple[str, ...], np.ndarray]:
@@ -335,6 +350,7 @@ class Outcome:
     """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
 
     checked : the states are known to be finite and the last one to be at the end.
+    steps : the step chosen in this run, and the longest taken, where the run chose one.
     """
 
     y: np.ndarray
@@ -343,6 +359,7 @@ class Outcome:
     message: str
     end_time: float
     checked: bool = False
+    steps: tuple[float, float] | None = None
 
 
 def audited(out: Outcome, end: float) -> Outcome:

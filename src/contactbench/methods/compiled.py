@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Prepared, stopwatch
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.recording import advised
 
 _programs: dict[Any, tuple[Any, float]] = {}
 
@@ -116,7 +116,7 @@ class CompiledRun(Prepared):
             try:
                 _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
             except jax.errors.JAXTypeError as error:
-                raise CannotRecord(str(error).partition("\n")[0]) from error
+                raise advised(error) from error
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:

@@ -37,6 +37,7 @@ class FixedStepRun(Prepared):
         """Divide every interval into the fewest equal steps not longer than `step`."""
         self.n = self.division(step)
         self.h = self.marks / self.n
+        self.steps_taken = step, float(self.h.max())
         self.totals, self.needed = self.cost(self.n), total(self.n)
 
     def cost(self, n: np.ndarray) -> Counts:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
 from contactbench.numbers.nested import leaves, rebuilt
 
@@ -352,7 +353,16 @@ def recorded(function: Callable[[], Any]) -> Any:
     """What a function records; `CannotRecord` for whatever goes wrong in it."""
     try:
         return function()
-    except CannotRecord:
-        raise
+    except CannotRecord as error:
+        raise advised(error) from error.__cause__
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise CannotRecord(f"{type(error).__name__}: {error}") from error
+        raise advised(error) from error
+
+
+def advised(error: BaseException) -> CannotRecord:
+    """The reason, and what to write instead where that is known."""
+    if (advice := plain_function(error)) is not None:
+        return CannotRecord(f"{place(error)[2:]}: {advice}")
+    if isinstance(error, CannotRecord):
+        return error
+    return CannotRecord(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}")

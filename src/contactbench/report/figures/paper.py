@@ -92,6 +92,10 @@ def on_sphere(letter: str, title: str, view: tuple[float, float]) -> Shape:
     return Shape(title, axes["x"], axes["y"], {"z": axes["z"], "sphere": True, "equal": True, "view": view})
 
 
+#: the shades of motions near axes 1, 2, 3: far apart
+NEAR_AXIS = (1, 4, 3)
+
+
 def angles(rows: pd.DataFrame) -> Iterator[Panel]:
     """The angle of M with the axis it started near, against ‖M‖, which falls as e^{−γt}."""
     found: list[Curve] = []
@@ -101,7 +105,7 @@ def angles(rows: pd.DataFrame) -> Iterator[Panel]:
         cosine = np.clip(M[:, int(str(name)[-1]) - 1] / size, -1, 1)
         found.append(
             Curve(tuple(size / size[0]), tuple(np.degrees(np.arccos(cosine))), str(name),
-                  role=f"shade {len(found) + 1}", markers=False)
+                  role=f"shade {NEAR_AXIS[len(found) % 3]}", markers=False)
         )  # fmt: skip
     degrees = Axis("angle of M with its first axis, degrees", limits=(0.0, 185.0))
     yield Panel(
@@ -196,7 +200,7 @@ def figure(name: str, rows: pd.DataFrame) -> Figure:
         if "rate" in there:
             found = kinds_told(rows, found)
         if panel == "momentum":  # each by its own colour, as in the panel of angles
-            found = tuple(replace(c, role=f"shade {n + 1}") for n, c in enumerate(found))
+            found = tuple(replace(c, role=f"shade {NEAR_AXIS[n % 3]}") for n, c in enumerate(found))
         if shape.more.get("z") is None:
             found = tuple(replace(c, z=()) for c in found)
         panels.append(Panel(shape.title, shape.x, shape.y, found, **shape.more))

@@ -253,6 +253,8 @@ def panel(of: Panel) -> dict[str, Any]:
     out: dict[str, Any] = {
         "title": plain(of.title), "x": axis(of.x), "y": axis(of.y), "curves": [curve(c) for c in of.curves],
     }  # fmt: skip
+    if any(level for _, level in runs(of.title)):
+        out["runs"] = runs(of.title)
     if of.equal:
         out["equal"] = True
     if of.remark:
@@ -268,6 +270,7 @@ def panel(of: Panel) -> dict[str, Any]:
             "x": rounded(of.heat.x), "y": rounded(of.heat.y), "label": f"{plain(of.heat.label)} (± {limit:.3g})",
             "colors": [[shade(v / limit) for v in row] for row in values.tolist()],
         }  # fmt: skip
+        out.setdefault("remark", f"colour: {out['heat']['label']}")
     return out
 
 
