@@ -10,7 +10,7 @@ from typing import Any
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Mechanical, Scene
+from contactbench.scene import Scene
 from contactbench.splitting.composition import (
     Composition,
     advance,
@@ -41,7 +41,9 @@ class ContactMethod(FixedStep):
         return log_factor(self.composition, scene, x, h, n, math)
 
     def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
-        if not isinstance(scene, Mechanical) or not has_modified_hamiltonian(self.composition):
+        if not (isinstance(scene, Mechanical) and scene.has_hamiltonian_law):
+            return None
+        if not has_modified_hamiltonian(self.composition):
             return None
         return modified_hamiltonian(scene, self.composition, x, h)
 

@@ -21,7 +21,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from contactbench.numbers.control import choose, settled
-from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.scene import BodyState, Driven, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.splitting import driven
 from contactbench.splitting.dissipation import decayed, survival
 from contactbench.splitting.free_body import free
 
@@ -202,6 +203,19 @@ MECHANICAL = {
 }
 
 
+def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
+    """h, and what does not depend on the time where γ is constant."""
+    return (h,) if scene.rate_changes else (h, damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp))
+
+
+DRIVEN = {
+    "kick": Flow(_plain, driven.kick, {"gradient": 1}),
+    "drift": Flow(_plain, driven.drift, {}),
+    "damp": Flow(_plain, driven.damp, {}, driven.damp_log_factor),
+    "drift_damp": Flow(_driven_constants, driven.drift_damp, {}, driven.drift_damp_log_factor),
+}
+
+
 def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
     """C for any Γ(s): s follows s' = −Γ(s), and p the derivative of s(h), both solving p' = −Γ'(s) p."""
     s = decayed(scene, x.s, h, xp)
@@ -344,7 +358,9 @@ ISOTROPIC = BODY | {
 }
 
 
-FLOWS = {"mechanical": MECHANICAL, "general damping": GENERAL, "isotropic body": ISOTROPIC, "body": BODY}
+FLOWS = {
+    "mechanical": MECHANICAL, "driven": DRIVEN, "general damping": GENERAL, "isotropic body": ISOTROPIC, "body": BODY,
+}  # fmt: skip
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
