@@ -10,7 +10,7 @@ from typing import Any
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Scene
+from contactbench.scene import Mechanical, Scene
 from contactbench.splitting.composition import (
     Composition,
     advance,

@@ -21,7 +21,7 @@ from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Mechanical, Scene, State
-from contactbench.splitting.flows import flows_of
+from contactbench.splitting import flows
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,10 @@ def pull(scene: Mechanical, x: State) -> tuple[Any, Any]:
     return scene.gradient_at(x), None if x.s is None else scene.potential_at(x)
 
 
-def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
-    """A, and the time with it where the scene has it."""
-    return flows_of(scene)["drift"].apply(scene, x, h, xp)
+def drift(scene: Mechanical, x: Any, h: Any, xp: Any) -> Any:
+    """A, and the time with it where the state has one."""
+    x = flows.drift(scene, x, h, xp)
+    return x if scene.clock is None else x._replace(t=x.t + h)
 
 
 def herglotz1(scene: Mechanical, x: State, h: Any, xp: Any) -> State:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -78,6 +78,11 @@ def _function(name: str) -> Callable[[Any], Any]:
 
 for _name in NAMES:
     globals()[_name] = _function(_name)
+
+
+if TYPE_CHECKING:  # the functions made in the loop
+
+    def __getattr__(name: str) -> Callable[..., Any]: ...
 
 
 def _leading(*numbers: Any) -> Any:

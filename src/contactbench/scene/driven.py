@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 from contactbench.errors import BadInput, finite, function
 from contactbench.scene.algebra import State, Vector
@@ -81,6 +81,16 @@ class Driven(Mechanical):
         n = len(self.q)
         s = y[2 * n + 1] if "s" in carry else None
         return DrivenState(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n], s)
+
+    def numbers(self) -> list[float]:
+        return [*([] if self.rate else [self.gamma]), self.mass, *self.parameters.values()]
+
+    def number_names(self) -> list[str]:
+        return [*([] if self.rate else ["gamma"]), "mass", *self.parameters]
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        gamma, *rest = [0.0, *numbers] if self.rate else numbers
+        return super().with_numbers([gamma, 0.0, *rest])
 
     @property
     def structure(self) -> tuple[Any, ...]:

@@ -50,15 +50,15 @@ def square_well_gradient(q, t):
     return (q[0],)
 
 
-def sextic(q, t, sixth):
-    """V = q⁶/6: index 5; the sixth is a parameter because it is no binary fraction."""
+def sextic(q, t):
+    """V = q⁶/6: index 5."""
     cube = q[0] * q[0] * q[0]
-    return sixth * cube * cube
+    return cube * cube / 6
 
 
-def sextic_gradient(q, t, sixth):
+def sextic_gradient(q, t):
     square = q[0] * q[0]
-    return (6 * sixth * square * square * q[0],)
+    return (square * square * q[0],)
 
 
 # -- γ = 2/t ---------------------------------------------------------------------------------------
@@ -97,33 +97,88 @@ def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
     return DrivenState((q,), (p,), scene.t + t, q * p / 2 + gain + rest)
 
 
-def lane_emden(index: int) -> Any:
-    """The solution that is regular at t = 0, of index 0, 1 or 5; s = ½ q p + r, (t² r)' = t² (½ q^{n+1} − V(q)).
+def lane_emden_0(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """q = C + D/t − t²/6, with 1 − t²/6 among them; s by `with_action`."""
+    t0, v0 = scene.t, scene.p[0]
+    D = -(v0 + t0 / 3) * t0**2
+    C = scene.q[0] - D / t0 + t0**2 / 6
 
-    Only for initial data on it.  Chandrasekhar, An Introduction to the Study of Stellar Structure, §IV.4.
-    """
+    def area(t: Any) -> Any:  # ∫ −½ t² q
+        return -C * t**3 / 6 - D * t**2 / 4 + t**5 / 60
 
-    def integral(t: Any, mp: Any) -> Any:
-        """∫ t² (½ q V'(q) − V(q))."""
-        if index == 0:
-            return -(t**3) / 6 + t**5 / 60
-        if index == 1:
-            return mp.mpf(0)
-        root = mp.sqrt(3)
-        u = t / root  # ∫ t² q⁶/3 = √3 ∫ u²/(1 + u²)³ du
-        return root * (mp.atan(u) / 8 + u * (u * u - 1) / (8 * (1 + u * u) ** 2))
+    return with_action(scene, t, lambda t: (C + D / t - t**2 / 6, -D / t**2 - t / 3), area)
 
-    def exact(scene: Driven, elapsed: Any, mp: Any) -> DrivenState:
-        t = scene.t + elapsed
-        if index == 0:
-            q, p = 1 - t * t / 6, -t / 3
-        elif index == 1:
-            q, p = mp.sin(t) / t, (t * mp.cos(t) - mp.sin(t)) / t**2
-        else:
-            q = (1 + t * t / 3) ** (-mp.mpf(1) / 2)
-            p = -t / 3 * q**3
-        gained = integral(t, mp) - integral(scene.t, mp)
-        rest = scene.t**2 * (scene.s - scene.q[0] * scene.p[0] / 2) + gained
-        return DrivenState((q,), (p,), t, q * p / 2 + rest / t**2)
 
-    return exact
+def lane_emden_1(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """q = (A sin t + B cos t)/t, with sin t/t among them."""
+    t0, u0 = scene.t, scene.t * scene.q[0]
+    w0 = scene.q[0] + t0 * scene.p[0]  # u = tq oscillates
+    sin, cos = mp.sin(t), mp.cos(t)
+
+    def motion(now: Any) -> tuple[Any, Any]:
+        u, w = u0 * cos + w0 * sin, w0 * cos - u0 * sin
+        return u / now, w / now - u / now**2
+
+    return with_action(scene, t, motion, lambda t: 0)
+
+
+def lane_emden_5(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """q = (3a/(3 + a²t²))^½, with (1 + t²/3)^{−½} for a = 1; for initial data on one of them."""
+    u0 = -3 * scene.p[0] / scene.q[0] ** 3
+    a, root = u0 / scene.t, mp.sqrt(3)
+
+    def motion(now: Any) -> tuple[Any, Any]:
+        q = mp.sqrt(3 * a / (3 + (a * now) ** 2))
+        return q, -(q**3) * a * now / 3
+
+    def area(now: Any) -> Any:  # ∫ ⅓ t² q⁶ = √3 ∫ w²/(1 + w²)³ dw, w = at/√3
+        w = a * now / root
+        return root * (mp.atan(w) / 8 + w * (w * w - 1) / (8 * (1 + w * w) ** 2))
+
+    return with_action(scene, t, motion, area)
+
+
+def with_action(scene: Driven, t: Any, motion: Any, area: Any) -> DrivenState:
+    """The state of a solution under γ = 2/t: s = ½ q p + r with (t² r)' = t² (½ q V' − V), the integral of `area`."""
+    q, p = motion(scene.t + t)
+    rest = scene.t**2 * (scene.s - scene.q[0] * scene.p[0] / 2) + area(scene.t + t) - area(scene.t)
+    return DrivenState((q,), (p,), scene.t + t, q * p / 2 + rest / (scene.t + t) ** 2)
+
+
+# -- scenes ----------------------------------------------------------------------------------------
+FORCED_OSCILLATOR = Driven(
+    name="forced_oscillator",
+    about="a damped oscillator under a sinusoidal force: a transient and a steady motion, both in closed form",
+    potential=forced, gradient=forced_gradient, parameters={"omega": 1.0, "force": 0.3, "drive": 0.7},
+    gamma=0.1, q=(1.0,), p=(0.0,), t_end=20.0, exact=forced_oscillator,
+)  # fmt: skip
+
+_LANE_EMDEN = "the Lane–Emden equation, γ = 2/t, of index"
+_SPHERICAL: Any = {"rate": spherical, "span": spherical_span}
+LANE_EMDEN = (
+    Driven(
+        name="lane_emden_0", about=f"{_LANE_EMDEN} 0: 1 − t²/6 in closed form",
+        potential=constant_pull, gradient=constant_pull_gradient, exact=lane_emden_0,
+        q=(0.94,), p=(-0.2,), t=0.6, t_end=2.0, **_SPHERICAL,
+    ),
+    Driven(
+        name="lane_emden_1", about=f"{_LANE_EMDEN} 1: sin t/t in closed form",
+        potential=square_well, gradient=square_well_gradient, exact=lane_emden_1,
+        q=(0.8414709848078965,), p=(-0.30116867893975674,), t=1.0, t_end=20.0, **_SPHERICAL,
+    ),
+    Driven(
+        name="lane_emden_5", about=f"{_LANE_EMDEN} 5: 2(1 + 16t²/3)^(−1/2), one of its solutions in closed form",
+        potential=sextic, gradient=sextic_gradient, exact=lane_emden_5,
+        q=(1.0,), p=(-1.0,), t=0.75, t_end=20.0, **_SPHERICAL,
+    ),
+)  # fmt: skip
+
+DUFFING = Driven(
+    name="duffing",
+    about="a damped double well under a sinusoidal force: chaotic, so that after a while only laws and averages of "
+    "a run mean anything",
+    potential=double_well, gradient=double_well_gradient, parameters={"force": 0.4, "drive": 1.0},
+    gamma=0.25, q=(0.1,), p=(0.0,), t_end=20.0,
+)  # fmt: skip
+
+DRIVEN = (FORCED_OSCILLATOR, *LANE_EMDEN, DUFFING)

@@ -1,8 +1,8 @@
-"""The subflows of scenes with time in them: the drift advances the time, kick and damping use the one they find.
+"""The subflows of scenes with time in them: the damping advances the time, the kick uses the one it finds.
 
-Autonomous in (q, p, t, s): A is T with the clock t' = 1, B is V(q, t) at a fixed t, and C is γ(t) s at a fixed t.
-Where A and C are merged γ runs along, G = ∫γ and φ = ∫e^{−∫γ} being the scene's.  V(q, t) and the clock depend on
-neither p nor s, so that Nyström tables keep their order.
+Autonomous in (q, p, t, s): A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ
+over the step is exact however A, B and C alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum
+is worth.  V(q, t) and the clock depend on neither p nor s: Nyström tables keep their order.
 """
 
 from __future__ import annotations
@@ -18,22 +18,21 @@ def kick(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
     return DrivenState(x.q, p, x.t, None if x.s is None else x.s - h * scene.potential_at(x))
 
 
-def drift(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
-    """A: q += h p/m, s += h T(p), t += h."""
-    over_m = h * scene.inverse_mass
-    q = tuple(q + over_m * p for q, p in zip(x.q, x.p, strict=True))
-    return DrivenState(q, x.p, x.t + h, None if x.s is None else x.s + h * scene.kinetic(x.p))
-
-
 def damp(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
-    """C at a fixed t: p *= e^{−γ(t)h}, s *= e^{−γ(t)h}."""
-    decay = xp.exp(-h * scene.damping_at(x))
-    return DrivenState(x.q, tuple(decay * p for p in x.p), x.t, None if x.s is None else decay * x.s)
+    """C: p *= e^{−G}, s *= e^{−G}, t += h."""
+    decay = xp.exp(-damping_over(scene, x, h, xp))
+    s = None if x.s is None else decay * x.s
+    return DrivenState(x.q, tuple(decay * p for p in x.p), x.t + h, s)
 
 
-def damp_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
-    """−γ(t) h."""
-    return -h * scene.damping_at(x)
+def damping_over(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
+    """G = ∫γ from x.t to x.t + h."""
+    return scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0]
+
+
+def log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
+    """−G."""
+    return -damping_over(scene, x, h, xp)
 
 
 def drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> DrivenState:
@@ -52,8 +51,3 @@ def drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> Driven
     s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
     p = tuple(keep * p - lose * p for p in x.p)
     return DrivenState(q, p, x.t + h, None if s is None else keep * s - lose * s)
-
-
-def drift_damp_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
-    """−G."""
-    return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])

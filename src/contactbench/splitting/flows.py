@@ -88,7 +88,7 @@ def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
     over_m = h * scene.inverse_mass
     q = tuple(q + over_m * p for q, p in zip(x.q, x.p, strict=True))
-    return State(q, x.p, None if x.s is None else x.s + h * scene.kinetic(x.p))
+    return x._replace(q=q, s=None if x.s is None else x.s + h * scene.kinetic(x.p))
 
 
 def _damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
@@ -210,9 +210,9 @@ def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
 
 DRIVEN = {
     "kick": Flow(_plain, driven.kick, {"gradient": 1}),
-    "drift": Flow(_plain, driven.drift, {}),
-    "damp": Flow(_plain, driven.damp, {}, driven.damp_log_factor),
-    "drift_damp": Flow(_driven_constants, driven.drift_damp, {}, driven.drift_damp_log_factor),
+    "drift": Flow(_plain, drift, {}),
+    "damp": Flow(_plain, driven.damp, {}, driven.log_factor),
+    "drift_damp": Flow(_driven_constants, driven.drift_damp, {}, driven.log_factor),
 }
 
 
