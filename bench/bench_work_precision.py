@@ -27,8 +27,6 @@ from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import standard_scenes
 from contactbench.solution import EXACT, keywords
 
-pytestmark = pytest.mark.timed
-
 #: a fixed-step method that is also run to tolerances, its pilots counted and timed
 CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"), [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -79,17 +77,23 @@ def passes_through(method, engine, control):
     return engine == "python" and control == "step" and not is_processed(method)
 
 
-def prepared(cell, profile):
-    """The row of a cell without its times, and what is to be timed: a run, or nothing where it does not end ok."""
+def options(cell, profile):
+    """The scene and method of a cell, and what `prepare` is given but the times to be saved."""
     scene, method, engine, control, value = cell
     scene, method = cb.SCENES[scene], cb.METHODS[method]
-    options = {
+    return scene, method, {
         **keywords(control, value),
         "engine": engine,
         "carry": carried(scene),
         "max_steps": step_budget(profile, scene, method, engine),
-    }
-    run = cb.prepare(scene, method.name, save_at=[scene.t_end], **options)
+    }  # fmt: skip
+
+
+def errors(cell, profile):
+    """The row of a cell but for what is timed: how its run ends, what it costs, its error at several ends."""
+    scene, method, given = options(cell, profile)
+    engine, control = cell[2:4]
+    run = cb.prepare(scene, method.name, save_at=[scene.t_end], **given)
     start = perf_counter()
     solution = run()
     row = {
@@ -101,19 +105,20 @@ def prepared(cell, profile):
     }
     variant = "" if control == method.control else "chosen"
     if not solution.ok:
-        return outcome(solution, variant=variant) | row, None
+        return outcome(solution, variant=variant) | row
     earlier = [scene.t_end * k / ENDS for k in range(1, ENDS)]
     saves = [earlier] if passes_through(method, engine, control) else [[t] for t in earlier]
-    others = [cb.prepare(scene, method.name, save_at=times, **options) for times in saves]
-    solutions = [run() for run in others[:-1]]
-    start = perf_counter()
-    solutions.append(others[-1]())
-    about = (perf_counter() - start) * ENDS / (ENDS - 1)
-    row["solution_error"] = error([*solutions, solution])
+    others = [cb.prepare(scene, method.name, save_at=times, **given)() for times in saves]
+    row["solution_error"] = error([*others, solution])
     if method.adaptive and method.order is None:
         row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations)
-    shortest = others[0] if len(saves) > 1 else cb.prepare(scene, method.name, save_at=earlier[:1], **options)
-    return outcome(solution, run.count(solution.counts), variant) | row, (run, shortest, about)
+    return outcome(solution, run.count(solution.counts), variant) | row
+
+
+def runs(cell, profile):
+    """What is timed: the run, and the one to the earliest end."""
+    scene, method, given = options(cell, profile)
+    return [cb.prepare(scene, method.name, save_at=[t], **given) for t in (scene.t_end, scene.t_end / ENDS)]
 
 
 #: changes of the initial data, relative: a few roundings
@@ -130,20 +135,30 @@ def evaluations_spread(run, own):
     return max(counted) / min(counted) - 1
 
 
-@cells(ladder, visits=VISITS)
-def test_work_precision(cell, profile, record, clock):
-    row, runs = clock.prepared(lambda: prepared(cell, profile))
-    if runs is None:
+@cells(ladder)
+def test_work_precision_errors(cell, profile, record):
+    record(WORK_PRECISION, **errors(cell, profile))
+
+
+@pytest.mark.timed
+@cells(ladder, visits=VISITS, times=test_work_precision_errors)
+def test_work_precision(cell, profile, record, clock, untimed):
+    def prepared():
+        row = untimed or errors(cell, profile)
+        return row, runs(cell, profile) if row["status"] == "ok" else None
+
+    row, made = clock.prepared(prepared)
+    if made is None:
         record(WORK_PRECISION, **row, **clock.columns(None, cell[0]))
         return
-    run, shorter, about = runs
+    run, shorter = made
     start = run.start
     its_own = shorter.start  # the array an engine has moved to its device ahead of the call
     part = Part(lambda: shorter.bare(its_own), 1 / ENDS, cb.SCENES[cell[0]].t_end)
-    columns = clock.columns(lambda: run.bare(start), cell[0], about, part)
-    if columns and columns["time_median_s"] < SHORT:  # at every visit, so that the last one's stays
+    columns = clock.columns(lambda: run.bare(start), cell[0], part)
+    if columns["time_median_s"] < SHORT:  # at every visit, so that the last one's stays
         columns["call_s"] = added(run, start, columns["time_median_s"])
-    record(WORK_PRECISION, **row, **columns)
+    record(WORK_PRECISION, **{**row, **columns})
 
 
 #: blocks of calls of each kind that `added` compares, of runs shorter than this: in longer ones it is lost
@@ -183,6 +198,7 @@ def prepared_limit(cell):
     }, run  # fmt: skip
 
 
+@pytest.mark.timed
 @cells(limits, visits=VISITS)
 def test_limit(cell, record, clock):
     """The same arithmetic as a C loop: what a compiled kernel is compared with."""

@@ -20,17 +20,22 @@ from contactbench.solution import Counts, Solution, printed_setting
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
-def cells(ladder: Any, group: Callable[[tuple], str] | None = None, visits: int = 1) -> Callable[..., Any]:
+def cells(
+    ladder: Any, group: Callable[[tuple], str] | None = None, visits: int = 1, times: Any = None
+) -> Callable[..., Any]:
     """Attach to a test the function that lists its cells for a profile.
 
     group : names the cells that one process should run; by default those of one scene and method.
     visits : how often a run that is timed comes to a cell, at places of its own in the shuffled order.
+    times : the untimed test of the same cells to whose rows this one adds times; a run without a clock
+    leaves this one out.
     The tables a test writes are written by no other file: when all cells of a file are done, rows of its
     tables that none of them has made are removed.
     """
 
     def attach(test: Any) -> Any:
         test.cells, test.group, test.visits = ladder, group or (lambda cell: "-".join(cell[:2])), visits
+        test.times = times
         return test
 
     return attach

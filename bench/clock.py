@@ -1,7 +1,7 @@
 """Timed rounds, and every timed cell twice: what two measurements of one cell differ by is the noise.
 
-A run comes to a timed cell at two places of its shuffled order.  The first visit prepares the solver, runs
-it for its errors and counts, and times it; the second times the same prepared solver again.
+A run comes to a timed cell at two places of its shuffled order.  The first visit prepares the solver and
+times it; the second times the same prepared solver again.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from time import perf_counter
 from typing import Any
 
 from contactbench.measure.clock import (
@@ -22,6 +21,9 @@ from contactbench.measure.clock import (
     seconds,
     time_columns,
 )
+
+#: to warm up: the first of a process is no measure of the others
+CALLS = 2
 
 
 @dataclass
@@ -67,24 +69,15 @@ class Clock:
             self.cells[self.key] = Cell(make())
         return self.cells[self.key].made
 
-    def columns(
-        self,
-        run: Callable[[], Any] | None,
-        group: str,
-        about_s: float = math.nan,
-        part: Part | None = None,
-    ) -> dict[str, Any]:
+    def columns(self, run: Callable[[], Any] | None, group: str, part: Part | None = None) -> dict[str, Any]:
         """The time columns, from all visits so far; none where there is nothing to run.
 
-        about_s : what a call of this run takes, about, which has been called a moment ago.  part : timed in
-        turns with it.
+        part : timed in turns with it.
         """
         if run is None or self.benchmark.disabled:
             self.cells.pop(self.key)
             return {}
         cell = self.cells[self.key]
-        if math.isnan(cell.once):
-            cell.once = about_s
         columns = self.add(*self.rounds(run, group, part))
         if part is not None:
             columns |= length_columns(cell.measured, cell.shorter, part.share, part.span)
@@ -102,14 +95,13 @@ class Clock:
     def rounds(self, run: Callable[[], Any], group: str, part: Part | None = None) -> tuple[Samples, int]:
         """Rounds of about a millisecond, as many as the profile fills, after a warm-up.
 
-        A run that is long warms itself up.
+        A run whose part is long is warm once that has been called, a second visit to it finds it warm.
         """
         cell = self.cells[self.key]
-        warm = cell.once > WARM
-        if not warm:
-            start = perf_counter()
-            run()
-            cell.once = perf_counter() - start
+        if math.isnan(cell.once) and part is not None:
+            cell.once = min(seconds(part.run, 1) for _ in range(CALLS)) / part.share
+        if not cell.once > WARM:
+            cell.once = min(seconds(run, 1) for _ in range(CALLS))
         iterations = cell.iterations if cell.measured else calls_a_round(cell.once)
         rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once)
         self.benchmark.group = group
@@ -119,9 +111,6 @@ class Clock:
             if part is not None and len(shorter) < rounds:
                 shorter.append(seconds(part.run, iterations))
 
-        if not warm:
-            between()
-            shorter.clear()
         self.benchmark.pedantic(run, rounds=rounds, iterations=iterations, teardown=between)
         cell.shorter.append(shorter)
         return list(self.benchmark.stats.stats.data), iterations

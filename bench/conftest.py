@@ -22,14 +22,19 @@ from contactbench.results import journal, provenance
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import TABLES
 from contactbench.results.store import OldTable, read
+from contactbench.results.tables import WORK_PRECISION
 from contactbench.xla import jax
 
 SHUFFLE_SEED = 20
+#: after the name of a cell: its second visit
+AGAIN = "-again"
 #: what this process may use before it is bound to one of them
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 REPOSITORY = Path(__file__).resolve().parents[1]
 #: what the first visits to timed cells leave to the second
 VISITED = pytest.StashKey[dict[Any, Cell]]()
+#: what the untimed cells of this run that have one row have made, by their identity
+MADE = pytest.StashKey[dict[journal.Cell, dict[str, Any]]]()
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.profile = PROFILES[config.getoption("--profile")]
     worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
     config.controls = worker is None
-    config.stash[VISITED] = {}
+    config.stash[VISITED], config.stash[MADE] = {}, {}
     if worker or not config.getoption("numprocesses", None):
         pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
     run_id = worker["run_id"] if worker else provenance.new_run_id()
@@ -103,9 +108,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def visits(test: Any, config: pytest.Config) -> dict[str, tuple]:
-    """The cells of a test by the names of their visits: a second visit only where there is a clock."""
+    """The cells of a test by the names of their visits: a second visit only where there is a clock, none for
+    a test of times alone where there is none."""
     clock = config.pluginmanager.hasplugin("benchmark") and not config.getoption("benchmark_disable")
-    again = ["-again"] if test.visits > 1 and clock else []
+    if test.times and not clock:
+        return {}
+    again = [AGAIN] if test.visits > 1 and clock else []
     named = {"-".join(map(word, cell)): cell for cell in test.cells(config.profile)}
     return {name + suffix: cell for suffix in ("", *again) for name, cell in named.items()}
 
@@ -118,10 +126,10 @@ def word(part: Any) -> str:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Timed cells run in shuffled order, so that slow drifts of the machine hit all methods alike.
 
-    The others are handed out by method and scene, so that a compiled program is made once.
+    The others come before them, and are handed out by method and scene, so that a compiled program is made once.
     """
     random.Random(SHUFFLE_SEED).shuffle(items)
-    items.sort(key=lambda item: item.path.name)
+    items.sort(key=lambda item: (item.path.name, item.get_closest_marker("timed") is not None))
     for item in items if config.pluginmanager.hasplugin("xdist") else ():
         cell = item.callspec.params["cell"]
         if isinstance(cell, tuple):  # not so where a profile has no cells for a test
@@ -145,6 +153,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     done = journal.done(results, name, selection(config))
     config.hook.pytest_deselected(items=[item for item in items if _identity(item) in done])
     items[:] = [item for item in items if _identity(item) not in done]
+    if any(item.function.times for item in items):
+        config.stash[MADE] |= journal.rows_of(WORK_PRECISION, done, results, name)
 
 
 def _identity(item: pytest.Item) -> journal.Cell:
@@ -199,6 +209,8 @@ def pytest_runtest_call(item: pytest.Item) -> Any:
         finished = True
         return result
     finally:
+        if finished and len(item.rows) == 1:
+            item.config.stash[MADE][_identity(item)] = item.rows[0][1]
         with full_disk():
             item.config.journal.append(item.rows, _identity(item) if finished else None)
 
@@ -238,6 +250,13 @@ def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
 def record(record_all: Callable[..., None]) -> Callable[..., None]:
     """``record(table, **row)`` adds a row to a result table."""
     return lambda which, **row: record_all(which, [row])
+
+
+@pytest.fixture
+def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
+    """The row that the untimed test of a timed cell has made in this run; None where it was left out."""
+    name = f"{request.function.times.__name__}[{request.node.callspec.id.removesuffix(AGAIN)}]"
+    return request.config.stash[MADE].get((request.node.path.name, name))
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
+from contactbench.plugins import OWN
 from contactbench.scenes import standard_scenes
 
 REPOSITORY = Path(__file__).parents[1]
@@ -59,13 +60,15 @@ def pairs(
     """Parametrised over the pairs of a method, or a composition, and a scene to which a test applies.
 
     applies : by default where the method does not refuse the scene.
-    share : one in so many of a method's scenes, in turn from method to method, and the other pairs slow.
+    share : one in so many of a method's scenes, in turn from method to method, and the other pairs slow; of a
+        plug-in's method none is slow.
     """
     chosen = []
     for i, method in enumerate(methods):
         mine = [scene for scene in scenes if applies(method, scene)]
         for j, scene in enumerate(mine):
-            marks = [] if (i + j) % min(share, len(mine)) == 0 else [pytest.mark.slow]
+            quick = (i + j) % min(share, len(mine)) == 0 or method.name not in OWN
+            marks = [] if quick else [pytest.mark.slow]
             chosen.append(pytest.param(method, scene, marks=marks, id=f"{method.name}-{scene.name}"))
     return pytest.mark.parametrize(names, chosen)
 

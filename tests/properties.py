@@ -6,6 +6,7 @@ Used by the tests, and by the mutation check, which counts how many planted erro
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from functools import partial
 from typing import Any
 
@@ -17,6 +18,7 @@ from cases import TILTED, in_mp, random_state
 from contactbench.measure.precision import local_order, order_at
 from contactbench.scene import cross, dot, quaternion_product
 from contactbench.splitting import elliptic, flows
+from contactbench.splitting.free_body import free
 from decimals import contact_defect, momentum_defect
 
 PARTICLE, BODY, CENTRAL = (cb.SCENES[name] for name in ("particle", "rigid_body", "central"))
@@ -190,6 +192,21 @@ def free_body_solves_its_equations() -> bool:
                 if not small([a - b for a, b in zip(flow(h), pieces, strict=True)], ROUND_OFF - 2):
                     return False
     return True
+
+
+def turns_have_length_one() -> bool:
+    """In double precision, on average over 4000 turns: what is off has one sign and adds up along a run.
+
+    Measured 1.5·10⁻¹⁷, and 4·10⁻¹⁷ where the turn is not scaled; the average itself is known to 10⁻¹⁸.
+    """
+    total, turns = Fraction(0), 1000
+    for inertia, M in MOTIONS[:4]:
+        body = BODY.with_(inertia=inertia, M=M)
+        x = body.initial(("R",))
+        for _ in range(turns):
+            x = free(body, x._replace(R=(1.0, 0.0, 0.0, 0.0)), 0.1, math)
+            total += (sum(Fraction(c) ** 2 for c in x.R) - 1) / 2
+    return abs(total / (4 * turns)) < 2.5e-17
 
 
 def attitude_signed(y: list[Any]) -> list[Any]:

@@ -29,6 +29,9 @@ from contactbench.scenes import SCENES
 
 GROUPS: dict[str, Registry] = {"contactbench.methods": METHODS, "contactbench.scenes": SCENES}
 
+#: what the package brings itself
+OWN = frozenset({*METHODS, *SCENES})
+
 #: files to load when contactbench is imported, separated as in PATH
 VARIABLE = "CONTACTBENCH_PLUGINS"
 

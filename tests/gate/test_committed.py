@@ -223,16 +223,16 @@ DAMAGE = {
     ),
     "foreign table": (lambda r: LAWS_TABLE.path(r).write_text("a,b\n1,2\n"), "columns are not those of table 'laws'"),
     "a word among numbers": (
-        damaged("laws.csv", "1e-05", "small"), "laws.csv, line N, column 'solution_error': 'small' is no finite number",
+        damaged("laws.csv", "1e-05", "small"), "laws.csv, line 2, column 'solution_error': 'small' is no finite number",
     ),
     "infinity": (
-        damaged("laws.csv", "1e-05", "inf"), "laws.csv, line N, column 'solution_error': 'inf' is no finite number",
+        damaged("laws.csv", "1e-05", "inf"), "laws.csv, line 2, column 'solution_error': 'inf' is no finite number",
     ),
     "half a step": (
         damaged("work_precision.csv", ",200,", ",25.5,"), "line 2, column 'steps': '25.5' is no whole number",
     ),
     "neither true nor false": (
-        damaged("convergence.csv", "True", "perhaps"), "line N, column 'in_fit': 'perhaps' is no True or False",
+        damaged("convergence.csv", "True", "perhaps"), "line 2, column 'in_fit': 'perhaps' is no True or False",
     ),
     "the same row twice": (
         lambda r: LAWS_TABLE.path(r).write_text(
@@ -266,7 +266,7 @@ def test_damage_is_told_with_file_line_and_column_in_one_line(command, damage, r
     captured = capsys.readouterr()
     text = captured.out + captured.err
     assert (status, text.count("\n")) == (2, 1), text
-    assert re.search(re.escape(message).replace("line\\ N", r"line\ \d+"), text), text
+    assert message in text
     assert len(text) < 400
 
 

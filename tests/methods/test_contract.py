@@ -10,6 +10,7 @@ import pytest
 import contactbench as cb
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.python_engine import PythonLoop
+from contactbench.plugins import OWN
 from contactbench.testing import METHOD_RULES, MethodCase, Violation, check_method, method_cases
 from contactbench.testing.method import CASES, check_case
 
@@ -17,13 +18,13 @@ RK4 = cb.METHODS["rk4"]
 
 
 def product():
-    """Every method, engine and kind of scene; each engine of a method on one scene, in turn, and the rest slow."""
+    """Every method, engine and kind of scene; of our own each engine on one scene, in turn, and the rest slow."""
     for k, method in enumerate(cb.METHODS.values()):
         for case in method_cases(method):
             taken = [scene for scene in CASES if method.refuses(scene) is None]
             turn = (k + 1 + method.engines.index(case.engine)) % len(taken)
             name = f"{method.name}-{case.engine}-{case.scene.name}"
-            quick = case.scene is taken[turn] or case.scene not in taken
+            quick = case.scene is taken[turn] or case.scene not in taken or method.name not in OWN
             yield pytest.param(case, id=name, marks=[] if quick else pytest.mark.slow)
 
 

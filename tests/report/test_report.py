@@ -114,6 +114,10 @@ SOME = {
     ],
     "claims": [{"id": "C01", "where": "§2", "claim": "all is well", "verdict": "holds", "status": "ok",
         "measured": 1.0}],
+    "definitions": [
+        {"scene": "central", "method": "", "declared": "gamma=0.1", "digest": "0123456789abcdef"},
+        {"scene": "", "method": "rk4", "declared": "order=4", "digest": "fedcba9876543210"},
+    ],
     "gate_selfcheck": [{"part": "speed", "planted": "nothing", "condition": "idle", "wanted": "none", "runs": 3,
         "red": 0}],
 }  # fmt: skip
@@ -149,7 +153,7 @@ def test_names_of_views_and_figures_are_unique_but_for_a_figure_shown_twice():
 
 def test_every_table_is_read_by_a_room_and_every_room_reads_tables():
     read_ = {name for room in ROOMS.values() for name in room.tables}
-    assert read_ == set(TABLES) - {"definitions"}  # which the gate alone reads
+    assert read_ == set(TABLES)
 
 
 def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit():
@@ -157,7 +161,7 @@ def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit
     text = markdown.document(ROOMS["headline"], ROOMS["headline"].sections(everything))
     lines = [line for line in text.splitlines() if line]
     documents = [room.file for room in rooms(everything) if room.name != "headline"]
-    assert len(documents) == 9
+    assert len(documents) == 10
     for line, name in zip(lines[1:], documents, strict=False):
         assert f"[{name}]({name})" in line
     assert "dimensionless" in text
@@ -166,6 +170,17 @@ def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit
     assert not any(
         "## Where the contact methods lose" in markdown.parts(r.sections(everything)) for r in others
     )
+
+
+def test_definitions_are_listed_by_kind_each_with_its_digest():
+    room = ROOMS["definitions"]
+    _, scenes, methods = room.sections(frames(definitions=SOME["definitions"]))
+    assert [[cell.text for cell in line] for line in scenes.rows] == [
+        ["central", "`0123456789abcdef`", "`gamma=0.1`"]
+    ]
+    assert [[cell.text for cell in line] for line in methods.rows] == [
+        ["rk4", "`fedcba9876543210`", "`order=4`"]
+    ]
 
 
 def test_raw_rows_are_left_to_their_csv():

@@ -1,11 +1,7 @@
-"""The tables that come with the package."""
+"""The tables that come with the package.  Those that are looked at here are made up: a clone's are those of any run."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-import sys
 import tomllib
 
 import pandas as pd
@@ -13,31 +9,38 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY
+from contactbench.results import shipped
 from contactbench.results.schema import TABLES
-from contactbench.results.shipped import shipped_folder
-
-SHIPPED = [name for name, table in TABLES.items() if table.path(shipped_folder()).is_file()]
+from made_up import ROWS, folder
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name):
+@pytest.fixture
+def tables(tmp_path, monkeypatch):
+    """An installation whose tables are made up."""
+    made = folder(tmp_path / "tables")
+    monkeypatch.setattr(shipped, "shipped_folder", lambda: made)
+    return made
+
+
+@pytest.mark.parametrize("name", [table.name for table, _ in ROWS])
+def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tables):
     frame = cb.results(name)
-    assert len(frame)
-    assert set(frame.attrs["columns"]) == set(frame.columns)
+    assert len(frame) == len({table.name: rows for table, rows in ROWS}[name])
+    assert set(frame.attrs["columns"]) == set(frame.columns) == set(TABLES[name].every_column)
     kinds = {"number": "f", "whole": "i", "flag": "b"}
     for column, about in TABLES[name].every_column.items():
         if about.type in kinds:
             assert frame[column].dtype.kind == kinds[about.type], column
 
 
-def test_the_name_is_not_lost_when_the_package_of_that_name_is_imported():
+def test_the_name_is_not_lost_when_the_package_of_that_name_is_imported(tables):
     import contactbench.results.store  # noqa: F401
 
     assert isinstance(cb.results("claims"), pd.DataFrame)
 
 
-def test_times_come_along():
-    assert cb.results("work_precision")["time_median_s"].notna().any()
+def test_times_come_along(tables):
+    assert cb.results("work_precision")["time_median_s"].notna().sum() == 2
 
 
 def test_unknown_names_and_empty_folders_are_named(tmp_path):
@@ -47,29 +50,18 @@ def test_unknown_names_and_empty_folders_are_named(tmp_path):
         cb.results("laws", tmp_path)
 
 
-def test_an_installed_package_has_them_beside_its_modules(tmp_path):
-    """As the wheel lays them out; the project's file says that it does."""
+def test_tables_lie_inside_an_installed_package_or_beside_the_sources(tmp_path, monkeypatch):
+    """As the wheel lays them out (the project's file says that it does), and as a clone has them."""
     wheel = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"][
         "wheel"
     ]
     assert "/results/*.csv" in wheel["include"]
     assert wheel["sources"]["results"] == "contactbench/_results"
-    package = tmp_path / "contactbench"
-    shutil.copytree(
-        REPOSITORY / "src" / "contactbench", package, ignore=shutil.ignore_patterns("__pycache__")
-    )
-    script = "import contactbench as cb; print(cb.__file__, len(cb.results('claims')))"
-
-    def asked():
-        return subprocess.run(
-            [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120,
-            env={**os.environ, "PYTHONPATH": str(tmp_path)},
-        )  # fmt: skip
-
-    assert "no result tables in this installation" in asked().stderr
-    (package / "_results").mkdir()
-    for path in (REPOSITORY / "results").glob("claims*.csv"):
-        shutil.copy(path, package / "_results")
-    where, rows = asked().stdout.split()
-    assert where.startswith(str(tmp_path))
-    assert int(rows) == len(cb.results("claims"))
+    package = tmp_path / "src" / "contactbench"
+    monkeypatch.setattr(shipped, "__file__", str(package / "results" / "shipped.py"))
+    with pytest.raises(cb.BadInput, match="no result tables in this installation"):
+        cb.results("claims")
+    folder(package / "_results")
+    assert cb.results("claims")["id"].tolist() == ["C01"]
+    folder(tmp_path / "results", lambda which, row: {**row, "id": "C02"} if "id" in row else row)
+    assert cb.results("claims")["id"].tolist() == ["C02"]

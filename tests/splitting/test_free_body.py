@@ -15,9 +15,9 @@ import properties
 from cases import in_mp
 from contactbench.measure.pullback import growth
 from contactbench.methods.compiled import XlaNumbers
-from contactbench.scene import BodyState, rotate, rotation_matrix
+from contactbench.scene import BodyState, dot, rotate, rotation_matrix
 from contactbench.solution import Status
-from contactbench.splitting import elliptic
+from contactbench.splitting import elliptic, free_body
 from contactbench.splitting.elliptic import bent_part, carlson, jacobi
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of, rotation
 from contactbench.splitting.free_body import FARTHEST, free
@@ -407,6 +407,13 @@ def test_fixed_loops_are_long_enough_at_the_smallest_complement():
             carlson(math.sqrt(x), math.sqrt(m1), 1.5, (1.5 - x) * 1.5 * 0.5, xp) for xp in (math, Fixed(math))
         )
         assert fixed == pytest.approx(plain, rel=1e-14)
+
+
+def test_turns_have_length_one_on_average_and_not_without_being_scaled(monkeypatch):
+    assert properties.turns_have_length_one()
+    # a quaternion taken for one of length one already
+    monkeypatch.setattr(free_body, "dot", lambda a, b: 1.0 if len(a) == 4 else dot(a, b))
+    assert not properties.turns_have_length_one()
 
 
 @pytest.mark.parametrize("size", [1e-150, 1e-200, 1e-300, 1e-310, 1e-320, 5e-324])

@@ -11,8 +11,8 @@ from mpmath import mp
 import contactbench as cb
 from contactbench.methods.contact import contact_method
 from contactbench.splitting.composition import Composition
-from contactbench.splitting.near_integrable import ABA84, ABA864, ABA1064, NEAR_INTEGRABLE
 from contactbench.truth import decimal_context, with_decimals
+from near_integrable import ABA84, ABA864, ABA1064, NEAR_INTEGRABLE
 
 WEAK = cb.SCENES["rigid_body_anisotropic"]
 tables = pytest.mark.parametrize("table", NEAR_INTEGRABLE, ids=lambda c: c.name)

@@ -3,7 +3,7 @@
 Each module registers its own; the registry is in the order of the ids.
 """
 
-from contactbench.claims import (  # noqa: F401
+from contactbench.claims import (
     body_equilibria,
     body_stability,
     conservative_limit,
@@ -19,5 +19,3 @@ from contactbench.claims.ledger import CLAIMS, Claim, Correction, Evidence, Meas
 
 for _name in sorted(CLAIMS):
     CLAIMS[_name] = CLAIMS.pop(_name)
-
-__all__ = ["CLAIMS", "Claim", "Correction", "Evidence", "Measurement", "Verdict", "verdict"]

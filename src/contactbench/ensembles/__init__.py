@@ -27,8 +27,6 @@ from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.scene import BodyState, Scene, State
 from contactbench.solution import Counts, Status
 
-__all__ = ["ENGINES", "Ensemble", "Statistic", "ensemble"]
-
 #: more trajectories than fit into any memory
 MOST_AT_ONCE = 10**12
 

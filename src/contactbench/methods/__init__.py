@@ -1,6 +1,6 @@
 """The methods.  Each module registers its own; to add one, write a module and import it here."""
 
-# ruff: noqa: F401, I001 (imported to be registered, in table order)
+# ruff: noqa: I001 (imported to be registered, in table order)
 
 from contactbench.methods import (
     contact,
@@ -17,5 +17,3 @@ from contactbench.methods import (
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import prepare, solve
 from contactbench.methods.fixed_step import fixed_step
-
-__all__ = ["METHODS", "fixed_step", "prepare", "solve"]

@@ -42,12 +42,14 @@ class Lowering:
     Names that are assigned more than once are variables on the stack, which LLVM makes registers of.
     """
 
-    def __init__(self, function: ast.FunctionDef, builder: Any, arrays: dict[str, Array]) -> None:
+    def __init__(
+        self, function: ast.FunctionDef, builder: Any, arrays: dict[str, Array], numbers: dict[str, Any]
+    ) -> None:
         from llvmlite import ir
 
         self.ir, self.builder, self.arrays = ir, builder, arrays
         self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
-        self.values: dict[str, Any] = {}
+        self.values = dict(numbers)
         self.variables: dict[str, Any] = {}
         names = (node for node in ast.walk(function) if isinstance(node, ast.Name))
         stores = [name.id for name in names if isinstance(name.ctx, ast.Store)]
@@ -213,7 +215,10 @@ class Lowering:
 
 
 def lowered(text: str, lanes: int = 1) -> Any:
-    """The function of a source as a numba intrinsic, its arguments contiguous arrays of one or two dimensions."""
+    """The function of a source as a numba intrinsic.
+
+    Its arguments are contiguous arrays of one or two dimensions, pointers to numbers, and numbers.
+    """
     from numba.core import cgutils, types
     from numba.extending import intrinsic
     from numba.np.arrayobj import make_array
@@ -224,14 +229,19 @@ def lowered(text: str, lanes: int = 1) -> Any:
 
     def typed(typingctx: Any, *arguments: Any) -> Any:
         def instructions(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            arrays = {}
+            arrays, numbers = {}, {}
             for name, kind, value in zip(names, signature.args, values, strict=True):
-                array = make_array(kind)(context, builder, value)
-                sizes = cgutils.unpack_tuple(builder, array.shape)
-                arrays[name] = Array(array.data, *sizes[:2])
+                if isinstance(kind, types.Float):
+                    numbers[name] = value
+                elif isinstance(kind, types.CPointer):
+                    arrays[name] = Array(value, None)
+                else:
+                    array = make_array(kind)(context, builder, value)
+                    sizes = cgutils.unpack_tuple(builder, array.shape)
+                    arrays[name] = Array(array.data, *sizes[:2])
             if lanes > 1:
                 return Lanes(function, builder, arrays, lanes).returned
-            return Lowering(function, builder, arrays).returned
+            return Lowering(function, builder, arrays, numbers).returned
 
         return types.int64(*arguments), instructions
 
@@ -254,7 +264,7 @@ class Lanes(Lowering):
         from llvmlite import ir
 
         self.lanes, self.wide = lanes, ir.VectorType(ir.DoubleType(), lanes)
-        super().__init__(function, builder, arrays)
+        super().__init__(function, builder, arrays, {})
 
     def run(self, body: list[ast.stmt]) -> None:
         from numba.core.cgutils import for_range

@@ -4,10 +4,11 @@ A room answers one question with views, figures and findings as data (cells.py, 
 markdown.py, draw.py and page/ write them down.
 """
 
-from contactbench.report import (  # noqa: F401  registers the rooms, in no particular order
+from contactbench.report import (  # registers the rooms, in no particular order
     claims,
     convergence,
     damping,
+    definitions,
     ensemble,
     gate_selfcheck,
     headline,

@@ -21,11 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from filelock import FileLock, Timeout
 
 from contactbench.results.provenance import save_run
 from contactbench.results.schema import PROFILES, TABLES, Table
-from contactbench.results.store import forget, keys, merge, read, replacing
+from contactbench.results.store import forget, index, keys, merge, read, replacing
 
 Cell = tuple[str, ...]  #: the file of an experiment and the name of one of its cells
 Made = dict[Cell, dict[str, list[list[Any]]]]  #: for each cell that is done, table → keys of its rows
@@ -153,6 +154,18 @@ def done(results: Path, profile: str, selection: str = "") -> set[Cell]:
     """The cells of a profile that have been folded since a run with this selection last began anew."""
     since = _profile(results, profile)["begun"].get(selection, 0)
     return {tuple(cell) for cell, _, number in _profile(results, profile)["cells"] if number >= since}
+
+
+def rows_of(table: Table, cells: set[Cell], results: Path, profile: str) -> dict[Cell, dict[str, Any]]:
+    """The rows of cells that have made one each, as they stand in the table, without what is blank."""
+    made = {cell: known[table.name] for cell, known in _done(results, profile).items() if table.name in known}
+    frame = read(table, results)
+    rows = dict(zip(index(frame, list(table.key)), frame.to_dict("records"), strict=True))
+    return {
+        cell: {name: value for name, value in rows[tuple(known[0])].items() if not pd.isna(value)}
+        for cell, known in made.items()
+        if cell in cells and len(known) == 1
+    }
 
 
 def begin_anew(results: Path, profile: str, cells: Iterable[Cell], selection: str = "") -> None:

@@ -28,25 +28,3 @@ from contactbench.scene.driven import Driven, DrivenState
 from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.mechanical import Mechanical
 from contactbench.scene.rigid_body import RigidBody
-
-__all__ = [
-    "BodyState",
-    "Driven",
-    "DrivenState",
-    "GeneralDamping",
-    "Mechanical",
-    "RigidBody",
-    "Scene",
-    "State",
-    "System",
-    "Vector",
-    "cross",
-    "dot",
-    "norm",
-    "quaternion_of",
-    "quaternion_product",
-    "rotate",
-    "rotation_matrix",
-    "shifted",
-    "verify",
-]
