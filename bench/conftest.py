@@ -139,9 +139,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.hookimpl(tryfirst=True)  # before a worker of pytest-xdist says what it has collected
 def pytest_collection_finish(session: pytest.Session) -> None:
     """What --resume leaves out; a new run takes its cells off the list of what is done."""
-    config, items = session.config, session.items
-    if config.getoption("collectonly"):
-        return
+    if not session.config.getoption("collectonly"):
+        with full_disk():
+            leave_out_what_is_done(session.config, session.items)
+
+
+def leave_out_what_is_done(config: pytest.Config, items: list[pytest.Item]) -> None:
     results, name = config.journal.results, config.profile.name
     if not selection(config):
         config.journal.expect(
@@ -187,8 +190,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
             readable(each, config)
         journal.fold_dead_runs(results)
         config.journal.open(provenance.environment(config.profile.name, SHUFFLE_SEED))
-    except BadInput as error:
-        raise pytest.UsageError(str(error)) from None
+    except (BadInput, OSError) as error:
+        raise pytest.UsageError(f"--results {results}: {error}") from None
 
 
 def readable(table: Any, config: pytest.Config) -> None:

@@ -2,40 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from contactbench.gate import revisions
+from contactbench.gate.verdict import Line
 from planted_faults import PLANTED
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
+#: what is done beside a judgement: nothing more than the machine does anyway, or busy loops
+AS_IT_WAS, LOADED = "as it was", "loaded"
+
+
 @dataclass(frozen=True)
-class Patch:
-    """A change of one source file; `old` must stand in it exactly once."""
+class Judgement:
+    """One thing the gate judged: whether it was red, and in what words.
 
-    file: Path
-    old: str
-    new: str
+    wanted : none, all, 19 in 20, the more the better, or not seen.
+    """
 
-    def apply(self, tree: Path) -> None:
-        text = (tree / self.file).read_text(encoding="utf-8")
-        assert text.count(self.old) == 1, f"{self.file} has {self.old!r} {text.count(self.old)} times"
-        (tree / self.file).write_text(text.replace(self.old, self.new), encoding="utf-8")
+    part: str
+    planted: str
+    condition: str
+    wanted: str
+    red: bool
+    words: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some judgements that are made together.
+
+    about : seconds it takes, roughly.  shared : whether others may run beside it.
+    """
+
+    name: str
+    about: float
+    judge: Callable[[], list[Judgement]]
+    shared: bool = True
+
+
+def said(line: Line) -> str:
+    """A line of the gate in words."""
+    words = asdict(line)
+    return " ".join(
+        words[name] for name in ("scene", "method", "measure", "before", "after", "change")
+    ).strip()
+
+
+#: ends with the process that began it, killed or not
+BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
+
+
+@contextmanager
+def load() -> Iterator[None]:
+    """Busy loops on all cores but one."""
+    loops = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(max(1, (os.cpu_count() or 2) - 1))]
+    try:
+        yield
+    finally:
+        for process in loops:
+            process.kill()
+            process.wait()
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Something planted in one place, and the method and measures that must give it away.
-
-    planted : a call of `planted_faults`, or a patch.
-    """
+    """Something planted in one place by a call of `planted_faults`, and the method and measures that must give
+    it away."""
 
     what: str
-    planted: str | Patch
+    planted: str
     method: str
     measures: frozenset[str]
 
@@ -47,10 +91,6 @@ FAULTS = tuple(
         ("an extra gradient evaluation per step", "joints_left_apart()", PLANTED, "evaluations"),
         ("a status change: a scene refused", "refusal()", PLANTED, "status"),
         ("dropped rows: a method is gone", "no_bm4()", "contact-bm4", "method"),
-        (
-            "a dropped row: a setting is gone",
-            Patch(Path("bench/bench_convergence.py"), "POINTS = 9", "POINTS = 8"), PLANTED, "row",
-        ),
         (
             "a drift that is no longer round-off: damping stronger by 1e-9", "stronger_damping()", PLANTED,
             "contact_drift",
@@ -143,12 +183,3 @@ SPENT = (
         "contact-bm4", seen=False,
     ),
 )  # fmt: skip
-
-
-@contextmanager
-def planted(*patches: Patch) -> Iterator[Path]:
-    """A worktree of HEAD with patches."""
-    with revisions.checkout(ROOT, revisions.commit_of(ROOT, "HEAD")) as tree:
-        for patch in patches:
-            patch.apply(tree)
-        yield tree

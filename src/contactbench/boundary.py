@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import linecache
 import os
 import signal
 import sysconfig
@@ -20,6 +22,13 @@ VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
 DEFAULT_SECONDS = 60.0
 #: characters of another's message that are repeated
 REPEATED = 120
+#: the functions of one number that `cb.math` has, by their names in `math`
+FUNCTIONS = (
+    "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan",
+    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+)  # fmt: skip
+#: modules whose functions know plain numbers only, as they are usually called
+PLAIN = ("math", "numpy", "np")
 #: where no user's code is: this package, Python's library, installed packages, generated programs
 _OURS = str(Path(__file__).parent) + os.sep
 _INSTALLED = tuple(
@@ -54,8 +63,47 @@ def frame_of(error: BaseException) -> traceback.FrameSummary | None:
         and (not frame.filename.startswith(_INSTALLED))
         and not frame.filename.startswith("<frozen")
         and not os.path.basename(frame.filename).startswith(("contactbench", "<contactbench", "program_"))
+        and (frame.filename, frame.name) != ("<string>", "__init__")  # what `dataclass` writes
     ]
     return theirs[-1] if theirs else None
+
+
+def plain_function(error: BaseException) -> str | None:
+    """What to write instead, where a user's code gave a function of `math` or NumPy a number that it does not know.
+
+    A scene runs on more numbers than floats: recorded and dual ones, JAX's, mpmath's, heyoka's.
+    """
+    frame = frame_of(error)
+    if frame is None or any(  # cb.math itself was called, and is not to blame
+        last.filename == os.path.join(_OURS, "numbers", "functions.py")
+        for last in traceback.extract_tb(error.__traceback__)
+    ):
+        return None
+    try:
+        called = ast.parse(_failing(frame), mode="eval").body
+    except (SyntaxError, ValueError):
+        return None
+    function = called.func if isinstance(called, ast.Call) else None
+    match function:
+        case ast.Attribute(value=ast.Name(id=module), attr=name) if module in PLAIN:
+            written = f"{module}.{name}"
+        case ast.Name(id=name):
+            written = name
+        case _:
+            return None
+    name = name.replace("arc", "a", 1)  # NumPy's arcsin
+    if name in (*FUNCTIONS, "atan2"):
+        return f"{written} takes plain numbers only: use cb.math.{name}"
+    if written == name:
+        return None
+    return f"{written} takes plain numbers only: use cb.math, which has {', '.join(FUNCTIONS)}, atan2"
+
+
+def _failing(frame: traceback.FrameSummary) -> str:
+    """The source of the expression in a frame that raised; empty where it is not one line."""
+    if frame.lineno is None or frame.lineno != frame.end_lineno:
+        return ""
+    return linecache.getline(frame.filename, frame.lineno).encode()[frame.colno : frame.end_colno].decode()
 
 
 def user_error(what: str, error: BaseException) -> UserError:
@@ -63,14 +111,18 @@ def user_error(what: str, error: BaseException) -> UserError:
     if isinstance(error, Overrun):
         says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
     else:
-        says = f"{type(error).__name__}: {one_line(error, REPEATED)}"
-    frame = frame_of(error)
-    where = (
-        "" if frame is None else f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
-    )
-    made = UserError(f"{what}{where}: {says}")
+        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
+    made = UserError(f"{what}{place(error)}: {says}")
     made.__cause__ = error
     return made
+
+
+def place(error: BaseException) -> str:
+    """Where in a user's code an error happened: ", function (file, line n)"; empty where it did not."""
+    frame = frame_of(error)
+    return (
+        "" if frame is None else f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
+    )
 
 
 def reported(what: str, error: BaseException) -> BaseException:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import reprlib
@@ -56,9 +55,11 @@ def shown(value: object) -> str:
 
 
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName:
+    from difflib import get_close_matches
+
     names = list(allowed)
     plain = {known.lower(): known for known in names}
-    near = difflib.get_close_matches(name.lower(), plain, n=1, cutoff=0.5) if isinstance(name, str) else []
+    near = get_close_matches(name.lower(), plain, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f"did you mean {plain[near[0]]!r}? " if near else ""
     return UnknownName(f"unknown {kind} {shown(name)}: {hint}choose from {', '.join(names)}")
 

@@ -123,6 +123,9 @@ class Solution:
     t : saved times, shape (k,).  y : packed states, shape (k, d), NaN where the run did not get.
     q, p : (k, n); s : (k,); M : (k, 3); R : (k, 3, 3); a field the run did not carry is None.
     end_time : how far the run got.
+    step_chosen, step : of a method with fixed steps, the step that was asked for, or chosen from rtol, and the
+    longest one taken.  It is shorter where no whole number of steps leads from one saved time, the end included,
+    to the next.
     """
 
     scene: Scene
@@ -143,6 +146,9 @@ class Solution:
     #: what was set, "step" or "rtol", and its value
     control: str = ""
     value: float = float("nan")
+    #: of fixed steps: the step asked for or chosen from rtol, and the longest taken; nan for other methods
+    step_chosen: float = float("nan")
+    step: float = float("nan")
 
     @property
     def ok(self) -> bool:
@@ -154,9 +160,18 @@ class Solution:
         cost = "" if n is None else f", {n} evaluations ({kind})"
         why = f": {self.message}" if self.message else ""
         return (
-            f"<Solution of {self.scene.name} by {self.method} ({self.engine}, {self.setting}): "
+            f"<Solution of {self.scene.name} by {self.method} ({self.engine}, {self.setting}{self._steps}): "
             f"{self.status}{why}, {len(self.t)} states to t = {self.end_time:g}{cost}>"
         )
+
+    @property
+    def _steps(self) -> str:
+        """The steps, where the setting does not tell them."""
+        if math.isnan(self.step):
+            return ""
+        shortened = self.step < self.step_chosen * (1 - 1e-9)
+        chosen = f": step={self.step_chosen:.6g}" if self.control == "rtol" else ""
+        return chosen + (f", {self.step:.6g} taken to meet the saved times" if shortened else "")
 
     def to_frame(self) -> pd.DataFrame:
         """The saved states, a row for each time: t, then the components by name (q1, …, p1, …, s)."""

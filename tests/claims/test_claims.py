@@ -383,7 +383,7 @@ def test_every_figure_belongs_to_a_claim():
 
 
 def test_command_line(capsys):
-    assert main(["claim", "C28"]) == 0
+    assert main(["claim", "c28"]) == 0
     assert "verdict     holds" in capsys.readouterr().out
     assert main(["claim", "C28", "--json"]) == 0
     assert '"verdict": "holds"' in capsys.readouterr().out

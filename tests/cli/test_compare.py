@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import metadata
 
 import pandas as pd
 import pytest
@@ -47,6 +48,12 @@ def test_json_is_one_object_with_the_rows(capsys):
         (["--error", "2"], "error = 2.0: must be between 0 and 1"),
         (["--budget", "soon"], "--budget soon: must be a time, as in 60s or 2m"),
         (["--budget", "0s"], "budget = 0.0: must be > 0"),
+        (["--budget", "0"], "budget = 0.0: must be > 0"),
+        (["--error", "-1e-3"], "error = -0.001: must be between 0 and 1"),
+        (["--error", "-1e-3,1e-2"], "error = -0.001: must be between 0 and 1"),
+        (["rk5"], "unknown method 'rk5': did you mean 'rk4'?"),
+        (["--html", "nowhere/out.html"], "--html nowhere/out.html: there is no folder nowhere"),
+        (["--plot", "out.txt"], "--plot out.txt: must end in .svg, .png, .pdf"),
     ],
 )
 def test_bad_values_are_one_line(line, says, capsys):
@@ -55,6 +62,18 @@ def test_bad_values_are_one_line(line, says, capsys):
     assert out == ""
     assert err.startswith(f"contactbench: {says}")
     assert err.count("\n") == 1
+
+
+def test_without_a_scene_it_is_one_line(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["compare"])
+    assert caught.value.code == 2
+    err = capsys.readouterr().err
+    assert err == (
+        "contactbench compare: the following arguments are required: scene (see contactbench compare --help)\n"
+    )
+    assert main(["compare", "wel"]) == 2
+    assert capsys.readouterr().err.startswith("contactbench: unknown scene 'wel': choose from oscillator")
 
 
 def test_an_interrupted_race_prints_what_it_has(capsys, monkeypatch):
@@ -70,7 +89,9 @@ def test_an_interrupted_race_prints_what_it_has(capsys, monkeypatch):
 
 def test_version_and_help_without_a_command(capsys):
     assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"contactbench {cb.__version__}\n"
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"contactbench {cb.__version__}"
+    assert f"heyoka {metadata.version('heyoka')}, cyrk {metadata.version('cyrk')}" in second
     assert main([]) == 0
     out = capsys.readouterr().out
     assert out.startswith("usage: contactbench")

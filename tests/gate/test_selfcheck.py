@@ -12,11 +12,18 @@ import contactbench as cb
 import gate_selfcheck
 import planted_faults
 import properties
+import selfcheck_accuracy
+import selfcheck_cells
 import selfcheck_faults
+import selfcheck_speed
+import selfcheck_tables
 from contactbench.gate.verdict import Line
 from contactbench.report import gate_selfcheck as room
 from contactbench.report import markdown
+from contactbench.results.store import read
+from contactbench.results.tables import GATE_SELFCHECK
 from contactbench.splitting.tables import COMPOSITIONS
+from selfcheck_faults import Judgement, Task
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -52,8 +59,7 @@ def planted(call, methods):
 
 
 def test_faults_planted_by_plug_ins_are_what_they_are_called(methods):
-    calls = {fault.what: fault.planted for fault in selfcheck_faults.FAULTS if isinstance(fault.planted, str)}
-    assert len(calls) == len(selfcheck_faults.FAULTS) - 1
+    calls = {fault.what: fault.planted for fault in selfcheck_faults.FAULTS}
     whole = dict(methods)
     seen = {}
     for what, call in calls.items():
@@ -70,14 +76,6 @@ def test_faults_planted_by_plug_ins_are_what_they_are_called(methods):
     assert drift(before) < 1e-13
     assert drift(after) == pytest.approx(1e-9 * cb.SCENES["particle"].gamma * 20, rel=1e-3)
     assert [what for what, (*_, there) in seen.items() if not there] == ["dropped rows: a method is gone"]
-
-
-def test_what_the_self_check_patches_is_still_there_to_be_changed():
-    patches = [f.planted for f in selfcheck_faults.FAULTS if isinstance(f.planted, selfcheck_faults.Patch)]
-    assert len(patches) == 1
-    for patch in patches:
-        assert (REPOSITORY / patch.file).read_text().count(patch.old) == 1, patch
-        assert patch.new != patch.old
 
 
 def test_what_is_planted_at_once_is_in_nothing_but_what_it_says(methods, monkeypatch):
@@ -128,26 +126,140 @@ def test_what_is_planted_at_once_is_in_nothing_but_what_it_says(methods, monkeyp
 def test_a_fault_is_found_by_its_own_line_only():
     claim = next(fault for fault in selfcheck_faults.OTHER if fault.table == "claims")
     line = Line("measured", "1", "2", "", "moved", True, table="claims", setting="C25")
-    assert gate_selfcheck.found_as(line, claim)
+    assert selfcheck_accuracy.found_as(line, claim)
     for other in ({"setting": "C2"}, {"measure": "verdict"}, {"table": "laws"}):
-        assert not gate_selfcheck.found_as(Line(**{**vars(line), **other}), claim)
+        assert not selfcheck_accuracy.found_as(Line(**{**vars(line), **other}), claim)
+    fault = next(fault for fault in selfcheck_faults.SPENT if fault.saves > 1)
+    slow = Line(
+        fault.measure, "", "", "", "slower", True, fault.scene, fault.method, setting="1000 saved times"
+    )
+    assert selfcheck_speed.gives_away(slow, fault)
+    for other in ({"setting": ""}, {"red": False}, {"method": "rk5"}):
+        assert not selfcheck_speed.gives_away(Line(**{**vars(slow), **other}), fault)
 
 
 def test_what_is_timed_together_is_planted_in_different_methods():
-    found = gate_selfcheck.batches(selfcheck_faults.SPENT)
+    found = selfcheck_speed.batches(selfcheck_faults.SPENT)
     assert sorted(id(fault) for batch in found for fault in batch) == sorted(map(id, selfcheck_faults.SPENT))
     for batch in found:
         assert len({fault.method for fault in batch}) == len(batch)
 
 
-def test_its_document_counts_alarms_and_faults_and_says_what_is_not_seen():
-    rows = [
-        gate_selfcheck.outcome(
-            "accuracy", "nothing", "idle", "none", [(False, ""), (True, "cried wolf")], 1.0
-        ),
-        gate_selfcheck.outcome("accuracy", "a fault", "idle", "all", [(True, "a|b"), (True, "c")], 2.0),
-        gate_selfcheck.outcome("accuracy", "a hair", "idle", "not seen", [(False, "")], 2.0),
+# -- cells and folders -----------------------------------------------------------------------------
+def test_cells_run_with_a_fault_differ_where_it_is_and_leave_nothing_registered(tmp_path):
+    cells = [("convergence", ("particle", name)) for name in ("contact-abc", "contact-strang")]
+    whole = dict(cb.METHODS)
+    selfcheck_cells.run(tmp_path / "truth", "", cells)
+    selfcheck_cells.run(tmp_path / "wrong", "wrong_coefficients({'contact-abc': 0})", cells)
+    selfcheck_cells.run(tmp_path / "again", "", cells)
+    assert dict(cb.METHODS) == whole
+    assert {line.method for line in selfcheck_accuracy.red(tmp_path / "truth", tmp_path / "wrong")} == {
+        "contact-abc"
+    }
+    assert selfcheck_accuracy.red(tmp_path / "truth", tmp_path / "again") == []
+
+
+def test_a_method_that_is_gone_has_no_cells_any_more(tmp_path):
+    cells = [("laws", ("particle", name)) for name in ("contact-bm4", "contact-strang")]
+    selfcheck_cells.run(tmp_path / "truth", "", cells)
+    selfcheck_cells.run(tmp_path / "gone", "no_bm4()", cells)
+    (line,) = selfcheck_accuracy.red(tmp_path / "truth", tmp_path / "gone")[:1]
+    assert (line.method, line.verdict) == ("contact-bm4", "missing")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    return selfcheck_tables.Folders(REPOSITORY / "results", tmp_path_factory.mktemp("folders"))
+
+
+def test_the_committed_tables_against_themselves_are_green(folders):
+    (one,) = selfcheck_tables.unchanged(folders)
+    assert (one.red, one.words) == (False, "")
+
+
+@pytest.mark.parametrize("fault", selfcheck_tables.DOCTORED, ids=lambda fault: fault.what)
+def test_doctored_tables_are_given_away(fault, folders):
+    (one,) = selfcheck_tables.doctored(fault, folders, fault.what.replace(" ", "-"))
+    assert one.red
+    assert one.words
+
+
+# -- journal and table -----------------------------------------------------------------------------
+def judgement(planted="a fault", red=True, words="a line", wanted="all", **more):
+    values = {"part": "accuracy", "condition": "as it was", "seconds": 1.0, **more}
+    return Judgement(planted=planted, red=red, words=words, wanted=wanted, **values)
+
+
+QUESTION = {"commit": "c", "parts": ["accuracy"], "runs": 1}
+
+
+def test_a_killed_self_check_goes_on_where_it_was(tmp_path):
+    path = tmp_path / "journal" / "self.jsonl"
+    journal = gate_selfcheck.Journal(path, QUESTION)
+    journal.add("one", [judgement()])
+    journal.add("two", [judgement("b"), judgement("c", red=False)])
+    with path.open("a") as file:
+        file.write('{"task": "three", "judged": [{"pa')
+    again = gate_selfcheck.Journal(path, QUESTION)
+    assert again.done == journal.done
+    again.add("three", [judgement("d")])  # the line cut short is gone
+    assert list(gate_selfcheck.Journal(path, QUESTION).done) == ["one", "two", "three"]
+    assert gate_selfcheck.Journal(path, {**QUESTION, "commit": "d"}).done == {}
+
+
+def test_what_is_done_is_not_done_again_and_what_fails_loses_nothing(tmp_path):
+    asked = []
+
+    def task(name, shared=True, fails=False):
+        def judge():
+            asked.append(name)
+            if fails:
+                raise RuntimeError("killed")
+            return [judgement(name)]
+
+        return Task(name, 1.0, judge, shared)
+
+    journal = gate_selfcheck.Journal(tmp_path / "self.jsonl", QUESTION)
+    with pytest.raises(RuntimeError):
+        gate_selfcheck.work_off(
+            [task("one"), task("two", False), task("three", False, True)], journal, tmp_path
+        )
+    again = gate_selfcheck.Journal(tmp_path / "self.jsonl", QUESTION)
+    gate_selfcheck.work_off([task("one"), task("two", False), task("three", False)], again, tmp_path)
+    assert asked == ["one", "two", "three", "three"]
+    assert set(read(GATE_SELFCHECK, tmp_path)["planted"]) == {"one", "two", "three"}
+
+
+def test_the_table_counts_and_a_whole_self_check_removes_what_is_no_longer_planted(tmp_path):
+    gate_selfcheck.write([judgement("gone")], tmp_path, whole=False)
+    judged = [
+        judgement(seconds=3.0),
+        judgement(red=False, words="", seconds=1.0),
+        judgement("nothing", False, "", "none"),
     ]
+    made = gate_selfcheck.write(judged, tmp_path, whole=True)
+    frame = read(GATE_SELFCHECK, tmp_path).set_index("planted")
+    assert set(frame.index) == {"a fault", "nothing"}
+    assert tuple(frame.loc["a fault", ["runs", "red", "seconds", "example"]]) == (2, 1, 2.0, "a line")
+    assert [bool(gate_selfcheck.wrong(row)) for row in made] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "red", "fine"),
+    [("none", 0, True), ("none", 1, False), ("all", 20, True), ("all", 19, False), ("19 in 20", 19, True),
+     ("19 in 20", 18, False), ("the more the better", 0, True), ("not seen", 0, True), ("not seen", 1, False)],
+)  # fmt: skip
+def test_a_row_is_as_wanted_or_not(wanted, red, fine):
+    row = {"part": "", "planted": "", "condition": "", "wanted": wanted, "red": red, "runs": 20}
+    assert (gate_selfcheck.wrong(row) == "") == fine
+
+
+def test_its_document_counts_alarms_and_faults_and_says_what_is_not_seen():
+    rows = gate_selfcheck.rows([
+        judgement("nothing", False, "", "none"), judgement("nothing", True, "cried wolf", "none"),
+        judgement("a fault", True, "a|b"), judgement("a fault", True, "c"),
+        judgement("a hair", False, "", "not seen"),
+    ])  # fmt: skip
     tables = {"gate_selfcheck": pd.DataFrame(rows)}
     text = markdown.parts(room.sections(tables))
     (finding,) = room.findings(tables)

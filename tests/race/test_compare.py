@@ -12,11 +12,14 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY
 from contactbench.measure.ladder import ENDS
+from contactbench.methods.compiled import _programs
 from contactbench.methods.engines import ENGINES
 from contactbench.race import comparison, show
 from contactbench.race import scout as scouting
 from contactbench.race.keeping import kept
+from contactbench.race.scout import Attempt
 from contactbench.race.table import COLUMNS, verdicts
+from contactbench.solution import Status
 from contactbench.truth import OutOfTime
 
 RACED = ["contact-strang", "rk4", "cyrk-vern8", "contact-exact", "scipy-dop853"]
@@ -151,13 +154,14 @@ def test_a_method_without_a_setting_is_raced_too():
 def test_control_c_ends_it_with_what_there_is(monkeypatch):
     one = scouting.scout
 
-    def stopped(question, method, deadline):
-        if method == "contact-strang":
+    def stopped(question, found):
+        if found.method == "contact-strang":
             raise KeyboardInterrupt
-        return one(question, method, deadline)
+            yield
+        yield from one(question, found)
 
     monkeypatch.setattr("contactbench.race.comparison.scout", stopped)
-    found = cb.compare("particle", ["rk4", "contact-strang", "herglotz2"], (1e-2,), budget=10.0)
+    found = cb.compare("particle", ["rk4", "contact-strang", "herglotz2"], (0.5,), budget=20.0)
     assert found.attrs["interrupted"]
     rows = found.set_index("method")
     assert rows.loc["rk4", "status"] == "ok"
@@ -180,6 +184,58 @@ def test_a_spent_budget_is_said_of_each_method_it_stopped():
     assert list(found["status"]) == ["budget", "budget"]
     assert found["reason"].str.len().min() > 0
     assert found["error_reached"].isna()[1]
+
+
+def test_what_a_cheap_method_leaves_goes_to_the_others(monkeypatch):
+    """Every turn is that of the method that has had the least time, and no method has a fixed share."""
+    given = {"rk4": 0.0, "contact-strang": 0.0, "herglotz2": 0.0}
+    clock = [0.0]
+    costs, lengths = (
+        {"rk4": 0.1, "contact-strang": 1.0, "herglotz2": 5.0},
+        {"rk4": 3, "contact-strang": 4, "herglotz2": 99},
+    )
+    turns = []
+
+    def scripted(question, found):
+        for _ in range(lengths[found.method]):
+            clock[0] += costs[found.method]
+            given[found.method] += costs[found.method]
+            turns.append(found.method)
+            found.attempts.append(Attempt(1.0, "step=1", Status.ok, "", 0.1, error=0.3))
+            yield
+
+    monkeypatch.setattr("contactbench.race.comparison.scout", scripted)
+    monkeypatch.setattr("contactbench.race.comparison.perf_counter", lambda: clock[0])
+    race = comparison.Comparison(cb.SCENES["particle"], list(given), (1e-2,), 60.0, False)
+    race.scout_all()
+    assert turns[:3] == ["rk4", "contact-strang", "herglotz2"]
+    assert turns[3:8] == ["rk4", "rk4", "contact-strang", "contact-strang", "contact-strang"]
+    assert given["herglotz2"] > 25.0  # all that was left, more than an equal share
+    assert clock[0] - costs["herglotz2"] <= comparison.SCOUTING * 60.0
+    why = {each.method: each.why for each in race.scouted}
+    assert why["rk4"] is None
+    assert why["herglotz2"][0] == "budget"
+    assert "no time was left after step=1" in why["herglotz2"][1]
+
+
+def test_xla_compiles_an_adaptive_solver_once():
+    """Another budget of steps would be another program: a dozen compilations instead of one."""
+    scene = double_well()
+    found = cb.compare(scene, ["diffrax-tsit5"], (1e-3, 1e-6), budget=300.0)
+    assert list(found["status"]) == ["ok", "ok"]
+    assert len(found.attrs["runs"]) > 5
+    of_the_motion = [key for key in _programs if key[:3] == ("run", scene.structure, ())]
+    assert len(of_the_motion) == 1
+
+
+def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so(monkeypatch):
+    race = comparison.Comparison(cb.SCENES["particle"], ["rk4", "contact-strang"], (1e-2,), 60.0, False)
+    quick, slow = (Attempt(1.0, "step=1", Status.ok, "", seconds, error=1e-3) for seconds in (1e-3, 100.0))
+    race.chosen = {("rk4", 1e-2): quick, ("contact-strang", 1e-2): slow}
+    monkeypatch.setattr("contactbench.race.comparison.bare", lambda attempt: lambda: None)
+    race.time_all()
+    assert race.times.keys() == {id(quick)}
+    assert race.untimed == {id(slow): "too slow for the time that was left"}
 
 
 def test_a_method_that_breaks_is_a_row(monkeypatch):
@@ -253,6 +309,35 @@ def test_text_page_and_plot_say_the_same(frame, tmp_path):
     assert [panel.title for panel in figure.panels] == ["Compiled", "Calling back into Python", "Evaluations"]
     drawn(figure).savefig(tmp_path / "plot.svg")
     assert (tmp_path / "plot.svg").stat().st_size > 10_000
+
+
+def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
+    own = frame[frame["method"] == "contact-strang"].copy()
+    assert "contact drift" in show.kept_by(own)
+    own.loc[own.index[0], ["contact_drift", "laws_kept"]] = [np.nan, ""]  # measured at one of the two errors
+    assert "contact drift" in show.kept_by(own)
+    own["contact_drift"], own["laws_kept"] = np.nan, ""
+    assert "not measured: contact drift" in show.kept_by(own)
+    assert show.kept_by(frame[frame["method"] == "rk4"]) == "none"
+
+
+def test_a_curve_says_what_an_error_costs_and_never_turns_back():
+    tried = pd.DataFrame(
+        {
+            "method": ["a"] * 5 + ["b"],
+            "error": [1e-1, 3e-1, 1e-3, 1e-2, 1e-4, 1e-9],
+            "evaluations": [1, 2, 3, 4, 5, 9],
+        }
+    )
+    kept_of_a = show.front(tried, "error", "evaluations").query("method == 'a'")
+    assert list(kept_of_a["evaluations"]) == [1, 3, 5]
+    assert len(show.front(tried, "error", "evaluations")) == 4
+
+
+def test_the_terminal_says_setting_and_error_of_each_time(frame):
+    text = show.text(frame)
+    for row in frame[frame["status"] == "ok"].itertuples():
+        assert f"{row.setting}, {row.error_reached:.1e}" in text
 
 
 def test_round_off_of_a_map_that_grows_is_told_from_a_broken_law():

@@ -837,3 +837,9 @@ def test_one_more_trajectory_has_a_table_of_its_own():
     assert firsts == [["rk4"], ["contact-a"]]
     unknown = ensemble.timed(table("ensemble", [r | {"marginal_s": math.nan} for r in runs("rk4", 1.0, 0.0)]))
     assert ensemble.error_view(unknown, marginal=True) is None
+
+
+def test_laws_along_time_are_alternatives_by_the_name_of_their_scene():
+    rows = [row(s, "rk4", 0.1, t=1.0, energy_deviation=1e-3) for s in ("particle", "central")]
+    (along,) = (p for p in laws.sections(frames(laws_time=rows)) if getattr(p, "title", "") == "Along time")
+    assert [(s.title, s.choice) for s in along.parts] == [("particle", "scene"), ("central", "scene")]

@@ -477,3 +477,48 @@ def test_names_at_curves_stand_apart_and_words_stay_in_their_figure(chrome, size
         assert right <= x1 + 1
         assert y0 - 1 <= top
         assert bottom <= y1 + 1
+
+
+def test_mathematics_in_a_sentence_is_set():
+    assert page.inline("H e^{∫Γ'} and $H_0$, `e^{x}`") == (
+        "H e<sup>∫Γ&#39;</sup> and H<sub>0</sub>, <code>e^{x}</code>"
+    )
+    assert page.plain("H e^{∫Γ'} and $H_0$") == "H e^(∫Γ') and H_0"
+
+
+def test_every_section_is_reached_from_the_row_of_links_and_what_is_shown_stays_in_the_address(chrome):
+    opened(chrome, hash="#;hide=rk4")
+    assert all(link.rect["x"] + link.rect["width"] <= WIDE[0] for link in find(chrome, "nav a"))
+    last = find(chrome, "nav a")[-1]
+    section = last.get_attribute("href").rpartition("#")[2]
+    last.click()
+    assert chrome.current_url.endswith(f"#{section};scene=particle;hide=rk4")
+    opened(chrome, NARROW, hash=f"#{section}")
+    chrome.execute_async_script("setTimeout(arguments[0], 300)")
+    marked = [a for a in find(chrome, "nav a") if a.get_attribute("aria-current")]
+    assert all(a.rect["x"] >= 0 and a.rect["x"] + a.rect["width"] <= NARROW[0] for a in marked)
+    assert marked
+
+
+def test_a_scene_that_a_figure_does_not_have_leaves_it_as_it_is(chrome, tmp_path):
+    from selenium.webdriver.support.select import Select
+
+    def sections(*names):
+        return tuple(Section(s, (Text(s),), choice="scene", anchor=f"{names[0]}-{s}") for s in names)
+
+    said = [page.Said(room("one"), sections("particle", "central"), ()),
+            page.Said(room("two"), sections("central", "needle", "particle"), ())]  # fmt: skip
+    path = tmp_path / "report.html"
+    path.write_text(page.page(said, RUNS), encoding="utf-8")
+    chrome.get(path.as_uri())
+
+    def chosen():
+        return [o.get_attribute("data-option") for o in visible(chrome, ".option")]
+
+    first, second = find(chrome, "select")
+    Select(second).select_by_visible_text("central")
+    assert chosen() == ["central", "central"]
+    Select(second).select_by_visible_text("needle")
+    assert chosen() == ["central", "needle"]
+    Select(first).select_by_visible_text("particle")
+    assert chosen() == ["particle", "particle"]

@@ -10,13 +10,7 @@ import scipy  # its parts are loaded when first used
 
 from contactbench.claims.calculus import IDENTITY, ROUND_OFF, largest, points
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
-from contactbench.claims.linearisation import (
-    EIGENVALUES,
-    INERTIA,
-    body,
-    momentum_rate,
-    random_damping,
-)
+from contactbench.claims.linearisation import EIGENVALUES, INERTIA, body, momentum_rate, random_damping
 from contactbench.scene import cross
 from contactbench.scenes import SCENES
 from contactbench.truth import reference

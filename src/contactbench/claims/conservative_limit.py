@@ -7,11 +7,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.claims.ledger import Correction, Evidence, at_most, claim
-from contactbench.claims.orders import (
-    PAPER_STEP,
-    PARTICLE,
-    PRINTED,
-)
+from contactbench.claims.orders import PAPER_STEP, PARTICLE, PRINTED
 from contactbench.methods import solve
 from contactbench.scenes import SCENES
 

@@ -53,16 +53,8 @@ def rows(name: str) -> Iterator[dict[str, Any]]:
     count: dict[tuple[str, str], int] = {}
     for panel, curve, kind, x, y, z in FIGURES[name]():
         point = count[panel, curve] = count.get((panel, curve), -1) + 1
-        yield {
-            "figure": name,
-            "panel": panel,
-            "curve": curve,
-            "point": point,
-            "kind": kind,
-            "x": float(x),
-            "y": float(y),
-            "z": float(z),
-        }
+        place = {"x": float(x), "y": float(y), "z": float(z)}
+        yield {"figure": name, "panel": panel, "curve": curve, "point": point, "kind": kind, **place}
 
 
 def curve(

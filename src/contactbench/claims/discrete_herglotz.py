@@ -8,21 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.claims.calculus import (
-    IDENTITY,
-    ROUND_OFF,
-    SEED,
-    largest,
-    one_step,
-    points,
-)
+from contactbench.claims.calculus import IDENTITY, ROUND_OFF, SEED, largest, one_step, points
 from contactbench.claims.ledger import Correction, Evidence, at_most, claim
-from contactbench.claims.orders import (
-    ORDER,
-    PARTICLE,
-    exact_errors,
-    slope,
-)
+from contactbench.claims.orders import ORDER, PARTICLE, exact_errors, slope
 from contactbench.methods import METHODS
 from contactbench.methods.step_map import trajectory
 from contactbench.scene import Mechanical

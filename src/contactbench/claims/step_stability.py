@@ -10,10 +10,7 @@ import numpy as np
 import scipy  # its parts are loaded when first used
 
 from contactbench.claims.ledger import Correction, Evidence, at_most, claim
-from contactbench.claims.orders import (
-    ABC,
-    PRINTED,
-)
+from contactbench.claims.orders import ABC, PRINTED
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS
 

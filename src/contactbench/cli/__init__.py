@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import platform
 import sys
 import traceback
 from collections.abc import Callable
+from importlib import metadata
 from typing import Any
 
 from contactbench.boundary import VARIABLE, limit
@@ -34,7 +36,9 @@ def parser() -> argparse.ArgumentParser:
 The tables come from the benchmark, `tox -e bench`.
 Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an error in a plug-in.""",
     )
-    top.add_argument("--version", action="store_true", help="print the version and exit")
+    top.add_argument(
+        "--version", action="store_true", help="print the versions, those of the peers too, and exit"
+    )
     top.set_defaults(run=None)
     commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
@@ -54,11 +58,26 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
     return top
 
 
-def overview(top: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
-    """What a line without a command asks for: the version, or help."""
+#: what is raced, and what it is compiled by
+PEERS = ("scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "numba", "numpy")
+
+
+def versions() -> str:
+    """This package's version, and on a second line those of the solvers it is raced with."""
     import contactbench
 
-    print(f"contactbench {contactbench.__version__}" if arguments.version else top.format_help().rstrip())
+    found = []
+    for name in PEERS:
+        try:
+            found.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            found.append(f"{name} not installed")
+    return f"contactbench {contactbench.__version__}\nPython {platform.python_version()}, {', '.join(found)}"
+
+
+def overview(top: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+    """What a line without a command asks for: the versions, or help."""
+    print(versions() if arguments.version else top.format_help().rstrip())
     return 0
 
 

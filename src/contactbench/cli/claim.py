@@ -13,7 +13,7 @@ def claim(arguments: argparse.Namespace) -> int:
     """Measure one claim of the paper and print its row."""
     from contactbench.claims import CLAIMS
 
-    row = CLAIMS[arguments.id].row()
+    row = CLAIMS[arguments.id.upper()].row()
     print(json.dumps(row, allow_nan=False, ensure_ascii=False) if arguments.json else readable(row))
     return 0 if row["status"] == "ok" else 1
 
@@ -40,5 +40,5 @@ def add(command: Command) -> None:
         "claim", claim, "measure one claim of the paper",
         "examples:\n  contactbench claim C25\n  contactbench claim C07 --json | jq -r .verdict",
     )  # fmt: skip
-    ledger.add_argument("id", help="C01 to C36 (contactbench list claims)")
+    ledger.add_argument("id", help="C01 to C36, in either case (contactbench list claims)")
     ledger.add_argument("--json", action="store_true", help="print one JSON object")

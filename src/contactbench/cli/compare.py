@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from contactbench.cli.parsing import Command
+from contactbench.cli.parsing import PICTURES, Command, writable
 from contactbench.cli.solve import assignments
 from contactbench.errors import BadInput
 
@@ -34,6 +34,8 @@ def duration(text: str) -> float:
 
 def compare(arguments: argparse.Namespace) -> int:
     """Race the methods and print who is cheapest at each error."""
+    for option, kinds in (("html", ()), ("plot", PICTURES), ("csv", ())):
+        writable(f"--{option}", getattr(arguments, option), kinds)
     one_core()
     import contactbench as cb
     from contactbench.race import show
@@ -81,7 +83,9 @@ Nothing is written but the files named.  Ctrl-C ends it with what there is.
 Exit status: 0 done, 2 bad input or no reference, 130 interrupted.""",
     )  # fmt: skip
     race.add_argument("scene", help="its name (contactbench list scenes)")
-    race.add_argument("method", nargs="*", help="names (contactbench list methods); by default all")
+    race.add_argument(
+        "method", nargs="*", default=[], help="names (contactbench list methods); by default all"
+    )
     race.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE",
         help="change a parameter: a number or a list [1,2]; may be repeated",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from contactbench.cli.parsing import Command
+from contactbench.cli.parsing import Command, writable, writable_folder
 from contactbench.errors import BadInput
 
 
@@ -23,6 +23,10 @@ def report(arguments: argparse.Namespace) -> int:
         found = check.differing(arguments.results, arguments.readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
+    writable_folder("--results", arguments.results)
+    if arguments.readme:  # refused now if it has no computed part
+        write.with_excerpt(arguments.readme, arguments.results)
+        writable("--readme", arguments.readme)
     for path in write.report(arguments.results, registries):
         print(path)
     if arguments.readme:

@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from contactbench.cli.parsing import Command
+from contactbench.cli.parsing import PICTURES, Command, writable
 from contactbench.errors import BadInput
 
 
@@ -30,6 +30,8 @@ def assignments(pairs: list[str]) -> dict[str, Any]:
 
 def solve(arguments: argparse.Namespace) -> int:
     """Solve a scene once and print where it ended."""
+    writable("--plot", arguments.plot, PICTURES)
+    writable("--out", arguments.out)
     import contactbench as cb
 
     scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))

@@ -43,7 +43,6 @@ def side_by_side(
     rows, shape = loop.rows(np.array(scene.numbers()), run.h, run.n)
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
     part, place = np.array([0, y.shape[1] // LANES]), len(loop.program.shape)
-    times = r.save_at[1:] if run.saves_start else r.save_at
 
     def quantity(name: str, x: Any) -> Any:
         return np.stack(np.broadcast_arrays(*DECAYING[name][0](scene, x)), axis=-1)
@@ -55,7 +54,7 @@ def side_by_side(
     with np.errstate(all="ignore"):
         origin = {name: quantity(name, start) for name in names[1:]}
         worst = {name: np.zeros(m) for name in origin}
-        for which, t in zip(shape[place:], times, strict=True):
+        for which, t in zip(shape[place:], run.later, strict=True):
             after = np.empty((1, *y.shape))
             many(y, rows, np.append(shape[:place], which), after, part)
             y = after[0]

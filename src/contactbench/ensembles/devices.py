@@ -55,12 +55,11 @@ def on_devices(
     sharding = NamedSharding(mesh, PartitionSpec(None, AXIS))
     individual = np.array([*own.values()]).reshape(len(own), n)
     numbers = np.array(r.scene.numbers())
-    ends = r.save_at[1:] if run.saves_start else r.save_at
 
     def begun(part: slice) -> Any:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
         arrays = (np.pad(a[:, part], filled, mode="edge") for a in (y0, individual))
-        return _programs[key](*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, ends))
+        return _programs[key](*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.later))
 
     parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
     ahead = begun(parts[0])

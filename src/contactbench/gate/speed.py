@@ -6,7 +6,7 @@ the machine does meets both; the ratio of each pair is what counts, never a time
 the median ratio straddles `LIMIT` gets more rounds.  It is judged slower when the whole interval is above
 `LIMIT`, and is again in fresh processes: the layout of code and data in memory, drawn anew with every
 process, is worth some per cent.  What is measured once in a process (compilation, memory) is judged when it
-is too much in `CONFIRMED` pairs of processes.
+is too much in `CONFIRMED` pairs of processes; every process begins with empty caches of compiled programs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LIMIT = 1.25
 ROUNDS = 15
 #: rounds a cell gets at most, as long as it is undecided
 MOST_ROUNDS = 60
-#: seconds of compilation, and share of what the base takes, that the head may take more
+#: seconds of processor time of compilation, and share of what the base takes, that the head may take more
 COMPILE, COMPILE_SHARE = 0.1, 0.15
 #: bytes that repeated runs of a cell may leave behind more than the base's
 LEAK = 1_000_000
@@ -95,6 +95,18 @@ def suspects(pair: Pair, cells: int) -> dict[str, set[int]]:
 
 
 # -- processes -------------------------------------------------------------------------------------
+def empty_caches(folder: Path) -> dict[str, str]:
+    """Environment variables by which compiled programs are kept in a new folder, those of numba and of JAX.
+
+    What one tree has compiled, or finds beside its sources, must not spare the other one the work.
+    """
+    return {
+        "CONTACTBENCH_CACHE": str(folder),
+        "NUMBA_CACHE_DIR": str(folder / "numba"),
+        "JAX_COMPILATION_CACHE_DIR": str(folder / "xla"),
+    }
+
+
 class Side:
     """A process that times cells with the code of one tree.
 
@@ -107,10 +119,11 @@ class Side:
     ) -> None:  # fmt: skip
         self.tree = tree
         self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115, closed with the process
+        self.caches = tempfile.TemporaryDirectory(prefix="contactbench-caches-")
         self.process = subprocess.Popen(
             [python, "-P", str(Path(__file__).with_name("speed_worker.py"))],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True, bufsize=1,
-            cwd=tree, env=environment(tree),
+            cwd=tree, env=environment(tree) | empty_caches(Path(self.caches.name)),
         )  # fmt: skip
         requests = [cell.request() for cell in cells]
         self._say({"core": core, "later": later, "cells": requests, "seconds": seconds})
@@ -122,6 +135,7 @@ class Side:
         self.process.kill()
         self.process.wait()
         self.errors.close()
+        self.caches.cleanup()
 
     def refused(self) -> dict[int, str]:
         """Wait until every cell is compiled; the cells that cannot be timed, and why."""

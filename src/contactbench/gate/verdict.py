@@ -42,11 +42,15 @@ class Line:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the gate found: the lines, what was compared (one sentence a part), and what to know beside."""
+    """What the gate found: the lines, what was compared (one sentence a part), and what to know beside.
+
+    judged : how many calls were timed.
+    """
 
     lines: tuple[Line, ...] = ()
     compared: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    judged: int = 0
 
     @property
     def red(self) -> bool:
@@ -59,7 +63,8 @@ class Verdict:
 
     def __add__(self, other: Verdict) -> Verdict:
         notes = dict.fromkeys((*self.notes, *other.notes))
-        return Verdict(self.lines + other.lines, self.compared + other.compared, tuple(notes))
+        compared = self.compared + other.compared
+        return Verdict(self.lines + other.lines, compared, tuple(notes), self.judged + other.judged)
 
     def as_json(self) -> str:
         found = {"red": self.red, "inconclusive": self.undecided, **asdict(self)}

@@ -7,8 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from contactbench.boundary import reported
 from contactbench.errors import BadInput
 from contactbench.measure.deviation import Deviation
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution
 
@@ -84,7 +86,14 @@ class Law:
         missing = [f for f in self.needs_on(solution.scene) if f not in solution.carry]
         if missing:
             raise BadInput(f"law {self.name!r} needs carry=({', '.join(map(repr, missing))},)")
-        return self.measure(solution) if solution.ok else math.nan
+        if not solution.ok:
+            return math.nan
+        try:
+            return self.measure(solution)
+        except CannotRecord as error:
+            raise BadInput(f"law {self.name!r}: {error}") from error
+        except Exception as error:
+            raise reported(f"law {self.name!r}", error) from error.__cause__
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
         """The optional fields it reads on this scene."""

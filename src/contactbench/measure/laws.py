@@ -18,13 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactbench.errors import BadInput, Registry
-from contactbench.measure.deviation import (
-    ATTAINABLE,
-    MEANINGFUL,
-    Deviation,
-    conformal,
-    relative_deviation,
-)
+from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, conformal, relative_deviation
 from contactbench.measure.law import Gate, Law, Measured
 from contactbench.measure.pairing import pairing_deviation
 from contactbench.measure.pullback import Pullback, growth, pullback

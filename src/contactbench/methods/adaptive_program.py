@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from contactbench.methods.base import SHORTEST
 from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.recording import Block, Recorded, RecordedNumbers, Tape, text_of
 from contactbench.scene import Mechanical, dot
 from contactbench.solution import DIVERGENCE
 from contactbench.splitting.composition import Composition, advance
-
-#: a step this small against the span hardly moves the clock: a singularity is ahead
-SHORTEST = 1e-15
 
 
 def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool) -> str:

@@ -35,6 +35,10 @@ from contactbench.solution import (
 #: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
 #: for differential equations at large
 FAMILIES = ("contact", "variational", "established")
+#: Python's way to say inf or nan
+NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+#: a step this small against the span hardly moves the clock: a singularity is ahead
+SHORTEST = 1e-15
 
 
 class Method(ABC):
@@ -165,6 +169,17 @@ class Prepared(ABC):
     #: seconds spent tracing and compiling; zero where nothing is compiled
     compile_s: float = field(default=0.0, kw_only=True)
 
+    def __init_subclass__(cls) -> None:
+        """The short repr, which `dataclass` would replace in every class."""
+        super().__init_subclass__()
+        cls.__repr__ = Prepared.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        """One line: what a call runs."""
+        r = self.request
+        saved = f"{len(r.save_at)} states to t = {r.save_at[-1]:g}"
+        return f"<{self.method} on {r.scene.name} ({r.engine}, {r.setting}), prepared: a call gives {saved}>"
+
     @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:
         """Run from a packed initial state."""
@@ -181,6 +196,9 @@ class Prepared(ABC):
     def saved_states(self, y0: np.ndarray) -> np.ndarray:
         """The saved states of `integrate`, (k, d), to the bit: where a faster way is known that is not timed."""
         return self.integrate(y0).y
+
+    #: of fixed steps: the step asked for, and the longest taken
+    steps_taken = (math.nan, math.nan)
 
     #: how `sensitivity` differentiates the map of the steps taken; empty: it cannot
     sensitivity_source = ""
@@ -240,8 +258,9 @@ class Prepared(ABC):
         if not out.checked:
             out = audited(out, self._end)
         return Solution(
-            *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0, self, *self._set
-        )
+            *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0, self, *self._set,
+            *(out.steps or self.steps_taken),
+        )  # fmt: skip
 
     @cached_property
     def _asked(self) -> tuple[Scene, str, str, str, tuple[str, ...], np.ndarray]:
@@ -259,7 +278,20 @@ class Prepared(ABC):
         self._motion, self._end = r.scene.motion, float(r.save_at[-1])
         self._own_bound = divergence_bound(self._own_start[: self._motion])
         self._saves = len(r.save_at)
+        self.saves_start = r.save_at[0] == 0
+        #: the saved times > 0
+        self.later = r.save_at[1:] if self.saves_start else r.save_at
         self._set = (r.control, r.value)
+
+    def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """The saved states, of those at `later` times: the initial one before them where it is saved."""
+        return np.concatenate([y0[None], y]) if self.saves_start else y
+
+    def tangents(self, y0: np.ndarray) -> list[np.ndarray]:
+        """The scene's tangent vectors at a packed state, packed."""
+        r = self.request
+        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
+        return [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
 
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
         """Index of the first saved state in y that is not finite or out of scale, or None."""
@@ -318,6 +350,7 @@ class Outcome:
     """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
 
     checked : the states are known to be finite and the last one to be at the end.
+    steps : the step chosen in this run, and the longest taken, where the run chose one.
     """
 
     y: np.ndarray
@@ -326,6 +359,7 @@ class Outcome:
     message: str
     end_time: float
     checked: bool = False
+    steps: tuple[float, float] | None = None
 
 
 def audited(out: Outcome, end: float) -> Outcome:
@@ -359,7 +393,7 @@ def begins(scene: Scene, start: Any) -> None:
     """
     try:
         slope = [float(component) for component in scene.pack(scene.rhs(start))]
-    except (OverflowError, ZeroDivisionError, ValueError) as error:
+    except NO_NUMBER as error:
         if isinstance(error, BadInput):
             raise
         slope = [math.nan]

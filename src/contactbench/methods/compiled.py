@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Prepared, stopwatch
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.recording import advised
 
 _programs: dict[Any, tuple[Any, float]] = {}
 
@@ -116,7 +116,7 @@ class CompiledRun(Prepared):
             try:
                 _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
             except jax.errors.JAXTypeError as error:
-                raise CannotRecord(str(error).partition("\n")[0]) from error
+                raise advised(error) from error
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
@@ -126,13 +126,10 @@ class CompiledRun(Prepared):
         """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
         from contactbench.xla import jax
 
-        r = self.request
-
         def push(y0: Any, v: Any, fixed: Any) -> Any:
             return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 
-        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
-        tangents = [np.array(r.scene.pack(v)) for v in r.scene.tangents(start)]
+        tangents = self.tangents(y0)
         program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
         pushed = np.stack([np.asarray(program(y0, v, self.fixed)) for v in tangents], axis=-1)
-        return pushed[: len(r.save_at)]
+        return pushed[: self._saves]

@@ -11,13 +11,7 @@ from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Mechanical, Scene
-from contactbench.splitting.composition import (
-    Composition,
-    advance,
-    log_factor,
-    plan,
-    refusal,
-)
+from contactbench.splitting.composition import Composition, advance, log_factor, plan, refusal
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS

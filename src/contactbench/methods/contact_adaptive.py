@@ -29,11 +29,20 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.adaptive_program import SHORTEST, recorded_loop
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
+from contactbench.methods.adaptive_program import recorded_loop
+from contactbench.methods.base import (
+    METHODS,
+    NO_NUMBER,
+    SHORTEST,
+    Adaptive,
+    Outcome,
+    Prepared,
+    Refused,
+    Request,
+    stopwatch,
+)
 from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.llvm import compiled
-from contactbench.methods.python_engine import NO_NUMBER
 from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.recording import CannotRecord, recorded
 from contactbench.numbers.source import executed_on_lists
@@ -215,10 +224,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         if not frozen:
             return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0, frozen)
-        r, (run, _) = self.request, self.loop(tangent=True)
-        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
-        tangents = [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
-        pushed = [self.solved(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in tangents]
+        run, _ = self.loop(tangent=True)
+        pushed = [self.solved(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in self.tangents(y0)]
         return np.stack(pushed, axis=-1)
 
 

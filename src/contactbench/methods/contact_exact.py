@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Method, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Request
 from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
@@ -42,16 +42,13 @@ class ExactRun(Prepared):
         """Packed states at times > 0, as far as there are numbers for them; shape (k, d)."""
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        times = self.request.save_at
-        later = times[1:] if times[0] == 0 else times
-        if len(later) > self.request.max_steps:
-            message = f"{len(later)} evaluations needed, max_steps = {self.request.max_steps}"
+        needed = len(self.later)
+        if needed > self.request.max_steps:
+            message = f"{needed} evaluations needed, max_steps = {self.request.max_steps}"
             return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
-        y = self.states_at(y0, later)
-        if times[0] == 0:
-            y = np.concatenate([y0[None], y])
+        y = self.from_start(y0, self.states_at(y0, self.later))
         each = FREE_COST if "R" in self.request.carry else MOMENTUM_COST
-        return self.finished(y0, y, Counts(len(later), len(later) * each, 0, 0, "rotation"))
+        return self.finished(y0, y, Counts(needed, needed * each, 0, 0, "rotation"))
 
 
 class ExactPython(ExactRun):
@@ -71,7 +68,7 @@ class ExactPython(ExactRun):
         try:
             for t in times.tolist():
                 rows.append(scene.pack(evolved(scene, x, t, math)))
-        except (OverflowError, ZeroDivisionError, ValueError):  # Python's way to say inf or nan
+        except NO_NUMBER:
             rows.append([math.nan] * len(y0))
         return np.array(rows, dtype=float)
 
@@ -114,12 +111,11 @@ class ExactNumba(ExactRun):
         return y
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        scene, loop, d = self.request.scene, self.loop_of_one(tangent=True), len(y0)
+        loop, tangents, d = self.loop_of_one(tangent=True), self.tangents(y0), len(y0)
         rows, shapes = self.ahead(loop)
-        tangents = [scene.pack(v) for v in scene.tangents(scene.unpack(y0.tolist(), self.request.carry))]
         y = np.empty((len(shapes), len(tangents), 2 * d))
         for j, tangent in enumerate(tangents):
-            start = np.array([*y0, *tangent])
+            start = np.concatenate([y0, tangent])
             for k, shape in enumerate(shapes):
                 loop.module.run(start, rows, shape, y[k, j : j + 1])
         return y[:, :, d:].transpose(0, 2, 1)

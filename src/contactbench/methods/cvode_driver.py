@@ -15,7 +15,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from contactbench.methods.c_functions import JACOBIAN_CALLS, RHS_CALLS
-from contactbench.methods.cvode_library import NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
+from contactbench.methods.cvode_library import KNOWN, NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
 
 _found = library()
 assert isinstance(_found, Library), _found
@@ -80,10 +80,6 @@ def _jacobian(t, y, dy, J, user, work1, work2, work3):  # type: ignore[no-untype
 RHS, JACOBIAN = _rhs.address, _jacobian.address
 
 
-#: what both return, followed by the state reached
-FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
-
-
 @numba.njit(cache=True)
 def restart(memory, vector, y, start, data, end):  # type: ignore[no-untyped-def]
     """Back to t = 0 and a state; the calls counted from zero."""
@@ -96,7 +92,7 @@ def restart(memory, vector, y, start, data, end):  # type: ignore[no-untyped-def
 @numba.njit(cache=True)
 def told(memory, y, data, flag, reached, saved):  # type: ignore[no-untyped-def]
     """How a run ended and what it took, in the order of `FACTS`, and the state reached."""
-    facts = np.empty(7 + len(y))
+    facts = np.empty(KNOWN + len(y))
     count = np.zeros(3, np.int64)
     place = count.ctypes.data
     steps_of(memory, place)
@@ -104,7 +100,7 @@ def told(memory, y, data, flag, reached, saved):  # type: ignore[no-untyped-def]
     newton_failures_of(memory, place + 16)
     facts[0], facts[1], facts[2], facts[3] = flag, reached, saved, count[0]
     facts[4], facts[5], facts[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
-    facts[7:] = y
+    facts[KNOWN:] = y
     return facts
 
 
@@ -121,7 +117,7 @@ def to_end(memory, vector, y, start, data, end, max_steps):  # type: ignore[no-u
 @numba.njit(cache=True)
 def in_a_loop(memory, vector, y, starts, data, end, max_steps):  # type: ignore[no-untyped-def]
     """`to_end` for one start (n, d) after the other, a row each."""
-    out = np.empty((len(starts), 7 + starts.shape[1]))
+    out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
         out[k] = to_end(memory, vector, y, starts[k], data, end, max_steps)
     return out

@@ -22,6 +22,9 @@ ADAMS, BDF = 1, 2
 NORMAL, ONE_STEP = 1, 2
 #: results of CVode
 TOO_MUCH_WORK = -1
+#: what the compiled calls return of a run, followed by the state reached
+FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
+KNOWN = len(FACTS)
 
 
 #: what the library's file may be called

@@ -20,6 +20,7 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
 from contactbench.methods.c_functions import c_functions, derivative
+from contactbench.methods.cyrk_interface import KNOWN, why_not
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
@@ -29,8 +30,6 @@ from contactbench.solution import Counts, Status
 SUCCESS, TOO_MANY_STEPS = 1, (-52, -53)
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
-#: how many numbers about a run the compiled calls return before the state (cyrk_driver.FACTS)
-KNOWN = 5
 
 
 @dataclass
@@ -52,7 +51,6 @@ class CyrkRun(Prepared):
         self.number, self.message = cyrk_driver.number(self.solver), cyrk_driver.message
         self.to_end, self.at_times = cyrk_driver.to_end, cyrk_driver.at_times
         self.end, self.size = float(r.save_at[-1]), len(self._own_start)
-        self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
         self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
@@ -89,8 +87,7 @@ class CyrkRun(Prepared):
             steps -= 1  # CyRK counts the step that failed
         if saved < len(later):
             rows = rows[: int(saved)]
-        if len(later) < len(r.save_at):
-            rows = np.concatenate([y0[None], rows])
+        rows = self.from_start(y0, rows)
         counts = self.counted(int(steps), int(evaluations))
         if not self.final_only:
             counts = counts._replace(rejected=None)
@@ -137,8 +134,6 @@ class CyrkMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        from contactbench.methods.cyrk_interface import why_not
-
         why = why_not()
         if why:
             return Refused(self.name, request, why)

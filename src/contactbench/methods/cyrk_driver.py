@@ -16,7 +16,7 @@ from CyRK.nb import numba_c_api
 from numba import carray, types
 
 from contactbench.methods.c_functions import RHS_CALLS
-from contactbench.methods.cyrk_interface import GETTERS
+from contactbench.methods.cyrk_interface import GETTERS, KNOWN
 
 pointer, size, real, flag = types.intp, types.uintp, types.float64, types.boolean
 doubles = types.CPointer(types.float64)
@@ -64,17 +64,13 @@ def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type:
     )  # fmt: skip
 
 
-#: what both return, followed by the state reached
-FACTS = ("status", "reached", "saved", "steps", "evaluations")
-
-
 @numba.njit(cache=True)
 def told(result, d, saved):  # type: ignore[no-untyped-def]
     """How a run ended and what it took, in the order of `FACTS`, and the state reached; frees the result."""
-    facts = np.empty(5 + d)
+    facts = np.empty(KNOWN + d)
     facts[0], facts[1], facts[2], facts[3] = status_of(result), time_of(result), saved, steps_of(result)
     facts[4] = arguments_of(result)[RHS_CALLS]  # CyRK works on a copy of the data
-    facts[5:] = carray(state_of(result), (d,))
+    facts[KNOWN:] = carray(state_of(result), (d,))
     free(result)
     return facts
 
@@ -89,7 +85,7 @@ def to_end(rhs, method, start, data, end, rtol, atol, max_steps):  # type: ignor
 @numba.njit(cache=True)
 def in_a_loop(rhs, method, starts, data, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
     """`to_end` for one start (n, d) after the other, a row each."""
-    out = np.empty((len(starts), 5 + starts.shape[1]))
+    out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
         out[k] = to_end(rhs, method, starts[k], data, end, rtol, atol, max_steps)
     return out

@@ -10,6 +10,9 @@ _solve = (
     c_size_t, c_bool, c_void_p, c_size_t, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t, c_void_p, c_size_t,
     c_double, c_double, c_bool,
 )  # fmt: skip
+#: what the compiled calls return of a run, followed by the state reached
+FACTS = ("status", "reached", "saved", "steps", "evaluations")
+KNOWN = len(FACTS)
 #: getters of the result: ours → (its name in `CyRK.nb.numba_c_api`, its type in `CyRK.nb.numba_solver`)
 GETTERS = {
     "status": ("get_status_func_ptr", "int_func_sig"),

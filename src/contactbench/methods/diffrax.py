@@ -6,19 +6,18 @@ parameters traced (one program for all of them), `throw=False` with the result c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Outcome, Prepared, Refused, Request
 from contactbench.methods.compiled import CompiledRun, capacity
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
-
-#: a step this small against the span hardly moves the clock: the solver is at a singularity
-SHORTEST = 1e-15
 
 #: right-hand sides evaluated inside counted programs
 _calls = [0]
@@ -129,12 +128,16 @@ class DiffraxRun(CompiledRun):
     def counted_by_callback(self) -> int:
         """Right-hand sides of one run, counted from inside the compiled loop.
 
-        The implicit method needs it: diffrax does not report its Newton iterations.
+        The implicit method needs it: diffrax does not report its Newton iterations.  They do not depend on
+        what is saved, so that one program serves all runs; JAX keeps none with callbacks.
         """
         from contactbench.xla import jax
 
-        arguments = (self._own_start, self.fixed)
-        program, _ = self.compiled("count", partial(self._solve, counted=True), *arguments)
+        r, twin = self.request, copy(self)
+        twin.request, twin.final_only = replace(r, save_at=r.save_at[-1:]), True
+        fixed = twin.together(r.scene.numbers(), [r.rtol, r.atol], twin.times())
+        arguments = (self._own_start, jax.device_put(fixed))
+        program, _ = twin.compiled("count", partial(twin._solve, counted=True), *arguments)
         before = _calls[0]
         jax.block_until_ready(program(*arguments))
         jax.effects_barrier()
@@ -175,7 +178,11 @@ class DiffraxMethod(Adaptive):
         return 2 if self.stiff else None
 
     def prepare(self, request: Request) -> Prepared:
-        return DiffraxRun(self.name, request, self)
+        try:
+            return DiffraxRun(self.name, request, self)
+        except CannotRecord as why:
+            what = f"{self.name} on {request.scene.name!r} cannot be compiled"
+            return Refused(self.name, request, f"{what}: {why}")
 
 
 METHODS.add(DiffraxMethod("diffrax-tsit5", "Tsit5", 5, 6, "Tsitouras 5(4), explicit"))

@@ -15,6 +15,7 @@ from contactbench.methods.first_step import try_step
 from contactbench.methods.grid import default_times, long_enough, saved_times
 from contactbench.methods.step_map import StepMap
 from contactbench.scene import Scene, verify
+from contactbench.scenes import scene_of
 from contactbench.solution import Solution
 
 DEFAULT_MAX_STEPS = 10**8
@@ -25,13 +26,7 @@ MOST_STEPS = 10**14
 
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
     """Scene and method, each itself or by name, `UnknownName` with a suggestion otherwise."""
-    from contactbench.scenes import SCENES
-
-    if isinstance(scene, str):
-        scene = SCENES[scene]
-    if not isinstance(scene, Scene):
-        raise BadInput(f"scene = {shown(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
-    return scene, method if isinstance(method, Method) else METHODS[method]
+    return scene_of(scene), method if isinstance(method, Method) else METHODS[method]
 
 
 def prepare(
@@ -49,12 +44,15 @@ def prepare(
     """A solver compiled for a scene: ``run = prepare(…); run(); run(q=…, p=…)``.
 
     step : step size of a fixed-step method.  Steps never straddle a saved time: each interval
-        between saved times is divided into the fewest equal steps not longer than `step`.
+        between saved times, the last of which is the end, is divided into the fewest equal steps not longer
+        than `step`.  The steps taken may so be shorter, down to the distance of two saved times; the solution's
+        `step` is the longest one.
     rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
-        rtol instead of step chooses its step from pilots, which are part of every call and its counts.
-        An exact method takes neither.
+        rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
+        solution's `step_chosen` is that step.  An exact method takes neither.
     save_at : increasing times > 0 (a leading 0 is allowed); by default 0 and every k-th step, at
-        most 1001 of them, for fixed steps, and 201 equally spaced times for others.
+        most 1001 of them, for fixed steps, and 201 equally spaced times for others.  The counts of a fixed-step
+        method depend on them, since it starts afresh at each: with save_at=[t_end] it takes the fewest steps.
     carry : which of s and R to integrate; by default all the scene has.
     engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
         or a force that branches on values cannot be compiled.
@@ -74,9 +72,16 @@ def prepare(
             raise BadInput(f"step = {shown(step)}: {chosen.name} chooses its own steps; give rtol")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
     else:
-        if atol is not None or (step is None) == (rtol is None):
+        if step is not None and rtol is not None:
             raise BadInput(
-                f"{_given(step, rtol, atol)}: {chosen.name} has a fixed step; give step > 0, or rtol to have it chosen"
+                f"step = {shown(step)} and rtol = {shown(rtol)}: {chosen.name} takes one of them, a fixed step or "
+                "a tolerance to choose it from"
+            )
+        if atol is not None:
+            raise BadInput(f"atol = {shown(atol)}: {chosen.name} has a fixed step and takes no atol")
+        if step is rtol is None:
+            raise BadInput(
+                f"step is missing: {chosen.name} has a fixed step; give step, or rtol to have it chosen"
             )
         if step is None:
             rtol, _ = _tolerances(chosen, rtol, None)

@@ -27,9 +27,7 @@ class FixedStepRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        self.saves_start = r.save_at[0] == 0
-        self.marks = np.diff(r.save_at) if self.saves_start else np.diff(r.save_at, prepend=0.0)
-        self.ends = r.save_at[1:] if self.saves_start else r.save_at
+        self.marks = np.diff(self.later, prepend=0.0)
         self.first_step = self.method_.counts(r.scene, 1, r.carry)
         self.each_step = self.method_.per_step(r.scene, r.carry)
         self.kind = self.method_.kind_on(r.scene)
@@ -39,6 +37,7 @@ class FixedStepRun(Prepared):
         """Divide every interval into the fewest equal steps not longer than `step`."""
         self.n = self.division(step)
         self.h = self.marks / self.n
+        self.steps_taken = step, float(self.h.max())
         self.totals, self.needed = self.cost(self.n), total(self.n)
 
     def cost(self, n: np.ndarray) -> Counts:
@@ -53,7 +52,7 @@ class FixedStepRun(Prepared):
 
     def division(self, step: float) -> np.ndarray:
         """Steps in each interval when divided by `step`."""
-        spans = zip(self.marks.tolist(), self.ends.tolist(), strict=True)
+        spans = zip(self.marks.tolist(), self.later.tolist(), strict=True)
         return np.array([steps_in(span, step, until) for span, until in spans], dtype=np.int64)
 
     @abstractmethod
@@ -87,9 +86,7 @@ class FixedStepRun(Prepared):
             message = f"{needed} steps needed, max_steps = {r.max_steps}"
             return self.finished(y0, nothing, Counts(), Status.budget, message)
         y = self.intervals(y0, self.h, self.n)
-        if self.saves_start:
-            y = np.concatenate([y0[None], y])
-        out = self.finished(y0, y, self.totals)
+        out = self.finished(y0, self.from_start(y0, y), self.totals)
         return out if out.status is not Status.diverged else self._located(y0, out)
 
     def _located(self, y0: np.ndarray, out: Outcome) -> Outcome:

@@ -93,9 +93,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
         derivative = super().sensitivity(y0)[: len(self.n)]
         if not self.saves_start:
             return derivative
-        scene = self.request.scene
-        start = scene.unpack(tuple(y0.tolist()), self.request.carry)
-        return np.concatenate([np.array([scene.pack(v) for v in scene.tangents(start)]).T[None], derivative])
+        return np.concatenate([np.array(self.tangents(y0)).T[None], derivative])
 
     @cached_property
     def steps(self) -> tuple[Any, float]:

@@ -169,7 +169,7 @@ class Lowering:
         x = self.value(node.operand)
         if isinstance(node.op, ast.Not):
             return self.builder.not_(x)
-        return self.builder.neg(x) if x.type == self.whole else self.builder.fneg(x)
+        return self.builder.neg(x) if x.type == self.whole else self.builder.fneg(x, flags=CONTRACT)
 
     def _BoolOp(self, node: ast.BoolOp) -> Any:
         result, *rest = map(self.value, node.values)

@@ -124,11 +124,8 @@ class NumbaLoop(FixedStepRun):
         return y
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        r = self.request
+        r, d, tangents = self.request, len(y0), self.tangents(y0)
         loop = loop_of(self.method_, r.scene, r.carry, tangent=True)
-        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
-        tangents = [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
-        d = len(y0)
         columns = [self.states(loop, np.concatenate([y0, v]), self.h, self.n)[:, d:] for v in tangents]
         derivative = np.stack(columns, axis=-1)
         if not self.saves_start:

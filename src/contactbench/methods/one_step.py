@@ -20,7 +20,7 @@ from contactbench.numbers.source import PREAMBLE, needed
 from contactbench.scene import Scene
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OneStep:
     """``step(y, h, numbers=None, **parameters) -> y``: one step of size h from the packed state y.
 
@@ -34,6 +34,10 @@ class OneStep:
     scene: Scene
     method: StepMap
     carry: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """One line: of which method and scene, and what its arguments are."""
+        return f"<step map of {self.method.name} on {self.scene.name}: step(y, h), y = ({', '.join(self.labels)})>"
 
     @property
     def labels(self) -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactbench.methods.base import stopwatch
+from contactbench.methods.base import NO_NUMBER, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxSteps
 from contactbench.methods.numba_engine import NumbaLoop, program_of
@@ -16,9 +16,6 @@ from contactbench.methods.step_map import trajectory
 from contactbench.numbers.program import Program
 from contactbench.numbers.recording import CannotRecord
 from contactbench.numbers.source import executed_on_lists
-
-#: Python's way to say inf or nan
-NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
 
 Span = tuple[float, int]  #: a step size, and how many steps
 

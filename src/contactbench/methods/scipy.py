@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, NO_NUMBER, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
 from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
@@ -111,7 +111,7 @@ class ScipyRun(Prepared):
                 if due > len(rows):
                     interpolated += int(times[len(rows)] < solver.t)
                     rows.extend(self._dense(solver, times[len(rows) : due]))
-        except (OverflowError, ZeroDivisionError, ValueError, np.linalg.LinAlgError) as error:
+        except (*NO_NUMBER, np.linalg.LinAlgError) as error:
             reached = 0.0 if solver is None else solver.t
             status, message = Status.failed, f"{type(error).__name__}: {error} (t = {reached:.6g})"
         if solver is None:  # the right-hand side failed at the initial state

@@ -65,7 +65,7 @@ class ChosenStep(Prepared):
         message = out.message
         if out.status is Status.budget:
             message = f"{out.message} (step {step:.3g} for rtol = {self.request.rtol:g})"
-        return replace(out, counts=counts, message=message)
+        return replace(out, counts=counts, message=message, steps=self.run.steps_taken)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.run.divide(self.choose(y0)[0])

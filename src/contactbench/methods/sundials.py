@@ -15,20 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
+from contactbench.methods.base import (
+    METHODS,
+    NO_NUMBER,
+    SHORTEST,
+    Adaptive,
+    Outcome,
+    Prepared,
+    Refused,
+    Request,
+)
 from contactbench.methods.c_functions import c_functions, derivative
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
-from contactbench.methods.cvode_library import ADAMS, BDF, Library, library
+from contactbench.methods.cvode_library import ADAMS, BDF, KNOWN, TOO_MUCH_WORK, Library, library
 from contactbench.methods.cvode_solver import Solver
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord
 from contactbench.solution import Counts, Status
-
-TOO_MUCH_WORK = -1  # CV_TOO_MUCH_WORK
-#: a step this small against the span hardly moves the clock: the solver is at a singularity
-SHORTEST = 1e-15
-#: how many numbers about a run the compiled calls return before the state (cvode_driver.FACTS)
-KNOWN = 7
 
 
 @dataclass
@@ -79,7 +82,7 @@ class CvodeRun(Prepared):
         final_only = len(r.save_at) == 1
         try:
             rows, steps, result = (self._to_the_end if final_only else self._step_by_step)(solver, y0)
-        except (OverflowError, ZeroDivisionError, ValueError) as error:
+        except NO_NUMBER as error:
             message = f"{type(error).__name__}: {error}"
             return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
         status, message = Status.ok, ""
@@ -152,7 +155,6 @@ class CompiledCvodeRun(Prepared):
         )  # fmt: skip
         self.alone = Lock()  # one memory: calls from several threads take turns
         self.to_end, self.at_times = cvode_driver.to_end, cvode_driver.at_times
-        self.later = r.save_at[1:] if r.save_at[0] == 0 else r.save_at
         self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
@@ -190,8 +192,7 @@ class CompiledCvodeRun(Prepared):
             flag, reached, saved, steps, evaluations, jacobians, rejected = told[:KNOWN].tolist()
         if saved < len(later):
             rows = rows[: int(saved)]
-        if len(later) < len(r.save_at):
-            rows = np.concatenate([y0[None], rows])
+        rows = self.from_start(y0, rows)
         counts = Counts(int(steps), int(evaluations), int(jacobians), int(rejected))
         if flag >= 0:
             return self.finished(y0, rows, counts)

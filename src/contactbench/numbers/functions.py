@@ -18,16 +18,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from contactbench.boundary import FUNCTIONS
 from contactbench.numbers.dual import Dual, DualNumbers
 from contactbench.numbers.recording import Recorded, RecordedNumbers
 from contactbench.numbers.series import Series, SeriesNumbers
 
-#: of one argument, by their names in `math`; NumPy, JAX, mpmath and heyoka have them all
-NAMES = (
-    "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan",
-    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-)  # fmt: skip
-__all__ = [*NAMES, "atan2", "pi"]
+#: NumPy, JAX, mpmath and heyoka have them all
+NAMES = FUNCTIONS
+__all__ = [
+    "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "log", "pi", "sin", "sinh",
+    "sqrt", "tan", "tanh",
+]  # fmt: skip
 
 pi = math.pi
 
@@ -76,8 +77,12 @@ def _function(name: str) -> Callable[[Any], Any]:
     return function
 
 
-for _name in NAMES:
-    globals()[_name] = _function(_name)
+# one by one, so that a type checker knows them
+exp, log, sqrt = map(_function, ("exp", "log", "sqrt"))
+sin, cos, tan = map(_function, ("sin", "cos", "tan"))
+asin, acos, atan = map(_function, ("asin", "acos", "atan"))
+sinh, cosh, tanh = map(_function, ("sinh", "cosh", "tanh"))
+asinh, acosh, atanh = map(_function, ("asinh", "acosh", "atanh"))
 
 
 if TYPE_CHECKING:  # the functions made in the loop

@@ -18,14 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.recording import (
-    Block,
-    CannotRecord,
-    Recorded,
-    RecordedNumbers,
-    Tape,
-    recorded,
-)
+from contactbench.numbers.recording import Block, CannotRecord, Recorded, RecordedNumbers, Tape, recorded
 
 
 class Program(NamedTuple):

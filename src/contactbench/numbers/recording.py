@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
 from contactbench.numbers.nested import leaves, rebuilt
 
@@ -140,6 +141,15 @@ def _value_needed(what: str) -> Callable[..., Any]:
     return refuse
 
 
+def _comparison(sign: str) -> Callable[..., Any]:
+    def compare(self: Recorded, other: Any) -> Any:
+        if isinstance(other, Dual):
+            return NotImplemented
+        return self.tape.operation(f"{{0}} {sign} {{1}}", "b", self, other)
+
+    return compare
+
+
 class Recorded:
     """A value of the recorded program, known by its name there."""
 
@@ -198,28 +208,9 @@ class Recorded:
         return self.tape.operation("{0} ** {1}", "f", base, self)
 
     # -- truth values ------------------------------------------------------------------------------
-    def _compare(self, sign: str, other: Any) -> Any:
-        if isinstance(other, Dual):
-            return NotImplemented
-        return self.tape.operation(f"{{0}} {sign} {{1}}", "b", self, other)
-
-    def __eq__(self, other: Any) -> Any:
-        return self._compare("==", other)
-
-    def __ne__(self, other: Any) -> Any:
-        return self._compare("!=", other)
-
-    def __lt__(self, other: Any) -> Any:
-        return self._compare("<", other)
-
-    def __le__(self, other: Any) -> Any:
-        return self._compare("<=", other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self._compare(">", other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self._compare(">=", other)
+    __eq__ = _comparison("==")  # type: ignore[assignment]
+    __ne__ = _comparison("!=")  # type: ignore[assignment]
+    __lt__, __le__, __gt__, __ge__ = map(_comparison, ("<", "<=", ">", ">="))
 
     def __and__(self, other: Any) -> Any:
         return self.tape.operation("{0} and {1}", "b", self, other)
@@ -362,7 +353,16 @@ def recorded(function: Callable[[], Any]) -> Any:
     """What a function records; `CannotRecord` for whatever goes wrong in it."""
     try:
         return function()
-    except CannotRecord:
-        raise
+    except CannotRecord as error:
+        raise advised(error) from error.__cause__
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise CannotRecord(f"{type(error).__name__}: {error}") from error
+        raise advised(error) from error
+
+
+def advised(error: BaseException) -> CannotRecord:
+    """The reason, and what to write instead where that is known."""
+    if (advice := plain_function(error)) is not None:
+        return CannotRecord(f"{place(error)[2:]}: {advice}")
+    if isinstance(error, CannotRecord):
+        return error
+    return CannotRecord(f"{type(error).__name__}: {str(error).partition(chr(10))[0]}")

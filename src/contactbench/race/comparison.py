@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import pandas as pd
 from tqdm import tqdm
 
 from contactbench.errors import BadInput, finite, listed, positive, shown, switch
-from contactbench.measure.clock import Race
+from contactbench.measure.clock import FEWEST_ROUNDS, VISITS, Race
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import lookup
 from contactbench.race.keeping import expected, laws_at
@@ -23,9 +23,15 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
 #: by when, in parts of the budget, the reference, its check, the scouting and the laws are over
 REFERENCE, CHECK, SCOUTING, LAWS = 0.4, 0.42, 0.6, 0.8
+#: calls of a run in the shortest race: to warm up, and the rounds of each visit
+FEWEST_CALLS = 1 + VISITS * FEWEST_ROUNDS
 KINDS = ("compiled", "callbacks")
-#: seconds it takes XLA to compile an adaptive solver: without them it is not begun
-COMPILING = {"jax": 8.0}
+#: seconds that compiling the first method of an engine takes on an idle core: without them it is not begun
+COMPILING = {"jax": 5.0, "c++": 1.5}
+#: times as long on a loaded machine, at most, by what share of the time this process has had so far
+MOST_WAITING = 4.0
+#: what compiles so slowly begins when every other method is done or had this part of the budget
+PATIENCE = 0.03
 
 
 def compare(
@@ -48,9 +54,10 @@ def compare(
     Returns one row for each method and error, columns: scene, method, family, engine, kind, error_asked,
     setting, error_reached, time_s (median), evaluations (of the right-hand side, or what equals one), ratio (to
     the least time of its kind at that error), verdict (cheapest, tie, or ×ratio), laws_kept, a column for each
-    law, status, reason.  ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error:
-    smaller ones are not claimed), "margins" (by kind: the ratio up to which times are a tie, measured as A/A),
-    "runs" (every setting tried), "interrupted", "seconds".
+    law, status, reason (why a method got no further, or was not timed).  ``attrs``: "reference" (source, digits,
+    digits confirmed by a second engine, error: smaller ones are not claimed), "margins" (by kind: the ratio up to
+    which times are a tie, measured as A/A), "runs" (every setting tried), "unrefined" (methods without a last
+    search for a coarser setting), "interrupted", "seconds".
     Ctrl-C ends it with what there is.  Raises `BadInput`, also where no reference can be computed.
     """
     scene, _ = lookup(scene, next(iter(METHODS)))
@@ -79,17 +86,20 @@ class Comparison:
     def __init__(
         self, scene: Scene, methods: list[str], errors: tuple[float, ...], budget: float, progress: bool
     ) -> None:
-        self.begun, self.budget, self.methods = perf_counter(), budget, methods
+        self.begun, self.computed, self.budget = perf_counter(), process_time(), budget
         self.bar = tqdm(total=len(methods) + 3, disable=None if progress else True, unit="", leave=False)
         self.interrupted = False
         self.say("reference")
         truth = reference(scene, ends(scene), seconds=self.left(REFERENCE))
         self.question = Question(scene, truth, errors, budget)
+        self.compiling = dict(COMPILING)
         self.confirmed = confirmed(truth, self.left(CHECK))
         self.bar.update()
-        self.scouted: list[Scouted] = []
+        self.scouted = [Scouted(name, METHODS[name].engines[0]) for name in methods]
         self.chosen: dict[tuple[str, float], Attempt] = {}
         self.times: dict[int, dict[str, Any]] = {}
+        self.untimed: dict[int, str] = {}
+        self.unrefined: list[str] = []
         self.laws: dict[int, dict[str, float]] = {}
 
     def left(self, part: float) -> float:
@@ -107,35 +117,75 @@ class Comparison:
                 if self.interrupted:  # a second time: at once
                     break
                 self.interrupted = True
-                self.choose()
+                self.stop("interrupted", "interrupted before it was tried", "interrupted after")
             self.bar.update()
         self.bar.close()
-        self.fill_up()
-        made = table(self.question, self.scouted, self.chosen, self.times, self.laws)
+        made = table(self.question, self.scouted, self.chosen, self.times, self.laws, self.untimed)
         truth = self.question.truth
         made.attrs |= {
             "reference": {
                 "source": truth.source, "digits": truth.digits, "confirmed": self.confirmed,
                 "error": self.question.floor(),
             },
-            "interrupted": self.interrupted,
+            "unrefined": self.unrefined, "interrupted": self.interrupted,
             "seconds": perf_counter() - self.begun,
         }  # fmt: skip
         return made
 
     def scout_all(self) -> None:
-        """What compiles slowly comes last, and only while there is time."""
-        for name in sorted(self.methods, key=lambda name: COMPILING.get(METHODS[name].engines[0], 0)):
-            self.say(name)
-            item = METHODS[name]
-            if (
-                self.left(SCOUTING) < COMPILING.get(item.engines[0], 0)
-                and item.refuses(self.question.scene) is None
-            ):
-                self.scouted.append(Scouted(name, item.engines[0], why=("budget", "no time left for it")))
+        """The method that has had the least time is next, so that what a cheap one leaves goes to the others."""
+        turns = {}
+        for each in self.scouted:
+            if (why := METHODS[each.method].refuses(self.question.scene)) is not None:
+                each.why = ("unsupported", why)
             else:
-                self.scouted.append(scout(self.question, name, self.begun + SCOUTING * self.budget))
-            self.bar.update()
+                turns[each.method] = scout(self.question, each)
+        self.bar.update(len(self.scouted) - len(turns))
+        while turns and self.left(SCOUTING) > 0:
+            each = min((s for s in self.scouted if s.method in turns), key=self.waited)
+            self.say(each.method)
+            if not each.attempts and not self.compiles_in_time(each):
+                del turns[each.method]
+                continue
+            begun, first = perf_counter(), not each.attempts
+            if next(turns[each.method], self) is self:  # it is done
+                del turns[each.method]
+                self.bar.update()
+            each.spent += perf_counter() - begun - (each.compile_s if first else 0.0)
+            if first and each.engine in COMPILING:
+                self.compiling[each.engine] = max(each.compile_s, COMPILING[each.engine] / 2)
+        self.stop("budget", "no time was left to begin it", "no time was left after", set(turns))
+
+    def waited(self, each: Scouted) -> float:
+        """Seconds a method has had; what compiles slowly lets the others go first."""
+        begun = each.attempts or each.engine not in COMPILING
+        return each.spent if begun else PATIENCE * self.budget
+
+    def compiles_in_time(self, each: Scouted) -> bool:
+        """Whether there is time to compile it, by what the last one of its engine took or this machine's load."""
+        expected = self.compiling.get(each.engine, 0.0)
+        if expected and self.compiling[each.engine] == COMPILING[each.engine]:  # none of them yet
+            waiting = (perf_counter() - self.begun) / max(process_time() - self.computed, 0.1)
+            expected *= min(max(1.0, waiting), MOST_WAITING)
+        if expected <= self.left(SCOUTING):
+            return True
+        each.why = (
+            "budget",
+            f"compiling it takes about {expected:.2g} s, {self.left(SCOUTING):.2g} s were left",
+        )
+        return False
+
+    def stop(self, status: str, before: str, after: str, names: set[str] | None = None) -> None:
+        """Say of the methods that were not done how far they got, and choose from what there is."""
+        for each in self.scouted:
+            if each.why is None and (names is None or each.method in names):
+                last = each.finest()
+                if last is None:
+                    each.why = (status, before)
+                elif each.best(min(self.question.errors)) is None:
+                    each.why = (status, f"{after} {last.setting}, {each.spent:.2g} s of its own")
+                else:
+                    self.unrefined.append(each.method)
         self.choose()
 
     def choose(self) -> None:
@@ -146,16 +196,31 @@ class Comparison:
                     self.chosen[each.method, error] = best
 
     def time_all(self) -> None:
-        """A race for each kind of engine; the compiled first, which is soon over."""
+        """A race for each kind of engine; the compiled first, which is soon over.  The slowest are left out where
+        the fewest rounds of all would take longer than there is."""
         self.say("timing")
         kinds = {each.method: each.kind for each in self.scouted}
+        runs = {
+            kind: {id(a): a for (name, _), a in self.chosen.items() if kinds[name] == kind} for kind in KINDS
+        }
+        least = {kind: sum(FEWEST_CALLS * a.seconds for a in runs[kind].values()) for kind in KINDS}
         for kind in KINDS:
-            attempts = {id(a): a for (name, _), a in self.chosen.items() if kinds[name] == kind}
-            race = Race([bare(a) for a in attempts.values()])
+            kept = sum(
+                least[later] for later in KINDS[KINDS.index(kind) + 1 :]
+            )  # for those that are yet to come
+            given = max(self.left(1.0) - kept, self.left(1.0) / 2, 0.0)
+            seconds, fits = given, {}
+            for key, attempt in sorted(runs[kind].items(), key=lambda item: item[1].seconds):
+                seconds -= FEWEST_CALLS * attempt.seconds
+                if seconds < 0:
+                    self.untimed[key] = "too slow for the time that was left"
+                else:
+                    fits[key] = attempt
+            race = Race([bare(a) for a in fits.values()])
             try:
-                race.go(0.0 if self.interrupted else max(0.0, self.left(1.0)))
+                race.go(0.0 if self.interrupted else given)
             finally:
-                self.times |= {key: race.columns(i) for i, key in enumerate(attempts)}
+                self.times |= {key: race.columns(i) for i, key in enumerate(fits)}
 
     def measure_laws(self) -> None:
         """At the largest error first, so that there is something to say of every method; what is slow last."""
@@ -165,14 +230,6 @@ class Comparison:
             for each, chosen in sorted(reached, key=lambda pair: expected(*pair)):
                 if id(chosen) not in self.laws and not self.interrupted:
                     self.laws[id(chosen)] = laws_at(self.question, each, chosen, self.left(LAWS))
-
-    def fill_up(self) -> None:
-        """The methods it did not come to, in the order asked for."""
-        known = {each.method: each for each in self.scouted}
-        missing = ("interrupted", "interrupted before it was tried")
-        self.scouted = [
-            known.get(name) or Scouted(name, METHODS[name].engines[0], why=missing) for name in self.methods
-        ]
 
 
 def bare(attempt: Attempt) -> Any:

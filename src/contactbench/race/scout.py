@@ -31,8 +31,8 @@ BISECTIONS = 4
 FIRST_STEPS = {"compiled": 200_000, "callbacks": 5_000}
 #: half the step must give less than this part of the error, or it is round-off that is left
 STILL_BETTER = 0.7
-#: what a method may spend: the share of the whole budget, and the share of that of a single run
-METHOD_SHARE, RUN_SHARE = 0.06, 0.1
+#: what a single run may take, as a share of the whole budget
+RUN_SHARE = 0.006
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,8 @@ class Scouted:
     attempts: list[Attempt] = field(default_factory=list)
     why: tuple[str, str] | None = None
     compile_s: float = 0.0
+    #: seconds spent on it so far, compiling not counted
+    spent: float = 0.0
 
     @property
     def kind(self) -> str:
@@ -116,29 +118,23 @@ class Scouted:
         return min(reached, key=lambda a: a.work) if reached else None
 
     def finest(self) -> Attempt | None:
-        return self.attempts[-1] if self.attempts else None
+        return min(self.attempts, key=lambda a: a.value, default=None)
 
 
-def scout(question: Question, method: str, deadline: float) -> Scouted:
-    """Settings of a method until the smallest error is reached, the range ends, or its time is up."""
-    scene, item = question.scene, METHODS[method]
-    found = Scouted(method, item.engines[0])
-    if (why := item.refuses(scene)) is not None:
-        found.why = ("unsupported", why)
-        return found
-    limit = Limit(question, deadline)
+def scout(question: Question, found: Scouted) -> Iterator[None]:
+    """Settings of a method until the smallest error is reached or the range ends, one a turn."""
+    limit = Limit(question)
     try:
         for attempt in ladder(question, found, limit):
+            yield
             if attempt.ok and attempt.error <= min(question.errors):
                 break
             if attempt.status is Status.budget:
-                found.why = ("budget", f"{attempt.setting}: {attempt.message}, all there is time for")
-                break
-            if limit.over:
-                found.why = ("budget", f"no time for a setting finer than {attempt.setting}")
+                most = f"more than a run may take here, {limit.longest:.2g} s"
+                found.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
                 break
         for error in question.errors:
-            refine(question, found, limit, error)
+            yield from refine(question, found, limit, error)
     except Unsupported as reason:
         found.why = ("unsupported", str(reason))
     except UserError as error:
@@ -150,8 +146,6 @@ def scout(question: Question, method: str, deadline: float) -> Scouted:
         RuntimeError,
     ) as error:  # a compiler or a library that is not there
         found.why = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
-    found.attempts.sort(key=lambda attempt: -attempt.value)
-    return found
 
 
 class Unsupported(Exception):
@@ -161,22 +155,13 @@ class Unsupported(Exception):
 class Limit:
     """How many steps a run may take so that it stays within its share of the time."""
 
-    def __init__(self, question: Question, deadline: float) -> None:
-        self.last, self.longest = deadline, METHOD_SHARE * RUN_SHARE * question.budget
-        self.deadline = min(deadline, perf_counter() + METHOD_SHARE * question.budget)
+    def __init__(self, question: Question) -> None:
+        self.longest = RUN_SHARE * question.budget
         self.a_step: float | None = None
 
-    @property
-    def over(self) -> bool:
-        return perf_counter() > self.deadline
-
-    def extend(self, seconds: float) -> None:
-        """Compiling is not the fault of a setting."""
-        self.deadline = min(self.last, self.deadline + seconds)
-
-    def steps(self, kind: str) -> int:
-        if self.a_step is None:
-            return FIRST_STEPS[kind]
+    def steps(self, found: Scouted) -> int:
+        if self.a_step is None or found.engine == "jax":  # with another budget XLA would compile anew
+            return FIRST_STEPS[found.kind]
         return max(1000, int(self.longest / self.a_step))
 
     def learn(self, seconds: float, steps: int | None) -> None:
@@ -214,7 +199,7 @@ def attempt(question: Question, found: Scouted, limit: Limit, value: float) -> A
     options: dict[str, Any] = {**setting(item, value), "carry": carried(scene)}
     *earlier, end = question.times.tolist()
     start = perf_counter()
-    run = prepare(scene, found.method, save_at=[end], max_steps=limit.steps(found.kind), **options)
+    run = prepare(scene, found.method, save_at=[end], max_steps=limit.steps(found), **options)
     if isinstance(run, Refused):
         raise Unsupported(run.why)
     found.engine = run.request.engine
@@ -222,7 +207,6 @@ def attempt(question: Question, found: Scouted, limit: Limit, value: float) -> A
     if first:
         run()  # the first call of a program may compile yet
         found.compile_s = perf_counter() - start
-        limit.extend(found.compile_s)
     start = perf_counter()
     solution = run()
     seconds = perf_counter() - start
@@ -243,17 +227,18 @@ def attempt(question: Question, found: Scouted, limit: Limit, value: float) -> A
     return made
 
 
-def refine(question: Question, found: Scouted, limit: Limit, error: float) -> None:
+def refine(question: Question, found: Scouted, limit: Limit, error: float) -> Iterator[None]:
     """Bisect between the coarsest setting that is accurate enough and its coarser neighbour."""
     for _ in range(BISECTIONS):
         tried = sorted(found.attempts, key=lambda a: -a.value)
         fine = next((i for i, a in enumerate(tried) if a.ok and a.error <= error), None)
-        if not fine or limit.over:  # none is, or the coarsest of all
+        if not fine:  # none is, or the coarsest of all
             return
         value = between(question, METHODS[found.method], tried[fine - 1].value, tried[fine].value)
         if value is None:
             return
         attempt(question, found, limit, value)
+        yield
 
 
 def between(question: Question, item: Any, coarse: float, fine: float) -> float | None:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.cells import Cell, Head, Mark, View, marks, word
+from contactbench.measure.laws import LAWS
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
@@ -21,7 +22,6 @@ from contactbench.report.rooms import Part, Room, Text
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: of those that tie, so many are named
 NAMED = 4
-DASH = "—"
 
 
 def sentences(frame: pd.DataFrame) -> Iterator[str]:
@@ -47,12 +47,32 @@ def sentences(frame: pd.DataFrame) -> Iterator[str]:
     )
     margin = ", ".join(f"×{m:.2f} ({kind})" for kind, m in margins.items())
     yield f"Times within {margin} of the least are a tie: what two measurements of one run differ by here."
-    for (method, status, reason), _ in frame[frame["status"] != "ok"].groupby(
-        ["method", "status", "reason"], sort=False
-    ):
-        yield f"{method}: {status}: {reason}."
+    yield from cuts(frame)
+    if unrefined := frame.attrs["unrefined"]:
+        yield f"No time was left to look for a cheaper setting of {', '.join(unrefined)}."
+    unknown = [
+        method
+        for method, rows in frame[frame["status"] == "ok"].groupby("method", sort=False)
+        if not measured(rows).any()
+    ]
+    if unknown:
+        yield f"No time was left to measure the laws of {', '.join(unknown)}."
     if frame.attrs["interrupted"]:
         yield "Interrupted: this is what there was."
+
+
+def cuts(frame: pd.DataFrame) -> Iterator[str]:
+    """Which methods have no time at which errors, and why; those with one and the same reason together."""
+    missing = frame[frame["reason"] != ""]
+    said: dict[tuple[str, str, str], list[str]] = {}
+    for (method, status, reason), rows in missing.groupby(["method", "status", "reason"], sort=False):
+        everywhere = len(rows) == frame["error_asked"].nunique()
+        at = "" if everywhere else f" at {names([f'{error:g}' for error in rows['error_asked']])}"
+        said.setdefault((at, "not timed" if status == "ok" else str(status), str(reason)), []).append(
+            str(method)
+        )
+    for (at, status, reason), methods in said.items():
+        yield f"{names(methods)}{at}: {status}: {reason}."
 
 
 def cell(row: Any) -> Cell:
@@ -67,9 +87,20 @@ def cell(row: Any) -> Cell:
 
 
 def kept_by(rows: pd.DataFrame) -> str:
-    """The laws kept at every setting at which they were measured."""
-    sets = [set(text.split(", ")) - {""} for text in rows.loc[measured(rows), "laws_kept"]]
-    return (", ".join(sorted(set.intersection(*sets))) or "none") if sets else "not measured"
+    """The laws kept at every setting at which they were measured, and those that there was no time for."""
+    done = rows[measured(rows)]
+    if done.empty:
+        return "not measured"
+    kept, unknown = [], []
+    for law in (LAWS[name] for name in rows.columns if name in LAWS):
+        label, known = law.label or law.name, done.loc[done[law.name].notna(), "laws_kept"]
+        if known.empty and law.differentiates:
+            unknown.append(label)
+        elif len(known) and all(label in text.split(", ") for text in known):
+            kept.append(label)
+    if unknown:
+        return f"{', '.join(kept)}{'; ' if kept else ''}not measured: {', '.join(unknown)}"
+    return ", ".join(kept) or "none"
 
 
 def measured(rows: pd.DataFrame) -> pd.Series:
@@ -92,7 +123,7 @@ def view(frame: pd.DataFrame, kind: str) -> View:
         rows.append((word(method), *cells, *work, word(kept_by(part))))
     heads = (
         Head("method", words=True),
-        *(Head(f"{error:g}", words=True, group="time at error") for error in errors),
+        *(Head(f"{error:g}", group="time at error") for error in errors),
         *(Head(f"{error:g}", group="evaluations at error") for error in errors),
         Head("laws kept to round-off", words=True),
     )
@@ -104,7 +135,22 @@ def view(frame: pd.DataFrame, kind: str) -> View:
 
 def views(frame: pd.DataFrame) -> list[View]:
     found = [view(frame, kind) for kind in TITLES if (frame["kind"] == kind).any()]
-    return [each for each in found if each.rows]
+    return [each for each in [*found, settings(frame)] if each.rows]
+
+
+def settings(frame: pd.DataFrame) -> View:
+    """At which setting each method reaches each error, and the error it has there."""
+    rows = []
+    for method, part in frame[frame["status"] == "ok"].groupby("method", sort=False):
+        reached = {
+            row.error_asked: f"{row.setting}, {scientific(row.error_reached)}" for row in part.itertuples()
+        }
+        rows.append(
+            (word(str(method)), *(word(reached.get(error, DASH)) for error in frame["error_asked"].unique()))
+        )
+    heads = (Head("method", words=True), *(Head(f"{e:g}") for e in frame["error_asked"].unique()))
+    meaning = "The setting of each time above, and the error reached with it."
+    return View("race_settings", "Setting, and error reached", meaning, heads, tuple(rows))
 
 
 #: an axis of costs ends at so many times the least cost of the smallest error: what is dearer is no contest
@@ -122,9 +168,8 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     tried = pd.DataFrame(frame.attrs["runs"])
     panels = []
     for kind, title in TITLES.items():
-        part = frame[(frame["kind"] == kind) & frame["time_s"].notna()].sort_values(
-            "error_reached", ascending=False, kind="stable"
-        )
+        timed = frame[(frame["kind"] == kind) & frame["time_s"].notna()]
+        part = front(timed, "error_reached", "time_s")
         if len(part):
             curves = by_method(part, "error_reached", "time_s", scale=1e3)
             best = best_of_each(curves, cheapest)
@@ -133,7 +178,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     if len(tried) and (tried["status"] == "ok").any():
         ok = tried[(tried["status"] == "ok") & tried["evaluations"].notna()].copy()
         ok["error"] = np.maximum(ok["error"], frame.attrs["reference"]["error"])
-        curves = by_method(ok.sort_values("value", ascending=False, kind="stable"), "error", "evaluations")
+        curves = by_method(front(ok, "error", "evaluations"), "error", "evaluations")
         cost = ending("evaluations", ok["error"], ok["evaluations"])
         panels.append(Panel("Evaluations", number_axis("error", True), cost, best_of_each(curves, cheapest)))
     if not panels:
@@ -141,6 +186,16 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     scene = frame["scene"].iloc[0]
     caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
     return Figure(f"compare_{scene}", f"{scene}: cost against error", tuple(panels), caption)
+
+
+def front(tried: pd.DataFrame, error: str, cost: str) -> pd.DataFrame:
+    """Of each method the runs that no cheaper one is as accurate as, from coarse to fine: what an error costs.
+
+    Settings too coarse for the order to show are accurate by chance, or not; joined by lines they tell nothing.
+    """
+    ordered = tried.sort_values([cost, error], kind="stable")
+    best = ordered.groupby("method")[error].transform(lambda errors: errors.cummin().shift(fill_value=np.inf))
+    return ordered[ordered[error] < best]
 
 
 def parts(frame: pd.DataFrame) -> tuple[Part, ...]:
@@ -153,12 +208,18 @@ def laws_view(frame: pd.DataFrame) -> View:
     laws = list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
     rows = [
         (
-            word(row["method"]), word(f"{row['error_asked']:g}"), word(row["setting"]),
+            word(row["method"]), Cell(f"{row['error_asked']:g}", row["error_asked"]), word(row["setting"]),
             *(Cell(scientific(row[law]), row[law]) if pd.notna(row[law]) else Cell(DASH) for law in laws),
         )
         for _, row in frame[frame["status"] == "ok"].iterrows()
     ]  # fmt: skip
-    heads = (Head("method", words=True), Head("error"), Head("setting", words=True), *map(Head, laws))
+    labels = {law: LAWS[law].label if law in LAWS else law.replace("_", " ") for law in laws}
+    heads = (
+        Head("method", words=True),
+        Head("error"),
+        Head("setting", words=True),
+        *map(Head, labels.values()),
+    )
     return View("race_laws", "Laws", "Deviations over the run, at five times.", heads, tuple(rows))
 
 
@@ -172,10 +233,12 @@ def html(frame: pd.DataFrame) -> str:
 def text(frame: pd.DataFrame) -> str:
     """For a terminal."""
     blocks = []
+    meanings = {f"race_{kind}": "time at each error, then evaluations" for kind in TITLES}
+    meanings["race_settings"] = "for each time above"
     for each in views(frame):
         lines = [[*(head.label for head in each.columns)], *([c.text for c in row] for row in each.rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        titled = [each.title + ": time (and evaluations) at each error"]
+        titled = [f"{each.title}: {meanings[each.name]}"]
         for line in lines:
             titled.append("  ".join(t.ljust(w) for t, w in zip(line, widths, strict=True)).rstrip())
         blocks.append("\n".join(titled))

@@ -27,6 +27,7 @@ def table(
     chosen: dict[tuple[str, float], Attempt],
     times: dict[int, dict[str, Any]],
     laws: dict[int, dict[str, float]],
+    untimed: dict[int, str],
 ) -> pd.DataFrame:
     """One row for each method and error asked; the margins and every run in ``attrs``."""
     rows = []
@@ -38,6 +39,7 @@ def table(
                 "scene": question.scene.name, "method": each.method, "family": METHODS[each.method].family,
                 "engine": each.engine, "kind": each.kind, "error_asked": error,
                 **(reached(question, attempt) if attempt else unreached(question, each, error)),
+                **({"reason": untimed[id(attempt)]} if id(attempt) in untimed else {}),
                 "time_s": timed.get("time_median_s", math.nan),
                 "time_repeat_ratio": timed.get("time_repeat_ratio", math.nan), **kept_at,
             })  # fmt: skip
@@ -92,13 +94,20 @@ def verdicts(frame: pd.DataFrame, margins: dict[Any, float]) -> list[str]:
     ]
 
 
-def runs(scouted: list[Scouted]) -> list[dict[str, Any]]:
+class Runs(tuple):
+    """Rows that are not copied: pandas makes a deep copy of all ``attrs`` in every operation on a frame."""
+
+    def __deepcopy__(self, memo: object) -> Runs:
+        return self
+
+
+def runs(scouted: list[Scouted]) -> Runs:
     """Every setting tried."""
-    return [
+    return Runs(
         {
             "method": each.method, "engine": each.engine, "kind": each.kind, "setting": a.setting, "value": a.value,
             "status": str(a.status), "message": a.message, "error": a.error,
             "evaluations": math.nan if a.counts.rhs_equivalents is None else a.counts.rhs_equivalents,
         }
-        for each in scouted for a in each.attempts
-    ]  # fmt: skip
+        for each in scouted for a in sorted(each.attempts, key=lambda a: -a.value)
+    )  # fmt: skip

@@ -96,18 +96,16 @@ def marks(*those: Mark | None) -> frozenset[Mark]:
     return frozenset(mark for mark in those if mark is not None)
 
 
-def word(text: object, *those: Mark | None, link: str = "", hint: str = "") -> Cell:
+def word(text: object, *those: Mark | None, link: str = "") -> Cell:
     """Words; a missing value is an empty cell."""
     missing = text is None or (not isinstance(text, str) and pd.isna(text))
-    return Cell("" if missing else str(text), marks=marks(*those), link=link, hint=hint)
+    return Cell("" if missing else str(text), marks=marks(*those), link=link)
 
 
-def number(
-    value: float | None, show: Callable[[float], str], *those: Mark | None, blank: str = DASH, hint: str = ""
-) -> Cell:
+def number(value: float | None, show: Callable[[float], str], *those: Mark | None, hint: str = "") -> Cell:
     """A number as `show` writes it, sorted by itself; infinite ones sort beyond all finite ones."""
     if value is None or pd.isna(value):
-        return Cell(blank, hint=hint)
+        return Cell(DASH, hint=hint)
     value = float(value)
     if math.isinf(value):
         text, value = ("∞" if value > 0 else "−∞"), math.copysign(sys.float_info.max, value)

@@ -132,5 +132,5 @@ def sections(frames: Frames) -> list[Part]:
 
 ROOMS.add(
     Room("claims", "The paper's claims, measured", "every checkable claim of the paper with its verdict", 70,
-         ("claims", "paper_figures"), sections, findings)
+         ("claims", "paper_figures"), sections, findings, tab="Claims")
 )  # fmt: skip

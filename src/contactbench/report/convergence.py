@@ -107,5 +107,14 @@ def sections(frames: Frames) -> list[Part]:
 
 
 ROOMS.add(
-    Room("convergence", "Order of convergence", "measured orders", 30, ("convergence",), sections, findings)
-)
+    Room(
+        "convergence",
+        "Order of convergence",
+        "measured orders",
+        30,
+        ("convergence",),
+        sections,
+        findings,
+        tab="Order",
+    )
+)  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.drawing import Axis, Curve, Span
+from contactbench.results.round_off import STRUCTURE
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17
@@ -19,8 +20,8 @@ def number_axis(label: str, inverted: bool = False) -> Axis:
     return Axis(label.partition(";")[0], "log", inverted)
 
 
-def round_off(axis: Literal["x", "y"], high: float = 1e-12) -> Span:
-    return Span(axis, FLOOR, high, "round-off")
+def round_off(axis: Literal["x", "y"]) -> Span:
+    return Span(axis, FLOOR, STRUCTURE, "round-off")
 
 
 def floats(values: Iterable[Any]) -> tuple[float, ...]:

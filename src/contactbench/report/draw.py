@@ -296,8 +296,14 @@ def drawn(figure: Figure) -> Drawn:
             keyed = {plain(label): handle for label, handle in left_over.items()}
             keyed |= dict(zip(names, handles, strict=True))
             if len(keyed) > 1:
+                corner = panel.heat is not None and np.isnan(panel.heat.values[-1][0])
                 axes.legend(
-                    list(keyed.values()), list(keyed), loc="best", fontsize=8, frameon=True, edgecolor="none"
+                    list(keyed.values()),
+                    list(keyed),
+                    loc="upper left" if corner else "best",
+                    fontsize=8,
+                    frameon=True,
+                    edgecolor="none",
                 )
         made.suptitle(plain(figure.title), y=1 - 0.08 / height, va="top", fontsize=12)
         if unnamed:

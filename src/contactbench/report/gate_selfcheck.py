@@ -77,5 +77,5 @@ def sections(frames: Frames) -> list[Part]:
 
 ROOMS.add(
     Room("gate_selfcheck", "The regression gate, checked", "its false-alarm rate and its sensitivity", 80,
-         ("gate_selfcheck",), sections, findings)
+         ("gate_selfcheck",), sections, findings, tab="Gate")
 )  # fmt: skip

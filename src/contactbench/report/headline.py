@@ -14,24 +14,20 @@ import pandas as pd
 
 from contactbench.report import damping, equal_cost, work_precision
 from contactbench.report.cells import View
-from contactbench.report.contest import COMPILED, EVALUATIONS, KINDS, TARGETS, Field, reasons
-from contactbench.report.contest_views import duel_view, losses_view, winners_view
+from contactbench.report.contest import EVALUATIONS, KINDS, Field, reasons
+from contactbench.report.contest_views import losses_view, winners_view
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, rooms, spoken
 
 UNITS = "All quantities are dimensionless, as in the paper; only times are in seconds."
 SOURCES = "work_precision.csv, stability.csv"
-#: scenes whose costs stand in the project's README
-DUELS = ("particle_long", "rigid_body")
-#: the findings that stand there
-EXCERPT = (
-    "law_momentum_law",
-    "law_contact_drift",
-    "order",
-    "cost_evaluations",
-    "cost_compiled",
-    "cost_marginal",
-    "claims",
-)
+#: the findings that stand in the project's README, and of how many sentences each there
+EXCERPT = {
+    "law_momentum_law": 2,
+    "law_contact_drift": 2,
+    "cost_evaluations": 1,
+    "cost_compiled": 1,
+    "claims": 1,
+}
 GLANCE = (
     "Every method at the same number of evaluations, or as near to it as its steps and tolerances allow; the largest "
     "deviation over the run. Bold: at round-off. How each column is taken stands "
@@ -90,22 +86,17 @@ def glance(frames: Frames) -> tuple[View, ...]:
 
 
 def excerpt(frames: Frames) -> list[Part]:
-    """What the project's README says of the results: what a reader wants first, the rest by its address."""
-    work = frames["work_precision"]
-    first = [finding for finding in all_findings(frames) if finding.name in EXCERPT]
-    parts: list[Part] = [
+    """What the project's README says of the results: a few sentences, then the table of the laws."""
+    found = {finding.name: finding for finding in all_findings(frames)}
+    brief = [
+        f"**{found[name].title}.** {'. '.join(found[name].sentence.split('. ')[:first]).rstrip('.')}."
+        for name, first in EXCERPT.items() if name in found
+    ]  # fmt: skip
+    return [
+        Text(items=tuple(brief)),
         *(replace(view, meaning=GLANCE) for view in glance(frames)),
         Text(UNITS),
-        spoken(first, elsewhere="#what-was-found"),
     ]
-    for kind in (COMPILED,):
-        field = Field(work, kind) if len(work) else None
-        views = [
-            duel_view(field, scene, work_precision.SOURCE, TARGETS)
-            for scene in DUELS if field is not None and scene in field.contested
-        ]  # fmt: skip
-        parts += [replace(view, meaning="") if n else view for n, view in enumerate(views)]
-    return parts
 
 
 def fields(frames: Frames) -> list[Field]:

@@ -46,9 +46,9 @@ def laws(table: Table, view: str = "laws") -> dict[str, Column]:
     return {name: column for name, column in table.columns.items() if view in column.shown}
 
 
-def structural(table: Table = LAWS_TABLE) -> dict[str, Column]:
+def structural() -> dict[str, Column]:
     """The laws of the map itself that a method either keeps or does not, whatever its error."""
-    return {n: c for n, c in laws(table).items() if c.rule is Rule.structure and not n.endswith(FROZEN)}
+    return {n: c for n, c in laws(LAWS_TABLE).items() if c.rule is Rule.structure and not n.endswith(FROZEN)}
 
 
 def at_equal_cost() -> list[str]:

@@ -71,13 +71,17 @@ def sections(frames: Frames) -> list[Part]:
     parts.append(Section("Law by law, over all settings", (*ranges, *([drawn] if drawn else []))))
     time = frames["laws_time"]
     scenes = dict.fromkeys(time[time["status"] == "ok"]["scene"]) if len(time) else {}
-    parts += [Section(f"Along time: {s}", (figures.along_time(time, s),), choice="scene") for s in scenes]
+    along = [
+        Section(str(s), (figures.along_time(time, s),), choice="scene", anchor=f"along-time-{s}")
+        for s in scenes
+    ]
+    parts += [Section("Along time", tuple(along))] if along else []
     return [*parts, raw(LAWS_TABLE, frames["laws"])]
 
 
 ROOMS.add(
     Room(
         "laws", "Decay laws and drifts", "which methods preserve the laws, law by law and at equal cost", 20,
-        ("laws", "decay_laws", "laws_time", "convergence", "stability"), sections, findings,
+        ("laws", "decay_laws", "laws_time", "convergence", "stability"), sections, findings, tab="Laws",
     )
 )  # fmt: skip

@@ -114,8 +114,8 @@ def text(item: Text, depth: int = 0) -> str:
     return "\n\n".join(filter(None, [without_html(item.body), lines]))
 
 
-def figure(item: Figure, depth: int, folder: str = "figures") -> str:
-    shown = f"![{escaped(item.title)}]({folder}/{item.name}.svg)"
+def figure(item: Figure, depth: int) -> str:
+    shown = f"![{escaped(item.title)}](figures/{item.name}.svg)"
     return f"{shown}\n\n{without_html(item.caption)}" if item.caption else shown
 
 

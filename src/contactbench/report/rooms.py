@@ -90,6 +90,7 @@ class Room:
     name : its document is NAME.md (README.md for the headline).  about : a line for the list of documents.
     tables : what it reads; it has something to say when the first has rows.
     order : its place.
+    tab : its title in a word, for a row of links.
     sections(frames) : its parts.  findings(frames) : its computed sentences, for itself and the headline.
     """
 
@@ -101,6 +102,7 @@ class Room:
     sections: Callable[[Frames], Sequence[Part]]
     findings: Callable[[Frames], Sequence[Finding]] = field(default=lambda frames: ())
     document: str = ""
+    tab: str = ""
 
     @property
     def file(self) -> str:

@@ -121,8 +121,8 @@ def left_out(rows: pd.DataFrame) -> str:
     return f"Out of reach of {'; '.join(why)}." if why else ""
 
 
-def shortened(text: str, most: int = 90) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
+def shortened(text: str) -> str:
+    return text if len(text) <= 90 else text[:89] + "…"
 
 
 def condition_note(part: pd.DataFrame) -> str:
@@ -202,6 +202,6 @@ def sections(frames: Frames) -> list[Part]:
 ROOMS.add(
     Room(
         "stability", "Numerical stability on hard scenes", "how every method ends on the hard scenes, at what error",
-        50, ("stability",), sections, findings,
+        50, ("stability",), sections, findings, tab="Hard scenes",
     )
 )  # fmt: skip

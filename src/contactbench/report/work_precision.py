@@ -151,6 +151,6 @@ def sections(frames: Frames) -> list[Part]:
 ROOMS.add(
     Room(
         "work_precision", "Cost at equal error", "time and evaluations at equal error, scene by scene",
-        40, ("work_precision",), sections, findings,
+        40, ("work_precision",), sections, findings, tab="Cost",
     )
 )  # fmt: skip

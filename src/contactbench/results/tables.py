@@ -379,7 +379,10 @@ GATE_SELFCHECK = table(
     {
         "part": Column("accuracy or speed"),
         "planted": Column("what was changed in the code the gate judges"),
-        "condition": Column("what else the machine did: idle, or a busy loop on all cores but one"),
+        "condition": Column(
+            "what was done beside it: as it was, no more than the machine did anyway; loaded, a busy loop on all "
+            "cores but one"
+        ),
         "wanted": Column(
             "how many of the runs should be red: none, all, 19 in 20; or not seen, which it does not claim to find",
             ungated=OF_THE_GATE,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contactbench.errors import Registry
+from contactbench.errors import BadInput, Registry, shown
 from contactbench.scene import Scene
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
@@ -10,6 +10,15 @@ from contactbench.scenes.standard import STANDARD
 SCENES = Registry("scene", Scene)
 for _scene in (*STANDARD, *HARD):
     SCENES.add(_scene)
+
+
+def scene_of(scene: object) -> Scene:
+    """A scene, itself or by name; `UnknownName`, a `BadInput`, with a suggestion otherwise."""
+    if isinstance(scene, str):
+        return SCENES[scene]
+    if not isinstance(scene, Scene):
+        raise BadInput(f"scene = {shown(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
+    return scene
 
 
 def standard_scenes() -> list[Scene]:

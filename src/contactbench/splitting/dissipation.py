@@ -12,6 +12,7 @@ for round-off where Γ'h is below one (measured in the tests).
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,15 @@ import numpy as np
 from contactbench.numbers.control import choose, plain, scan
 
 NODES, ITERATIONS = 16, 6
-_X, _W = np.polynomial.legendre.leggauss(NODES)
-#: of the rule on [0, 1]
-POINTS, WEIGHTS = ((1 + _X) / 2).tolist(), (_W / 2).tolist()
 #: parts of a step, each with a rate r of its own
 PANELS = 2
+
+
+@cache
+def rule() -> tuple[list[float], list[float]]:
+    """Points and weights of Gauss's rule on [0, 1]; computed when first used."""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    return ((1 + x) / 2).tolist(), (w / 2).tolist()
 
 
 def damped_by(r: Any, tau: Any, xp: Any) -> Any:
@@ -62,7 +67,7 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
         """The integral of k up to tau."""
         if hasattr(xp, "quad"):
             return xp.quad(pace, [0, tau])
-        return tau * sum(w * pace(tau * x) for x, w in zip(POINTS, WEIGHTS, strict=True))
+        return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
 
     def nearer(tau: Any) -> Any:
         return tau - (spent(tau) - h) / pace(tau)

@@ -353,9 +353,7 @@ BODY = {
     "free": Flow(_plain, free, FREE_COSTS),
     "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
 }
-ISOTROPIC = BODY | {
-    "free_damp": Flow(_free_damp_constants, free_damp, FREE_COSTS, linear_log_factor),
-}
+ISOTROPIC = BODY | {"free_damp": Flow(_free_damp_constants, free_damp, FREE_COSTS, linear_log_factor)}
 
 
 FLOWS = {

@@ -78,7 +78,7 @@ def spoken(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reference:
     """The true states of a scene at given times.
 
@@ -95,6 +95,11 @@ class Reference:
     decimals: list[list[str]]
     digits: int
     source: str
+
+    def __repr__(self) -> str:
+        """One line: of what, how much of it, how well it is known."""
+        what = f"{len(self.t)} states to t = {self.t.max():g}, {self.digits} digits, {self.source}"
+        return f"<Reference of {self.scene.name}: {what}>"
 
     def states(self) -> Any:
         """The states as one NamedTuple of arrays over time."""

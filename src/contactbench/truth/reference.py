@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.boundary import place as place_of
+from contactbench.boundary import plain_function
 from contactbench.errors import BadInput, is_real, one_line, shown
 from contactbench.scene import Scene, verify
+from contactbench.scenes import scene_of
 from contactbench.truth.base import NEVER, BlowUp, Reference, checked_times, digest
 from contactbench.truth.closed_form import closed_form, closed_form_columns
 from contactbench.truth.digits import (
@@ -42,9 +45,9 @@ _cache: dict[Any, Reference] = {}
 
 
 def reference(
-    scene: Scene, times: Any, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
+    scene: Scene | str, times: Any, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
 ) -> Reference:
-    """The truth of a scene at `times` (k,), any order, t ≥ 0; `carry` as in `solve`, default all.
+    """The truth of a scene, itself or by name, at `times` (k,), any order, t ≥ 0; `carry` as in `solve`.
 
     seconds : how long a live computation may take; it ends sooner where it is seen to need far more.
     A time within 4 units in the last place of a frozen grid time means that grid time.
@@ -52,8 +55,7 @@ def reference(
     computed: the trajectory blows up before the last time, or too few digits can be had; `OutOfTime`, one of
     them, when it would take too long.
     """
-    if not isinstance(scene, Scene):
-        raise BadInput(f"scene = {shown(scene)}: must be a scene, as in SCENES['particle']")
+    scene = scene_of(scene)
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
         raise BadInput(f"seconds = {shown(seconds)}: must be a number")
     carry = scene.carry(carry)
@@ -126,9 +128,9 @@ def computations(
     except BadInput:
         raise
     except Exception as error:
+        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, 150)}"
         raise BadInput(
-            f"no reference for scene {scene.name!r}: its equations fail in high precision "
-            f"({type(error).__name__}: {one_line(error, 150)})"
+            f"no reference for scene {scene.name!r}: its equations fail in high precision{place_of(error)}: {says}"
         ) from error
 
 

@@ -64,8 +64,8 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
 
 
 def with_mathtext(label: str) -> str:
-    """Powers as mathtext."""
-    return re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", label)
+    """Powers and H0 as mathtext."""
+    return re.sub(r"\bH0\b", "$H_0$", re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", label))
 
 
 def kinds_told(rows: pd.DataFrame, found: Iterable[Curve]) -> tuple[Curve, ...]:
@@ -92,6 +92,10 @@ def on_sphere(letter: str, title: str, view: tuple[float, float]) -> Shape:
     return Shape(title, axes["x"], axes["y"], {"z": axes["z"], "sphere": True, "equal": True, "view": view})
 
 
+#: the shades of motions near axes 1, 2, 3: far apart
+NEAR_AXIS = (1, 4, 3)
+
+
 def angles(rows: pd.DataFrame) -> Iterator[Panel]:
     """The angle of M with the axis it started near, against ‖M‖, which falls as e^{−γt}."""
     found: list[Curve] = []
@@ -101,7 +105,7 @@ def angles(rows: pd.DataFrame) -> Iterator[Panel]:
         cosine = np.clip(M[:, int(str(name)[-1]) - 1] / size, -1, 1)
         found.append(
             Curve(tuple(size / size[0]), tuple(np.degrees(np.arccos(cosine))), str(name),
-                  role=f"shade {len(found) + 1}", markers=False)
+                  role=f"shade {NEAR_AXIS[len(found) % 3]}", markers=False)
         )  # fmt: skip
     degrees = Axis("angle of M with its first axis, degrees", limits=(0.0, 185.0))
     yield Panel(
@@ -132,7 +136,7 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
         lines = (c for c in curves(rows[rows["curve"] != "growth rate"], str(panel)))
         yield Panel(
             f"rotation about {panel}", Axis(labels[0]), Axis(labels[1]),
-            tuple(replace(c, label="criterion") for c in lines), heat=heat, equal=slice_ != "full",
+            tuple(replace(c, label="criterion") for c in lines), heat=heat,
         )  # fmt: skip
 
 
@@ -158,17 +162,19 @@ PLANS = {
     "paper_7": Plan(
         "2-DOF particle, γ = 0.1, T = 20 (figure 7, corrected)",
         {
-            "energy": Shape("energy at h = 0.01", Axis("t"), Axis("H0", "log")),
-            "ratio": Shape("it is no exponential", Axis("t"), Axis("H0 / (H0(0) exp(−γt)) − 1")),
-            "convergence": Shape("convergence", Axis("step size h", "log"), Axis("max |H0 − H0*| over [0, T]", "log")),
+            "energy": Shape("energy at h = 0.01", Axis("t"), Axis("$H_0$", "log")),
+            "ratio": Shape("$H_0$ does not decay exponentially", Axis("t"), Axis("$H_0 / (H_0(0) e^{-γt}) - 1$")),
+            "convergence": Shape(
+                "convergence", Axis("step size h", "log"), Axis(r"max $|H_0 - H_0^\ast|$ over [0, T]", "log")
+            ),
         },
     ),
     "paper_8": Plan(
         "contact-printed on the 2-DOF particle, h = 0.01 (figure 8, corrected)",
         {
             "phase": Shape("phase portrait: the γ = 0 orbit does not close", Axis("q₁"), Axis("p₁"), {"equal": True}),
-            "energy": Shape("energy", Axis("t"), Axis("H0")),
-            "bounded": Shape("energy error at γ = 0: bounded", Axis("t"), Axis("H0 / H0(0) − 1")),
+            "energy": Shape("energy", Axis("t"), Axis("$H_0$")),
+            "bounded": Shape("energy error at γ = 0: bounded", Axis("t"), Axis("$H_0 / H_0(0) - 1$")),
         },
     ),
     "paper_stability": Plan("Rotations in ker D, I = (1, 2, 3), $\\Vert M_*\\Vert = 1$", {}, "Red: unstable.", growth),
@@ -194,14 +200,15 @@ def figure(name: str, rows: pd.DataFrame) -> Figure:
         if "rate" in there:
             found = kinds_told(rows, found)
         if panel == "momentum":  # each by its own colour, as in the panel of angles
-            found = tuple(replace(c, role=f"shade {n + 1}") for n, c in enumerate(found))
+            found = tuple(replace(c, role=f"shade {NEAR_AXIS[n % 3]}") for n, c in enumerate(found))
         if shape.more.get("z") is None:
             found = tuple(replace(c, z=()) for c in found)
         panels.append(Panel(shape.title, shape.x, shape.y, found, **shape.more))
     drawn = (*panels, *plan.also(rows))
-    solid = any(panel.z is not None for panel in drawn)  # a legend would lie on the sphere
+    solid = any(panel.z is not None for panel in drawn)
+    mapped = any(panel.heat is not None for panel in drawn)
     return Figure(
-        name, plan.title, drawn, plan.caption, legend="shared" if solid else "each",
+        name, plan.title, drawn, plan.caption, legend="each" if mapped else "shared",
         source="paper_figures.csv", size=(6.4, 4.4) if len(drawn) == 1 or solid else (4.8, 3.9),
     )  # fmt: skip
 

@@ -43,7 +43,7 @@ COLD, HOT = "#2166ac", "#b2182b"
 
 # -- inline text -----------------------------------------------------------------------------------
 INLINE = re.compile(
-    r"`(?P<code>[^`]+)`|\*\*(?P<strong>.+?)\*\*|\*(?P<em>[^*]+)\*|\[(?P<text>[^]]+)\]\((?P<to>[^)]+)\)"
+    r"\$(?P<math>[^$]+)\$|\^\{(?P<sup>[^{}]+)\}|`(?P<code>[^`]+)`|\*\*(?P<strong>.+?)\*\*|\*(?P<em>[^*]+)\*|\[(?P<text>[^]]+)\]\((?P<to>[^)]+)\)"
 )
 #: an address that is not a file beside the page, an anchor, or a page of the web
 SCHEME = re.compile(r"\s*(?!https?:)[a-z][a-z0-9+.-]*:", re.IGNORECASE)
@@ -65,14 +65,31 @@ def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
             out += Markup('<a href="{}">{}</a>').format((addresses or {}).get(to, to), inline(found["text"]))
         else:
             inside = escape(found[kind]) if kind == "code" else inline(found[kind], addresses)
-            out += Markup("<{0}>{1}</{0}>").format(Markup(kind), inside)
+            out += (
+                mathematics(found[0])
+                if kind == "math"
+                else Markup("<{0}>{1}</{0}>").format(Markup(kind), inside)
+            )
         last = found.end()
     return out + escape(text[last:])
+
+
+def mathematics(text: str) -> Markup:
+    """Simple mathtext with its superscripts and subscripts."""
+    tags = {1: "<sup>{}</sup>", -1: "<sub>{}</sub>"}
+    return Markup().join(Markup(tags.get(level, "{}")).format(word) for word, level in runs(text))
 
 
 def plain(text: str) -> str:
     """Inline Markdown and simple mathtext as plain words."""
     return "".join({1: "^", -1: "_"}.get(level, "") + word for word, level in runs(text))
+
+
+def worded(found: re.Match[str]) -> str:
+    """Marked words without their marks; a superscript as it is typed."""
+    if found.lastgroup == "sup":
+        return f"^({found['sup']})"
+    return found["text" if found.lastgroup == "to" else str(found.lastgroup)]
 
 
 SYMBOLS = {r"\Vert": "‖", r"\int": "∫", r"\Gamma": "Γ", r"\ast": "*", r"\mu": "µ", r"\,": " ", "\\": ""}
@@ -84,7 +101,7 @@ def runs(text: str) -> list[tuple[str, int]]:
     out: list[tuple[str, int]] = []
     for i, part in enumerate(text.split("$")):
         if i % 2 == 0:
-            words = INLINE.sub(lambda f: f["text" if f.lastgroup == "to" else str(f.lastgroup)], part)
+            words = INLINE.sub(worded, part)
             out.append((words, 0))
             continue
         for sign, symbol in SYMBOLS.items():
@@ -236,6 +253,8 @@ def panel(of: Panel) -> dict[str, Any]:
     out: dict[str, Any] = {
         "title": plain(of.title), "x": axis(of.x), "y": axis(of.y), "curves": [curve(c) for c in of.curves],
     }  # fmt: skip
+    if any(level for _, level in runs(of.title)):
+        out["runs"] = runs(of.title)
     if of.equal:
         out["equal"] = True
     if of.remark:
@@ -251,6 +270,7 @@ def panel(of: Panel) -> dict[str, Any]:
             "x": rounded(of.heat.x), "y": rounded(of.heat.y), "label": f"{plain(of.heat.label)} (± {limit:.3g})",
             "colors": [[shade(v / limit) for v in row] for row in values.tolist()],
         }  # fmt: skip
+        out.setdefault("remark", f"colour: {out['heat']['label']}")
     return out
 
 
@@ -300,6 +320,13 @@ def neighbours(columns: Iterable[Any]) -> list[tuple[str, int]]:
 def breakable(text: str) -> Markup:
     """Text that may be broken after an underscore."""
     return Markup(str(escape(text)).replace("_", "_<wbr>"))
+
+
+def listed(value: Any) -> str:
+    """A recorded value in words."""
+    return (
+        ", ".join(f"{k} {v}".strip() for k, v in value.items()) if isinstance(value, Mapping) else str(value)
+    )
 
 
 def cell_class(cell: Cell) -> str:
@@ -354,6 +381,7 @@ def page(
         "groupby_neighbours": neighbours,
         "look": cell_class,
         "breakable": breakable,
+        "listed": listed,
     }
     return environment.get_template("page.html").render(
         css=source("page.css"), script="".join(map(source, SCRIPTS)), payload=script_safe(payload), styles=styles,

@@ -27,7 +27,7 @@
     figure.setAttribute("aria-label", `${panel.title}: ${curves.length} curves, arrow keys walk along their points`);
     plot.tip = html("div", { class: "tip", hidden: "" });
     box.append(plot.tip);
-    svg("text", { class: "title", x: (pad.left + width - pad.right) / 2, y: 14, "text-anchor": "middle" }, figure, panel.title);
+    svg("text", { class: "title", x: (pad.left + width - pad.right) / 2, y: 14, "text-anchor": "middle" }, figure, panel.runs || panel.title);
     if (panel.remark) svg("text", { class: "soft remark", x: (pad.left + width - pad.right) / 2, y: 28, "text-anchor": "middle" }, figure, panel.remark);
     const known = (name) => {
       const other = name === "x" ? "y" : "x";
@@ -80,7 +80,7 @@
     }
     svg("rect", { class: "frame", x: pad.left, y: pad.top, width: w, height: h }, figure);
     svg("text", { x: (pad.left + width - pad.right) / 2, y: height - 8, "text-anchor": "middle" }, figure, panel.x.runs || panel.x.label);
-    svg("text", { transform: `translate(13 ${(pad.top + bottom) / 2}) rotate(-90)`, "text-anchor": "middle" }, figure, panel.heat ? panel.y.label + " · colour: " + panel.heat.label : panel.y.runs || panel.y.label);
+    svg("text", { transform: `translate(13 ${(pad.top + bottom) / 2}) rotate(-90)`, "text-anchor": "middle" }, figure, panel.y.runs || panel.y.label);
     if (!curves.length && !panel.heat) svg("text", { x: width / 2, y: height / 2, "text-anchor": "middle" }, figure, "nothing to show");
 
     const named = [];

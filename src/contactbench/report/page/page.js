@@ -13,7 +13,9 @@
       for (const entry of entries) {
         if (!entry.isIntersecting) continue;
         for (const link of links.values()) link.removeAttribute("aria-current");
-        links.get(entry.target.id)?.setAttribute("aria-current", "true");
+        const link = links.get(entry.target.id);
+        link?.setAttribute("aria-current", "true");
+        if (link) link.closest("ul").scrollLeft = link.offsetLeft - link.closest("ul").clientWidth / 3;
       }
     },
     { rootMargin: "-20% 0px -75% 0px" },
@@ -26,6 +28,9 @@
     width = document.body.clientWidth;
     drawAll();
   }).observe(document.body);
+  window.addEventListener("hashchange", () => {
+    if (!location.hash.includes(";")) remember(); // a link to a section: what is shown stays in the address
+  });
   recall();
   for (const restore of restorers) restore();
   figures.forEach(legend);

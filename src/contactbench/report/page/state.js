@@ -126,7 +126,8 @@
     state.chosen[name] = value;
     for (const group of all(`[data-choice="${name}"]`)) {
       const options = [...group.children].filter((child) => child.dataset.option !== undefined);
-      const wanted = options.some((option) => option.dataset.option === value) ? value : options[0].dataset.option;
+      // one that does not have it stays as it is
+      const wanted = options.some((option) => option.dataset.option === value) ? value : group.querySelector("select").value;
       for (const option of options) option.hidden = option.dataset.option !== wanted;
       group.querySelector("select").value = wanted;
     }

@@ -1,0 +1,160 @@
+"""What a user meets first: the public names, short reprs, names in place of scenes, types."""
+
+import math
+from importlib import resources
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.numbers import functions
+
+
+def test_dir_shows_the_public_names_and_they_exist():
+    assert dir(cb) == sorted([*cb.__all__, "__version__"])
+    assert all(getattr(cb, name) is not None for name in dir(cb))
+    assert set(functions.__all__) == {*functions.NAMES, "atan2", "pi"}
+    assert all(hasattr(cb.math, name) for name in functions.__all__)
+
+
+def test_the_types_are_shipped():
+    assert resources.files("contactbench").joinpath("py.typed").is_file()
+
+
+def test_a_reference_takes_the_name_of_a_scene():
+    named = cb.reference("particle", [1.0, 2.0])
+    assert named.decimals == cb.reference(cb.SCENES["particle"], [1.0, 2.0]).decimals
+    with pytest.raises(cb.UnknownName, match="did you mean 'particle'"):
+        cb.reference("partikle", [1.0])
+
+
+ALL = {
+    name: {} if m.exact else {"rtol": 1e-6} if m.adaptive else {"step": 0.1} for name, m in cb.METHODS.items()
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_prepared_run_has_a_short_repr(name):
+    said = repr(cb.prepare("particle", name, **ALL[name]))
+    assert said.startswith(f"<{name} on particle (")
+    assert len(said) < 120
+
+
+def test_step_maps_and_references_have_short_reprs():
+    assert (
+        repr(cb.step_map("particle", "rk4"))
+        == "<step map of rk4 on particle: step(y, h), y = (q1, q2, p1, p2, s)>"
+    )
+    assert (
+        repr(cb.reference("particle", [1.0]))
+        == "<Reference of particle: 1 states to t = 1, 40 digits, frozen>"
+    )
+
+
+# -- functions of plain numbers in a force ---------------------------------------------------------
+def pendulum(sin, cos):
+    return cb.Mechanical(
+        name="pendulum", q=(0.5,), p=(0.0,), gamma=0.1, t_end=1.0,
+        potential=lambda q: -cos(q[0]), gradient=lambda q: (sin(q[0]),),
+    )  # fmt: skip
+
+
+MATH = cb.Mechanical(
+    name="by-math", q=(0.5,), p=(0.0,), gamma=0.1, t_end=1.0,
+    potential=lambda q: -math.cos(q[0]), gradient=lambda q: (math.sin(q[0]),),
+)  # fmt: skip
+NUMPY = cb.Mechanical(
+    name="by-numpy", q=(0.5,), p=(0.0,), gamma=0.1, t_end=1.0,
+    potential=lambda q: -np.cos(q[0]), gradient=lambda q: (np.sin(q[0]),),
+)  # fmt: skip
+BARE = pendulum(math.sin, math.cos)
+
+
+def said(call):
+    """What a refusal or an error says."""
+    try:
+        found = call()
+    except Exception as error:
+        return str(error)
+    return found.message
+
+
+@pytest.mark.parametrize(
+    ("scene", "name"),
+    [(MATH, "math.sin"), (BARE, "sin"), (NUMPY, "np.sin"), (pendulum(np.sin, np.cos), "sin")],
+    ids=["math", "bare", "np", "bare-np"],
+)
+@pytest.mark.parametrize("method", ["rk4", "diffrax-tsit5", "heyoka-taylor", "reference"])
+def test_a_function_of_plain_numbers_is_named_with_its_line(scene, name, method):
+    calls = {
+        "rk4": lambda: cb.solve(scene, "rk4", step=0.1, engine="jax"),
+        "reference": lambda: cb.reference(scene, [1.0]),
+    }
+    message = said(calls.get(method) or (lambda: cb.solve(scene, method, rtol=1e-6)))
+    assert f"{name} takes plain numbers only: use cb.math.sin" in message
+    assert "test_public_names.py, line" in message
+    assert "\n" not in message
+
+
+def test_compiling_says_it_too_and_laws_do_not_break():
+    message = said(lambda: cb.solve(BARE, "rk4", step=0.1, engine="numba"))
+    assert "use cb.math.sin" in message
+    laws = cb.solve(BARE, "contact-rkn8", step=0.1).laws()
+    assert laws["note"].str.contains("use cb.math.").any()
+
+
+def test_our_own_functions_are_not_blamed():
+    wrong = cb.Mechanical(
+        name="wrong", q=(0.5,), p=(0.0,), t_end=1.0,
+        potential=lambda q: -cb.math.cos(q[0]),
+        gradient=lambda q: (cb.math.sin(q[0] if type(q[0]) is float else "x"),),
+    )  # fmt: skip
+    message = said(lambda: cb.solve(wrong, "heyoka-taylor", rtol=1e-6))
+    assert "line" in message
+    assert "takes plain numbers only" not in message
+
+
+def test_what_cb_math_lacks_is_told_with_what_it_has():
+    scene = cb.Mechanical(
+        name="hypot", q=(0.5,), p=(0.0,), t_end=1.0,
+        potential=lambda q: math.hypot(1.0, q[0]), gradient=lambda q: (q[0] / math.hypot(1.0, q[0]),),
+    )  # fmt: skip
+    message = said(lambda: cb.solve(scene, "rk4", step=0.1, engine="jax"))
+    assert "math.hypot takes plain numbers only: use cb.math, which has exp, log, sqrt" in message
+
+
+# -- steps -----------------------------------------------------------------------------------------
+def test_a_solution_says_the_steps_it_took():
+    even, uneven = (cb.solve("particle", "rk4", step=h, save_at=[20.0]) for h in (0.1, 0.3))
+    assert (even.step_chosen, even.step) == (0.1, 0.1)
+    assert "taken" not in repr(even)
+    assert uneven.step == 20.0 / uneven.counts.steps < 0.3 == uneven.step_chosen
+    assert "step=0.3, 0.298507 taken to meet the saved times" in repr(uneven)
+    assert math.isnan(cb.solve("particle", "cvode-adams", rtol=1e-6).step)
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+def test_the_step_chosen_from_a_tolerance_is_told_and_gives_the_same_run(engine):
+    chosen = cb.solve("particle", "contact-rkn6", rtol=1e-6, save_at=[20.0], engine=engine)
+    assert 0 < chosen.step <= chosen.step_chosen
+    assert f"rtol=1e-06: step={chosen.step_chosen:.6g}" in repr(chosen)
+    again = cb.solve("particle", "contact-rkn6", step=chosen.step_chosen, save_at=[20.0], engine=engine)
+    assert np.array_equal(again.y, chosen.y)
+    capped = cb.solve("particle", "contact-strang", rtol=1e-2, save_at=np.linspace(0, 20, 401), engine=engine)
+    assert capped.step == pytest.approx(0.05)
+    assert capped.step_chosen > 0.06
+    assert "0.05 taken to meet the saved times" in repr(capped)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"step": 0.1, "rtol": 1e-3}, "step = 0.1 and rtol = 0.001: rk4 takes one of them"),
+        ({}, "step is missing: rk4 has a fixed step; give step, or rtol"),
+        ({"step": 0.1, "atol": 1e-3}, "atol = 0.001: rk4 has a fixed step and takes no atol"),
+    ],
+)
+def test_step_or_tolerance_one_of_them(options, says):
+    with pytest.raises(cb.BadInput) as caught:
+        cb.solve("particle", "rk4", **options)
+    assert says in str(caught.value)
