@@ -77,7 +77,7 @@ def test_a_file_that_the_system_refuses_is_refused_first(tmp_path, monkeypatch):
         raise OSError(30, "Read-only file system")
 
     monkeypatch.setattr(Path, "open", refused)
-    with pytest.raises(cb.BadInput, match="--csv .*new.csv: cannot be written: Read-only file system"):
+    with pytest.raises(cb.BadInput, match=r"--csv .*new\.csv: cannot be written: Read-only file system"):
         parsing.writable("--csv", tmp_path / "new.csv")
 
 

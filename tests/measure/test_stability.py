@@ -12,6 +12,7 @@ import contactbench as cb
 from contactbench.measure.stability import (
     ISLAND,
     THEORY,
+    eigenvalues,
     fixed_step_methods,
     flow_matrix,
     is_processed,
@@ -20,7 +21,6 @@ from contactbench.measure.stability import (
     propagation_error,
     run_matrix,
     slow_rate,
-    slow_rate_ratio,
     spectral_radius,
     stability,
     step_matrix,
@@ -219,6 +219,19 @@ def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
                 true_radius(gamma, 1.0, 0.3), rel=1e-13
             )
     assert spectral_radius(cb.METHODS["rk4"], 0.0, 1.0, 0.3) < 1 - 1e-6  # numerical damping
+
+
+def slow_rate_ratio(method, gamma, h):
+    """The decay rate of the slow mode under a method, over the true one; nan where there is none.
+
+    The slow mode is the eigenvalue nearest to the true e^{−λh}; a negative or complex one alternates or
+    oscillates, and has no rate of creep.
+    """
+    exact = true_radius(gamma, 1.0, h)
+    slow = min(eigenvalues(step_matrix(method, gamma, 1.0, h)), key=lambda value: abs(complex(value) - exact))
+    if abs(slow.imag) > 1e-12 or slow.real <= 0:
+        return math.nan
+    return -math.log(slow.real) / h / slow_rate(gamma)
 
 
 @pytest.mark.parametrize(("damping", "expected"), [(1.0, 1.08), (5.0, 2.54), (25.0, 13.3)])

@@ -200,7 +200,11 @@ def test_what_a_row_says_cannot_break_the_page():
 
 
 def test_an_empty_page_is_a_page():
-    assert Document(page.page([], [])).ids.count("environment") == 1
+    """The environment stands where there are runs to tell of."""
+    for runs in ([], RUNS):
+        document = Document(page.page([], runs))
+        assert not document.wrong
+        assert document.ids.count("environment") == bool(runs)
 
 
 def test_colours_stand_out_from_the_dark_page_and_markers_are_matplotlibs():

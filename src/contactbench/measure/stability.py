@@ -200,19 +200,6 @@ def bracketed(
     return (low + high) / 2
 
 
-def slow_rate_ratio(method: Any, gamma: float, h: float) -> float:
-    """The decay rate of the slow mode under a method, over the true one; nan where there is none.
-
-    The slow mode is the eigenvalue nearest to the true e^{−λh}; a negative or complex one alternates or
-    oscillates, and has no rate of creep.
-    """
-    exact = true_radius(gamma, 1.0, h)
-    slow = min(eigenvalues(step_matrix(method, gamma, 1.0, h)), key=lambda value: abs(complex(value) - exact))
-    if abs(slow.imag) > 1e-12 or slow.real <= 0:
-        return math.nan
-    return -math.log(slow.real) / h / slow_rate(gamma)
-
-
 # -- theory ----------------------------------------------------------------------------------------
 Limit = Callable[[float, float], float]
 

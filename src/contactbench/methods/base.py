@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import hypot
 from time import perf_counter
@@ -20,6 +20,7 @@ from contactbench.boundary import reported
 from contactbench.errors import BadInput, Registry, shown
 from contactbench.methods.differences import differences
 from contactbench.methods.engines import CALLBACKS
+from contactbench.methods.outcome import Outcome, audited
 from contactbench.scene import Scene
 from contactbench.solution import (
     EXACT,
@@ -343,35 +344,6 @@ class Prepared(ABC):
             if self.first_divergence(y0, stopped[1][None]) is not None:
                 status, message = Status.diverged, f"left the scene's scale by a factor 1e6 by t = {end:.10g}"
         return Outcome(y, counts, status, message, end)
-
-
-@dataclass(slots=True)
-class Outcome:
-    """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
-
-    checked : the states are known to be finite and the last one to be at the end.
-    steps : the step chosen in this run, and the longest taken, where the run chose one.
-    """
-
-    y: np.ndarray
-    counts: Counts
-    status: Status
-    message: str
-    end_time: float
-    checked: bool = False
-    steps: tuple[float, float] | None = None
-
-
-def audited(out: Outcome, end: float) -> Outcome:
-    """The outcome, an `ok` taken back from a run that ended elsewhere or without a number."""
-    if out.checked or out.status is not Status.ok:
-        return out
-    if out.end_time != end:
-        message = f"ended at t = {out.end_time:.6g}, not at t = {end:.6g}"
-        return replace(out, y=np.full_like(out.y, math.nan), status=Status.failed, message=message)
-    if not np.isfinite(out.y[-1]).all():
-        return replace(out, status=Status.diverged, message="not finite at the end")
-    return out
 
 
 class Refused(Prepared):

@@ -13,5 +13,4 @@ ENGINES = {
     "python": "callbacks",
     "c+python": "callbacks",
 }
-COMPILED = tuple(engine for engine, kind in ENGINES.items() if kind == "compiled")
 CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
