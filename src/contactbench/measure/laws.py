@@ -56,6 +56,8 @@ def damped_linearly(scene: Scene) -> bool:
 # -- comparisons with the truth --------------------------------------------------------------------
 def observed(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
     """Packed states with the attitude as its nine matrix entries: what q and −q have in common."""
+    if scene.clock is not None:
+        return np.delete(y, scene.clock, axis=1)
     if "R" not in carry:
         return y
     turned = scene.unpack(tuple(y.T), carry)
@@ -124,6 +126,9 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     scene = solution.scene
     if scene.conformal_rate is not None:
         return scene.conformal_rate
+    known = scene.damped_by(solution.start(), solution.t, np)
+    if known is not None:
+        return np.divide(known, solution.t, out=np.zeros(len(known)), where=solution.t > 0)
     start = float(scene.hamiltonian(solution.start()))
     if start == 0:
         raise BadInput(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
@@ -133,7 +138,7 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
 
 @law(
     f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", "H law",
-    needs=("s",), applies=lambda scene: scene.is_contact, shown=("laws", "stability"),
+    needs=("s",), applies=lambda scene: scene.has_hamiltonian_law, shown=("laws", "stability"),
 )  # fmt: skip
 def hamiltonian_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
@@ -145,7 +150,7 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 @law(
     "max |H̃ e^{γt} − H̃(y₀)| / |H̃(y₀)|, H̃ = H + O(h^p) the modified Hamiltonian up to h⁴, of which the numerical "
     "flow is the exact one up to h⁶; blank for a method that is not known to have one", "modified H law",
-    needs=("s",), applies=damped_linearly,
+    needs=("s",), applies=lambda scene: damped_linearly(scene) and scene.has_hamiltonian_law,
 )  # fmt: skip
 def modified_hamiltonian(solution: Solution) -> Deviation | float:
     scene, states, run = solution.scene, solution.states(), solution.run

@@ -35,7 +35,9 @@ class ContactMethod(FixedStep):
         return log_factor(self.composition, scene, x, h, n, math)
 
     def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
-        if not isinstance(scene, Mechanical) or not has_modified_hamiltonian(self.composition):
+        if not (isinstance(scene, Mechanical) and scene.has_hamiltonian_law):
+            return None
+        if not has_modified_hamiltonian(self.composition):
             return None
         return modified_hamiltonian(scene, self.composition, x, h)
 

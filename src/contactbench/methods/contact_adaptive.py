@@ -318,6 +318,8 @@ class AdaptiveContactMethod(Adaptive):
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "general damping":
             return f"{self.name} needs a merged drift and damping; scene {scene.name!r} has none"
+        if scene.kind == "driven":
+            return f"{self.name} has no step density for forces that change with time, as on scene {scene.name!r}"
         if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
         return None

@@ -21,7 +21,7 @@ from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Mechanical, Scene, State
-from contactbench.splitting.flows import drift
+from contactbench.splitting import flows
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Herglotz(FixedStep):
     """What both have in common: mechanical scenes with Γ = γ s, one gradient per step."""
 
     def refuses(self, scene: Any) -> str | None:
-        if scene.kind not in ("mechanical", "general damping"):
+        if scene.kind not in ("mechanical", "driven", "general damping"):
             return f"{self.name} needs a configuration q in Rⁿ, which scene {scene.name!r} does not have"
         if scene.nonlinear_damping:
             return f"{self.name} is derived for Γ = γ s; scene {scene.name!r} has another Γ"
@@ -38,21 +38,27 @@ class Herglotz(FixedStep):
 
 def explicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:
     """p → (1 − γh) p − h ∇V, s → (1 − γh) s − h V: potential and damping by one step forward."""
-    keep = 1 - scene.gamma * h
+    keep = 1 - scene.damping_at(x) * h
     p = tuple(keep * p - h * g for p, g in zip(x.p, force, strict=True))
-    return State(x.q, p, None if x.s is None else keep * x.s - h * potential)
+    return x._replace(p=p, s=None if x.s is None else keep * x.s - h * potential)
 
 
 def implicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:
     """p → (p − h ∇V)/(1 + γh), s → (s − h V)/(1 + γh): the adjoint, one step backward."""
-    grown = 1 + scene.gamma * h
+    grown = 1 + scene.damping_at(x) * h
     p = tuple((p - h * g) / grown for p, g in zip(x.p, force, strict=True))
-    return State(x.q, p, None if x.s is None else (x.s - h * potential) / grown)
+    return x._replace(p=p, s=None if x.s is None else (x.s - h * potential) / grown)
 
 
 def pull(scene: Mechanical, x: State) -> tuple[Any, Any]:
     """∇V and, where s is carried, V."""
-    return scene.dV(x.q), None if x.s is None else scene.V(x.q)
+    return scene.gradient_at(x), None if x.s is None else scene.potential_at(x)
+
+
+def drift(scene: Mechanical, x: Any, h: Any, xp: Any) -> Any:
+    """A, and the time with it where the state has one."""
+    x = flows.drift(scene, x, h, xp)
+    return x if scene.clock is None else x._replace(t=x.t + h)
 
 
 def herglotz1(scene: Mechanical, x: State, h: Any, xp: Any) -> State:

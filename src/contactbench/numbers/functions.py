@@ -14,7 +14,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -83,6 +83,11 @@ sin, cos, tan = map(_function, ("sin", "cos", "tan"))
 asin, acos, atan = map(_function, ("asin", "acos", "atan"))
 sinh, cosh, tanh = map(_function, ("sinh", "cosh", "tanh"))
 asinh, acosh, atanh = map(_function, ("asinh", "acosh", "atanh"))
+
+
+if TYPE_CHECKING:  # the functions made in the loop
+
+    def __getattr__(name: str) -> Callable[..., Any]: ...
 
 
 def _leading(*numbers: Any) -> Any:

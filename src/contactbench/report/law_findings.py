@@ -333,7 +333,7 @@ def modified_finding(frames: Frames) -> Finding | None:
     return Finding(
         "modified_hamiltonian", "The modified Hamiltonian", f"By nested brackets up to h⁴: {'; '.join(said)}.",
         f"{many(len(rows), 'run')} in which H is off by more than {scientific(NEAR * STRUCTURE, 0)}, "
-        f"{rows['method'].nunique()} methods on {rows['scene'].nunique()} scenes",
+        f"{many(rows['method'].nunique(), 'method')} on {many(rows['scene'].nunique(), 'scene')}",
         tuple(f"H is nearer in {place(row)}" for _, row in worse.iterrows()),
     )  # fmt: skip
 

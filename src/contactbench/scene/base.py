@@ -229,9 +229,23 @@ class Scene(System):
     def conformal_rate(self) -> Any:
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
+    def damped_by(self, x: Any, t: Any, xp: Any) -> Any | None:
+        """∫Γ' over the time t from x, None where it depends on the motion."""
+        return None if self.conformal_rate is None else self.conformal_rate * t
+
+    @property
+    def has_hamiltonian_law(self) -> bool:
+        """H' = −Γ'(s) H."""
+        return self.is_contact
+
+    @property
+    def clock(self) -> int | None:
+        """The component of the packed state that is the time, where there is one."""
+        return None
+
     @property
     def rate_changes(self) -> bool:
-        """φ_t*η = e^{−∫Γ'(s)dt} η with a Γ' that is not constant."""
+        """φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant."""
         return False
 
     @property

@@ -71,7 +71,7 @@ class Mechanical(Scene):
     def _check_force(self) -> None:
         """Whether the gradient at the initial position is n finite numbers."""
         try:
-            force = self.gradient(self.q, **self.parameters)
+            force = self.dV(self.q)
         except (ZeroDivisionError, OverflowError):
             raise BadInput(
                 f"q = {shown(self.q)}: the force of scene {self.name!r} is singular there"
@@ -158,6 +158,18 @@ class Mechanical(Scene):
 
     def dV(self, q: Vector) -> Vector:
         return self.gradient(q, **self.parameters)
+
+    def potential_at(self, x: Any) -> Any:
+        """V at a state."""
+        return self.V(x.q)
+
+    def gradient_at(self, x: Any) -> Vector:
+        """∇V at a state."""
+        return self.dV(x.q)
+
+    def damping_at(self, x: Any) -> Any:
+        """γ at a state."""
+        return self.gamma
 
     def energy(self, x: State) -> Any:
         """H0 = T + V."""

@@ -132,7 +132,8 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
 
 #: the flows χ is made of, in their order, by kind of scene
 PARTS = {
-    "mechanical": ("kick", "drift_damp"), "general damping": ("kick", "drift", "damp"),
+    "mechanical": ("kick", "drift_damp"), "driven": ("kick", "drift_damp"),
+    "general damping": ("kick", "drift", "damp"),
     "isotropic body": ("turn", "top"), "body": ("turn", "damp", "top"),
 }  # fmt: skip
 

@@ -21,7 +21,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from contactbench.numbers.control import choose, settled
-from contactbench.scene import BodyState, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.scene import BodyState, Driven, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.splitting import driven
 from contactbench.splitting.dissipation import decayed, survival
 from contactbench.splitting.free_body import free
 
@@ -87,7 +88,7 @@ def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
     over_m = h * scene.inverse_mass
     q = tuple(q + over_m * p for q, p in zip(x.q, x.p, strict=True))
-    return State(q, x.p, None if x.s is None else x.s + h * scene.kinetic(x.p))
+    return x._replace(q=q, s=None if x.s is None else x.s + h * scene.kinetic(x.p))
 
 
 def _damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
@@ -199,6 +200,19 @@ MECHANICAL = {
     "drift": Flow(_plain, drift, {}),
     "damp": Flow(_damp_constants, damp, {}, damp_log_factor),
     "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, drift_damp_log_factor),
+}
+
+
+def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
+    """h, and what does not depend on the time where γ is constant."""
+    return (h,) if scene.rate_changes else (h, damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp))
+
+
+DRIVEN = {
+    "kick": Flow(_plain, driven.kick, {"gradient": 1}),
+    "drift": Flow(_plain, drift, {}),
+    "damp": Flow(_plain, driven.damp, {}, driven.log_factor),
+    "drift_damp": Flow(_driven_constants, driven.drift_damp, {}, driven.log_factor),
 }
 
 
@@ -342,7 +356,9 @@ BODY = {
 ISOTROPIC = BODY | {"free_damp": Flow(_free_damp_constants, free_damp, FREE_COSTS, linear_log_factor)}
 
 
-FLOWS = {"mechanical": MECHANICAL, "general damping": GENERAL, "isotropic body": ISOTROPIC, "body": BODY}
+FLOWS = {
+    "mechanical": MECHANICAL, "driven": DRIVEN, "general damping": GENERAL, "isotropic body": ISOTROPIC, "body": BODY,
+}  # fmt: skip
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:

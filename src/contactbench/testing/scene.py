@@ -207,6 +207,9 @@ def has_tangents(case: SceneCase) -> None:
             gap = max(abs(a - b) for a, b in zip(slope, scene.pack(v), strict=True))
             require(gap < 1e-9, f"displaced leaves along another tangent, off by {gap:.1e}")
         pushed = np.array(scene.pack(scene.rhs(x)), dtype=float)
+        if scene.clock is not None:  # tangents do not move the time
+            require(pushed[scene.clock] == 1, f"t' = {pushed[scene.clock]}")
+            pushed[scene.clock] = 0
         rest = pushed - rows.T @ np.linalg.lstsq(rows.T, pushed, rcond=None)[0]
         require(
             np.abs(rest).max() < CLOSE * max(1.0, np.abs(pushed).max()), "the right-hand side is no tangent"

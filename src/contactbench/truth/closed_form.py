@@ -65,7 +65,9 @@ def solves_equations(scene: Scene, end: float) -> bool:
 
     Central differences of step 10⁻²⁰ at 65 digits, so a right formula passes with room to spare.
     """
-    if scene.conformal_rate is None:  # κ ≠ 0 or a matrix D: no closed form of ours covers it
+    if (
+        scene.conformal_rate is None and scene.clock is None
+    ):  # κ ≠ 0 or a matrix D: no closed form of ours covers it
         return False
     context = decimal_context(CLOSED_FORM_DIGITS + 15)
     twin = with_decimals(scene, context.mpf)

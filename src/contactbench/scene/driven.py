@@ -1,0 +1,175 @@
+"""Mechanical scenes with time in them: forces and damping that depend on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Self
+
+from contactbench.errors import BadInput, finite, function
+from contactbench.scene.algebra import State, Vector
+from contactbench.scene.base import System
+from contactbench.scene.mechanical import Mechanical
+
+
+class DrivenState(NamedTuple):
+    """State of a driven scene: that of a mechanical one, and the time t."""
+
+    q: Vector
+    p: Vector
+    t: Any
+    s: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driven(Mechanical):
+    """H = ‖p‖²/2m + V(q, t) + γ(t) s, with the time as one more component of the state, t' = 1.
+
+    potential : ``V(q, t, **parameters) -> number``; gradient : ``dV(q, t, **parameters) -> n-tuple``.
+    t : the time at the start.  gamma : damping, where it is constant; else
+    rate : ``γ(t, **parameters) -> number`` and span : ``(t, h, xp, **parameters) -> (G, φ)``, with
+    G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.
+
+    The contact form is taken at a given time: tangents do not move t.  H has no decay law, since ∂H/∂t ≠ 0.
+    Raises `BadInput` as `Mechanical` does, and for κ, a Hessian, a symmetry or only one of rate and span.
+    """
+
+    t: float = 0.0
+    rate: Callable[..., Any] | None = None
+    span: Callable[..., tuple[Any, Any]] | None = None
+
+    kind: ClassVar[str] = "driven"
+    initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", finite("t", self.t))
+        super().__post_init__()
+        if self.kappa or self.hessian is not None or self.rotation_invariant:
+            raise BadInput(
+                f"scene {self.name!r}: kappa, hessian and rotation_invariant are for scenes without time"
+            )
+
+    def _check_kinds(self) -> None:
+        super()._check_kinds()
+        if (self.rate is None) != (self.span is None):
+            raise BadInput("rate, span: a damping that changes with time needs both")
+        if self.rate is not None and self.span is not None:
+            function("rate", self.rate)
+            function("span", self.span)
+            if self.gamma:
+                raise BadInput(f"gamma = {self.gamma!r}: the rate of damping has it in it")
+
+    # -- state ---------------------------------------------------------------------------------
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        names = super().labels(())
+        return [*names, "t", *(c for c in self.optional if c in carry)]
+
+    @property
+    def clock(self) -> int:
+        return 2 * len(self.q)
+
+    @property
+    def motion(self) -> int:
+        return 2 * len(self.q)
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+        values = {f: getattr(self, f) for f in self.initial_fields} | data
+        s = values["s"] if "s" in carry else None
+        return DrivenState(tuple(values["q"]), tuple(values["p"]), values["t"], s)
+
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
+        n = len(self.q)
+        s = y[2 * n + 1] if "s" in carry else None
+        return DrivenState(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n], s)
+
+    def numbers(self) -> list[float]:
+        return [*([] if self.rate else [self.gamma]), self.mass, *self.parameters.values()]
+
+    def number_names(self) -> list[str]:
+        return [*([] if self.rate else ["gamma"]), "mass", *self.parameters]
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        gamma, *rest = [0.0, *numbers] if self.rate else numbers
+        return super().with_numbers([gamma, 0.0, *rest])
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (Driven, *super().structure, self.rate, self.span)
+
+    def tangents(self, x: Any) -> list[Any]:
+        """The coordinate basis of (q, p, s); t is not moved."""
+        found = super().tangents(x)
+        n = 2 * len(x.q)
+        return found[:n] + found[n + 1 :]
+
+    # -- physics -------------------------------------------------------------------------------
+    def V(self, q: Vector, t: Any = None) -> Any:
+        """V(q, t), at the start where no time is given."""
+        return self.potential(q, self.t if t is None else t, **self.parameters)
+
+    def dV(self, q: Vector, t: Any = None) -> Vector:
+        return self.gradient(q, self.t if t is None else t, **self.parameters)
+
+    def potential_at(self, x: Any) -> Any:
+        return self.V(x.q, x.t)
+
+    def gradient_at(self, x: Any) -> Vector:
+        return self.dV(x.q, x.t)
+
+    def damping_at(self, x: Any) -> Any:
+        return self.gamma if self.rate is None else self.rate(x.t, **self.parameters)
+
+    def energy(self, x: Any) -> Any:
+        return self.kinetic(x.p) + self.potential_at(x)
+
+    def hamiltonian(self, x: Any) -> Any:
+        return self.energy(x) + self.damping_at(x) * x.s
+
+    def rhs(self, x: Any) -> Any:
+        rate = self.damping_at(x)
+        velocity = tuple(p * self.inverse_mass for p in x.p)
+        force = tuple(-g - rate * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
+        s = None if x.s is None else self.kinetic(x.p) - self.potential_at(x) - rate * x.s
+        return DrivenState(velocity, force, 1.0 + 0 * x.t, s)
+
+    @property
+    def has_jacobian(self) -> bool:
+        return False
+
+    def jacobian(self, x: Any) -> None:
+        """∂∇V/∂t is not asked for: solvers difference."""
+        return None
+
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
+        return System.on_lists(self, carry)
+
+    def torque(self, x: Any) -> Vector | None:
+        return self.momentum(State(x.q, tuple(-g for g in self.gradient_at(x))))
+
+    @property
+    def has_torque(self) -> bool:
+        return False
+
+    @property
+    def conformal_rate(self) -> Any:
+        return self.gamma if self.rate is None else None
+
+    @property
+    def rate_changes(self) -> bool:
+        return self.rate is not None
+
+    @property
+    def has_hamiltonian_law(self) -> bool:
+        return False
+
+    @property
+    def may_gain_energy(self) -> bool:
+        return True
+
+    def spent(self, t: Any, h: Any, xp: Any) -> tuple[Any, Any]:
+        """(G, φ) of the damping from t to t + h."""
+        assert self.span is not None
+        return self.span(t, h, xp, **self.parameters)
+
+    def damped_by(self, x: Any, t: Any, xp: Any) -> Any:
+        return self.gamma * t if self.rate is None else self.spent(x.t, t, xp)[0]

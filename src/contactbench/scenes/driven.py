@@ -1,0 +1,184 @@
+"""Scenes with time in them: a forced oscillator, the Lane–Emden equation, a chaotic double well.
+
+H = T(p) + V(q, t) + γ(t) s, the class of Bravetti, Seri, Vermeeren, Zadra, Celest. Mech. Dyn. Astron. 132, 7 (2020),
+doi:10.1007/s10569-019-9946-9, whose examples the Lane–Emden scenes are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from contactbench.numbers import functions as xm
+from contactbench.scene import Driven, DrivenState
+
+
+# -- forces ----------------------------------------------------------------------------------------
+def forced(q, t, omega, force, drive):
+    """V = ½ ω² q² − F q cos Ωt."""
+    return omega * omega * q[0] * q[0] / 2 - force * q[0] * xm.cos(drive * t)
+
+
+def forced_gradient(q, t, omega, force, drive):
+    return (omega * omega * q[0] - force * xm.cos(drive * t),)
+
+
+def double_well(q, t, force, drive):
+    """V = ¼ q⁴ − ½ q² − F q sin Ωt."""
+    square = q[0] * q[0]
+    return square * square / 4 - square / 2 - force * q[0] * xm.sin(drive * t)
+
+
+def double_well_gradient(q, t, force, drive):
+    return (q[0] * q[0] * q[0] - q[0] - force * xm.sin(drive * t),)
+
+
+def constant_pull(q, t):
+    """V = q: Lane–Emden of index 0."""
+    return q[0]
+
+
+def constant_pull_gradient(q, t):
+    return (1.0 + 0 * q[0],)
+
+
+def square_well(q, t):
+    """V = ½ q²: index 1."""
+    return q[0] * q[0] / 2
+
+
+def square_well_gradient(q, t):
+    return (q[0],)
+
+
+def sextic(q, t):
+    """V = q⁶/6: index 5."""
+    cube = q[0] * q[0] * q[0]
+    return cube * cube / 6
+
+
+def sextic_gradient(q, t):
+    square = q[0] * q[0]
+    return (square * square * q[0],)
+
+
+# -- γ = 2/t ---------------------------------------------------------------------------------------
+def spherical(t, **parameters):
+    """γ = 2/t, the divergence of a radius in space."""
+    return 2 / t
+
+
+def spherical_span(t, h, xp, **parameters):
+    """∫γ = 2 log(1 + h/t), φ = t h/(t + h)."""
+    return 2 * xp.log1p(h / t), t * h / (t + h)
+
+
+# -- closed forms ----------------------------------------------------------------------------------
+def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """Steady and transient oscillation, sums of exponentials; s = ½ q p + r, r' = −γ r + ½ F q cos Ωt."""
+    m, gamma, force = scene.mass, scene.gamma, scene.parameters["force"]
+    square, turn = scene.parameters["omega"] ** 2, mp.mpc(0, scene.parameters["drive"])
+    start = mp.exp(turn * scene.t)
+    amplitude = force * start / (m * turn * turn + m * gamma * turn + square)
+    root = mp.sqrt(gamma**2 / 4 - square / m + mp.mpc(0))
+    rates = (-gamma / 2 + root, -gamma / 2 - root)
+    q0 = scene.q[0] - amplitude.real
+    v0 = scene.p[0] / m - (turn * amplitude).real
+    free = ((v0 - rates[1] * q0) / (2 * root), (rates[0] * q0 - v0) / (2 * root))
+    terms = [(free[0], rates[0]), (free[1], rates[1]), (amplitude / 2, turn)]
+    terms.append((mp.conj(amplitude) / 2, -turn))
+    q = sum(c * mp.exp(rate * t) for c, rate in terms).real
+    p = m * sum(c * rate * mp.exp(rate * t) for c, rate in terms).real
+    gain = mp.mpf(0)
+    for c, rate in terms:
+        for side in (start, mp.conj(start)):
+            total = rate + (turn if side is start else -turn)
+            gain += (c * side * force / 4 * (mp.exp(total * t) - mp.exp(-gamma * t)) / (total + gamma)).real
+    rest = mp.exp(-gamma * t) * (scene.s - scene.q[0] * scene.p[0] / 2)
+    return DrivenState((q,), (p,), scene.t + t, q * p / 2 + gain + rest)
+
+
+def lane_emden_0(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """q = C + D/t − t²/6, with 1 − t²/6 among them; s by `with_action`."""
+    t0, v0 = scene.t, scene.p[0]
+    D = -(v0 + t0 / 3) * t0**2
+    C = scene.q[0] - D / t0 + t0**2 / 6
+
+    def area(t: Any) -> Any:  # ∫ −½ t² q
+        return -C * t**3 / 6 - D * t**2 / 4 + t**5 / 60
+
+    return with_action(scene, t, lambda t: (C + D / t - t**2 / 6, -D / t**2 - t / 3), area)
+
+
+def lane_emden_1(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """q = (A sin t + B cos t)/t, with sin t/t among them."""
+    t0, u0 = scene.t, scene.t * scene.q[0]
+    w0 = scene.q[0] + t0 * scene.p[0]  # u = tq oscillates
+    sin, cos = mp.sin(t), mp.cos(t)
+
+    def motion(now: Any) -> tuple[Any, Any]:
+        u, w = u0 * cos + w0 * sin, w0 * cos - u0 * sin
+        return u / now, w / now - u / now**2
+
+    return with_action(scene, t, motion, lambda t: 0)
+
+
+def lane_emden_5(scene: Driven, t: Any, mp: Any) -> DrivenState:
+    """q = (3a/(3 + a²t²))^½, with (1 + t²/3)^{−½} for a = 1; for initial data on one of them."""
+    u0 = -3 * scene.p[0] / scene.q[0] ** 3
+    a, root = u0 / scene.t, mp.sqrt(3)
+
+    def motion(now: Any) -> tuple[Any, Any]:
+        q = mp.sqrt(3 * a / (3 + (a * now) ** 2))
+        return q, -(q**3) * a * now / 3
+
+    def area(now: Any) -> Any:  # ∫ ⅓ t² q⁶ = √3 ∫ w²/(1 + w²)³ dw, w = at/√3
+        w = a * now / root
+        return root * (mp.atan(w) / 8 + w * (w * w - 1) / (8 * (1 + w * w) ** 2))
+
+    return with_action(scene, t, motion, area)
+
+
+def with_action(scene: Driven, t: Any, motion: Any, area: Any) -> DrivenState:
+    """The state of a solution under γ = 2/t: s = ½ q p + r with (t² r)' = t² (½ q V' − V), the integral of `area`."""
+    q, p = motion(scene.t + t)
+    rest = scene.t**2 * (scene.s - scene.q[0] * scene.p[0] / 2) + area(scene.t + t) - area(scene.t)
+    return DrivenState((q,), (p,), scene.t + t, q * p / 2 + rest / (scene.t + t) ** 2)
+
+
+# -- scenes ----------------------------------------------------------------------------------------
+FORCED_OSCILLATOR = Driven(
+    name="forced_oscillator",
+    about="a damped oscillator under a sinusoidal force: a transient and a steady motion, both in closed form",
+    potential=forced, gradient=forced_gradient, parameters={"omega": 1.0, "force": 0.3, "drive": 0.7},
+    gamma=0.1, q=(1.0,), p=(0.0,), t_end=20.0, exact=forced_oscillator,
+)  # fmt: skip
+
+_LANE_EMDEN = "the Lane–Emden equation, γ = 2/t, of index"
+_SPHERICAL: Any = {"rate": spherical, "span": spherical_span}
+LANE_EMDEN = (
+    Driven(
+        name="lane_emden_0", about=f"{_LANE_EMDEN} 0: 1 − t²/6 in closed form",
+        potential=constant_pull, gradient=constant_pull_gradient, exact=lane_emden_0,
+        q=(0.94,), p=(-0.2,), t=0.6, t_end=2.0, **_SPHERICAL,
+    ),
+    Driven(
+        name="lane_emden_1", about=f"{_LANE_EMDEN} 1: sin t/t in closed form",
+        potential=square_well, gradient=square_well_gradient, exact=lane_emden_1,
+        q=(0.8414709848078965,), p=(-0.30116867893975674,), t=1.0, t_end=20.0, **_SPHERICAL,
+    ),
+    Driven(
+        name="lane_emden_5", about=f"{_LANE_EMDEN} 5: 2(1 + 16t²/3)^(−1/2), one of its solutions in closed form",
+        potential=sextic, gradient=sextic_gradient, exact=lane_emden_5,
+        q=(1.0,), p=(-1.0,), t=0.75, t_end=20.0, **_SPHERICAL,
+    ),
+)  # fmt: skip
+
+DUFFING = Driven(
+    name="duffing",
+    about="a damped double well under a sinusoidal force: chaotic, so that after a while only laws and averages of "
+    "a run mean anything",
+    potential=double_well, gradient=double_well_gradient, parameters={"force": 0.4, "drive": 1.0},
+    gamma=0.25, q=(0.1,), p=(0.0,), t_end=20.0,
+)  # fmt: skip
+
+DRIVEN = (FORCED_OSCILLATOR, *LANE_EMDEN, DUFFING)

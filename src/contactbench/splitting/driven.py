@@ -1,0 +1,53 @@
+"""The subflows of scenes with time in them: the damping advances the time, the kick uses the one it finds.
+
+Autonomous in (q, p, t, s): A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ
+over the step is exact however A, B and C alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum
+is worth.  V(q, t) and the clock depend on neither p nor s: Nyström tables keep their order.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from contactbench.scene import Driven, DrivenState
+
+
+def kick(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
+    """B: p −= h ∇V(q, t), s −= h V(q, t)."""
+    p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
+    return DrivenState(x.q, p, x.t, None if x.s is None else x.s - h * scene.potential_at(x))
+
+
+def damp(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
+    """C: p *= e^{−G}, s *= e^{−G}, t += h."""
+    decay = xp.exp(-damping_over(scene, x, h, xp))
+    s = None if x.s is None else decay * x.s
+    return DrivenState(x.q, tuple(decay * p for p in x.p), x.t + h, s)
+
+
+def damping_over(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
+    """G = ∫γ from x.t to x.t + h."""
+    return scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0]
+
+
+def log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
+    """−G."""
+    return -damping_over(scene, x, h, xp)
+
+
+def drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> DrivenState:
+    """AC: q += φ p/m, s → e^{−G} (s + φ T(p)), p → e^{−G} p, t += h.
+
+    constants : h, and where γ is constant φ, keep and lose of `flows.drift_damp`.
+    """
+    h, *constant = constants
+    if constant:
+        phi, keep, lose = constant
+    else:
+        total, phi = scene.spent(x.t, h, xp)
+        keep, lose = 1.0, -xp.expm1(-total)
+    over_m = phi * scene.inverse_mass
+    q = tuple(q + over_m * p for q, p in zip(x.q, x.p, strict=True))
+    s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
+    p = tuple(keep * p - lose * p for p in x.p)
+    return DrivenState(q, p, x.t + h, None if s is None else keep * s - lose * s)
