@@ -1,0 +1,37 @@
+"""What the smoke profile does not meet is named: a column, a scene, a method on an engine."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from contactbench.results.tables import WORK_PRECISION
+from smoke_coverage import missing
+
+ROWS = pd.DataFrame(
+    {
+        "profile": ["smoke", "smoke", "standard"],
+        "scene": ["particle", "central", "central"],
+        "method": ["rk4", "contact-rkn6", "rk4"],
+        "engine": ["numba", "numba", "numba"],
+        "message": ["a word", "", ""],
+        "fixed_s": [1.0, None, 2.0],
+    }
+)
+
+
+def test_nothing_is_missing_where_smoke_meets_everything():
+    assert missing(WORK_PRECISION, ROWS) == set()
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "lost"),
+    [
+        ("message", ["", "", "a word"], "message"),
+        ("fixed_s", [None, None, 2.0], "fixed_s"),
+        ("scene", ["particle", "central", "rigid_body"], "rigid_body"),
+        ("engine", ["numba", "numba", "jax"], "rk4 on jax"),
+    ],
+)
+def test_what_only_a_larger_profile_has_is_named(column, values, lost):
+    assert missing(WORK_PRECISION, ROWS.assign(**{column: values})) == {(WORK_PRECISION.name, lost)}
