@@ -173,7 +173,7 @@ def timed(
 
 def reserve(until: float) -> float:
     """Of the time that is left, what is kept for the second look."""
-    return max(0.0, (until - perf_counter()) / 3)
+    return max(0.0, (until - perf_counter()) / 4)
 
 
 def sentences(first: speed.Measured, lines: Sequence[Line], names: tuple[str, str]) -> tuple[str, ...]:

@@ -188,13 +188,14 @@ def paired_times(
     """Ratio second/first tree of every cell, from one new process each.
 
     rounds : for every cell; the undecided get as many again until they have `MOST_ROUNDS` or more.
-    until : on the clock of `perf_counter`, when to stop; half of what is left goes into compilation at most.
+    until : on the clock of `perf_counter`, when to stop; three quarters of what is left go into
+    compilation at most, which takes several times as long as the rounds.
     """
     from tqdm import tqdm
 
     main, other = cores()
     draw = random.Random(seed)
-    left = None if until is None else max(1.0, (until - perf_counter()) / 2)
+    left = None if until is None else max(1.0, 0.75 * (until - perf_counter()))
     with ExitStack() as stack:
         sides = [
             stack.enter_context(Side(python, tree, cells, core, main, left))
