@@ -323,7 +323,14 @@ def pair(**head):
     ],
 )
 def test_what_is_said_once_a_process_is_a_suspect_beyond_a_share_and_an_amount(costs, expected):
-    assert speed.suspects(costs, 2) == expected
+    assert speed.suspects(costs) == expected
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_cell_that_one_tree_had_no_time_for_is_no_suspect(side):
+    """Not 0 s against 1.2 s."""
+    sides = [speed.Costs({0: 1.0, 1: 1.2}, {0: 0.0, 1: 5e6}, 4e8), speed.Costs({0: 1.0}, {0: 0.0}, 4e8)]
+    assert speed.suspects((sides[side], sides[1 - side])) == {}
 
 
 @pytest.mark.parametrize(("agreeing", "verdicts"), [(2, ["more"]), (1, []), (0, [])])

@@ -213,7 +213,7 @@ def once_a_process(
     pythons: Sequence[str], trees: Sequence[Path], cells: Sequence[Cell], first: speed.Pair, until: float | None
 ) -> list[Line]:  # fmt: skip
     """Compilation and memory: red where they are too much in every one of `CONFIRMED` pairs of processes."""
-    over = speed.suspects(first, len(cells))
+    over = speed.suspects(first)
     pairs, every = [first], range(len(cells))
     which = sorted({i for found in over.values() for i in found if i >= 0}) or list(every)
     if -1 in {i for found in over.values() for i in found}:
@@ -222,7 +222,7 @@ def once_a_process(
         found = speed.paired_times(pythons, trees, [cells[i] for i in which], 0, seed=0, until=until)
         pair = tuple(renumbered(side, which) for side in found.costs)
         pairs.append((pair[0], pair[1]))
-        now = speed.suspects(pairs[-1], len(cells))
+        now = speed.suspects(pairs[-1])
         over = {what: kept for what, old in over.items() if (kept := old & now.get(what, set()))}
     sure = len(pairs) == speed.CONFIRMED
     return [

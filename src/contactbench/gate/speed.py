@@ -76,21 +76,18 @@ def verdict(first: PairedRatio, again: PairedRatio | None) -> str:
     return "slower" if first.low > LIMIT and again is not None and again.low > LIMIT else "inconclusive"
 
 
-def suspects(pair: Pair, cells: int) -> dict[str, set[int]]:
+def suspects(pair: Pair) -> dict[str, set[int]]:
     """The cells that compile longer or leave more behind than they may, and {-1} where the peak is higher."""
     base, head = pair
+    # a cell that one side had no time for, or refuses, is no suspect
+    compiled, kept = base.compile.keys() & head.compile.keys(), base.leaked.keys() & head.leaked.keys()
     over = {
         "compilation": {
-            i
-            for i in range(cells)
-            if head.compile.get(i, 0.0)
-            > base.compile.get(i, 0.0) * (1 + COMPILE_SHARE) + COMPILE
+            i for i in compiled if head.compile[i] > base.compile[i] * (1 + COMPILE_SHARE) + COMPILE
         },
-        "memory left behind": {
-            i for i in range(cells) if head.leaked.get(i, 0.0) > base.leaked.get(i, 0.0) + LEAK
-        },
+        "memory left behind": {i for i in kept if head.leaked[i] > base.leaked[i] + LEAK},
         "peak memory": {-1} if head.peak > base.peak * (1 + PEAK_SHARE) + PEAK else set(),
-    }  # fmt: skip
+    }
     return {what: which for what, which in over.items() if which}
 
 
