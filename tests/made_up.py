@@ -102,13 +102,14 @@ def fresh(root, path, change=lambda which, row: row, **more):
 
 
 def committed(path):
-    """The tables as they are committed, whatever a run has made of them since; those of a source archive as they are."""
+    """The tables as committed, whatever a run has made of them since; those of a source archive as they are."""
     path.mkdir(exist_ok=True)
     if (REPOSITORY / ".git").exists():
         archive = subprocess.run(
             ["git", "-C", str(REPOSITORY), "archive", "HEAD:results"], capture_output=True, check=True
         )
-        tarfile.open(fileobj=BytesIO(archive.stdout)).extractall(path, filter="data")
+        with tarfile.open(fileobj=BytesIO(archive.stdout)) as tables:
+            tables.extractall(path, filter="data")
     else:
         shutil.copytree(REPOSITORY / "results", path, dirs_exist_ok=True)
     return path
