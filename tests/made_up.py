@@ -1,10 +1,14 @@
-"""Made-up folders of tables, and repositories that have them committed, for the tests of the gate."""
+"""Made-up folders of tables, repositories that have them committed, and the tables of this one as committed."""
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
+import tarfile
+from io import BytesIO
 
+from cases import REPOSITORY
 from contactbench.results.store import merge
 from contactbench.results.tables import CLAIMS_TABLE, CONVERGENCE, LAWS_TABLE, WORK_PRECISION
 
@@ -95,3 +99,17 @@ def commit(root, message):
 def fresh(root, path, change=lambda which, row: row, **more):
     """The tables of a run made by what is checked out."""
     return folder(path, change, run={**RUN, "commit": git(root, "rev-parse", "HEAD"), **more})
+
+
+def committed(path):
+    """The tables as committed, whatever a run has made of them since; those of a source archive as they are."""
+    path.mkdir(exist_ok=True)
+    if (REPOSITORY / ".git").exists():
+        archive = subprocess.run(
+            ["git", "-C", str(REPOSITORY), "archive", "HEAD:results"], capture_output=True, check=True
+        )
+        with tarfile.open(fileobj=BytesIO(archive.stdout)) as tables:
+            tables.extractall(path, filter="data")
+    else:
+        shutil.copytree(REPOSITORY / "results", path, dirs_exist_ok=True)
+    return path

@@ -306,6 +306,7 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
 
     def step(scene, x, h, xp):
         left[0] -= 1
+        float(x.q[0])  # a step map that wants values is not recorded, but called step by step
         return x if left[0] else {}["a"]
 
     cb.fixed_step("mine", 1)(step)

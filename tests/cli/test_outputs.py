@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
 
 import contactbench as cb
+import made_up
 from contactbench import cli
 from contactbench.cli import parsing
 
@@ -88,7 +88,7 @@ def test_a_report_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch,
         raise AssertionError("the work has begun")
 
     monkeypatch.setattr(write, "report", working)
-    shutil.copy(REPOSITORY / "results" / "laws.csv", tmp_path)
+    made_up.folder(tmp_path)
     readme = tmp_path / "README.md"
     readme.write_text("nothing to fill in")
     assert cli.main(["report", "--results", str(tmp_path), "--readme", str(readme)]) == 2

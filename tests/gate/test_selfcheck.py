@@ -10,6 +10,7 @@ import pytest
 
 import contactbench as cb
 import gate_selfcheck
+import made_up
 import planted_faults
 import properties
 import selfcheck_accuracy
@@ -169,7 +170,9 @@ def test_a_method_that_is_gone_has_no_cells_any_more(tmp_path):
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    return selfcheck_tables.Folders(REPOSITORY / "results", tmp_path_factory.mktemp("folders"))
+    return selfcheck_tables.Folders(
+        made_up.committed(tmp_path_factory.mktemp("tables")), tmp_path_factory.mktemp("folders")
+    )
 
 
 def test_the_committed_tables_against_themselves_are_green(folders):

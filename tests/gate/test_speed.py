@@ -20,7 +20,7 @@ from contactbench.plugins import VARIABLE
 from contactbench.results.statistics import PairedRatio
 from contactbench.results.store import merge, read
 from contactbench.results.tables import WORK_PRECISION
-from made_up import folder, row
+from made_up import committed, folder, row
 from planted_faults import plugin
 from selfcheck_faults import SPENT
 
@@ -78,8 +78,10 @@ def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
     ]  # fmt: skip
 
 
-def test_many_saved_times_are_timed_on_the_first_engine_of_a_method_and_every_planted_fault_has_its_cell():
-    cells = workload(read(WORK_PRECISION, REPOSITORY / "results"))
+def test_many_saved_times_are_timed_on_the_first_engine_of_a_method_and_every_planted_fault_has_its_cell(
+    tmp_path,
+):
+    cells = workload(read(WORK_PRECISION, committed(tmp_path)))
     many = {cell.method: cell.engine for cell in cells if cell.saves > 1}
     assert many["rk4"] == many["contact-strang"] == "numba"
     for fault in SPENT:

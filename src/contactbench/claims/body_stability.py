@@ -199,7 +199,7 @@ def about_axis_2(d3: float, d1: float, d13: float) -> np.ndarray:
     "A rotation about the intermediate axis in ker D is always a saddle.",
     kind=Correction.replaces,
     correction=f"Enough damping stabilises it. {CRITERION}. For diagonal D and I₁ < I₂ < I₃ it is stable if d₁d₃ > "
-    "|M*|² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂): with I = (1, 2, 3), |M*| = 1, D = diag(d, 0, d) the border is "
+    "m² (1/I₂ − 1/I₃)(1/I₁ − 1/I₂): with I = (1, 2, 3), m = 1, D = diag(d, 0, d) the border is "
     "d² = 1/12. Off the diagonal the product d₁d₃ does not decide: there d₁ = d₃ = d₁₃ = ½ is a saddle "
     "although d₁d₃ > 1/12, and d₁ = 0.29, d₃ = 0.2, d₁₃ = −0.2 is stable although d₁d₃ < 1/12.",
     scene="anisotropic body, the intermediate axis in ker D",

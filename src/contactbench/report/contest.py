@@ -78,7 +78,8 @@ COMPILED = Kind(
 )  # fmt: skip
 CALLED_BACK = Kind(
     "callbacks", "Time, Python callbacks", "time_median_s", lambda engine: engine.isin(CALLBACKS), duration,
-    "Median time of a call that evaluates the right-hand side in Python; the fixed-step methods run in Python.",
+    "Median time of a call whose right-hand side is evaluated in Python: SciPy and scikit-sundae call it back, the "
+    "fixed-step methods run a Python loop it is written into, which is part of their lead.",
 )  # fmt: skip
 MARGINAL = Kind(
     "marginal", "Marginal time, compiled", "marginal_s", COMPILED.engines, duration,
