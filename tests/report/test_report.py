@@ -279,6 +279,10 @@ def test_no_measured_number_stands_outside_the_computed_part_of_the_readme():
         r"\d(?:\.\d+)?e-\d+|\d+(?:\.\d+)? ?[µmn]s\b|×\s?\d+(?:\.\d+)?\b|\d+(?:\.\d+)?×", prose
     )
     assert not measured
+
+
+def test_what_is_compared_is_counted():
+    prose = (REPOSITORY / "docs" / "benchmark.md").read_text()
     words = {5: "five", 7: "seven", 16: "sixteen"}
     assert f"on {words[len(standard_scenes())]} scenes" in prose
     assert f"on {words[len(hard_scenes())]} hard scenes" in prose
