@@ -100,6 +100,19 @@ def test_a_table_that_has_moved_on_leaves_its_documents_behind(results, capsys):
             path.write_bytes(content)
 
 
+def test_a_report_removes_figures_of_its_own_that_no_table_gives_any_more(results, capsys):
+    figures = results / "figures"
+    for kind in ("svg", "png"):
+        (figures / f"earlier.{kind}").write_bytes((figures / f"convergence.{kind}").read_bytes())
+    (figures / "mine.svg").write_text("<svg/>")
+    assert checked(results, capsys)[0] == 1
+    assert main(["report", "--results", str(results)]) == 0
+    assert not list(figures.glob("earlier.*"))
+    assert (figures / "mine.svg").exists()
+    (figures / "mine.svg").unlink()
+    assert checked(results, capsys)[0] == 0
+
+
 def test_no_test_reads_what_the_benchmark_writes():
     """The tables of a clone may be those of any run; `committed` takes them from git, if there is git."""
     folder = 'REPOSITORY / "' + 'results"'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,12 +74,24 @@ def made(results: Path, registries: glossary.Registries) -> tuple[dict[str, str]
     return texts, {figure.name: figure for one in said for figure in figures(one.parts)}
 
 
+def remove_others(names: Container[str], folder: Path) -> None:
+    """Remove figures drawn here, known by their digest, that have none of these names."""
+    for vector in folder.glob("*.svg"):
+        if vector.stem not in names and draw.digest_of(vector):
+            vector.unlink()
+            vector.with_suffix(".png").unlink(missing_ok=True)
+
+
 def report(results: Path, registries: glossary.Registries) -> list[Path]:
-    """Write every document and figure the tables allow, and the page; returns the paths."""
+    """Write every document and figure the tables allow, and the page; returns the paths.
+
+    Figures of an earlier report that no table gives any more are removed.
+    """
     texts, drawn = made(results, registries)
     written = []
     for name, text in texts.items():
         with replacing(results / name) as file:
             file.write(text)
         written.append(results / name)
+    remove_others(drawn, results / "figures")
     return written + draw.save_all(list(drawn.values()), results / "figures")
