@@ -57,6 +57,8 @@ class Kind:
     repeat: str = "time_repeat_ratio"
     #: whether a closed form, which costs the same for any span, takes part
     exact: bool = True
+    #: what else than the methods differs
+    caveat: str = ""
 
     def compares(self, rows: pd.DataFrame) -> pd.Series:
         """The rows that take part."""
@@ -79,7 +81,9 @@ COMPILED = Kind(
 CALLED_BACK = Kind(
     "callbacks", "Time, Python callbacks", "time_median_s", lambda engine: engine.isin(CALLBACKS), duration,
     "Median time of a call whose right-hand side is evaluated in Python: SciPy and scikit-sundae call it back, the "
-    "fixed-step methods run a Python loop it is written into, which is part of their lead.",
+    "fixed-step methods run a Python loop it is written into, which favours them.",
+    caveat="The engines differ: the right-hand side is written into the loop of a fixed-step method, the others call "
+    "it back.",
 )  # fmt: skip
 MARGINAL = Kind(
     "marginal", "Marginal time, compiled", "marginal_s", COMPILED.engines, duration,
@@ -360,6 +364,8 @@ def standing(field: Field) -> tuple[str, str] | None:
             won.append(f"`{scene}`{by}")
     if won:
         sentence += f" A contact method is cheapest at every error on {names(won)}."
+    if field.kind.caveat:
+        sentence += f" {field.kind.caveat}"
     covers = (
         f"{len(field.contested)} scenes, errors {', '.join(power(t) for t in TARGETS)}; a tie: within "
         f"{100 * (field.margin - 1):.0f} %"
