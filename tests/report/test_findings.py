@@ -154,8 +154,32 @@ def test_the_modified_hamiltonian_is_compared_with_h_in_the_same_runs():
     assert "(100 to 4000 times)" in finding.sentence
     assert not finding.exceptions
     assert found(*rows, row("contact-b", 1e-6, 2e-6)).exceptions
-    assert "contact-b" not in found(*rows, row("contact-b", 1e-6, 1e-6)).sentence  # no correction up to h⁴
+    same = found(*rows, row("contact-b", 1e-6, 1e-6)).sentence  # no correction up to h⁴
+    assert same == f"{finding.sentence} That of contact-b is H itself up to there."
+    hard = [row("contact-a", 1e-3, 2e-3) | {"scene": "overdamped"}]
+    (both,) = (
+        f
+        for f in law_findings.findings(frames(laws=rows, stability=hard))
+        if f.name == "modified_hamiltonian"
+    )
+    assert len(both.exceptions) == 1
     assert found(row("contact-a", 1e-13, 1e-14)) is None  # round-off
+
+
+@pytest.mark.parametrize("law", ["contact_drift", "pairing_drift"])
+def test_a_run_that_saves_nothing_but_what_has_faded_decides_nothing(law):
+    def sentence(clamped):
+        rows = [
+            kept_row("central", m) | {law: 1e-15, "saved_times": 25, "derivative": "AD"}
+            for m in ("contact-a", "contact-b")
+        ]
+        rows[1] |= {"contact_drift_clamped": clamped}
+        (found,) = (f for f in law_findings.findings(frames(laws=rows)) if f.name == f"law_{law}")
+        return found
+
+    assert "1 more" not in sentence(24.0).sentence
+    assert "in all 1 run that can tell; 1 more are undecided" in sentence(25.0).sentence
+    assert any("less than a thousandth of the terms is left" in e for e in sentence(25.0).exceptions)
 
 
 def test_the_least_drift_of_the_others_is_over_all_scenes_and_settings_and_says_where():

@@ -183,3 +183,11 @@ def test_a_clock_that_lags_loses_the_order(monkeypatch):
 def test_what_does_not_fit_is_refused(changes, said):
     with pytest.raises(cb.BadInput, match=said):
         LANE_EMDEN[0].with_(**changes)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 2.0])
+def test_the_forced_oscillator_has_its_closed_form_without_damping_and_at_critical_damping(gamma):
+    scene = FORCED_OSCILLATOR.with_(gamma=gamma)
+    assert cb.solve(scene, "scipy-dop853", rtol=1e-12, save_at=saved(scene)).laws().loc[
+        "solution_error", "deviation"
+    ] == pytest.approx(0, abs=1e-10)

@@ -81,9 +81,9 @@ COMPILED = Kind(
 CALLED_BACK = Kind(
     "callbacks", "Time, Python callbacks", "time_median_s", lambda engine: engine.isin(CALLBACKS), duration,
     "Median time of a call whose right-hand side is evaluated in Python: SciPy and scikit-sundae call it back, the "
-    "fixed-step methods run a Python loop it is written into, which favours them.",
-    caveat="The engines differ: the right-hand side is written into the loop of a fixed-step method, the others call "
-    "it back.",
+    "methods of this suite run a Python loop it is written into, which favours them.",
+    caveat="The engines differ: the right-hand side is written into the loops of this suite, SciPy and "
+    "scikit-sundae call it back.",
 )  # fmt: skip
 MARGINAL = Kind(
     "marginal", "Marginal time, compiled", "marginal_s", COMPILED.engines, duration,

@@ -249,6 +249,9 @@ def error_finding(frame: pd.DataFrame) -> list[Finding]:
     if more and {e: set(own) for e, own in more.items()} != {e: set(own) for e, own in calls.items()}:
         sentence += f" One more trajectory, without what every call takes: {told(more)}."
     covers = f"{many(part['method'].nunique(), 'method')}, one core, {many_of} trajectories"
+    fewest = part.groupby("method", sort=False)["trajectories"].max()
+    if len(fewer := fewest[fewest < part["trajectories"].max()]):
+        covers += f", of {names(fewer.index)} {count(fewer.max())}"
     if " fixed)" in sentence:
         covers += "; fixed: whatever their number, at the cheapest setting that reaches the error"
     return [Finding("ensembles", "Ensembles", sentence, covers)]

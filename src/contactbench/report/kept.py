@@ -93,9 +93,13 @@ def decided(value: Any, bound: Any) -> tuple[Any, Any]:
     return kept, within & np.logical_not(kept)
 
 
+#: a law of the same derivative, which fades as the contact form does
+CLAMPED = {"pairing_drift": "contact_drift_clamped"}
+#: of a run on a hard scene
+SAVED_TIMES = 25
 MEASURED = [
     "scene", "method", "family", "setting", "solution_error", "value", "bound", "growth", "frozen", "uncertainty",
-    "unsure", "clamped", "derivative",
+    "unsure", "clamped", "all_clamped", "derivative",
 ]  # fmt: skip
 
 
@@ -104,7 +108,8 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
 
     Columns beside theirs: value, its uncertainty, bound and growth; frozen: the value with the steps held fixed;
     unsure: no more than an upper bound is known; kept; ill: undecided because the bound is too large; undecided:
-    that, or unsure.  What is neither kept nor undecided is broken.
+    that, or unsure, or faded: within the bound, but at every saved time no more than a thousandth of its terms was
+    left to compare with, so that anything would be.  What is neither kept nor undecided is broken.
     """
     parts = []
     for name in ("laws", "stability"):
@@ -118,14 +123,18 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
                 value=values, uncertainty=uncertainty, bound=bound(part, law), growth=growth(part, law),
                 frozen=numbers(part, law + FROZEN), unsure=(uncertainty > 0) & (values <= UNSURE * uncertainty),
                 clamped=numbers(part, f"{law}_clamped", 0.0),
+                all_clamped=numbers(part, CLAMPED.get(law, f"{law}_clamped"), 0.0)
+                >= numbers(part, "saved_times", SAVED_TIMES),
             )
         )  # fmt: skip
     if not parts:
-        return pd.DataFrame(columns=[*MEASURED, "kept", "ill", "undecided", "broken"])
+        return pd.DataFrame(columns=[*MEASURED, "kept", "ill", "faded", "undecided", "broken"])
     rows = pd.concat([part.reindex(columns=MEASURED) for part in parts], ignore_index=True)
     kept, ill = decided(rows["value"], rows["bound"])
-    undecided = ill | (rows["unsure"].astype(bool) & ~kept)
-    return rows.assign(kept=kept, ill=ill, undecided=undecided, broken=~kept & ~undecided)
+    faded = kept & rows["all_clamped"].astype(bool)
+    kept &= ~faded
+    undecided = ill | faded | (rows["unsure"].astype(bool) & ~kept)
+    return rows.assign(kept=kept, ill=ill, faded=faded, undecided=undecided, broken=~kept & ~undecided)
 
 
 def keepers(rows: pd.DataFrame) -> list[str]:

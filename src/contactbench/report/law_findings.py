@@ -41,6 +41,7 @@ def law_finding(frames: Frames, law: str) -> Finding | None:
         *contact_exceptions(frames, law, rows[contact & rows["broken"]]),
         *magnified(rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]),
         *undecided(rows[contact & rows["ill"]]),
+        *faded(rows[contact & rows["faded"]]),
     ]
     sentence = " ".join(filter(None, [of_contact_methods(frames, rows[contact]), *of_others(rows[~contact])]))
     return Finding(f"law_{law}", upper(called(law)), sentence, covers(rows, frames, law), tuple(exceptions))
@@ -136,6 +137,15 @@ def magnified(rows: pd.DataFrame) -> Iterator[str]:
         )
 
 
+def faded(rows: pd.DataFrame) -> Iterator[str]:
+    """Runs that save nothing early enough to decide."""
+    if len(rows):
+        yield (
+            f"{many(len(rows), 'run')} on {names(scenes_of(rows))} undecided, because at every saved time less than a "
+            "thousandth of the terms is left of what is kept"
+        )
+
+
 def undecided(rows: pd.DataFrame) -> Iterator[str]:
     """Runs of the contact methods in which round-off alone may amount to too much to tell."""
     if len(rows):
@@ -216,7 +226,7 @@ def contact_exceptions(frames: Frames, law: str, broken: pd.DataFrame) -> Iterat
         yield (
             f"no more than {times_above(slight)} times the bound of round-off in {many(len(slight), 'run')} on "
             f"{names(scenes_of(slight))} "
-            f"(worst {scientific(worst['value'])}, {place(worst)})"
+            f"(farthest beyond it: {scientific(worst['value'])}, {place(worst)})"
         )
 
 
@@ -315,13 +325,17 @@ SAME = 1e-3
 
 def modified_finding(frames: Frames) -> Finding | None:
     """How much nearer the modified Hamiltonian is to its decay than H itself, in the same runs."""
-    frame = frames.get("laws", pd.DataFrame())
-    if not len(frame) or not set(CORRECTED) <= set(frame):
+    tables = [frames.get(name, pd.DataFrame()) for name in ("laws", "stability")]
+    tables = [table for table in tables if len(table) and set(CORRECTED) <= set(table)]
+    if not tables:
         return None
+    frame = pd.concat(tables, ignore_index=True)
     fixed, plain = (pd.to_numeric(frame[law], errors="coerce") for law in CORRECTED)
     rows = frame.assign(fixed=fixed, plain=plain, gain=plain / fixed)
     rows = rows[(rows["status"] == "ok") & (rows["plain"] > NEAR * STRUCTURE) & rows["fixed"].notna()]
-    rows = rows[(rows["gain"] - 1).abs() > SAME]
+    same = (rows["gain"] - 1).abs() <= SAME
+    itself = [m for m in dict.fromkeys(rows["method"]) if same[rows["method"] == m].all()]
+    rows = rows[~same]
     if not len(rows):
         return None
     said = [
@@ -331,7 +345,8 @@ def modified_finding(frames: Frames) -> Finding | None:
     ]
     worse = rows[rows["gain"] < 1]
     return Finding(
-        "modified_hamiltonian", "The modified Hamiltonian", f"By nested brackets up to h⁴: {'; '.join(said)}.",
+        "modified_hamiltonian", "The modified Hamiltonian", f"By nested brackets up to h⁴: {'; '.join(said)}."
+        + (f" That of {names(itself)} is H itself up to there." if itself else ""),
         f"{many(len(rows), 'run')} in which H is off by more than {scientific(NEAR * STRUCTURE, 0)}, "
         f"{many(rows['method'].nunique(), 'method')} on {many(rows['scene'].nunique(), 'scene')}",
         tuple(f"H is nearer in {place(row)}" for _, row in worse.iterrows()),

@@ -133,7 +133,8 @@ def sections(frames: Frames) -> list[Part]:
     fields = [Field(work, kind) for kind in KINDS]
     parts: list[Part] = [
         Text(
-            f"Log–log interpolation between a method's own settings. The error is {ERROR}. Evaluations, times of "
+            "Log–log interpolation between a method's own settings, without those that cost more for less accuracy. "
+            f"The error is {ERROR}. Evaluations, times of "
             "compiled calls and times of solvers that call back into Python are three comparisons, never one."
         ),
         noise_text(work),

@@ -30,6 +30,9 @@ class Driven(Mechanical):
     rate : ``γ(t, **parameters) -> number`` and span : ``(t, h, xp, **parameters) -> (G, φ)``, with
     G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.
 
+    A processed composition (contact-rkn8) begins and ends with steps back: its γ(t) and V(q, t) have to be defined
+    some steps before the start.
+
     The contact form is taken at a given time: tangents do not move t.  H has no decay law, since ∂H/∂t ≠ 0.
     Raises `BadInput` as `Mechanical` does, and for κ, a Hessian, a symmetry or only one of rate and span.
     """

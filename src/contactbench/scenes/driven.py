@@ -74,8 +74,21 @@ def spherical_span(t, h, xp, **parameters):
 
 # -- closed forms ----------------------------------------------------------------------------------
 def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
-    """Steady and transient oscillation, sums of exponentials; s = ½ q p + r, r' = −γ r + ½ F q cos Ωt."""
-    m, gamma, force = scene.mass, scene.gamma, scene.parameters["force"]
+    """Steady and transient oscillation, sums of exponentials; s = ½ q p + r, r' = −γ r + ½ F q cos Ωt.
+
+    Critical and no damping are limits of the formula: there it is taken beside them, with digits to spare.
+    """
+    square = scene.parameters["omega"] ** 2
+    digits, gamma = mp.dps, mp.mpf(scene.gamma)
+    with mp.workdps(3 * digits):
+        if gamma == 0 or gamma * gamma / 4 == square / mp.mpf(scene.mass):
+            gamma += mp.mpf(10) ** -digits
+        return oscillation(scene, gamma, t, mp)
+
+
+def oscillation(scene: Driven, gamma: Any, t: Any, mp: Any) -> DrivenState:
+    """`forced_oscillator` at a damping that is neither critical nor zero."""
+    m, force = scene.mass, scene.parameters["force"]
     square, turn = scene.parameters["omega"] ** 2, mp.mpc(0, scene.parameters["drive"])
     start = mp.exp(turn * scene.t)
     amplitude = force * start / (m * turn * turn + m * gamma * turn + square)

@@ -52,7 +52,7 @@ def kepler_hessian(q, strength):
 OVERDAMPED = OSCILLATOR.with_(
     name="overdamped", hard=True, gamma=50.0, t_end=100.0,
     about="γ = 50: what is left after a moment creeps back at the slow rate 0.02. A method that treats "
-    "force and friction one after the other gets that rate wrong, up to the factor (γh/2)coth(γh/2), and "
+    "force and friction one after the other gets that rate wrong, by a factor of about (γh/2)coth(γh/2), and "
     "an explicit one is unstable unless γh is of order one although nothing fast happens.",
 )  # fmt: skip
 

@@ -100,8 +100,8 @@ def jumps(frame: pd.DataFrame) -> str:
     if not said:
         return ""
     return (
-        f" A curve jumps where its step passes the limit of stability: {names(said)}. As soon as the step is "
-        "stable, the motion, which has only its slow decay left, is resolved."
+        f" A curve jumps where its step passes the limit of stability: {names(said)}. As soon as its step is "
+        "stable such a curve resolves the motion, which has only its slow decay left."
     )
 
 
