@@ -16,6 +16,7 @@ from contactbench.results.tables import (
     CLAIMS_TABLE,
     CONVERGENCE,
     ENSEMBLE_TABLE,
+    GATE_SELFCHECK,
     LAWS_TABLE,
     LAWS_TIME,
     PAPER_FIGURES,
@@ -277,3 +278,15 @@ def test_the_rules_are_those_of_the_laws():
         name: Rule[law.gate.value] for name, law in cb.LAWS.items()
     }
     assert pytest.approx(2, abs=0.01) == 10**DECADES
+
+
+def test_the_table_of_the_self_check_is_expected_of_no_run(tmp_path):
+    before, after = folder(tmp_path / "before"), folder(tmp_path / "after")
+    merge(
+        GATE_SELFCHECK,
+        [{"part": "speed", "planted": "nothing", "condition": "as it was", "wanted": "none"}],
+        before,
+    )
+    verdict = accuracy(before, after)
+    assert not verdict.red
+    assert not [line for line in verdict.lines if "gate_selfcheck" in line.measure]
