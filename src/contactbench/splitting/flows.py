@@ -145,7 +145,7 @@ def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
     return -scene.gamma * h
 
 
-def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
+def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
     """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
 
     With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
