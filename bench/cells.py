@@ -12,8 +12,9 @@ from contactbench.measure.ladder import setting as setting
 from contactbench.measure.ladder import steps as steps
 from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
+from contactbench.methods.base import Method
 from contactbench.scene import Scene
-from contactbench.scenes import standard_scenes
+from contactbench.scenes import SCENES, standard_scenes
 from contactbench.solution import Counts, Solution, printed_setting
 
 #: in the smoke profile every method on one scene, and on every other scene one of ours and one of theirs
@@ -25,7 +26,7 @@ def cells(
 ) -> Callable[..., Any]:
     """Attach to a test the function that lists its cells for a profile.
 
-    group : names the cells that one process should run; by default those of one scene and method.
+    group : names the cells that one process should run; by default those whose programs are the same.
     visits : how often a run that is timed comes to a cell, at places of its own in the shuffled order.
     times : the untimed test of the same cells to whose rows this one adds times; a run without a clock
     leaves this one out.
@@ -34,11 +35,39 @@ def cells(
     """
 
     def attach(test: Any) -> Any:
-        test.cells, test.group, test.visits = ladder, group or (lambda cell: "-".join(cell[:2])), visits
+        test.cells, test.group, test.visits = ladder, group or family, visits
         test.times = times
         return test
 
     return attach
+
+
+def scene_and_method(cell: Any) -> tuple[Scene, Method] | None:
+    """The two a cell begins with, None for cells of another kind."""
+    match cell:
+        case (str(scene), str(method), *_) if method in METHODS and scene.partition(" ")[0] in SCENES:
+            return SCENES[scene.partition(" ")[0]], METHODS[method]
+    return None
+
+
+def family(cell: tuple) -> str:
+    """Scenes whose compiled programs are the same, and the method."""
+    found = scene_and_method(cell)
+    if found is None:
+        return "-".join(map(str, cell))
+    scene, method = found
+    kind = getattr(scene, "potential", type(scene)).__name__ + str(getattr(scene, "isotropic", ""))
+    return f"{kind}-{method.name}"
+
+
+def takes_long(cell: Any) -> bool:
+    """Whether the runs of a cell call back into Python or solve equations at every step."""
+    found = scene_and_method(cell)
+    return (
+        found is not None
+        and found[1].adaptive
+        and found[1].step_cost(found[0], found[1].engines[0]) is not None
+    )
 
 
 def pairs(
