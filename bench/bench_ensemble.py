@@ -145,6 +145,7 @@ def prepared_row(cell):
     start = perf_counter()
     y = run()
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
+    y = np.asarray(y)
     if question != "arithmetic":
         row["solution_error"] = error(scene, y)
     steps, evaluations, kind = costs()

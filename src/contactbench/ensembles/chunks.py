@@ -89,9 +89,12 @@ def results(
     chunk: int | None,
     executor: Executor | None,
 ) -> Iterator[tuple[int, Result]]:
-    """(k, result of chunk k), every chunk once; by an executor in the order in which they are done."""
+    """(first trajectory of a chunk, its result), every chunk once; by an executor in the order in which they are done."""
     if executor is None:
-        yield from enumerate(task.chunks(run, y0, own, chunk))
+        first = 0
+        for result in task.chunks(run, y0, own, chunk):
+            yield first, result
+            first += len(result[-1])
     else:
         yield from spread(executor, task, y0, own, chunk or CHUNK["cpu"])
 
@@ -134,7 +137,7 @@ def spread(
                     continue
                 if isinstance(result, Exception):
                     raise result
-                yield k, result
+                yield k * size, result
     finally:
         if own_threads is not None:
             own_threads.shutdown(cancel_futures=True)
