@@ -1,9 +1,9 @@
 """Ensembles by each engine: functions of a scene, a setting and initial states (d, n) that return a run.
 
 A run takes nothing and returns the final states (d, n) on the host, one array or one per component.
-Each peer is in its best shape of those tried: diffrax in tiles of trajectories that fit the first cache, both with steps of their own (vmap)
-and with steps they share (one system per tile, about twice as fast, its error control over the tile);
-heyoka in batches of the machine's vector width.
+Each peer is in its best shape of those tried: diffrax in tiles of trajectories that fit the first cache,
+both with steps of their own (vmap) and with steps they share (one system per tile, about twice as fast,
+its error control over the tile); heyoka in batches of the machine's vector width.
 """
 
 from __future__ import annotations

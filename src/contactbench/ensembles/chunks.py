@@ -89,7 +89,7 @@ def results(
     chunk: int | None,
     executor: Executor | None,
 ) -> Iterator[tuple[int, Result]]:
-    """(first trajectory of a chunk, its result), every chunk once; by an executor in the order in which they are done."""
+    """(first trajectory of a chunk, its result), every chunk once; by an executor in the order they are done."""
     if executor is None:
         first = 0
         for result in task.chunks(run, y0, own, chunk):

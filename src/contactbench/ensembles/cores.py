@@ -55,7 +55,12 @@ def equal_share(n: int, cores: int, chunk: int) -> int:
 
 
 def side_by_side(
-    run: FixedStepRun, many: Callable[..., Any], rows: np.ndarray, shape: np.ndarray, names: list[str], y0: np.ndarray
+    run: FixedStepRun,
+    many: Callable[..., Any],
+    rows: np.ndarray,
+    shape: np.ndarray,
+    names: list[str],
+    y0: np.ndarray,
 ) -> Result:
     """Final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core.
 
