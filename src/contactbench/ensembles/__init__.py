@@ -21,9 +21,9 @@ from contactbench.ensembles.measures import ENERGY, Statistic, decaying, overall
 from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, shown, switch, whole
 from contactbench.methods.base import METHODS, Refused
-from contactbench.methods.entry import lookup, prepare
+from contactbench.methods.entry import asked, lookup
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.fixed_step_run import Division
 from contactbench.scene import BodyState, Scene, State
 from contactbench.solution import Counts, Status
 
@@ -98,16 +98,18 @@ def ensemble(
     if not isinstance(chosen, FixedStep):
         fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
         raise BadInput(f"method = {shown(method)}: an ensemble takes a fixed-step method: {fixed}")
-    run = prepare(
-        scene, method, step=positive("step", step), carry=carry, engine=chosen.engines[-1],
+    request = asked(
+        scene,
+        method,
+        positive("step", step),
+        carry=carry,
         save_at=[scene.t_end] if measure_at is None else measure_at,
-    )  # fmt: skip
-    if isinstance(run, Refused):
-        raise BadInput(run.why)
-    assert isinstance(run, FixedStepRun)
+    )
+    if isinstance(request, Refused):
+        raise BadInput(request.why)
+    run = Division(method, request, chosen)
     if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
         raise BadInput(f"engine = {shown(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
-    request = run.request
     if run.needed > request.max_steps:
         raise BadInput(f"step = {step!r}: {run.needed} steps, of which {request.max_steps} are allowed")
     switch("keep", keep)

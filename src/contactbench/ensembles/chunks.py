@@ -23,7 +23,8 @@ from contactbench.ensembles.cores import on_cores
 from contactbench.ensembles.devices import CHUNK, Result, on_devices
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS, Request
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import Division, FixedStepRun
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.recording import CannotRecord
 
@@ -44,8 +45,9 @@ class Task:
     def __call__(self, y0: np.ndarray, own: dict[int, np.ndarray]) -> Result | Exception:
         """One chunk on one core; an error of its own is its result, so that all others are its worker's."""
         try:
-            run = METHODS[self.method].prepare(self.request)
-            assert isinstance(run, FixedStepRun)
+            chosen = METHODS[self.method]
+            assert isinstance(chosen, FixedStep)
+            run = Division(self.method, self.request, chosen)
             parts = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
         except Exception as error:
             return error

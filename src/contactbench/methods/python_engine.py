@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,34 +12,12 @@ from contactbench.methods.base import NO_NUMBER, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxSteps
 from contactbench.methods.numba_engine import NumbaLoop, program_of
-from contactbench.methods.step_map import StepMap, trajectory
+from contactbench.methods.step_map import trajectory
 from contactbench.numbers.program import Program
 from contactbench.numbers.recording import CannotRecord
 from contactbench.numbers.source import executed_on_lists
-from contactbench.scene import Scene
 
 Span = tuple[float, int]  #: a step size, and how many steps
-
-
-class Recording(NamedTuple):
-    """A recorded loop as functions of floats, and how long it took to record."""
-
-    program: Program
-    functions: dict[str, Any]
-    seconds: float
-
-
-_recordings: dict[Any, Recording] = {}
-
-
-def recording_of(method: StepMap, scene: Scene, carry: tuple[str, ...]) -> Recording:
-    """The loop of a method, recorded once for all scenes of one structure; may raise `CannotRecord`."""
-    key = (method, scene.structure, carry)
-    if key not in _recordings:
-        elapsed = stopwatch()
-        program = program_of(method, scene, carry)
-        _recordings[key] = Recording(program, executed_on_lists(program.text), elapsed())
-    return _recordings[key]
 
 
 class PythonLoop(FixedStepRun):
@@ -52,10 +29,12 @@ class PythonLoop(FixedStepRun):
     sensitivity_source = "forward-mode AD through the same steps, compiled"
 
     def __post_init__(self) -> None:
+        elapsed = stopwatch()
         self.program: Program | None = None
         with suppress(CannotRecord):
-            r = self.request
-            self.program, self.functions, self.compile_s = recording_of(self.method_, r.scene, r.carry)
+            self.program = program_of(self.method_, self.request.scene, self.request.carry)
+            self.functions = executed_on_lists(self.program.text)
+            self.compile_s = elapsed()
         super().__post_init__()
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
