@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from contactbench.boundary import FUNCTIONS
 from contactbench.numbers import functions
 
 
 def test_dir_shows_the_public_names_and_they_exist():
     assert dir(cb) == sorted([*cb.__all__, "__version__"])
     assert all(getattr(cb, name) is not None for name in dir(cb))
-    assert set(functions.__all__) == {*functions.NAMES, "atan2", "pi"}
+    assert set(functions.__all__) == {*FUNCTIONS, "atan2", "pi"}
     assert all(hasattr(cb.math, name) for name in functions.__all__)
 
 

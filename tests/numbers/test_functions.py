@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from contactbench.boundary import FUNCTIONS
 from contactbench.numbers.dual import Dual
-from contactbench.numbers.functions import NAMES
 
 #: inside the domain of each
-POINT = {name: 1.25 if name == "acosh" else 0.375 for name in NAMES}
+POINT = {name: 1.25 if name == "acosh" else 0.375 for name in FUNCTIONS}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_kind_of_number_gives_the_same(name):
     from contactbench.xla import jax, jnp
 
@@ -29,7 +29,7 @@ def test_every_kind_of_number_gives_the_same(name):
         assert abs(precise - getattr(mpmath, name)(mpmath.mpf(x))) == 0
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_derivatives(name):
     x, function = POINT[name], getattr(cb.math, name)
     with mpmath.workdps(30):

@@ -16,6 +16,7 @@ from contactbench.report import page
 from contactbench.report.cells import Head, Mark, View, number, word
 from contactbench.report.drawing import Axis, Curve, Figure, Heat, Note, Panel, Span
 from contactbench.report.look import METHODS, ROLES
+from contactbench.report.page import words
 from contactbench.report.rooms import Finding, Room, Section, Text
 
 VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path", "use"}
@@ -393,10 +394,10 @@ def test_a_long_table_is_filtered_by_words(chrome):
 
 
 def test_mathtext_is_words_and_levels():
-    assert page.runs(r"$|e^{\int\Gamma'} J_0|$ of *this*") == [
+    assert words.runs(r"$|e^{\int\Gamma'} J_0|$ of *this*") == [
         ("|e", 0), ("∫Γ'", 1), (" J", 0), ("0", -1), ("|", 0), (" of this", 0),
     ]  # fmt: skip
-    assert page.plain("$H_0$ against $10^{-3}$") == "H_0 against 10^-3"
+    assert words.plain("$H_0$ against $10^{-3}$") == "H_0 against 10^-3"
 
 
 def test_an_axis_is_chosen_and_the_address_remembers_it(chrome):
@@ -484,10 +485,10 @@ def test_names_at_curves_stand_apart_and_words_stay_in_their_figure(chrome, size
 
 
 def test_mathematics_in_a_sentence_is_set():
-    assert page.inline("H e^{∫Γ'} and $H_0$, `e^{x}`") == (
+    assert words.inline("H e^{∫Γ'} and $H_0$, `e^{x}`") == (
         "H e<sup>∫Γ&#39;</sup> and H<sub>0</sub>, <code>e^{x}</code>"
     )
-    assert page.plain("H e^{∫Γ'} and $H_0$") == "H e^(∫Γ') and H_0"
+    assert words.plain("H e^{∫Γ'} and $H_0$") == "H e^(∫Γ') and H_0"
 
 
 def test_every_section_is_reached_from_the_row_of_links_and_what_is_shown_stays_in_the_address(chrome):

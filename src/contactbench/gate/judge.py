@@ -124,9 +124,8 @@ def slower(root: Path, cells: Sequence[Cell], revision: str | None, budget: floa
     cells = cells if budget is None else kinds_first(cells, commit)
     with revisions.checkout(root, commit) as tree:
         pythons, trees = (revisions.interpreter(tree, root), sys.executable), (tree, root)
-        for python, sources in zip(
-            pythons, trees, strict=True
-        ):  # neither has to compile modules it imports late
+        # neither has to compile modules it imports late
+        for python, sources in zip(pythons, trees, strict=True):
             subprocess.run([python, "-m", "compileall", "-q", str(sources / "src")], capture_output=True)
         return timed(pythons, trees, cells, until, (commit[:12], head))
 

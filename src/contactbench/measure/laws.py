@@ -22,7 +22,7 @@ from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, co
 from contactbench.measure.law import Gate, Law, Measured
 from contactbench.measure.pairing import pairing_deviation
 from contactbench.measure.pullback import Pullback, growth, pullback
-from contactbench.scene import Mechanical, Scene, rotation_matrix
+from contactbench.scene import Scene, rotation_matrix
 from contactbench.solution import Differential, Solution
 from contactbench.truth import reference
 
@@ -50,7 +50,7 @@ def laws_of(scene: Scene) -> list[Law]:
 
 def damped_linearly(scene: Scene) -> bool:
     """H = T + V + γs."""
-    return isinstance(scene, Mechanical) and scene.conformal_rate is not None
+    return scene.canonical and scene.conformal_rate is not None
 
 
 # -- comparisons with the truth --------------------------------------------------------------------

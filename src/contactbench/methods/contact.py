@@ -10,7 +10,7 @@ from typing import Any
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Mechanical, Scene
+from contactbench.scene import Scene
 from contactbench.splitting.composition import Composition, advance, log_factor, plan, refusal
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
@@ -35,9 +35,7 @@ class ContactMethod(FixedStep):
         return log_factor(self.composition, scene, x, h, n, math)
 
     def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
-        if not (isinstance(scene, Mechanical) and scene.has_hamiltonian_law):
-            return None
-        if not has_modified_hamiltonian(self.composition):
+        if not (scene.canonical and scene.has_hamiltonian_law and has_modified_hamiltonian(self.composition)):
             return None
         return modified_hamiltonian(scene, self.composition, x, h)
 

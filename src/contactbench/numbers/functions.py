@@ -14,17 +14,14 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import FUNCTIONS
 from contactbench.numbers.dual import Dual, DualNumbers
 from contactbench.numbers.recording import Recorded, RecordedNumbers
 from contactbench.numbers.series import Series, SeriesNumbers
 
-#: NumPy, JAX, mpmath and heyoka have them all
-NAMES = FUNCTIONS
 __all__ = [
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "log", "pi", "sin", "sinh",
     "sqrt", "tan", "tanh",
@@ -83,11 +80,6 @@ sin, cos, tan = map(_function, ("sin", "cos", "tan"))
 asin, acos, atan = map(_function, ("asin", "acos", "atan"))
 sinh, cosh, tanh = map(_function, ("sinh", "cosh", "tanh"))
 asinh, acosh, atanh = map(_function, ("asinh", "acosh", "atanh"))
-
-
-if TYPE_CHECKING:  # the functions made in the loop
-
-    def __getattr__(name: str) -> Callable[..., Any]: ...
 
 
 def _leading(*numbers: Any) -> Any:

@@ -399,4 +399,5 @@ GATE_SELFCHECK = table(
     },
     key=("part", "planted", "condition"),
     version=2,
+    benchmarked=False,
 )

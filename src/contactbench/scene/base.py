@@ -147,6 +147,8 @@ class Scene(System):
     experiments: tuple[str, ...] = ()
 
     initial_fields: ClassVar[tuple[str, ...]] = ()
+    #: its state has coordinates q and p of the same number, and η = ds − p dq
+    canonical: ClassVar[bool] = False
 
     def _check_kinds(self) -> None:
         """Raise `BadInput` for a field that is of another kind altogether."""

@@ -41,6 +41,7 @@ class Mechanical(Scene):
 
     kind: ClassVar[str] = "mechanical"
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
+    canonical: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         self._check_kinds()

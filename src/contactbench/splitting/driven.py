@@ -12,12 +12,6 @@ from typing import Any
 from contactbench.scene import Driven, DrivenState
 
 
-def kick(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
-    """B: p −= h ∇V(q, t), s −= h V(q, t)."""
-    p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
-    return DrivenState(x.q, p, x.t, None if x.s is None else x.s - h * scene.potential_at(x))
-
-
 def damp(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
     """C: p *= e^{−G}, s *= e^{−G}, t += h."""
     decay = xp.exp(-damping_over(scene, x, h, xp))
@@ -35,19 +29,7 @@ def log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
     return -damping_over(scene, x, h, xp)
 
 
-def drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> DrivenState:
-    """AC: q += φ p/m, s → e^{−G} (s + φ T(p)), p → e^{−G} p, t += h.
-
-    constants : h, and where γ is constant φ, keep and lose of `flows.drift_damp`.
-    """
-    h, *constant = constants
-    if constant:
-        phi, keep, lose = constant
-    else:
-        total, phi = scene.spent(x.t, h, xp)
-        keep, lose = 1.0, -xp.expm1(-total)
-    over_m = phi * scene.inverse_mass
-    q = tuple(q + over_m * p for q, p in zip(x.q, x.p, strict=True))
-    s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
-    p = tuple(keep * p - lose * p for p in x.p)
-    return DrivenState(q, p, x.t + h, None if s is None else keep * s - lose * s)
+def damping(scene: Driven, x: DrivenState, h: Any, xp: Any) -> tuple[Any, ...]:
+    """The constants of the flow AC, φ/m, φ and `flows.damping`, from x.t to x.t + h."""
+    total, phi = scene.spent(x.t, h, xp)
+    return phi * scene.inverse_mass, phi, 1.0, -xp.expm1(-total)

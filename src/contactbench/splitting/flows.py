@@ -21,7 +21,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from contactbench.numbers.control import choose, settled
-from contactbench.scene import BodyState, Driven, Mechanical, RigidBody, Scene, State, dot, quaternion_product
+from contactbench.scene import (
+    BodyState,
+    Driven,
+    DrivenState,
+    Mechanical,
+    RigidBody,
+    Scene,
+    State,
+    dot,
+    quaternion_product,
+)  # fmt: skip
 from contactbench.splitting import driven
 from contactbench.splitting.dissipation import decayed, survival
 from contactbench.splitting.free_body import free
@@ -80,8 +90,8 @@ def _plain(scene: Mechanical, h: Any, xp: Any) -> Any:
 
 def kick(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     """B: p −= h ∇V(q), s −= h V(q)."""
-    p = tuple(p - h * g for p, g in zip(x.p, scene.dV(x.q), strict=True))
-    return State(x.q, p, None if x.s is None else x.s - h * scene.V(x.q))
+    p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
+    return x._replace(p=p, s=None if x.s is None else x.s - h * scene.potential_at(x))
 
 
 def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
@@ -135,7 +145,7 @@ def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
     return -scene.gamma * h
 
 
-def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
+def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
     """AC, the flow of T + γs: q += φ p/m, s → e^{−γh} (s + φ T(p)), p → e^{−γh} p.
 
     With ½κs² added, and k = ½κφ, a = 1 + ks, b² = kφT(p):
@@ -149,7 +159,8 @@ def drift_damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
         phi_over_m, phi, keep, lose = constants
         q = tuple(q + phi_over_m * p for q, p in zip(x.q, x.p, strict=True))
         s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
-        return State(q, tuple(keep * p - lose * p for p in x.p), None if s is None else keep * s - lose * s)
+        s = None if s is None else keep * s - lose * s
+        return x._replace(q=q, p=tuple(keep * p - lose * p for p in x.p), s=s)
     phi_over_m, phi, keep, lose, _ = constants
     a, over_y, path = _pinney(scene, x, constants, xp)
     q = tuple(q + phi_over_m * path * p for q, p in zip(x.q, x.p, strict=True))
@@ -204,15 +215,21 @@ MECHANICAL = {
 
 
 def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
-    """h, and what does not depend on the time where γ is constant."""
-    return (h,) if scene.rate_changes else (h, damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp))
+    """h, and the constants of `drift_damp` where γ is constant."""
+    return (h,) if scene.rate_changes else (h, *_drift_damp_constants(scene, h, xp))
+
+
+def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> DrivenState:
+    """AC over (t, t + h), with φ and ∫γ of that time."""
+    h, *constant = constants
+    return drift_damp(scene, x, constant or driven.damping(scene, x, h, xp), xp)._replace(t=x.t + h)
 
 
 DRIVEN = {
-    "kick": Flow(_plain, driven.kick, {"gradient": 1}),
-    "drift": Flow(_plain, drift, {}),
+    "kick": MECHANICAL["kick"],
+    "drift": MECHANICAL["drift"],
     "damp": Flow(_plain, driven.damp, {}, driven.log_factor),
-    "drift_damp": Flow(_driven_constants, driven.drift_damp, {}, driven.log_factor),
+    "drift_damp": Flow(_driven_constants, driven_drift_damp, {}, driven.log_factor),
 }
 
 

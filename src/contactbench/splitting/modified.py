@@ -111,9 +111,10 @@ def has_modified_hamiltonian(composition: Composition) -> bool:
 
 
 def modified_hamiltonian(
-    scene: Mechanical, composition: Composition, x: State, h: float, degree: int = DEGREE
+    scene: Any, composition: Composition, x: State, h: float, degree: int = DEGREE
 ) -> Any:
-    """H̃ at x for steps of size h, brackets of up to `degree` parts included; needs s.  Its error is O(h^{degree+1})."""
+    """H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
+    scene; needs s.  Its error is O(h^{degree+1})."""
     total = scene.hamiltonian(x)
     for letters, c in weights(composition.stages).items():
         n = len(letters) + 2

@@ -65,10 +65,8 @@ def solves_equations(scene: Scene, end: float) -> bool:
 
     Central differences of step 10⁻²⁰ at 65 digits, so a right formula passes with room to spare.
     """
-    if (
-        scene.conformal_rate is None and scene.clock is None
-    ):  # κ ≠ 0 or a matrix D: no closed form of ours covers it
-        return False
+    if scene.conformal_rate is None and scene.clock is None:
+        return False  # κ ≠ 0 or a matrix D: no closed form of ours covers it
     context = decimal_context(CLOSED_FORM_DIGITS + 15)
     twin = with_decimals(scene, context.mpf)
     exact = lambda t: twin.exact(twin, t, context)  # type: ignore[misc]  # noqa: E731
