@@ -78,6 +78,7 @@ def stability_row(scene, method, engine, kind, value, max_steps):
         first = perf_counter() - start
     found = blow_up_time(scene) if solution.status is not cb.Status.unsupported else None
     row = outcome(solution) | {
+        "saved_times": len(solution.t),
         "end_time": solution.end_time,
         "blow_up_time": float(found[0]) if found else math.nan,
         "condition_number": condition_number(scene) or math.nan,

@@ -17,6 +17,7 @@ from contactbench.truth import reference
 
 if TYPE_CHECKING:
     from contactbench.ensembles import Ensemble, ensemble
+    from contactbench.ensembles.lyapunov import Lyapunov, lyapunov
     from contactbench.measure.own_composition import composition
     from contactbench.race.comparison import compare
 
@@ -29,6 +30,7 @@ __all__ = [
     "Driven",
     "Ensemble",
     "GeneralDamping",
+    "Lyapunov",
     "Mechanical",
     "RigidBody",
     "Solution",
@@ -38,6 +40,7 @@ __all__ = [
     "composition",
     "ensemble",
     "fixed_step",
+    "lyapunov",
     "math",
     "prepare",
     "reference",
@@ -52,7 +55,7 @@ __version__ = "0.1.0"
 #: what not every program needs, and where it is imported from when first asked for
 LATER = {
     "Ensemble": "ensembles", "ensemble": "ensembles", "composition": "measure.own_composition",
-    "compare": "race.comparison",
+    "compare": "race.comparison", "Lyapunov": "ensembles.lyapunov", "lyapunov": "ensembles.lyapunov",
 }  # fmt: skip
 
 

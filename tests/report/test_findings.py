@@ -173,7 +173,7 @@ def test_a_run_that_saves_nothing_but_what_has_faded_decides_nothing(law):
             kept_row("central", m) | {law: 1e-15, "saved_times": 25, "derivative": "AD"}
             for m in ("contact-a", "contact-b")
         ]
-        rows[1] |= {"contact_drift_clamped": clamped}
+        rows[1] |= {f"{law}_clamped": clamped}
         (found,) = (f for f in law_findings.findings(frames(laws=rows)) if f.name == f"law_{law}")
         return found
 

@@ -337,8 +337,10 @@ DRIFT_COLUMNS = {
     "contact_drift_uncertainty": "error bar of contact_drift where the derivative is by differences; a "
     "drift below its error bar is given as their sum, an upper bound",
     "distribution_drift_uncertainty": "the same for distribution_drift",
+    "pairing_drift_uncertainty": "the same for pairing_drift",
     "contact_drift_clamped": "saved times at which contact_drift is relative to a thousandth of the terms "
     "that cancel instead of to e^{−∫Γ'}‖η‖",
+    "pairing_drift_clamped": "the same for pairing_drift",
     "hamiltonian_law_clamped": "the same for hamiltonian_law",
     "momentum_law_clamped": "the same for momentum_law",
     "map_growth": "max ‖DΦ(t)‖₂ of the numerical map over the saved times: what round-off grows to",

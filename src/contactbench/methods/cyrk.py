@@ -104,10 +104,14 @@ class CyrkRun(Prepared):
         rejected = (evaluations - BEFORE) // self.stages - steps if self.stages else None
         return Counts(steps, evaluations, 0, rejected)
 
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def variational(self) -> CyrkRun:
+        """The same run of the scene together with its tangent vectors."""
         carry = self.request.carry
         larger = variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
-        return integrated(CyrkRun(self.method, larger, self.solver, self.stages), y0)
+        return CyrkRun(self.method, larger, self.solver, self.stages)
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return integrated(self.variational(), y0)
 
     def count(self, counts: Counts) -> Counts:
         """With the rejected steps of a run to the last time."""

@@ -93,10 +93,6 @@ def decided(value: Any, bound: Any) -> tuple[Any, Any]:
     return kept, within & np.logical_not(kept)
 
 
-#: a law of the same derivative, which fades as the contact form does
-CLAMPED = {"pairing_drift": "contact_drift_clamped"}
-#: of a run on a hard scene
-SAVED_TIMES = 25
 MEASURED = [
     "scene", "method", "family", "setting", "solution_error", "value", "bound", "growth", "frozen", "uncertainty",
     "unsure", "clamped", "all_clamped", "derivative",
@@ -123,8 +119,7 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
                 value=values, uncertainty=uncertainty, bound=bound(part, law), growth=growth(part, law),
                 frozen=numbers(part, law + FROZEN), unsure=(uncertainty > 0) & (values <= UNSURE * uncertainty),
                 clamped=numbers(part, f"{law}_clamped", 0.0),
-                all_clamped=numbers(part, CLAMPED.get(law, f"{law}_clamped"), 0.0)
-                >= numbers(part, "saved_times", SAVED_TIMES),
+                all_clamped=numbers(part, f"{law}_clamped", 0.0) >= numbers(part, "saved_times", np.inf),
             )
         )  # fmt: skip
     if not parts:

@@ -30,6 +30,7 @@ def drift_column(name: str, meaning: str) -> Column:
     return Column(meaning, rule=Rule.same) if name == "derivative" else number(meaning, Rule.value)
 
 
+SAVED_TIMES = whole("number of saved times", Rule.same)
 DRIFTS = {name: drift_column(name, meaning) for name, meaning in DRIFT_COLUMNS.items()}
 
 
@@ -64,7 +65,7 @@ CONVERGENCE = table(
 LAWS_TABLE = table(
     "laws",
     "decay laws and drifts over the whole run, maxima over the saved times",
-    WithLaws({**COMMON, "saved_times": whole("number of saved times", Rule.same)}, {**DRIFTS, **COUNTS}),
+    WithLaws({**COMMON, "saved_times": SAVED_TIMES}, {**DRIFTS, **COUNTS}),
     whole=ONE_CELL,
 )
 
@@ -252,6 +253,7 @@ STABILITY = table(
     WithLaws(
         {
         **COMMON,
+        "saved_times": SAVED_TIMES,
         "end_time": number("how far the run got", Rule.end),
         "blow_up_time": number("when the true motion reaches infinity, if it does", Rule.value),
         "condition_number": number(

@@ -1,0 +1,210 @@
+"""Lyapunov exponents of a numerical map, and averages along it, from an ensemble of trajectories.
+
+Tangent vectors are carried along with every trajectory, by the derivative of the very steps that are taken, and made
+orthonormal again after every interval: A_k Q_{k−1} = Q_k R_k.  The exponents are the means of log diag R_k over time:
+Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980), doi:10.1007/BF02128236; Geist, Parlitz, Lauterborn,
+Prog. Theor. Phys. 83, 875 (1990), doi:10.1143/PTP.83.875; Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995),
+doi:10.1016/0168-9274(95)00033-Q.  R is that of the modified Gram–Schmidt process, which for R is as good as any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from contactbench.ensembles.cores import LANES
+from contactbench.ensembles.members import members
+from contactbench.errors import BadInput, positive, whole
+from contactbench.measure.averages import Average, blocks, jackknife
+from contactbench.methods.base import Prepared, Refused
+from contactbench.methods.cyrk import SUCCESS, CyrkRun
+from contactbench.methods.cyrk_interface import FACTS, KNOWN
+from contactbench.methods.entry import lookup, prepare
+from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.llvm import compiled
+from contactbench.methods.numba_engine import loop_of
+from contactbench.numbers.recording import CannotRecord
+from contactbench.scene import Scene
+from contactbench.solution import DIVERGENCE
+
+#: ``(x, v) -> (x, v, evaluations)``: states (d, n) and tangents (m, d, n) over one interval, and what it cost, (n,)
+TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]
+MOST_INTERVALS = 10**7
+
+
+@dataclass(frozen=True, eq=False)
+class Lyapunov:
+    """What `lyapunov` returns; errors are standard errors.
+
+    exponents : per unit of time, (m,), in the order of the orthonormalisation, the largest first.
+    total : their sum, the mean rate at which volume grows.
+    dimension : of Kaplan and Yorke; of a scene with time in it that of a section at one phase.
+    energy : mean of H0 at the ends of the intervals.
+    evaluations : per trajectory and unit of time, of the kind that the method's counts name.
+    diverged : how many trajectories were left out because they left the scene's scale.
+    rates : log diag R over the length of an interval, (intervals, m, n), the settling and the diverged left out.
+    """
+
+    scene: Scene
+    method: str
+    exponents: Average
+    total: Average
+    dimension: Average
+    energy: Average
+    evaluations: float
+    diverged: int
+    rates: np.ndarray
+
+    def __repr__(self) -> str:
+        """One line: the spectrum, and of how many trajectories."""
+        spectrum = ", ".join(
+            f"{value:.4g} ± {error:.1g}" for value, error in zip(*self.exponents, strict=True)
+        )
+        return (
+            f"<Lyapunov exponents of {self.scene.name} by {self.method}: {spectrum}; "
+            f"{self.rates.shape[2]} trajectories of {self.rates.shape[0]} intervals>"
+        )
+
+
+def kaplan_yorke(exponents: np.ndarray) -> float:
+    """j + (λ₁ + … + λ_j)/|λ_{j+1}|, j the most exponents, largest first, whose sum is not negative.
+
+    Frederickson, Kaplan, Yorke, Yorke, J. Differ. Equ. 49, 185 (1983), doi:10.1016/0022-0396(83)90011-6.
+    """
+    ordered = np.sort(exponents)[::-1]
+    sums = np.cumsum(ordered)
+    if sums[-1] >= 0:
+        return float(len(ordered))
+    j = int(np.argmax(sums < 0))
+    return j + float(sums[j - 1] if j else 0.0) / abs(float(ordered[j]))
+
+
+def lyapunov(
+    scene: Scene | str,
+    method: str,
+    *,
+    every: float,
+    intervals: int,
+    settle: int = 16,
+    step: float | None = None,
+    rtol: float | None = None,
+    initial_conditions: Mapping[str, Any] | None = None,
+    carry: Sequence[str] = (),
+) -> Lyapunov:
+    """The Lyapunov spectrum of a scene under a method, with its error bar.
+
+    every : time between two orthonormalisations, at whose ends the energy is taken.  intervals : how many of them
+        count.  settle : how many come before that, for trajectories and tangents to settle, at least one.
+    step, rtol : as in `solve`.  Of the methods that choose their steps those of CyRK are taken: they solve the
+        variational equations with the tangents in their error control, afresh in every interval.
+    initial_conditions : as in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where
+        trajectories end on different attractors the result is the mean over them.
+    carry : as in `solve`; by default nothing that does not act back on the motion.
+    The error bar is that of independent trajectories, or of blocks of a few (see `measure.averages`).
+    Raises `BadInput` for anything it cannot work with, and where no trajectory stays in the scene's scale.
+
+    >>> import contactbench as cb
+    >>> found = cb.lyapunov("oscillator", "contact-strang", step=0.1, every=1.0, intervals=64)
+    >>> round(float(found.total.value), 12)  # −γ
+    -0.1
+    """
+    scene, _ = lookup(scene, method)
+    every, settle = positive("every", every), whole("settle", settle, MOST_INTERVALS)
+    count = whole("intervals", intervals, MOST_INTERVALS)
+    run = prepare(scene, method, step=step, rtol=rtol, carry=carry, save_at=[every])
+    if isinstance(run, Refused):
+        raise BadInput(run.why)
+    own = run.request.carry
+    given = initial_conditions
+    x = run.start[:, None] if given is None else np.array(members(scene, own, given, {})[0])
+    advance, n = tangent_map(run), x.shape[1]
+    v = np.array([run.tangents(start) for start in x.T])  # (n, m, d)
+    start, first = x.copy(), np.ascontiguousarray(np.moveaxis(v, 0, 2))
+    v = first.copy()
+    size = np.linalg.norm(x[: scene.motion], axis=0)
+    bound, alive = DIVERGENCE * np.where(size > 0, size, 1.0), np.ones(n, dtype=bool)
+    rates, energy, spent = np.empty((count, len(v), n)), np.empty((count, 1, n)), np.zeros(n)
+    with np.errstate(all="ignore"):
+        for k in range(-settle, count):
+            x, v, evaluations = advance(x, v)
+            alive &= np.isfinite(x).all(axis=0) & (np.abs(x[: scene.motion]).max(axis=0) <= bound)
+            x, v = (
+                np.where(alive, x, start),
+                np.where(alive, v, first),
+            )  # the dead begin again, and are not counted
+            v, logs = orthonormal(v)
+            if k >= 0:
+                rates[k], energy[k, 0] = logs / every, scene.energy(scene.unpack(tuple(x), own))
+                spent += evaluations
+    if not alive.any():
+        raise BadInput(f"method = {method!r}: every trajectory left the scale of scene {scene.name!r}")
+    means = blocks(rates[:, :, alive])
+    return Lyapunov(
+        scene, method, jackknife(means), scalar(jackknife(means, np.sum)), scalar(jackknife(means, kaplan_yorke)),
+        scalar(jackknife(blocks(energy[:, :, alive]), np.sum)), float(spent[alive].mean()) / (every * count),
+        int((~alive).sum()), rates[:, :, alive],
+    )  # fmt: skip
+
+
+def scalar(average: Average) -> Average:
+    return Average(float(average.value), float(average.error))
+
+
+def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Q (m, d, n) and log diag R (m, n) of n sets of m vectors, by the modified Gram–Schmidt process."""
+    v, logs = v.copy(), np.empty((len(v), v.shape[2]))
+    for j in range(len(v)):
+        for i in range(j):
+            v[j] -= (v[i] * v[j]).sum(axis=0) * v[i]
+        length = np.sqrt((v[j] * v[j]).sum(axis=0))
+        v[j] /= length
+        logs[j] = np.log(length)
+    return v, logs
+
+
+# -- tangent maps ----------------------------------------------------------------------------------
+def tangent_map(run: Prepared) -> TangentMap:
+    """States and tangents over the one interval of a run."""
+    if isinstance(run, FixedStepRun):
+        try:
+            return side_by_side(run)
+        except CannotRecord as error:
+            raise BadInput(f"method = {run.method!r}: {error}") from error
+    if isinstance(run, CyrkRun):
+        return one_by_one(run)
+    raise BadInput(f"method = {run.method!r}: takes methods with fixed steps, and those of CyRK")
+
+
+def side_by_side(run: FixedStepRun) -> TangentMap:
+    """By dual numbers through the compiled steps: a trajectory for every tangent of every member."""
+    r = run.request
+    loop = loop_of(run.method_, r.scene, r.carry, tangent=True)
+    many = compiled(loop.program.many, LANES).many
+    rows, shape = loop.rows(np.array(r.scene.numbers()), run.h, run.n)
+    evaluations = run.totals.evaluations
+
+    def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+        m, d, n = v.shape
+        starts = np.concatenate([np.tile(x, m), np.concatenate(v, axis=1)])
+        starts = np.pad(starts, ((0, 0), (0, -m * n % LANES)), mode="edge")
+        ends = np.empty((1, *starts.shape))
+        many(starts, rows, shape, ends, np.array([0, starts.shape[1] // LANES]))
+        return ends[0, :d, :n], np.array(np.split(ends[0, d:, : m * n], m, axis=1)), evaluations
+
+    return advance
+
+
+def one_by_one(run: CyrkRun) -> TangentMap:
+    """By the variational equations."""
+    larger = run.variational()
+
+    def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+        m, d, n = v.shape
+        told = larger.many(np.ascontiguousarray(np.concatenate([x, v.reshape(m * d, n)]).T))
+        ends = np.where(told[:, :1] == SUCCESS, told[:, KNOWN:], np.nan).T
+        return ends[:d], ends[d:].reshape(m, d, n), told[:, FACTS.index("evaluations")]
+
+    return advance

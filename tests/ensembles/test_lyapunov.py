@@ -1,0 +1,182 @@
+"""Lyapunov spectra: known ones, the sum that the contact form fixes, and error bars that say what they should."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.ensembles.lyapunov import kaplan_yorke, orthonormal
+from contactbench.measure.averages import blocks, jackknife
+from contactbench.methods.contact import contact_method
+from contactbench.scenes.driven import DUFFING
+from contactbench.splitting.tables import COMPOSITIONS
+
+PERIOD, EPS = 2 * np.pi, np.finfo(float).eps
+OSCILLATOR = cb.SCENES["oscillator"]
+
+
+def starts(n, seed=1):
+    rng = np.random.default_rng(seed)
+    return {"q": (rng.uniform(-1.5, 1.5, n),), "p": (rng.uniform(-1, 1, n),)}
+
+
+def duffing(method, n=64, intervals=100, scene=DUFFING, seed=1, **setting):
+    setting = setting or {"step": PERIOD / 16}
+    return cb.lyapunov(
+        scene,
+        method,
+        every=PERIOD,
+        intervals=intervals,
+        settle=30,
+        initial_conditions=starts(n, seed),
+        **setting,
+    )
+
+
+@pytest.mark.parametrize(
+    ("exponents", "dimension"),
+    [((0.9, 0.0, -14.57), 2 + 0.9 / 14.57), ((0.25, -0.5), 1.5), ((-1.0, -2.0), 0.0), ((0.5, -0.5), 2.0),
+     ((-0.4, 0.1), 1.25)],
+)  # fmt: skip
+def test_kaplan_yorke(exponents, dimension):
+    assert kaplan_yorke(np.array(exponents)) == pytest.approx(dimension, rel=1e-14)
+
+
+def test_orthonormalisation_is_numpys_qr():
+    v = np.random.default_rng(5).normal(size=(3, 4, 5))
+    q, logs = orthonormal(v)
+    for k in range(5):
+        mine, r = np.linalg.qr(v[:, :, k].T)
+        np.testing.assert_allclose(np.abs(q[:, :, k].T), np.abs(mine), rtol=1e-12)
+        np.testing.assert_allclose(logs[:, k], np.log(np.abs(np.diag(r))), rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("setting", [("contact-rkn6", {"step": 0.05}), ("cyrk-dop853", {"rtol": 1e-12})])
+def test_an_overdamped_oscillator_has_the_rates_of_its_two_modes(setting):
+    method, how = setting
+    found = cb.lyapunov(OSCILLATOR.with_(gamma=3.0), method, every=1.0, intervals=64, settle=30, **how)
+    np.testing.assert_allclose(found.exponents.value, -1.5 + np.sqrt(1.25) * np.array([1, -1]), rtol=1e-10)
+    assert np.all(found.exponents.error < 1e-10)
+
+
+def test_an_underdamped_oscillator_has_one_rate_twice_within_the_error_bars():
+    found = cb.lyapunov(OSCILLATOR, "contact-rkn6", step=0.1, every=1.0, intervals=400)
+    assert np.all(np.abs(found.exponents.value + 0.05) < 3 * found.exponents.error)
+    assert np.all(found.exponents.error < 1e-3)
+
+
+def test_a_body_loses_volume_of_momenta_at_three_times_its_damping():
+    found = cb.lyapunov("rigid_body", "contact-strang", step=0.1, every=1.0, intervals=32)
+    assert len(found.exponents.value) == 3
+    assert found.total.value == pytest.approx(-3 * cb.SCENES["rigid_body"].gamma, rel=1e-12)
+
+
+# -- the sum -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn4", "contact-rkn6"])
+@pytest.mark.parametrize("steps", [16, 40])
+def test_of_a_contact_method_the_sum_is_the_damping_at_any_step(method, steps):
+    rates = duffing(method, step=PERIOD / steps, intervals=20).rates
+    growth = np.exp(PERIOD * (rates[:, 0] - rates[:, 1]))  # of the roundings of one tangent along the other
+    off = abs(rates.sum(axis=1) + DUFFING.gamma)
+    assert np.median(off) < 20 * EPS
+    assert off.max() < EPS * growth.max()
+
+
+def test_of_others_it_is_to_their_order():
+    off = {n: duffing("rk4", step=PERIOD / n).total for n in (64, 128)}
+    assert off[64].value + DUFFING.gamma > 100 * off[64].error
+    assert np.log2(abs(duffing("rk4", step=PERIOD / 32).total.value + DUFFING.gamma)
+                   / abs(off[64].value + DUFFING.gamma)) > 3  # fmt: skip
+    rough, fine = (duffing("cyrk-dop853", rtol=r).total.value + DUFFING.gamma for r in (1e-3, 1e-8))
+    assert abs(rough) > 1e-5
+    assert 1e-13 < abs(fine) < 1e-9
+
+
+def test_a_changed_coefficient_changes_the_sum_by_as_much():
+    """Strang with 1 + 10⁻⁶ times the damped drift: e^{−γt(1 + 10⁻⁶)}."""
+    strang = next(c for c in COMPOSITIONS if c.name == "contact-strang")
+    change = {"kick": Fraction(1), "drift_damp": 1 + Fraction(1, 10**6)}
+    stages = tuple((name, c * change[name]) for name, c in strang.stages)
+    cb.METHODS.add(contact_method(replace(strang, name="mutant", stages=stages)))
+    try:
+        found = duffing("mutant", step=PERIOD / 16, intervals=20)
+    finally:
+        del cb.METHODS["mutant"]
+    assert found.total.value + DUFFING.gamma == pytest.approx(-1e-6 * DUFFING.gamma, rel=1e-3)
+
+
+# -- chaos -------------------------------------------------------------------------------------------
+def test_two_ways_to_the_tangent_map_agree_on_the_chaotic_scene():
+    """Dual numbers through splitting steps, and variational equations by an embedded Runge–Kutta pair."""
+    ours, theirs = duffing("contact-rkn6", n=128), duffing("cyrk-dop853", n=128, seed=2, rtol=1e-8)
+    for quantity in ("exponents", "dimension", "energy"):
+        a, b = getattr(ours, quantity), getattr(theirs, quantity)
+        assert np.all(np.abs(a.value - b.value) < 4 * np.hypot(a.error, b.error)), quantity
+        assert np.all(a.error < 0.06 * np.abs(a.value)), quantity
+    assert ours.exponents.value[0] > 0.15
+    assert 1.3 < ours.dimension.value < 1.5
+
+
+def test_the_published_spectrum_of_ueda():
+    """Sprott, Chaos and Time-Series Analysis, Oxford University Press 2003: 0.1034, 0, −0.1534, dimension 2.6741."""
+    ueda = cb.Driven(
+        name="ueda", potential=lambda q, t: q[0] ** 4 / 4 - 7.5 * q[0] * cb.math.sin(t),
+        gradient=lambda q, t: (q[0] ** 3 - 7.5 * cb.math.sin(t),), gamma=0.05, q=(2.5,), p=(0.0,), t_end=20.0,
+    )  # fmt: skip
+    found = duffing("contact-rkn6", n=256, intervals=200, scene=ueda, step=PERIOD / 32)
+    assert np.all(np.abs(found.exponents.value - [0.1034, -0.1534]) < 3 * found.exponents.error)
+    assert abs(found.dimension.value - 1.6741) < 3 * found.dimension.error
+    assert np.all(found.exponents.error < 0.001)
+
+
+def test_error_bars_of_the_largest_exponent_are_as_large_as_the_errors():
+    """Sixty groups of 32 trajectories against all of them."""
+    found = duffing("contact-rkn4", n=60 * 32, step=PERIOD / 8, intervals=50)
+    groups = [jackknife(blocks(part)) for part in np.split(found.rates, 60, axis=2)]
+    z = [(group.value[0] - found.exponents.value[0]) / group.error[0] for group in groups]
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(
+        1, abs=0.3
+    )  # 60 values: 0.09, and the bars their own 13 %
+
+
+def test_one_long_trajectory_has_an_error_bar_too():
+    one = cb.lyapunov(DUFFING, "contact-rkn4", step=PERIOD / 8, every=PERIOD, intervals=3200)
+    many = duffing("contact-rkn4", step=PERIOD / 8)
+    assert abs(one.exponents.value[0] - many.exponents.value[0]) < 4 * np.hypot(
+        one.exponents.error[0], many.exponents.error[0]
+    )
+    assert one.exponents.error[0] == pytest.approx(many.exponents.error[0] * np.sqrt(2), rel=0.5)
+
+
+# -- what is refused -----------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"method": "scipy-dop853", "rtol": 1e-6}, "fixed steps, and those of CyRK"),
+        ({"method": "rk4", "step": 0.1, "every": 0.0}, "every"),
+        ({"method": "rk4", "step": 0.1, "intervals": 0}, "intervals"),
+        ({"method": "rk4", "step": 0.1, "settle": 0}, "settle"),
+        ({"method": "contact-strang", "step": 6.0, "every": 6.0}, "left the scale"),
+    ],
+)
+def test_what_cannot_be_done_is_said(options, said):
+    with pytest.raises(cb.BadInput, match=said):
+        cb.lyapunov(OSCILLATOR, **{"every": 1.0, "intervals": 40} | options)
+
+
+def test_a_trajectory_that_leaves_is_left_out_and_counted():
+    scene = cb.SCENES["particle"].with_(gamma=0.0)
+    start = {"q": (np.array([0.1, 9.0]), np.array([0.1, -9.0])), "p": (0.0, np.array([0.0, -9.0]))}
+    found = cb.lyapunov(scene, "contact-strang", step=0.1, every=1.0, intervals=40, initial_conditions=start)
+    assert (found.diverged, found.rates.shape) == (1, (40, 4, 1))
+    assert abs(found.total.value) < 1e-13
+
+
+def test_it_has_a_short_repr():
+    said = repr(duffing("rk4", n=2, intervals=2))
+    assert said.startswith("<Lyapunov exponents of duffing by rk4: ")
+    assert len(said) < 150
