@@ -10,6 +10,8 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 STAGES = 8
 #: of the coefficients on doubles
 DIGITS = 30
@@ -26,8 +28,8 @@ def gauss(digits: int) -> Rule:
 
     xp = mpmath.MPContext()
     xp.dps = digits + 10
-    legendre = xp.taylor(lambda x: xp.legendre(STAGES, x), 0, STAGES)[::-1]
-    nodes = sorted((1 + x) / 2 for x in xp.polyroots(legendre, maxsteps=200, extraprec=4 * digits))
+    near, _ = np.polynomial.legendre.leggauss(STAGES)
+    nodes = [(1 + xp.findroot(lambda x: xp.legendre(STAGES, x), x)) / 2 for x in near.tolist()]
     powers = xp.matrix([[c**k for c in nodes] for k in range(STAGES)])
 
     def weights(end: Any) -> list[Any]:
