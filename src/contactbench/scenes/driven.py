@@ -180,7 +180,7 @@ FORCED_PULSATING = Driven(
     about="the forced oscillator under a damping γ₀(1 + a sin νt) that changes its sign: no step of it in closed form, "
     "the damping is integrated over each step by Gauss's rule",
     potential=forced, gradient=forced_gradient, rate=pulsating, q=(1.0,), p=(0.0,), t_end=20.0,
-    parameters=FORCED_OSCILLATOR.parameters | {"friction": 0.1, "depth": 1.5, "pulse": 1.3},
+    parameters={**FORCED_OSCILLATOR.parameters, "friction": 0.1, "depth": 1.5, "pulse": 1.3},
 )  # fmt: skip
 
 _LANE_EMDEN = "the Lane–Emden equation, γ = 2/t, of index"
@@ -206,8 +206,8 @@ LANE_EMDEN = (
 
 DUFFING = Driven(
     name="duffing", experiments=(*_LAWS, "decay_laws"),
-    about="a damped double well under a sinusoidal force: chaotic; over the span of the references errors grow about "
-    "a hundredfold, over longer ones only laws and averages of a run mean anything",
+    about="a damped double well under a sinusoidal force: chaotic; up to the end time errors grow about fortyfold, "
+    "long after it only laws and averages of a run mean anything",
     potential=double_well, gradient=double_well_gradient, parameters={"force": 0.4, "drive": 1.0},
     gamma=0.25, q=(1.0,), p=(0.0,), t_end=25.0,
 )  # fmt: skip
