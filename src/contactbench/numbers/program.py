@@ -3,7 +3,7 @@
 `record` runs a function of (numbers, h, n, state) on recorded numbers and writes two functions,
 
     setup(numbers, spans, data, shape, w)    row u of w: everything that depends on (h, n) = spans[u] only
-    run(start, w, shape, after)              the states after every interval, in turn: of interval j from row which[j] of w
+    run(start, w, shape, after)              the states after all intervals in turn, of j from row which[j] of w
 
 `setup` is called once per choice of steps, `run` at every call.  Vectors made by ``xp.asarray``, such as
 the coefficients of a composition, are data of the program and not part of it, as are their lengths and the
@@ -211,8 +211,8 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
     bound = " + ".join(f"{x} * {x}" for x in state[:bounded])
     run.add(*sizes, *(f"{x} = start[{i}]" for i, x in enumerate(state)))
     run.add(f"size = sqrt({bound})", f"bound = {factor!r} * (size if size != 0.0 else 1.0)", "bad = -1")
-    first = len(tape.shape)
-    run.add(f"for j in range(len(shape) - {first}):", f"    u = shape[{first} + j]")
+    known = len(tape.shape)
+    run.add(f"for j in range(len(shape) - {known}):", f"    u = shape[{known} + j]")
     loads = {"f": "{} = w[u, {}]", "i": "{} = int(w[u, {}])", "b": "{} = w[u, {}] != 0.0"}
     run.add(*("    " + loads[kind].format(name, i) for i, (name, kind) in enumerate(tape.exported.items())))
     run.lines += tape.main.lines
