@@ -63,7 +63,9 @@ def with_tangents(method, kind, value, count=TRAJECTORIES):
     told = {SUM: {"pairing_defect": math.sqrt(np.mean(defect * defect))}}
     for quantity, average in averages.items():
         more = told.get(quantity, {}) if not found.diverged else {}
-        yield row(method, kind, value, quantity, average, found.evaluations, 0.0, found.diverged, count) | more
+        yield (
+            row(method, kind, value, quantity, average, found.evaluations, 0.0, found.diverged, count) | more
+        )
 
 
 def plain(method, kind, value):
@@ -90,11 +92,12 @@ def row(method, kind, value, quantity, average, evaluations, jacobians, lost, co
         "mean": float(average.value), "error": float(average.error), "evaluations_per_time": evaluations,
         "jacobians_per_time": jacobians,
     } if not lost else {}  # fmt: skip
+    kind_of = method.kind_on(SCENE) if kind == "step" else "rhs"
     return known | {
         "scene": SCENE.name, "method": method.name, "engine": method.engines[0], **controlled(kind, value),
         "status": "diverged" if lost else "ok", "quantity": quantity, "reference": count > TRAJECTORIES,
         "message": f"{lost} of {count} trajectories left the scene's scale" if lost else "",
-        "trajectories": count, "periods": PERIODS, "evaluation_kind": method.kind_on(SCENE) if kind == "step" else "rhs",
+        "trajectories": count, "periods": PERIODS, "evaluation_kind": kind_of,
     }  # fmt: skip
 
 

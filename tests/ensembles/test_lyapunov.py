@@ -178,7 +178,9 @@ def test_a_trajectory_that_leaves_is_left_out_and_counted():
 def test_where_all_of_them_leave_there_is_no_number():
     found = cb.lyapunov(OSCILLATOR, "contact-strang", step=6.0, every=6.0, intervals=40)
     assert found.diverged == 1
-    assert np.isnan([*found.exponents.value, found.total.value, found.dimension.value, found.energy.value]).all()
+    assert np.isnan(
+        [*found.exponents.value, found.total.value, found.dimension.value, found.energy.value]
+    ).all()
 
 
 def test_it_has_a_short_repr():

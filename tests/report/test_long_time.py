@@ -79,7 +79,10 @@ def test_one_row_that_breaks_the_pairs_changes_the_sentence():
 
 
 def test_what_is_no_chaos_is_said():
-    rows = [{**each, "mean": -0.1} if each["quantity"] == EXPONENT else each for each in told("contact-rkn4", 5, 30)]
+    rows = [
+        {**each, "mean": -0.1} if each["quantity"] == EXPONENT else each
+        for each in told("contact-rkn4", 5, 30)
+    ]
     (finding,) = [f for f in room.findings(planted(more=rows)) if f.name == "long_time"]
     assert "contact-rkn4 (5)" in finding.exceptions[0]
     assert not any("not chaotic" in e for f in room.findings(planted()) for e in f.exceptions)

@@ -17,7 +17,7 @@ from contactbench.results.round_off import STRUCTURE
 
 SOURCE = "long_time.csv"
 AVERAGES = (ENERGY, EXPONENT, DIMENSION)
-#: error bars within which two averages are the same, and beyond which they are not: chance decides in between
+#: error bars within which two averages are the same, and beyond which they differ: chance decides in between
 ALIKE, APART = 3.0, 5.0
 #: settings stand up to so far apart: methods whose least cost differs by less are a tie
 RUNG = 1.5
@@ -38,7 +38,7 @@ def known(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
 
 
 def right_from(rows: pd.DataFrame, within: float = ALIKE) -> float:
-    """The evaluations of one method from which on it is within so many error bars; nan if not at its dearest setting."""
+    """The evaluations of one method from which on it is within so many error bars; nan if it never is."""
     wrong = ~(rows["off"] <= within).to_numpy()
     first = int(np.flatnonzero(wrong)[-1]) + 1 if wrong.any() else 0
     return float(rows["evaluations_per_time"].iloc[first]) if first < len(rows) else np.nan
@@ -75,7 +75,9 @@ def harmless_from(frame: pd.DataFrame, method: str) -> float:
     """The evaluations from which on what the pairs are off hides in the error bar of the largest exponent."""
     bars, sums = (known(frame, quantity) for quantity in (EXPONENT, SUM))
     own = sums[sums["method"] == method]
-    hidden = own["mean"].abs() <= own["setting"].map(bars[bars["method"] == method].set_index("setting")["error"])
+    hidden = own["mean"].abs() <= own["setting"].map(
+        bars[bars["method"] == method].set_index("setting")["error"]
+    )
     return right_from(own.assign(off=np.where(hidden, 0.0, np.inf)))
 
 
@@ -90,11 +92,13 @@ def costs_view(frame: pd.DataFrame) -> View:
             mark = (Mark.tie if len(best) > 1 else Mark.best) if method in best else None
             has = method in costs.index
             cells.append(
-                Cell(spoken(costs.loc[method]), float(costs.loc[method, "surely"]), marks(mark)) if has else Cell(DASH)
+                Cell(spoken(costs.loc[method]), float(costs.loc[method, "surely"]), marks(mark))
+                if has
+                else Cell(DASH)
             )
         rows.append(tuple(cells))
     meaning = (
-        f"Evaluations of a trajectory per unit of time from which on, at every dearer setting too, an average is within "
+        "Evaluations of a trajectory per unit of time from which on, at every dearer setting too, an average is within "
         f"{ALIKE:g} error bars of the reference; two numbers where it is up to {APART:g} bars off in between, which is "
         f"no telling. Settings are up to a factor {RUNG:g} apart, and methods within that are a tie. Exponents and "
         f"dimension are of runs with tangents. {DASH}: not measured, or wrong at every setting."
@@ -147,7 +151,9 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
             said.append(led + (f", then {names(rest)}" if rest else ""))
     true = reference.iloc[0]
     bars = reference.set_index("quantity")
-    share = names([f"{100 * bars['error'][q] / abs(bars['mean'][q]):.1g} % ({q})" for q in AVERAGES if q in bars.index])
+    share = names(
+        [f"{100 * bars['error'][q] / abs(bars['mean'][q]):.1g} % ({q})" for q in AVERAGES if q in bars.index]
+    )
     sentence = (
         "Evaluations per unit of time from which on averages over long chaotic runs are right to within the noise, "
         f"fewest first: {'; '.join(said)}."
@@ -155,8 +161,8 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
     covers = (
         f"`{true['scene']}`, {many(frame['method'].nunique(), 'method')}, {true['periods']:.0f} periods, within "
         f"{ALIKE:g} error bars of {true['method']} at {true['setting']}, whose own are {share}; two numbers where a "
-        f"setting is up to {APART:g} bars off, which is no telling; methods within a factor {RUNG:g}, the spacing of the "
-        "settings, are a tie"
+        f"setting is up to {APART:g} bars off, which is no telling; methods within a factor {RUNG:g}, the spacing of "
+        "the settings, are a tie"
     )
     yield Finding("long_time", "Long chaotic runs", sentence, covers, tuple(exceptions(frame)))
 
@@ -171,8 +177,8 @@ def exceptions(frame: pd.DataFrame) -> Iterator[str]:
             for method, own in calm.groupby("method", sort=False)
         ]
         yield (
-            f"not chaotic at all, because the coarse map has settled on a periodic orbit, at these evaluations per unit of "
-            f"time: {names(where)}"
+            "not chaotic at all, because the coarse map has settled on a periodic orbit, at these evaluations per unit "
+            f"of time: {names(where)}"
         )
     implicit = known(frame, ENERGY)
     for method, own in implicit[implicit["jacobians_per_time"] > 0].groupby("method", sort=False):
@@ -195,8 +201,8 @@ def pairs_finding(frame: pd.DataFrame) -> Iterator[Finding]:
     said = []
     if kept:
         said.append(
-            f"{names(kept)} keep σ₁σ₂ = e^{{−γt}} to round-off at every setting (at most {scientific(worst[kept].max())} "
-            "per unit of time)"
+            f"{names(kept)} keep σ₁σ₂ = e^{{−γt}} to round-off at every setting (at most "
+            f"{scientific(worst[kept].max())} per unit of time)"
         )
     if len(rest):
         smallest = rest.loc[rest["pairing_defect"].idxmin()]
@@ -205,7 +211,9 @@ def pairs_finding(frame: pd.DataFrame) -> Iterator[Finding]:
             f"{who} at none (at least {scientific(smallest['pairing_defect'])}: {smallest['method']}, "
             f"{smallest['setting']})" if (rest["pairing_defect"] > STRUCTURE).all() else f"{who} at some only"
         )  # fmt: skip
-    hidden = [f"{m} {c:.2g}" for m in dict.fromkeys(rest["method"]) if np.isfinite(c := harmless_from(frame, m))]
+    hidden = [
+        f"{m} {c:.2g}" for m in dict.fromkeys(rest["method"]) if np.isfinite(c := harmless_from(frame, m))
+    ]
     sentence = f"{'; '.join(said)}."
     if hidden:
         sentence += (

@@ -47,7 +47,9 @@ def panel(quantity: str, rows: pd.DataFrame, true: pd.Series) -> Panel:
             family=str(own["family"].iloc[0]),
         ) for method, own in rows.groupby("method", sort=False)
     )  # fmt: skip
-    band = Span("y", float(true["mean"] - 3 * true["error"]), float(true["mean"] + 3 * true["error"]), "reference")
+    band = Span(
+        "y", float(true["mean"] - 3 * true["error"]), float(true["mean"] + 3 * true["error"]), "reference"
+    )
     return Panel(quantity, number_axis(COST), Axis(quantity, within=ends), curves, spans=(band,))
 
 
