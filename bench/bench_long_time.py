@@ -16,10 +16,10 @@ import contactbench as cb
 from cells import cells, controlled
 from contactbench.measure.averages import Average, blocks, jackknife
 from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
-from contactbench.scenes.driven import DUFFING
 from contactbench.solution import keywords
 
-SCENE, PERIOD = DUFFING, 2 * math.pi / DUFFING.parameters["drive"]
+SCENE = cb.SCENES["duffing"]
+PERIOD = 2 * math.pi / SCENE.parameters["drive"]
 FIXED = ("contact-strang", "contact-rkn4", "contact-rkn6", "herglotz2", "rk4")
 ADAPTIVE = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cvode-adams")
 WITHOUT_TANGENTS = ("cvode-adams",)

@@ -12,11 +12,10 @@ import contactbench as cb
 from contactbench.ensembles.lyapunov import kaplan_yorke, orthonormal
 from contactbench.measure.averages import blocks, jackknife
 from contactbench.methods.contact import contact_method
-from contactbench.scenes.driven import DUFFING
 from contactbench.splitting.tables import COMPOSITIONS
 
 PERIOD, EPS = 2 * np.pi, np.finfo(float).eps
-OSCILLATOR = cb.SCENES["oscillator"]
+OSCILLATOR, DUFFING = cb.SCENES["oscillator"], cb.SCENES["duffing"]
 
 
 def starts(n, seed=1):
