@@ -14,7 +14,7 @@ from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
 from contactbench.methods.base import Method
 from contactbench.scene import Scene
-from contactbench.scenes import SCENES, standard_scenes
+from contactbench.scenes import SCENES, scenes_of
 from contactbench.solution import Counts, Solution, printed_setting
 
 #: in the smoke profile every method on one scene, and on every other scene one of ours and one of theirs
@@ -50,14 +50,10 @@ def scene_and_method(cell: Any) -> tuple[Scene, Method] | None:
     return None
 
 
-def family(cell: tuple) -> str:
-    """Scenes whose compiled programs are the same, and the method."""
+def family(cell: tuple) -> Any:
+    """What the programs of a cell depend on: the structure of its scene, and its method."""
     found = scene_and_method(cell)
-    if found is None:
-        return "-".join(map(str, cell))
-    scene, method = found
-    kind = getattr(scene, "potential", type(scene)).__name__ + str(getattr(scene, "isotropic", ""))
-    return f"{kind}-{method.name}"
+    return cell if found is None else (found[0].structure, found[1].name)
 
 
 def takes_long(cell: Any) -> bool:
@@ -71,14 +67,31 @@ def takes_long(cell: Any) -> bool:
 
 
 def pairs(
-    profile: Any, methods: Iterable[str], everywhere: Iterable[str] = EVERYWHERE
+    profile: Any, experiment: str, methods: Iterable[str], everywhere: Iterable[str] = EVERYWHERE
 ) -> list[tuple[str, str]]:
     """The scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
     return [
         (scene.name, method)
-        for scene in standard_scenes()
-        for method in methods
+        for scene in scenes_of(experiment)
+        for method in contestants(scene, methods)
         if profile.points > 1 or scene.name == SMOKE or method in everywhere
+    ]
+
+
+#: what XLA compiles and what calls back into Python takes seconds on every scene
+DEAR = ("jax", "python")
+#: where it runs nevertheless, of the scenes that not every experiment runs: (scene, method)
+DEAR_CELLS = {("forced_oscillator", name) for name in ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")}
+
+
+def contestants(scene: Scene, methods: Iterable[str]) -> list[str]:
+    """Which of some methods an experiment runs on a scene: all of them where every experiment runs it."""
+    return [
+        method
+        for method in methods
+        if not scene.experiments
+        or METHODS[method].engines[0] not in DEAR
+        or (scene.name, method) in DEAR_CELLS
     ]
 
 
@@ -90,8 +103,11 @@ def engines(scene: Scene) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.
+    numba) on one scene only.  On a scene that not every experiment runs, the engines that compile.
     """
+    if scene.experiments:
+        first = [(name, method.engines[0]) for name, method in METHODS.items()]
+        return [(name, engine) for name, engine in first if engine not in DEAR]
     return [
         (name, engine)
         for name, method in METHODS.items()

@@ -6,7 +6,10 @@ import json
 import shutil
 import subprocess
 import tarfile
+from functools import cache
 from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from cases import REPOSITORY
 from contactbench.results.store import merge
@@ -58,12 +61,26 @@ ROWS = (
 )  # fmt: skip
 
 
+@cache
+def files(name):
+    """The files of one of the tables as they are, by name: what most of the folders hold of it."""
+    ((which, rows),) = ((which, rows) for which, rows in ROWS if which.name == name)
+    with TemporaryDirectory() as made:
+        merge(which, rows, Path(made))
+        return {path.name: path.read_bytes() for path in Path(made).iterdir()}
+
+
 def folder(path, change=lambda which, row: row, run=RUN, keep=lambda row: True):
     """A folder of tables, each row changed (None: left out)."""
+    path.mkdir(parents=True, exist_ok=True)
     for which, rows in ROWS:
         changed = [change(which, dict(row)) for row in rows]
-        merge(which, [row for row in changed if row is not None and keep(row)], path)
-    path.mkdir(exist_ok=True)
+        kept = [row for row in changed if row is not None and keep(row)]
+        if kept == rows and not which.path(path).exists():
+            for name, text in files(which.name).items():
+                (path / name).write_bytes(text)
+        else:
+            merge(which, kept, path)
     (path / "environment.json").write_text(json.dumps({"runs": [run]}))
     return path
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -106,7 +107,7 @@ class Table:
         if odd:
             raise BadInput(f"table {self.name!r}: key columns {odd} must be columns without a clock")
 
-    @property
+    @cached_property
     def every_column(self) -> dict[str, Column]:
         """All columns of a frame, in order: the table's own, then the provenance."""
         return {**self.columns, **PROVENANCE}

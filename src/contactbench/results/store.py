@@ -44,7 +44,7 @@ def read(table: Table, results: Path) -> pd.DataFrame:
     """
     untimed, *times = table.files(results)
     if not untimed.exists():
-        return pd.DataFrame({name: no_values(column.type) for name, column in table.every_column.items()})
+        return no_rows(tuple((name, column.type) for name, column in table.every_column.items())).copy()
     frame = part(table, untimed)
     for path in times:
         if path.exists():
@@ -102,19 +102,21 @@ WORDS = {"text": "text", "number": "finite number", "whole": "whole number", "fl
 
 def damaged(values: pd.Series, column: Column) -> int | None:
     """The first row of a column read as text whose entry is not of its type; blanks are no damage."""
-    if column.type == "text":
+    text = values.to_numpy(dtype=object)
+    filled = np.flatnonzero(text != "")
+    if column.type == "text" or not len(filled):
         return None
-    given = values[values != ""]
+    given = text[filled]
     if column.type == "flag":
-        wrong = ~given.isin(list(FLAGS))
+        wrong = np.array([entry not in FLAGS for entry in given])
     else:
         numbers = pd.to_numeric(given, errors="coerce").astype(float)
         wrong = ~np.isfinite(numbers)
         if column.type == "whole":
-            wrong |= (numbers != np.round(numbers)) | (numbers.abs() > 2**53)
+            wrong |= (numbers != np.round(numbers)) | (np.abs(numbers) > 2**53)
         if column.infinite:
-            wrong &= ~given.isin(["inf", "-inf"])
-    return int(values.index.get_loc(wrong.index[wrong][0])) if wrong.any() else None
+            wrong &= (given != "inf") & (given != "-inf")
+    return int(filled[wrong][0]) if wrong.any() else None
 
 
 def line(path: Path, row: int) -> int:
@@ -140,10 +142,13 @@ def typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     if frame.empty:
         return pd.DataFrame({name: pd.Series(dtype=DTYPES[columns[name].type]) for name in frame})
     for name in frame.columns:
+        values = frame[name]
         try:
-            frame[name] = converted(frame[name], columns[name])
+            right = converted(values, columns[name])
         except (ValueError, TypeError) as error:
             raise BadInput(f"table {table.name!r}, column {name!r}: {error}") from None
+        if right is not values:
+            frame[name] = right
     return frame
 
 
@@ -153,26 +158,40 @@ def converted(values: pd.Series, column: Column) -> pd.Series:
     Infinity is blank as well, where it is no value of the column.
     """
     if values.dtype == DTYPES[column.type] and (column.type != "text" or not values.hasnans):
-        return values if column.type != "number" or column.infinite else values.mask(np.isinf(values))
+        if column.type != "number" or column.infinite or not np.isinf(values).any():
+            return values
+        return values.mask(np.isinf(values))
     if column.type == "text":
         return values.astype(object).where(values.notna(), "").astype(str)
-    blank = values.isna() | (values.astype(object) == "")
+    objects = values.to_numpy(dtype=object)
+    filled = np.flatnonzero(~pd.isna(objects))
+    filled = filled[objects[filled] != ""]
     if column.type == "flag":
-        known = values.astype(object).map(lambda value: FLAGS.get(str(value)))
-        if (known.isna() & ~blank).any():
-            raise ValueError("neither True nor False")
-        return known.astype(object).where(~blank, None).astype("boolean").fillna(False).astype(bool)
-    numbers = pd.to_numeric(values.astype(object).where(~blank, None))
+        flags = np.zeros(len(values), dtype=bool)
+        for i in filled:
+            if str(objects[i]) not in FLAGS:
+                raise ValueError("neither True nor False")
+            flags[i] = FLAGS[str(objects[i])]
+        return pd.Series(flags, values.index)
+    numbers = np.full(len(values), np.nan)
+    numbers[filled] = pd.to_numeric(objects[filled])
     if column.type == "whole":
-        return numbers.astype("Int64")
-    numbers = numbers.astype(float)
-    return numbers if column.infinite else numbers.mask(np.isinf(numbers))
+        return pd.Series(numbers, values.index).astype("Int64")
+    if not column.infinite:
+        numbers[np.isinf(numbers)] = np.nan
+    return pd.Series(numbers, values.index)
 
 
 @cache
 def no_values(kind: Type) -> pd.Series:
     """A column of this type without rows."""
     return converted(pd.Series([], dtype=object), Column("", kind))
+
+
+@cache
+def no_rows(columns: tuple[tuple[str, Type], ...]) -> pd.DataFrame:
+    """A table without rows; shared, so to be copied."""
+    return pd.DataFrame({name: no_values(kind) for name, kind in columns})
 
 
 # -- writing ---------------------------------------------------------------------------------------
@@ -278,7 +297,7 @@ def written(values: pd.Series, column: Column) -> list[str]:
 def rounded(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     """The frame with the digits that are written: no more than say something."""
     for name, column in table.every_column.items():
-        if column.type == "number" and not column.exact:
+        if column.type == "number" and not column.exact and frame[name].notna().any():
             digits = np.full(len(frame), TIME_DIGITS if column.timed else DIGITS)
             digits[(frame[name].abs() <= floor(column.rule, frame)).to_numpy()] = ROUND_OFF_DIGITS
             frame[name] = [
