@@ -21,12 +21,9 @@ from contactbench.solution import Counts, Solution, printed_setting
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
-def cells(
-    ladder: Any, group: Callable[[tuple], str] | None = None, visits: int = 1, times: Any = None
-) -> Callable[..., Any]:
+def cells(ladder: Any, visits: int = 1, times: Any = None) -> Callable[..., Any]:
     """Attach to a test the function that lists its cells for a profile.
 
-    group : names the cells that one process should run; by default those whose programs are the same.
     visits : how often a run that is timed comes to a cell, at places of its own in the shuffled order.
     times : the untimed test of the same cells to whose rows this one adds times; a run without a clock
     leaves this one out.
@@ -35,8 +32,7 @@ def cells(
     """
 
     def attach(test: Any) -> Any:
-        test.cells, test.group, test.visits = ladder, group or family, visits
-        test.times = times
+        test.cells, test.visits, test.times = ladder, visits, times
         return test
 
     return attach

@@ -17,7 +17,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 import pytest
 
-from cells import takes_long
+from cells import family, takes_long
 from clock import Cell, Clock
 from contactbench.errors import BadInput
 from contactbench.methods import METHODS
@@ -147,20 +147,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     from xdist.scheduler import LoadScopeScheduling
 
     class ByProgram(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> str:
+        def _split_scope(self, nodeid: str) -> Any:
             file, _, name = nodeid.rpartition("::")
-            return groups_of(Path(file).stem, config).get(name, nodeid)
+            return programs_of(Path(file).stem, config).get(name, nodeid)
 
     config.option.loadscopereorder = False
     return ByProgram(config, log)
 
 
 @cache
-def groups_of(module: str, config: pytest.Config) -> dict[str, str]:
-    """The groups of all cells of an experiment, by the names pytest gives them."""
+def programs_of(module: str, config: pytest.Config) -> dict[str, Any]:
+    """What the programs of all cells of an experiment depend on, by the names pytest gives the cells."""
     tests = [test for test in vars(import_module(module)).values() if hasattr(test, "cells")]
     return {
-        f"{test.__name__}[{name}]": test.group(cell)
+        f"{test.__name__}[{name}]": family(cell)
         for test in tests
         for name, cell in visits(test, config).items()
     }

@@ -18,7 +18,7 @@ def test_cells_whose_programs_are_the_same_are_in_one_process(tmp_path):
     processes = defaultdict(set)
     for process, scene in cells:
         processes[family((scene, "rk4"))].add(process)
-    assert len(processes) == 2, processes  # cubic and quartic forces
+    assert len(processes) == 3, processes  # particle and particle_long have the same
     assert all(len(each) == 1 for each in processes.values()), processes
 
 
