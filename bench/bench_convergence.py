@@ -22,7 +22,7 @@ EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
 
 def ladder(profile):
     fixed = [name for name, method in cb.METHODS.items() if method.control == "step"]
-    return pairs(profile, fixed)
+    return pairs(profile, "convergence", fixed)
 
 
 def in_double_precision(scene, method):

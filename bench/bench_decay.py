@@ -13,13 +13,15 @@ import math
 import numpy as np
 
 import contactbench as cb
-from cells import EVERYWHERE, SMOKE, cells, outcome, setting, step_budget
+from cells import EVERYWHERE, SMOKE, cells, contestants, outcome, setting, step_budget
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
+from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT
 from equal_cost import step_at, tolerance_at
 
-SCENES = ("particle", "central", "rigid_body")
+#: of the scenes of every experiment
+FEW = ("particle", "central", "rigid_body")
 #: evaluations per unit of time, on the scale of one right-hand side
 COSTS = (30.0, 100.0)
 SAVES = 5
@@ -30,11 +32,12 @@ IN_PLACE_OF = {"momentum_law": "momentum_balance"}
 def ladder(profile):
     brief = profile.points == 1
     return [
-        (scene, method, cost)
-        for scene in SCENES
-        for method in cb.METHODS
+        (scene.name, method, cost)
+        for scene in scenes_of("decay_laws")
+        if scene.name in FEW or scene.experiments
+        for method in contestants(scene, cb.METHODS)
         for cost in (COSTS[:1] if brief else COSTS)
-        if not brief or scene == SMOKE or method in EVERYWHERE
+        if not brief or scene.name == SMOKE or method in EVERYWHERE
     ]
 
 

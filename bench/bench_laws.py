@@ -14,7 +14,7 @@ RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
 
 def ladder(profile):
-    return pairs(profile, cb.METHODS)
+    return pairs(profile, "laws", cb.METHODS)
 
 
 @cells(ladder)

@@ -24,7 +24,7 @@ from contactbench.measure.ladder import ENDS, LOOSEST, carried
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
-from contactbench.scenes import standard_scenes
+from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, keywords
 
 #: a fixed-step method that is also run to tolerances, its pilots counted and timed
@@ -34,7 +34,7 @@ CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"),
 def ladder(profile):
     """(scene, method, engine, control, value)."""
     rows = []
-    for scene in standard_scenes():
+    for scene in scenes_of("work_precision"):
         for name, engine in engines(scene):
             method = cb.METHODS[name]
             if method.control == EXACT:

@@ -13,7 +13,7 @@ from contactbench.measure.ladder import steps as steps
 from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
 from contactbench.scene import Scene
-from contactbench.scenes import standard_scenes
+from contactbench.scenes import scenes_of
 from contactbench.solution import Counts, Solution, printed_setting
 
 #: in the smoke profile every method on one scene, and on every other scene one of ours and one of theirs
@@ -42,14 +42,31 @@ def cells(
 
 
 def pairs(
-    profile: Any, methods: Iterable[str], everywhere: Iterable[str] = EVERYWHERE
+    profile: Any, experiment: str, methods: Iterable[str], everywhere: Iterable[str] = EVERYWHERE
 ) -> list[tuple[str, str]]:
     """The scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
     return [
         (scene.name, method)
-        for scene in standard_scenes()
-        for method in methods
+        for scene in scenes_of(experiment)
+        for method in contestants(scene, methods)
         if profile.points > 1 or scene.name == SMOKE or method in everywhere
+    ]
+
+
+#: what XLA compiles and what calls back into Python takes seconds on every scene
+DEAR = ("jax", "python")
+#: where it runs nevertheless, of the scenes that not every experiment runs: (scene, method)
+DEAR_CELLS = {("forced_oscillator", name) for name in ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")}
+
+
+def contestants(scene: Scene, methods: Iterable[str]) -> list[str]:
+    """Which of some methods an experiment runs on a scene: all of them where every experiment runs it."""
+    return [
+        method
+        for method in methods
+        if not scene.experiments
+        or METHODS[method].engines[0] not in DEAR
+        or (scene.name, method) in DEAR_CELLS
     ]
 
 
@@ -61,8 +78,11 @@ def engines(scene: Scene) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.
+    numba) on one scene only.  On a scene that not every experiment runs, the engines that compile.
     """
+    if scene.experiments:
+        first = [(name, method.engines[0]) for name, method in METHODS.items()]
+        return [(name, engine) for name, engine in first if engine not in DEAR]
     return [
         (name, engine)
         for name, method in METHODS.items()

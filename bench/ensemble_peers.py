@@ -1,9 +1,9 @@
 """Ensembles by each engine: functions of a scene, a setting and initial states (d, n) that return a run.
 
-A run takes nothing and returns the final states (d, n) on the host.  Each peer is in its best shape of
-those tried: diffrax in tiles of trajectories that fit the first cache, both with steps of their own (vmap)
-and with steps they share (one system per tile, about twice as fast, its error control over the tile);
-heyoka in batches of the machine's vector width.
+A run takes nothing and returns the final states (d, n) on the host, one array or one per component.
+Each peer is in its best shape of those tried: diffrax in tiles of trajectories that fit the first cache,
+both with steps of their own (vmap) and with steps they share (one system per tile, about twice as fast,
+its error control over the tile); heyoka in batches of the machine's vector width.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ SOLVERS = {"diffrax-tsit5": ("Tsit5", 6), "diffrax-dopri8": ("Dopri8", 13)}
 
 
 def contact(scene: Any, method: str, engine: str, value: float, y0: np.ndarray) -> Any:
-    start = scene.unpack(tuple(y0), ())
+    start = scene.unpack(tuple(np.ascontiguousarray(y0)), ())
 
-    def run() -> np.ndarray:
-        return np.array(scene.pack(solved(start).final))
+    def run() -> list[np.ndarray]:
+        return scene.pack(solved(start).final)
 
     def solved(start: Any) -> Any:
         return cb.ensemble(scene, method, start, step=value, carry=(), progress=False, engine=engine)

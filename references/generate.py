@@ -2,12 +2,12 @@
 
     python references/generate.py [--check] [SCENE ...]
 
-Every standard scene, and every hard one that has no closed form, on t_k = t_end·k/200 with all its
+Every standard scene, and of the others those that have no closed form, on t_k = t_end·k/200 with all their
 optional fields, in four steps:
 heyoka's Taylor series at two precisions; the digits that agree; Gragg–Bulirsch–Stoer extrapolation
 in mpmath, which shares nothing with heyoka but the scene; closed forms and invariants where there
 are any.  A digit is stored only if all of them confirm it.  No method under test takes part.
-A hard scene also gets its condition number, and its time of blow-up if it has one.
+Those others also get their condition number, and their time of blow-up if they have one.
 
 --check computes everything afresh, compares it with the stored digits, prints one line per scene
 and exits 1 on any difference.
@@ -36,6 +36,7 @@ from contactbench import truth
 from contactbench.scene import RigidBody, Scene, dot
 from contactbench.scenes import SCENES
 from contactbench.scenes.closed_form import damped_oscillator
+from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 
@@ -47,7 +48,11 @@ STORED = 40  #: at most; fewer if fewer agree
 NEEDED = 30
 #: how far initial values are moved for the condition number
 NUDGE = "1e-25"
-FROZEN = (*STANDARD, *(scene for scene in HARD if scene.exact is not damped_oscillator))
+FROZEN = (
+    *STANDARD,
+    *(scene for scene in DRIVEN if scene.exact is None),
+    *(scene for scene in HARD if scene.exact is not damped_oscillator),
+)
 
 
 def grid(scene: Scene) -> list[str]:
@@ -146,7 +151,7 @@ def parameters(scene: Scene) -> dict[str, Any]:
     if isinstance(scene, RigidBody):
         damping = {"gamma": scene.gamma} if scene.isotropic else {"damping": scene.damping}
         return {"inertia": scene.inertia, **damping, "M": scene.M, "R": scene.R, "s": scene.s}
-    names = ("gamma", "kappa", "mass", "q", "p", "s")
+    names = ("gamma", "kappa", "mass", *scene.initial_fields)
     return dict(scene.parameters) | {name: getattr(scene, name) for name in names}  # type: ignore[attr-defined]
 
 
@@ -200,7 +205,7 @@ def compute(scene: Scene) -> tuple[str, dict[str, Any]]:
         "versions": versions | {"python": platform.python_version()},
         **blow_up,
     }
-    if scene.hard:
+    if scene not in STANDARD:
         entry["condition_number"] = condition(scene, times, high)
     return text.getvalue(), json.loads(json.dumps(entry))
 

@@ -142,7 +142,7 @@ def whole(name: str, value: Any, most: int) -> int:
 
 
 def array(name: str, value: Any, wanted: str) -> np.ndarray:
-    """`value` as an array of floats, or `BadInput`, which says what is `wanted`.
+    """`value` as an array of floats, itself if it is one, or `BadInput`, which says what is `wanted`.
 
     Complex numbers and dates are refused: as floats they would lose their imaginary part or unit.
     """
@@ -150,7 +150,7 @@ def array(name: str, value: Any, wanted: str) -> np.ndarray:
         given = np.asarray(value)
         if given.dtype.kind not in "fiubO" or (given.dtype.kind == "O" and not all(map(is_real, given.flat))):
             raise TypeError
-        return given.astype(float)
+        return given.astype(float, copy=False)
     except (TypeError, ValueError, OverflowError):
         raise BadInput(f"{name} = {shown(value)}: must be {wanted}") from None
 

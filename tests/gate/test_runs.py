@@ -15,7 +15,7 @@ from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES
 from contactbench.gate.accuracy import accuracy
 from contactbench.results.schema import PROFILES
-from contactbench.scenes import hard_scenes, standard_scenes
+from contactbench.scenes import hard_scenes, scenes_of
 from planted_faults import plugin
 
 REPOSITORY = Path(__file__).parents[2]
@@ -38,9 +38,9 @@ def visited(experiment, test, profile="smoke"):
 def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_claim():
     everything = {("scene", name) for name in cb.SCENES} | {("method", name) for name in cb.METHODS}
     assert set(visited("bench_definitions", "test_definition")) == everything
-    standard = {scene.name for scene in standard_scenes()}
-    for experiment, test in (("bench_laws", "test_laws"), ("bench_convergence", "test_convergence")):
-        assert {cell[0] for cell in visited(experiment, test)} == standard
+    for experiment in ("laws", "convergence"):
+        cells = visited(f"bench_{experiment}", f"test_{experiment}")
+        assert {cell[0] for cell in cells} == {scene.name for scene in scenes_of(experiment)}
     assert {cell[1] for cell in visited("bench_laws", "test_laws")} == set(cb.METHODS)
     assert {cell[0] for cell in visited("bench_stability", "test_stability")} == {
         s.name for s in hard_scenes()
@@ -49,6 +49,22 @@ def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_cl
     assert long < set(CLAIMS)
     assert {cell[0] for cell in visited("bench_claims", "test_claim")} == set(CLAIMS) - long
     assert {cell[0] for cell in visited("bench_claims", "test_paper_figure")} == set(FIGURES)
+
+
+EXPERIMENTS = {
+    "laws": ("bench_laws", "test_laws"), "convergence": ("bench_convergence", "test_convergence"),
+    "decay_laws": ("bench_decay", "test_decay_laws"),
+    "work_precision": ("bench_work_precision", "test_work_precision_errors"),
+}  # fmt: skip
+
+
+def test_a_scene_that_names_its_experiments_is_run_by_these_and_no_others():
+    few = {name: set(scene.experiments) for name, scene in cb.SCENES.items() if scene.experiments}
+    assert few
+    assert set().union(*few.values()) == set(EXPERIMENTS)
+    for experiment, (file, test) in EXPERIMENTS.items():
+        cells = visited(file, test, "standard")
+        assert {cell[0] for cell in cells} & set(few) == {name for name in few if experiment in few[name]}
 
 
 @pytest.mark.parametrize(

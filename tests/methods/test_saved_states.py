@@ -25,3 +25,10 @@ def test_radau_without_wrappers_ends_where_it_ends_with_them():
     run = cb.prepare(scene, "scipy-radau", rtol=1e-6, save_at=[scene.t_end], max_steps=2000)
     plain, lean = (run._stepped(run.start, lean=lean) for lean in (False, True))
     assert (plain.status, plain.message, plain.counts) == (lean.status, lean.message, lean.counts)
+
+
+def test_what_is_done_later_to_the_times_that_were_given_changes_no_run():
+    times = np.array([1.0, 2.0])
+    run = cb.prepare("particle", "rk4", step=0.1, save_at=times)
+    times[:] = 0.5
+    assert run().t.tolist() == [1.0, 2.0]

@@ -21,9 +21,9 @@ from contactbench.ensembles.measures import ENERGY, Statistic, decaying, overall
 from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, shown, switch, whole
 from contactbench.methods.base import METHODS, Refused
-from contactbench.methods.entry import lookup, prepare
+from contactbench.methods.entry import asked, lookup
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.fixed_step_run import Division
 from contactbench.scene import BodyState, Scene, State
 from contactbench.solution import Counts, Status
 
@@ -98,16 +98,18 @@ def ensemble(
     if not isinstance(chosen, FixedStep):
         fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
         raise BadInput(f"method = {shown(method)}: an ensemble takes a fixed-step method: {fixed}")
-    run = prepare(
-        scene, method, step=positive("step", step), carry=carry, engine=chosen.engines[-1],
+    request = asked(
+        scene,
+        method,
+        positive("step", step),
+        carry=carry,
         save_at=[scene.t_end] if measure_at is None else measure_at,
-    )  # fmt: skip
-    if isinstance(run, Refused):
-        raise BadInput(run.why)
-    assert isinstance(run, FixedStepRun)
+    )
+    if isinstance(request, Refused):
+        raise BadInput(request.why)
+    run = Division(method, request, chosen)
     if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
         raise BadInput(f"engine = {shown(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
-    request = run.request
     if run.needed > request.max_steps:
         raise BadInput(f"step = {step!r}: {run.needed} steps, of which {request.max_steps} are allowed")
     switch("keep", keep)
@@ -118,23 +120,22 @@ def ensemble(
     chunk = None if chunk is None else whole("chunk", chunk, MOST_AT_ONCE)
     y0, own = members(scene, request.carry, initial_conditions, {} if parameters is None else parameters)
     names = [ENERGY, *decaying(scene, request.carry)]
-    end = request.save_at[-1]
+    end, n = request.save_at[-1], y0.shape[1]
     rows: dict[int, np.ndarray] = {}
-    kept: dict[int, Any] = {}
+    kept = [np.empty((len(y0), n)), np.empty((len(names), n)), np.empty(n)] if keep else []
     task = Task(request, method, tuple(names), engine)
     hide = None if progress is None else not progress
-    with tqdm(total=y0.shape[1], unit="trajectory", unit_scale=True, disable=hide) as bar:
-        for k, (y, measures, end_time) in results(task, run, y0, own, chunk, executor):
-            rows[k] = tally(measures, end_time == end)
-            if keep:
-                kept[k] = y, measures, end_time
+    with tqdm(total=n, unit="trajectory", unit_scale=True, disable=hide) as bar:
+        for first, result in results(task, run, y0, own, chunk, executor):
+            _, measures, end_time = result
+            rows[first] = tally(measures, end_time == end)
+            for everything, part in zip(kept, result if keep else (), strict=True):
+                everything[..., first : first + len(end_time)] = part
             bar.update(len(end_time))
-    statistics, endings = overall(names, [rows[k] for k in sorted(rows)])
+    statistics, endings = overall(names, [rows[first] for first in sorted(rows)])
     if not keep:
         return Ensemble(scene, method, request.save_at, run.totals, statistics, endings)
-    y, measures, end_time = (
-        np.concatenate(parts, axis=-1) for parts in zip(*(kept[k] for k in sorted(kept)), strict=True)
-    )
+    y, measures, end_time = kept
     return Ensemble(
         scene, method, request.save_at, run.totals, statistics, endings,
         scene.unpack(tuple(y), request.carry), dict(zip(names, measures, strict=True)), end_time,

@@ -23,7 +23,8 @@ from contactbench.ensembles.cores import on_cores
 from contactbench.ensembles.devices import CHUNK, Result, on_devices
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS, Request
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import Division, FixedStepRun
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.recording import CannotRecord
 
@@ -44,8 +45,9 @@ class Task:
     def __call__(self, y0: np.ndarray, own: dict[int, np.ndarray]) -> Result | Exception:
         """One chunk on one core; an error of its own is its result, so that all others are its worker's."""
         try:
-            run = METHODS[self.method].prepare(self.request)
-            assert isinstance(run, FixedStepRun)
+            chosen = METHODS[self.method]
+            assert isinstance(chosen, FixedStep)
+            run = Division(self.method, self.request, chosen)
             parts = list(self.chunks(run, y0, own, y0.shape[1], cores=1))
         except Exception as error:
             return error
@@ -89,9 +91,12 @@ def results(
     chunk: int | None,
     executor: Executor | None,
 ) -> Iterator[tuple[int, Result]]:
-    """(k, result of chunk k), every chunk once; by an executor in the order in which they are done."""
+    """(first trajectory of a chunk, its result), every chunk once; by an executor in the order they are done."""
     if executor is None:
-        yield from enumerate(task.chunks(run, y0, own, chunk))
+        first = 0
+        for result in task.chunks(run, y0, own, chunk):
+            yield first, result
+            first += len(result[-1])
     else:
         yield from spread(executor, task, y0, own, chunk or CHUNK["cpu"])
 
@@ -134,7 +139,7 @@ def spread(
                     continue
                 if isinstance(result, Exception):
                     raise result
-                yield k, result
+                yield k * size, result
     finally:
         if own_threads is not None:
             own_threads.shutdown(cancel_futures=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
+from contactbench.ensembles.devices import Result
 from contactbench.ensembles.measures import DECAYING
 from contactbench.measure.deviation import conformal_deviation
 from contactbench.methods.fixed_step_run import FixedStepRun
@@ -17,38 +19,63 @@ from contactbench.solution import DIVERGENCE
 
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
 LANES = 32
+#: chunks begun for every core before the first of them is asked for
+AHEAD = 2
 
 
 def on_cores(
     run: FixedStepRun, loop: Loop, names: list[str], y0: np.ndarray, cores: int, chunk: int
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """The same by the loop numba compiles, a thread on every core."""
+) -> Iterator[Result]:
+    """Results of one chunk after the other, a thread on every core.
+
+    No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
+    and a few are always begun ahead of the one that is asked for.
+    """
     many = compiled(loop.program.many, LANES).many
-    n = y0.shape[1]
-    share = min(chunk, -(-n // cores))
-    parts = [y0[:, first : first + share] for first in range(0, n, share)]
+    rows, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
+    share = equal_share(y0.shape[1], cores, chunk)
+    ahead: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(cores) as threads:
-        for first in range(0, len(parts), cores):
-            mine = parts[first : first + cores]
-            done = threads.map(lambda part: side_by_side(run, loop, many, names, part), mine)
-            yield tuple(np.concatenate(arrays, axis=-1) for arrays in zip(*done, strict=True))  # type: ignore[misc]
+        for first in range(0, y0.shape[1], share):
+            part = y0[:, first : first + share]
+            ahead.append(threads.submit(side_by_side, run, many, rows, shape, names, part))
+            if len(ahead) > AHEAD * cores:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
+
+
+def equal_share(n: int, cores: int, chunk: int) -> int:
+    """Trajectories in each of the fewest chunks of at most `chunk`, a multiple of `cores` of them; in whole tiles
+    where these fit.
+    """
+    share = -(-n // (cores * -(-n // (cores * chunk))))
+    whole = LANES * -(-share // LANES)
+    return whole if whole <= chunk else share
 
 
 def side_by_side(
-    run: FixedStepRun, loop: Loop, many: Callable[..., Any], names: list[str], y0: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core."""
+    run: FixedStepRun,
+    many: Callable[..., Any],
+    rows: np.ndarray,
+    shape: np.ndarray,
+    names: list[str],
+    y0: np.ndarray,
+) -> Result:
+    """Final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core.
+
+    rows, shape : as `Loop.rows` gives them.
+    """
     r, m = run.request, y0.shape[1]
     scene = r.scene
-    rows, shape = loop.rows(np.array(scene.numbers()), run.h, run.n)
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
-    part, place = np.array([0, y.shape[1] // LANES]), len(loop.program.shape)
+    part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
 
     def quantity(name: str, x: Any) -> Any:
         return np.stack(np.broadcast_arrays(*DECAYING[name][0](scene, x)), axis=-1)
 
-    start = scene.unpack(tuple(y0), r.carry)
-    size = np.linalg.norm(y0[: run._motion], axis=0)
+    start, motion = scene.unpack(tuple(y0), r.carry), run._motion
+    size = np.linalg.norm(y0[:motion], axis=0)
     bound = DIVERGENCE * np.where(size > 0, size, 1.0)
     alive, end = np.ones(m, dtype=bool), np.zeros(m)
     with np.errstate(all="ignore"):
@@ -59,12 +86,15 @@ def side_by_side(
             many(y, rows, np.append(shape[:place], which), after, part)
             y = after[0]
             x = scene.unpack(tuple(y[:, :m]), r.carry)
-            alive &= np.isfinite(y[:, :m]).all(axis=0) & (np.abs(y[: run._motion, :m]).max(axis=0) <= bound)
+            alive &= np.abs(y[:motion, :m]).max(axis=0) <= bound  # nan is not
+            alive &= np.isfinite(y[motion:, :m]).all(axis=0)
             end = np.where(alive, t, end)
             for name, first in origin.items():
                 terms = DECAYING[name][1](scene, x)
                 law = conformal_deviation(quantity(name, x), first, t, scene.conformal_rate, terms)
                 worst[name] = np.maximum(worst[name], law)
         energy = scene.energy(x) / scene.energy(start) - 1
-    measures = np.array([energy, *worst.values()])
-    return np.where(alive, y[:, :m], np.nan), np.where(alive, measures, np.nan), end
+    y, measures = y[:, :m], np.array([energy, *worst.values()])
+    if not alive.all():
+        y, measures = np.where(alive, y, np.nan), np.where(alive, measures, np.nan)
+    return y, measures, end

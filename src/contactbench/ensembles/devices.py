@@ -17,7 +17,7 @@ from contactbench.solution import DIVERGENCE
 #: trajectories a core integrates at a time: half a kilobyte per component
 TILE = 64
 #: trajectories a device is handed at a time: enough for the call not to count
-CHUNK = {"cpu": 2**14, "gpu": 2**20}
+CHUNK = {"cpu": 2**16, "gpu": 2**20}
 AXIS = "trajectories"
 
 #: final states (d, m), measures (·, m) and end times (m,)

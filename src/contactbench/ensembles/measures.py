@@ -42,7 +42,7 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
 
 def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
     """One row: how many are ok, how many not, and the sums and maxima of the measures of those that are."""
-    good = measures[:, ok]
+    good = measures if ok.all() else measures[:, ok]
     return np.array([ok.sum(), (~ok).sum(), *good.sum(axis=1), *good.max(axis=1, initial=-np.inf)])
 
 

@@ -25,7 +25,7 @@ STEPPED, STEP = ("particle", "quadratic_damping", "rigid_body", "rigid_body_anis
 #: how far the points lie from the initial state at which a scene's functions are looked at
 OFFSETS = (0, 1, -2)
 #: what says nothing of what a scene or a method does
-WORDS = ("about", "hard")
+WORDS = ("about", "hard", "experiments")
 
 
 def digest(parts: Iterable[str]) -> str:

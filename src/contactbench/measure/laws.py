@@ -49,8 +49,8 @@ def laws_of(scene: Scene) -> list[Law]:
 
 
 def damped_linearly(scene: Scene) -> bool:
-    """H = T + V + γs."""
-    return scene.canonical and scene.conformal_rate is not None
+    """H = T + V + γs, where γ may depend on the time."""
+    return scene.canonical and (scene.conformal_rate is not None or scene.clock is not None)
 
 
 # -- comparisons with the truth --------------------------------------------------------------------
@@ -276,16 +276,16 @@ PAIRS: dict[str, Any] = {
 
 
 @law(
-    "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p); "
-    "relative to no less than a thousandth of σ_1‖σ‖", "pairing drift", **PAIRS,
+    "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p), "
+    "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖", "pairing drift", **PAIRS,
 )  # fmt: skip
 def pairing_drift(solution: Solution) -> Deviation | float:
-    return pairing_deviation(solution, solution.differential)
+    return pairing_deviation(solution, solution.differential, decay_rate(solution))
 
 
 @law(f"pairing_drift with {FROZEN}", "pairing drift, steps frozen", **PAIRS)
 def pairing_drift_frozen(solution: Solution) -> Deviation | float:
-    return pairing_deviation(solution, solution.frozen_differential)
+    return pairing_deviation(solution, solution.frozen_differential, decay_rate(solution))
 
 
 @law(

@@ -3,7 +3,7 @@
 Where Γ = γs, s does not act back on (q, p), and Φ*η = e^{−γt} η says of their tangent map A that
 AᵀJA = e^{−γt} J.  With σ a singular value of A, e^{−γt}/σ is one too: σ_i σ_{2n+1−i} = e^{−γt} at every finite
 time, and in the limit λ_i + λ_{2n+1−i} = −γ for the Lyapunov exponents (Dressler, Phys. Rev. A 38, 2103 (1988),
-doi:10.1103/PhysRevA.38.2103).
+doi:10.1103/PhysRevA.38.2103).  A γ(t) that depends on the time alone puts e^{−∫γ} in the place of e^{−γt}.
 """
 
 from __future__ import annotations
@@ -48,12 +48,14 @@ def pairs(differential: Differential, n: int) -> Pairs | None:
     return Pairs(values[best], terms[best], SAFETY * gaps[best])
 
 
-def pairing_deviation(solution: Solution, differential: Differential) -> Deviation | float:
-    """That of the pairs from e^{−γt}."""
+def pairing_deviation(
+    solution: Solution, differential: Differential, rate: float | np.ndarray
+) -> Deviation | float:
+    """That of the pairs from e^{−γt}; rate : γ, or its mean up to each saved time, (k,)."""
     scene = solution.scene
     assert isinstance(scene, Mechanical)
     found = pairs(differential, len(scene.q))
     if found is None:
         return math.nan
     values, terms, error = found
-    return conformal(values, np.ones(len(scene.q)), solution.t, scene.conformal_rate, terms, error)
+    return conformal(values, np.ones(len(scene.q)), solution.t, rate, terms, error)

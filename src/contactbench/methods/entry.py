@@ -59,6 +59,34 @@ def prepare(
     max_steps : budget; a run that needs more ends with status `budget`.
     Raises `BadInput` for anything it cannot work with.
     """
+    request = asked(scene, method, step, rtol, atol, save_at, carry, engine, max_steps)
+    if isinstance(request, Refused):
+        return request
+    scene, chosen = lookup(scene, method)
+    engines = chosen.engines if engine is None else (engine,)
+    try:
+        run = first = chosen.prepare(request)
+        for other in engines[1:]:
+            if not isinstance(run, Refused):
+                return run
+            run = chosen.prepare(replace(request, engine=other))
+    except BaseException as error:
+        raise reported(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
+    return first if isinstance(run, Refused) else run
+
+
+def asked(
+    scene: Scene | str,
+    method: Method | str,
+    step: float | None = None,
+    rtol: float | None = None,
+    atol: float | None = None,
+    save_at: Sequence[float] | np.ndarray | None = None,
+    carry: Sequence[str] | None = None,
+    engine: str | None = None,
+    max_steps: int | None = None,
+) -> Request | Refused:
+    """What `prepare` is asked for, checked, for the first engine; `Refused` where the method refuses the scene."""
     scene, chosen = lookup(scene, method)
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
         raise BadInput(f"engine = {shown(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
@@ -89,23 +117,14 @@ def prepare(
             step = positive("step", step)
     budget = _budget(chosen, max_steps)
     times = long_enough(default_times(scene, step, budget)) if save_at is None else saved_times(save_at)
-    engines = chosen.engines if engine is None else (engine,)
-    request = Request(scene, engines[0], scene.carry(carry), times, step, rtol, atol, budget)
+    request = Request(scene, engine or chosen.engines[0], scene.carry(carry), times, step, rtol, atol, budget)
     if (why := chosen.refuses(scene)) is not None:
         return Refused(chosen.name, request, why)
     verify(scene)
     begins(scene, scene.initial(request.carry))
     if isinstance(chosen, StepMap):
         try_step(chosen, scene, request.carry, step)
-    try:
-        run = first = chosen.prepare(request)
-        for other in engines[1:]:
-            if not isinstance(run, Refused):
-                return run
-            run = chosen.prepare(replace(request, engine=other))
-    except BaseException as error:
-        raise reported(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
-    return first if isinstance(run, Refused) else run
+    return request
 
 
 def _given(step: Any, rtol: Any, atol: Any) -> str:

@@ -112,6 +112,13 @@ class FixedStepRun(Prepared):
         return Outcome(out.y, counts, Status.diverged, message, end)
 
 
+class Division(FixedStepRun):
+    """The steps alone, for ensembles, which take them in ways of their own: nothing is recorded or compiled."""
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+
 def total(n: np.ndarray) -> int:
     """Σ n[k], which may be more than an int64 holds: then about."""
     return int(n.sum(dtype=float))

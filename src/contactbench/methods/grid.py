@@ -28,7 +28,7 @@ def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
 
 
 def saved_times(save_at: Any) -> np.ndarray:
-    times = np.atleast_1d(array("save_at", save_at, "increasing times"))
+    times = np.array(array("save_at", save_at, "increasing times"), ndmin=1)  # a copy
     if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
         raise BadInput(f"save_at = {shown(save_at)}: must be finite times, at least one")
     if times[0] < 0 or np.any(np.diff(times) <= 0):

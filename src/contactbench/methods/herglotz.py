@@ -13,8 +13,10 @@ the paper, §5.1, eq. (79).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from contactbench.methods.base import METHODS
@@ -26,7 +28,20 @@ from contactbench.splitting import flows
 
 @dataclass(frozen=True)
 class Herglotz(FixedStep):
-    """What both have in common: mechanical scenes with Γ = γ s, one gradient per step."""
+    """What both have in common: mechanical scenes with Γ = γ s, one gradient per step.
+
+    sigma : the conformal factor of a step of size h, from h and γ at its start and its end.
+    """
+
+    sigma: Callable[[Any, Any, Any], Any] = field(kw_only=True)
+
+    def log_factor(self, scene: Any, x: Any, h: float, n: int) -> float | None:
+        """As in `StepMap`; of steps that differ where γ depends on the time."""
+        if self.refuses(scene) is not None or not scene.rate_changes:
+            return super().log_factor(scene, x, h, n)
+        rates = [scene.rate_at(x.t + k * h) for k in range(n + 1)]
+        factors = [self.sigma(h, before, after) for before, after in pairwise(rates)]
+        return sum(map(math.log, factors)) if min(factors) > 0 else math.nan
 
     def refuses(self, scene: Any) -> str | None:
         if scene.kind not in ("mechanical", "driven", "general damping"):
@@ -100,17 +115,27 @@ class SecondHerglotz(Herglotz):
         return n + 1
 
 
+def sigma1(h: Any, before: Any, after: Any) -> Any:
+    """1 − γh of `herglotz1`, with γ at the start."""
+    return 1 - before * h
+
+
+def sigma2(h: Any, before: Any, after: Any) -> Any:
+    """(1 − ½γh)/(1 + ½γh) of `herglotz2`, with γ at the start and at the end."""
+    return (1 - before * h / 2) / (1 + after * h / 2)
+
+
 METHODS.add(
     Herglotz(
         "herglotz1", 1, herglotz1, kind="gradient", family="variational",
         about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)",
-        factor=lambda scene, h, xp: 1 - scene.gamma * h,
+        factor=lambda scene, h, xp: sigma1(h, scene.gamma, scene.gamma), sigma=sigma1,
     )
 )  # fmt: skip
 METHODS.add(
     SecondHerglotz(
         "herglotz2", 2, herglotz2, kind="gradient", family="variational", symmetric=True,
         about="Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767",
-        factor=lambda scene, h, xp: (1 - scene.gamma * h / 2) / (1 + scene.gamma * h / 2),
+        factor=lambda scene, h, xp: sigma2(h, scene.gamma, scene.gamma), sigma=sigma2,
     )
 )  # fmt: skip

@@ -15,6 +15,7 @@ from contactbench.results.columns import (
     words,
 )
 from contactbench.results.law_columns import WithLaws, law_column
+from contactbench.results.long_time import LONG_TIME as LONG_TIME
 from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
 #: why an error bar has no rule

@@ -143,6 +143,8 @@ class Scene(System):
     about: str = ""
     #: only the stability experiment runs it
     hard: bool = False
+    #: the experiments that run it, where it is not all of them but that of stability
+    experiments: tuple[str, ...] = ()
 
     initial_fields: ClassVar[tuple[str, ...]] = ()
     #: its state has coordinates q and p of the same number, and η = ds − p dq
@@ -153,8 +155,16 @@ class Scene(System):
         text("name", self.name)
         text("about", self.about)
         switch("hard", self.hard)
+        if not isinstance(self.experiments, tuple) or not all(isinstance(e, str) for e in self.experiments):
+            raise BadInput(f"experiments = {shown(self.experiments)}: must be a tuple of names")
         if self.exact is not None:
             function("exact", self.exact)
+
+    def is_in(self, experiment: str) -> bool:
+        """Whether an experiment runs it."""
+        if self.experiments:
+            return experiment in self.experiments
+        return self.hard == (experiment == "stability")
 
     def with_(self, **changes: Any) -> Self:
         """A copy with some parameters changed, any of them by keyword.

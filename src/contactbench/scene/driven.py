@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
 from contactbench.errors import BadInput, finite, function
+from contactbench.numbers import quadrature
 from contactbench.scene.algebra import State, Vector
 from contactbench.scene.base import System
 from contactbench.scene.mechanical import Mechanical
@@ -27,14 +28,17 @@ class Driven(Mechanical):
 
     potential : ``V(q, t, **parameters) -> number``; gradient : ``dV(q, t, **parameters) -> n-tuple``.
     t : the time at the start.  gamma : damping, where it is constant; else
-    rate : ``γ(t, **parameters) -> number`` and span : ``(t, h, xp, **parameters) -> (G, φ)``, with
-    G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.
+    rate : ``γ(t, **parameters) -> number``; and where it is known in closed form
+    span : ``(t, h, xp, **parameters) -> (G, φ)``, with G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a
+    momentum is worth that is damped meanwhile.  Without it both come from Gauss's collocation method of order 16
+    on every step, eight values of γ: right to round-off while γh and the phase of an oscillating γ stay below 1 over
+    a step, to 10⁻¹¹ below 2 (measured in the tests).
 
     A processed composition (contact-rkn8) begins and ends with steps back: its γ(t) and V(q, t) have to be defined
     some steps before the start.
 
     The contact form is taken at a given time: tangents do not move t.  H has no decay law, since ∂H/∂t ≠ 0.
-    Raises `BadInput` as `Mechanical` does, and for κ, a Hessian, a symmetry or only one of rate and span.
+    Raises `BadInput` as `Mechanical` does, and for κ, a Hessian, a symmetry or a span without a rate.
     """
 
     t: float = 0.0
@@ -54,11 +58,12 @@ class Driven(Mechanical):
 
     def _check_kinds(self) -> None:
         super()._check_kinds()
-        if (self.rate is None) != (self.span is None):
-            raise BadInput("rate, span: a damping that changes with time needs both")
-        if self.rate is not None and self.span is not None:
-            function("rate", self.rate)
+        if self.span is not None:
             function("span", self.span)
+            if self.rate is None:
+                raise BadInput("span: its rate is missing, the damping that it is the integral of")
+        if self.rate is not None:
+            function("rate", self.rate)
             if self.gamma:
                 raise BadInput(f"gamma = {self.gamma!r}: the rate of damping has it in it")
 
@@ -120,7 +125,7 @@ class Driven(Mechanical):
         return self.dV(x.q, x.t)
 
     def damping_at(self, x: Any) -> Any:
-        return self.gamma if self.rate is None else self.rate(x.t, **self.parameters)
+        return self.rate_at(x.t)
 
     def energy(self, x: Any) -> Any:
         return self.kinetic(x.p) + self.potential_at(x)
@@ -169,10 +174,19 @@ class Driven(Mechanical):
     def may_gain_energy(self) -> bool:
         return True
 
+    def rate_at(self, t: Any) -> Any:
+        """γ(t)."""
+        return self.gamma if self.rate is None else self.rate(t, **self.parameters)
+
     def spent(self, t: Any, h: Any, xp: Any) -> tuple[Any, Any]:
-        """(G, φ) of the damping from t to t + h."""
-        assert self.span is not None
-        return self.span(t, h, xp, **self.parameters)
+        """(G, φ) of the damping from t to t + h, a step."""
+        if self.span is not None:
+            return self.span(t, h, xp, **self.parameters)
+        return quadrature.integrals(self.rate_at, t, h, xp)
 
     def damped_by(self, x: Any, t: Any, xp: Any) -> Any:
-        return self.gamma * t if self.rate is None else self.spent(x.t, t, xp)[0]
+        if self.rate is None:
+            return self.gamma * t
+        if self.span is not None:
+            return self.spent(x.t, t, xp)[0]
+        return quadrature.integral(self.rate_at, x.t, t, xp)

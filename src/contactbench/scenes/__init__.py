@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from contactbench.errors import BadInput, Registry, shown
 from contactbench.scene import Scene
+from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 
 SCENES = Registry("scene", Scene)
-for _scene in (*STANDARD, *HARD):
+for _scene in (*STANDARD, *DRIVEN, *HARD):
     SCENES.add(_scene)
 
 
@@ -21,11 +22,16 @@ def scene_of(scene: object) -> Scene:
     return scene
 
 
+def scenes_of(experiment: str) -> list[Scene]:
+    """The registered scenes that an experiment runs."""
+    return [scene for scene in SCENES.values() if scene.is_in(experiment)]
+
+
 def standard_scenes() -> list[Scene]:
-    """The registered scenes that every experiment runs: all but the hard ones."""
-    return [scene for scene in SCENES.values() if not scene.hard]
+    """The registered scenes that every experiment runs but that of stability."""
+    return [scene for scene in SCENES.values() if not scene.hard and not scene.experiments]
 
 
 def hard_scenes() -> list[Scene]:
     """The registered scenes of the stability experiment."""
-    return [scene for scene in SCENES.values() if scene.hard]
+    return scenes_of("stability")

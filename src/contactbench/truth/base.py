@@ -108,7 +108,7 @@ class Reference:
 
 def checked_times(times: Any) -> np.ndarray:
     """`times` as a new float array of shape (k,), k ≥ 1, or `BadInput`."""
-    t = np.atleast_1d(array("times", times, "finite numbers ≥ 0"))
+    t = np.array(array("times", times, "finite numbers ≥ 0"), ndmin=1)  # a copy
     if t.ndim != 1 or not t.size:
         raise BadInput(f"times: must be one number or a flat list of numbers, not of shape {t.shape}")
     for wrong in t[~(np.isfinite(t) & (t >= 0))][:1].tolist():
