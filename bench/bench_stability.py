@@ -139,7 +139,7 @@ def budget_of(profile, scene, method):
 
 
 # -- workers ---------------------------------------------------------------------------------------
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def worker():
     """A process beside this one, on the same core, that keeps what it has compiled."""
     with Workers([None]) as workers:
@@ -167,14 +167,7 @@ def rows_of(calls, worker):
     return rows
 
 
-def family(cell):
-    """Scenes whose compiled programs are the same, and the method: cells for one process."""
-    scene = cb.SCENES[cell[0].partition(" ")[0]]
-    kind = getattr(scene, "potential", type(scene)).__name__ + str(getattr(scene, "isotropic", ""))
-    return f"{kind}-{cell[1]}"
-
-
-@cells(ladder, group=family)
+@cells(ladder)
 def test_stability(cell, profile, worker, record):
     rows = rows_of(calls(cell, profile), worker)
     for row in rows:
@@ -183,7 +176,7 @@ def test_stability(cell, profile, worker, record):
     assert all(row["status"] == "ok" or row["message"] for row in rows)
 
 
-@cells(questions, group=family)
+@cells(questions)
 def test_rates(cell, profile, worker, record):
     rows = rows_of(rate_calls(cell, profile), worker)
     for row in rows:

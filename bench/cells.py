@@ -12,20 +12,18 @@ from contactbench.measure.ladder import setting as setting
 from contactbench.measure.ladder import steps as steps
 from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
+from contactbench.methods.base import Method
 from contactbench.scene import Scene
-from contactbench.scenes import scenes_of
+from contactbench.scenes import SCENES, scenes_of
 from contactbench.solution import Counts, Solution, printed_setting
 
 #: in the smoke profile every method on one scene, and on every other scene one of ours and one of theirs
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
-def cells(
-    ladder: Any, group: Callable[[tuple], str] | None = None, visits: int = 1, times: Any = None
-) -> Callable[..., Any]:
+def cells(ladder: Any, visits: int = 1, times: Any = None) -> Callable[..., Any]:
     """Attach to a test the function that lists its cells for a profile.
 
-    group : names the cells that one process should run; by default those of one scene and method.
     visits : how often a run that is timed comes to a cell, at places of its own in the shuffled order.
     times : the untimed test of the same cells to whose rows this one adds times; a run without a clock
     leaves this one out.
@@ -34,11 +32,34 @@ def cells(
     """
 
     def attach(test: Any) -> Any:
-        test.cells, test.group, test.visits = ladder, group or (lambda cell: "-".join(cell[:2])), visits
-        test.times = times
+        test.cells, test.visits, test.times = ladder, visits, times
         return test
 
     return attach
+
+
+def scene_and_method(cell: Any) -> tuple[Scene, Method] | None:
+    """The two a cell begins with, None for cells of another kind."""
+    match cell:
+        case (str(scene), str(method), *_) if method in METHODS and scene.partition(" ")[0] in SCENES:
+            return SCENES[scene.partition(" ")[0]], METHODS[method]
+    return None
+
+
+def family(cell: tuple) -> Any:
+    """What the programs of a cell depend on: the structure of its scene, and its method."""
+    found = scene_and_method(cell)
+    return cell if found is None else (found[0].structure, found[1].name)
+
+
+def takes_long(cell: Any) -> bool:
+    """Whether the runs of a cell call back into Python or solve equations at every step."""
+    found = scene_and_method(cell)
+    return (
+        found is not None
+        and found[1].adaptive
+        and found[1].step_cost(found[0], found[1].engines[0]) is not None
+    )
 
 
 def pairs(

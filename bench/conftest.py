@@ -7,6 +7,8 @@ import random
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 import pytest
 
+from cells import family, takes_long
 from clock import Cell, Clock
 from contactbench.errors import BadInput
 from contactbench.methods import METHODS
@@ -126,14 +129,41 @@ def word(part: Any) -> str:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Timed cells run in shuffled order, so that slow drifts of the machine hit all methods alike.
 
-    The others come before them, and are handed out by method and scene, so that a compiled program is made once.
+    The others come before them, file by file.  Several processes share them by `ByProgram`, and begin with
+    what takes long, so that they end together.
     """
     random.Random(SHUFFLE_SEED).shuffle(items)
     items.sort(key=lambda item: (item.path.name, item.get_closest_marker("timed") is not None))
-    for item in items if config.pluginmanager.hasplugin("xdist") else ():
-        cell = item.callspec.params["cell"]
-        if isinstance(cell, tuple):  # not so where a profile has no cells for a test
-            item.add_marker(pytest.mark.xdist_group(item.function.group(cell)))
+    if not config.controls:
+        items.sort(key=lambda item: not takes_long(item.callspec.params["cell"]))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Hand out together what shares its compiled programs, in the order of the collection.
+
+    pytest-xdist's own groups are without effect under pytest 9.2: it passes them on by renaming the tests.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByProgram(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> Any:
+            file, _, name = nodeid.rpartition("::")
+            return programs_of(Path(file).stem, config).get(name, nodeid)
+
+    config.option.loadscopereorder = False
+    return ByProgram(config, log)
+
+
+@cache
+def programs_of(module: str, config: pytest.Config) -> dict[str, Any]:
+    """What the programs of all cells of an experiment depend on, by the names pytest gives the cells."""
+    tests = [test for test in vars(import_module(module)).values() if hasattr(test, "cells")]
+    return {
+        f"{test.__name__}[{name}]": family(cell)
+        for test in tests
+        for name, cell in visits(test, config).items()
+    }
 
 
 @pytest.hookimpl(tryfirst=True)  # before a worker of pytest-xdist says what it has collected

@@ -91,11 +91,16 @@ def in_mp(scene, x):
 
 
 # -- experiments -----------------------------------------------------------------------------------
+#: plug-ins of pytest that the environment of the benchmark does not have
+FOREIGN = [part for name in ("hypothesispytest", "jaxtyping", "anyio") for part in ("-p", f"no:{name}")]
+
+
 def bench(results, keyword, *more):
     """A smoke run of the experiments in a process of its own."""
     command = [
         sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
-        "-p", "no:cacheprovider", "-k", keyword, *(more if "no:benchmark" in more else ("--benchmark-quiet", *more)),
+        "-p", "no:cacheprovider", *FOREIGN, "-k", keyword,
+        *(more if "no:benchmark" in more else ("--benchmark-quiet", *more)),
     ]  # fmt: skip
     # a benchmark is a run of its own, not a worker of the tests': workers are not timed
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}

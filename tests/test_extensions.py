@@ -14,6 +14,7 @@ from cases import REPOSITORY, bench, finished
 
 FOLDER = Path(__file__).parent / "extensions"
 FILES = [FOLDER / f"{name}.py" for name in ("law", "scene", "integrator", "question")]
+COMPARE = ("gate", "--only", "accuracy", "--baseline")
 PLUGINS = [argument for file in FILES for argument in ("--plugin", str(file))]
 
 
@@ -74,6 +75,8 @@ def test_the_gate_sees_what_moved(results, file, column, tmp_path):
     moved = pd.read_csv(fresh / f"{file}.csv")
     moved[column] *= 10
     moved.to_csv(fresh / f"{file}.csv", index=False)
-    compare = ("gate", "--only", "accuracy", "--baseline", results, "--fresh")
-    contactbench(*compare, results)
-    assert column in contactbench(*compare, fresh, code=1)
+    assert column in contactbench(*COMPARE, results, "--fresh", fresh, code=1)
+
+
+def test_the_gate_sees_nothing_where_nothing_moved(results):
+    contactbench(*COMPARE, results, "--fresh", results)

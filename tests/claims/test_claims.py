@@ -6,6 +6,8 @@ import math
 import os
 import pickle
 import re
+from dataclasses import replace
+from fractions import Fraction
 from importlib import import_module
 
 import numpy as np
@@ -24,13 +26,16 @@ from contactbench.methods.contact import contact_method
 from contactbench.report import claims as room
 from contactbench.report import markdown
 from contactbench.report.figures import paper
+from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
-from contactbench.splitting import flows
-from contactbench.splitting.tables import ABC
+from contactbench.splitting import flows, modified
+from contactbench.splitting.tables import ABC, COMPOSITIONS
 
 IDS = [f"C{n:02d}" for n in range(1, 37)]
+MORE = ["X01", "X02"]  #: beyond the paper
+STRANG = next(c for c in COMPOSITIONS if c.name == "contact-strang")
 REFUTED = {"C04", "C10", "C16", "C19", "C20", "C21", "C25", "C32", "C33"}
 CORRECTED = {"C05", "C22", "C26", "C27", "C35", "C36"}
 
@@ -75,10 +80,11 @@ def fresh(monkeypatch):
 
 # -- the rows --------------------------------------------------------------------------------------
 def test_ids():
-    assert list(CLAIMS) == IDS
+    assert list(CLAIMS) == [*IDS, *MORE]
+    assert {name for name, claim in CLAIMS.items() if claim.where == BEYOND} == set(MORE)
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", [*IDS, *MORE])
 def test_row(ledger, name):
     row = ledger[name]
     assert row["status"] == "ok", row
@@ -144,6 +150,8 @@ OTHERS = [
     ("C31", {"gamma": 0.3}),
     ("C32", {"gamma": 0.3, "q": (0.5, -0.8), "p": (0.4, 0.1)}),
     ("C36", {"weak": 0.35, "gammas": (0.0, 0.5, 3.0)}),
+    ("X01", {"gamma": 0.3, "weak": 3e-5, "steps": 400_000}),
+    ("X02", {"rough": 1e-5, "fine": 1e-9}),
 ]
 
 
@@ -337,16 +345,35 @@ def test_the_printed_composition_made_palindromic(monkeypatch, fresh):
     assert changes("C25") == ("refuted", "holds")
 
 
+def test_a_bracket_with_another_factor_is_no_modified_hamiltonian(monkeypatch):
+    exact = modified.weights
+    monkeypatch.setattr(
+        modified, "weights", lambda stages: {w: c * (2 if w == "A" else 1) for w, c in exact(stages).items()}
+    )
+    assert changes("X01") == ("holds", "refuted")
+
+
+def test_a_changed_coefficient_breaks_the_pairs(monkeypatch):
+    stages = tuple((name, c * (1 + Fraction(name == "drift_damp", 10**9))) for name, c in STRANG.stages)
+    monkeypatch.setitem(
+        METHODS, "contact-strang", contact_method(replace(STRANG, name="mutant", stages=stages))
+    )
+    assert changes("X02") == ("holds", "refuted")
+
+
 # -- the table, the document, the figures, the command line ----------------------------------------
 def test_document(ledger, tmp_path):
-    merge(CLAIMS_TABLE, [ledger[name] for name in IDS], tmp_path)
+    merge(CLAIMS_TABLE, [ledger[name] for name in (*IDS, *MORE)], tmp_path)
     again = read(CLAIMS_TABLE, tmp_path)
-    assert list(again["id"]) == IDS
+    assert list(again["id"]) == [*IDS, *MORE]
     figures = pd.concat([pd.DataFrame(rows(name)) for name in FIGURES])
     (finding,) = room.findings({"claims": again})
-    assert finding.sentence == "Of its 36 claims 21 hold, 6 hold once corrected, 9 are refuted."
+    assert finding.sentence == (
+        "Of its 36 claims 21 hold, 6 hold once corrected, 9 are refuted. Beyond it 2 of 2 claims hold: "
+        "near-conservation and pairing."
+    )
     text = markdown.parts(room.sections({"claims": again, "paper_figures": figures}))
-    for name in IDS:
+    for name in (*IDS, *MORE):
         assert f"### {name} · {ledger[name]['verdict']}" in text
         assert ledger[name]["claim"] in text
     assert not re.search(r"\bnan\b", text)

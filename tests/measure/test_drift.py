@@ -321,9 +321,10 @@ def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
     here = run(q=(0.4, -0.7))
     step = 1e-4  # central differences: truncation 1e-8, solver error 1e-10/1e-4
     ahead, behind = (run(q=(0.4 + d, -0.7)).y[0] for d in (step, -step))
+    there = run().frozen_differential.value
     for derivative in (here.sensitivity, here.frozen_differential.value):
         np.testing.assert_allclose(derivative[0, :, 0], (ahead - behind) / (2 * step), rtol=0, atol=1e-5)
-        assert np.abs(derivative - run().sensitivity).max() > 0.05
+        assert np.abs(derivative - there).max() > 0.05
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -58,6 +58,30 @@ def test_engines_agree(scene):
         assert runs[0].counts == run.counts
 
 
+@pytest.mark.parametrize("carry", [(), ("s",)], ids=["motion", "with s"])
+@pytest.mark.parametrize("scene", [KEPLER.with_(t_end=3.0), USER], ids=lambda s: s.name)
+def test_the_derivative_through_the_choice_of_steps(scene, carry):
+    times = np.linspace(0, scene.t_end, 4)
+    on = {
+        e: cb.prepare(scene, NAME, rtol=1e-3, save_at=times, carry=carry, engine=e) for e in ("numba", "jax")
+    }
+    ours, theirs = (run().differential for run in on.values())
+    assert ours.source == theirs.source == "forward-mode AD through the steps and their choice"
+    scale = np.abs(theirs.value).max()
+    np.testing.assert_allclose(
+        ours.value, theirs.value, rtol=0, atol=1e-12 * scale
+    )  # round-off, times the condition
+    run = on["numba"]
+    for j, v in enumerate(run.tangents(run.start)):  # without automatic differentiation
+        by = [
+            (run.integrate(run.start + d * v).y - run.integrate(run.start - d * v).y) / (2 * d)
+            for d in (1e-6, 2e-6)
+        ]
+        np.testing.assert_allclose(ours.value[..., j], (4 * by[0] - by[1]) / 3, rtol=0, atol=1e-6 * scale)
+    frozen = run().frozen_differential.value
+    assert np.abs(ours.value - frozen).max() > 1e-11 * scale  # which leaves the choice out
+
+
 @pytest.mark.parametrize("scene", [KEPLER.with_(t_end=10.0), USER], ids=lambda s: s.name)
 def test_python_runs_the_recorded_loop_as_it_is_written(scene):
     run = cb.prepare(scene, NAME, rtol=1e-5, save_at=np.linspace(0, scene.t_end, 4), engine="python")

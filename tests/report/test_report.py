@@ -112,6 +112,11 @@ SOME = {
         row("particle", "rk4", 0.1, question="error", solution_error=1e-3, trajectories=10, cores=1, evaluations=10,
             time_median_s=1.0, time_min_s=1.0)
     ],
+    "long_time": [
+        row("duffing", method, 0.1, quantity="mean energy", reference=method == "rk4", evaluations_per_time=8.0,
+            jacobians_per_time=0.0, trajectories=8, periods=4, mean=0.04, error=1e-3)
+        for method in ("contact-a", "rk4")
+    ],
     "claims": [{"id": "C01", "where": "§2", "claim": "all is well", "verdict": "holds", "status": "ok",
         "measured": 1.0}],
     "definitions": [
@@ -161,7 +166,7 @@ def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit
     text = markdown.document(ROOMS["headline"], ROOMS["headline"].sections(everything))
     lines = [line for line in text.splitlines() if line]
     documents = [room.file for room in rooms(everything) if room.name != "headline"]
-    assert len(documents) == 10
+    assert len(documents) == 11
     for line, name in zip(lines[1:], documents, strict=False):
         assert f"[{name}]({name})" in line
     assert "dimensionless" in text

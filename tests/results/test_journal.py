@@ -85,29 +85,45 @@ from pathlib import Path
 from contactbench.results import journal, provenance, store, tables
 from contactbench.results.journal import Journal
 replacing, calls = store.replacing, []
-def dying(path):
-    calls.append(path)
-    if len(calls) > int(sys.argv[2]):
-        os._exit(9)
-    return replacing(path)
-run = Journal(Path(sys.argv[1]), "killed")
-run.open({"profile": "smoke"})
 row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
 three = [(t, row) for t in (tables.CONVERGENCE, tables.LAWS_TABLE)]
 timed = (tables.WORK_PRECISION, {**row, "time_median_s": 1.0})
-run.append([*three, (tables.LAWS_TIME, {**row, "t": 1.0}), timed], ("bench.py", "a"))
-store.replacing = journal.replacing = provenance.replacing = dying
-run.close()
+def killed(results, writes):
+    def dying(path):
+        calls.append(path)
+        if len(calls) > writes:
+            os._exit(9)
+        return replacing(path)
+    run = Journal(results, "killed")
+    run.open({"profile": "smoke"})
+    run.append([*three, (tables.LAWS_TIME, {**row, "t": 1.0}), timed], ("bench.py", "a"))
+    store.replacing = journal.replacing = provenance.replacing = dying
+    run.close()
+    os._exit(0)
+for writes in map(int, sys.argv[2:]):  # a process each, without importing everything each time
+    child = os.fork()
+    if not child:
+        killed(Path(sys.argv[1]) / str(writes), writes)
+    print(writes, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
+WRITES = (0, 1, 3, 4, 5, 6, 7)
 
 
-@pytest.mark.parametrize("writes", [0, 1, 3, 4, 5, 6, 7])
-def test_a_kill_while_folding_loses_nothing(tmp_path, writes):
+@pytest.fixture(scope="module")
+def killed_while_folding(tmp_path_factory):
+    """A folder of results for every number of files written before the kill, and how each process ended."""
+    folder = tmp_path_factory.mktemp("killed")
+    command = [sys.executable, "-c", KILLED_WHILE_FOLDING, str(folder), *map(str, WRITES)]
+    told = subprocess.run(command, timeout=120, capture_output=True, text=True, check=True).stdout
+    return folder, dict(tuple(map(int, line.split())) for line in told.splitlines())
+
+
+@pytest.mark.parametrize("writes", WRITES)
+def test_a_kill_while_folding_loses_nothing(killed_while_folding, writes):
     """Five files of four tables, the environment and the list of what is done: killed before any is written."""
-    child = subprocess.run(
-        [sys.executable, "-c", KILLED_WHILE_FOLDING, str(tmp_path), str(writes)], timeout=60
-    )
-    assert child.returncode == (9 if writes < 7 else 0)
+    folder, codes = killed_while_folding
+    tmp_path = folder / str(writes)
+    assert codes[writes] == (9 if writes < 7 else 0)
     fold_dead_runs(tmp_path)
     for table in (CONVERGENCE, LAWS_TABLE, WORK_PRECISION):
         assert list(read(table, tmp_path)["method"]) == ["rk4"]

@@ -20,6 +20,8 @@ from mpmath import mp
 from contactbench.splitting.composition import Composition
 from contactbench.splitting.tables import COMPOSITIONS
 
+#: of fixed-point numbers: 66 digits after the point
+BITS = 220
 LETTERS = {"kick": "B", "drift_damp": "A"}
 TWO_PART = [c for c in COMPOSITIONS if c.two_part]
 #: B, [B, [B, [B, A]]] written out
@@ -54,16 +56,24 @@ def words(length: int) -> list[str]:
 
 
 def expanded(composition: Composition, steps: int, degree: int) -> dict[str, mp.mpf]:
-    """The product of exponentials, as coefficients of words up to `degree`."""
-    x = {"": mp.mpf(1)}
+    """The product of exponentials, as coefficients of words up to `degree`.
+
+    In integer multiples of 2^−BITS: each of some 10⁵ products is off by one at most.
+    """
+    x = {"": 1 << BITS}
     for name, c in composition.run(steps):
-        letter, factor = LETTERS[name], mp.mpf(c.numerator) / c.denominator
-        new: dict[str, mp.mpf] = {}
+        letter = LETTERS[name]
+        series = [
+            (letter * k, (c.numerator**k << BITS) // (c.denominator**k * factorial(k)))
+            for k in range(degree + 1)
+        ]
+        new: dict[str, int] = {}
         for word, value in x.items():
-            for k in range(degree - len(word) + 1):
-                new[word + letter * k] = new.get(word + letter * k, 0) + value * factor**k / factorial(k)
+            for letters, factor in series[: degree - len(word) + 1]:
+                longer = word + letters
+                new[longer] = new.get(longer, 0) + (value * factor >> BITS)
         x = new
-    return x
+    return {word: mp.ldexp(mp.mpf(value), -BITS) for word, value in x.items()}
 
 
 Row = dict[str, Fraction]
@@ -71,7 +81,9 @@ Row = dict[str, Fraction]
 
 def reduced(row: Row, by: Row, word: str) -> Row:
     """The row less the multiple of another, whose entry at `word` is 1, that clears `word`."""
-    factor = row.get(word, Fraction(0))
+    if word not in row:
+        return row
+    factor = row[word]
     entries = {w: row.get(w, Fraction(0)) - factor * by.get(w, Fraction(0)) for w in {*row, *by}}
     return {w: value for w, value in entries.items() if value}
 

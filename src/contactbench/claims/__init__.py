@@ -1,9 +1,10 @@
-"""The paper's claims, each with a measurement and the verdict that follows from it.
+"""The paper's claims, and some beyond it, each with a measurement and the verdict that follows from it.
 
 Each module registers its own; the registry is in the order of the ids.
 """
 
 from contactbench.claims import (
+    beyond,
     body_equilibria,
     body_stability,
     conservative_limit,

@@ -108,9 +108,9 @@ def shown(measurements: Sequence[Measurement]) -> Measurement | None:
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper.
+    """One claim of the paper, or beyond it.
 
-    name : its id.  where : section and equation or figure of the paper, numbered as it is printed.
+    name : its id.  where : section and equation or figure of the paper, numbered as it is printed, or `BEYOND`.
     says : the claim in our words.  scene, method : what it is measured on.  kind, correction : how and
     in which words it is corrected.  figures : the paper's figures redrawn for it.  measure :
     ``(**parameters) -> Evidence``; every parameter has a default, which is what the table shows.

@@ -1,4 +1,4 @@
-"""``contactbench claim``: one claim of the paper, measured."""
+"""``contactbench claim``: one claim of the paper, or beyond it, measured."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contactbench.cli.parsing import Command
 
 
 def claim(arguments: argparse.Namespace) -> int:
-    """Measure one claim of the paper and print its row."""
+    """Measure one claim of the ledger and print its row."""
     from contactbench.claims import CLAIMS
 
     row = CLAIMS[arguments.id.upper()].row()
@@ -37,8 +37,8 @@ def readable(row: dict[str, Any]) -> str:
 def add(command: Command) -> None:
     """The command and its options."""
     ledger = command(
-        "claim", claim, "measure one claim of the paper",
+        "claim", claim, "measure one claim of the ledger",
         "examples:\n  contactbench claim C25\n  contactbench claim C07 --json | jq -r .verdict",
     )  # fmt: skip
-    ledger.add_argument("id", help="C01 to C36, in either case (contactbench list claims)")
+    ledger.add_argument("id", help="C01 to C36, X01, X02, in either case (contactbench list claims)")
     ledger.add_argument("--json", action="store_true", help="print one JSON object")

@@ -104,7 +104,7 @@ def lyapunov(
         trajectories end on different attractors the result is the mean over them.
     carry : as in `solve`; by default nothing that does not act back on the motion.
     The error bar is that of independent trajectories, or of blocks of a few (see `measure.averages`).
-    Raises `BadInput` for anything it cannot work with, and where no trajectory stays in the scene's scale.
+    Where every trajectory leaves the scene's scale all is nan.  Raises `BadInput` for anything it cannot work with.
 
     >>> import contactbench as cb
     >>> found = cb.lyapunov("oscillator", "contact-strang", step=0.1, every=1.0, intervals=64)
@@ -139,13 +139,13 @@ def lyapunov(
             if k >= 0:
                 rates[k], energy[k, 0] = logs / every, scene.energy(scene.unpack(tuple(x), own))
                 spent += evaluations
-    if not alive.any():
-        raise BadInput(f"method = {method!r}: every trajectory left the scale of scene {scene.name!r}")
-    means = blocks(rates[:, :, alive])
+    rates[:, :, ~alive] = energy[:, :, ~alive] = np.nan
+    kept = alive if alive.any() else ~alive
+    means = blocks(rates[:, :, kept])
     return Lyapunov(
         scene, method, jackknife(means), scalar(jackknife(means, np.sum)), scalar(jackknife(means, kaplan_yorke)),
-        scalar(jackknife(blocks(energy[:, :, alive]), np.sum)), float(spent[alive].mean()) / (every * count),
-        int((~alive).sum()), rates[:, :, alive],
+        scalar(jackknife(blocks(energy[:, :, kept]), np.sum)), float(spent[kept].mean()) / (every * count),
+        int((~alive).sum()), rates[:, :, kept],
     )  # fmt: skip
 
 

@@ -13,12 +13,15 @@ from contactbench.solution import DIVERGENCE
 from contactbench.splitting.composition import Composition, advance
 
 
-def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool) -> str:
+def recorded_loop(
+    composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool, moving: bool = False
+) -> str:
     """Source of ``run(start, numbers, options, times, y, facts)``, the loop over steps and saved times.
 
     options : ε, the span, the budget of steps.  y : states at the saved times, NaN where not reached.
     facts : time, density and steps at the end of the sequence, and the state there.
-    tangent : the state is followed by a tangent, which is carried along with the steps as they are.
+    tangent : the state is followed by a tangent, which is carried along with the steps as they are; moving : and
+    through their choice, by the tangents of time and density.
     """
     tape, d = Tape(), len(scene.labels(carry))
     outer = tape.root
@@ -29,12 +32,21 @@ def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str,
         [tape.assign(f"numbers[{i}]", "f", outer) for i in range(len(scene.numbers()))]
     )
     epsilon, span, budget = (tape.assign(f"options[{i}]", "f", outer) for i in range(3))
-    xp = RecordedNumbers(tape)
+    xp: Any = RecordedNumbers(tape)
+    largest = DualNumbers(xp).maximum if moving else xp.maximum
 
-    def carried(block: Block) -> tuple[list[Recorded], Recorded, Recorded, Recorded]:
+    def variable(name: str, block: Block) -> Any:
+        """A number of the loop, with its tangent where it has one."""
+        plain = Recorded(tape, name, "f", block)
+        return Dual(plain, Recorded(tape, f"d{name}", "f", block)) if moving else plain
+
+    def assigned(name: str, number: Any) -> list[str]:
+        lines = [f"{name} = {text_of(value(number))}"]
+        return [*lines, f"d{name} = {text_of(slope(number))}"] if moving else lines
+
+    def carried(block: Block) -> tuple[list[Recorded], Any, Any, Recorded]:
         x = [Recorded(tape, f"x{i}", "f", block) for i in range(size)]
-        time, density, steps = (Recorded(tape, name, "f", block) for name in ("time", "density", "steps"))
-        return x, time, density, steps
+        return x, variable("time", block), variable("density", block), Recorded(tape, "steps", "f", block)
 
     def advanced(x: list[Any], h: Any) -> list[str]:
         """One step of size h."""
@@ -44,7 +56,12 @@ def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str,
         end = scene.pack(advance(composition, twin, scene.unpack(x, carry), h, 1, numbers))
         return [text_of(c) for c in ([*map(value, end), *map(slope, end)] if tangent else end)]
 
+    def followed(x: list[Recorded]) -> Any:
+        """The state whose density is asked for."""
+        return scene.unpack(list(map(Dual, x[:d], x[d:])) if moving else x[:d], carry)
+
     def going(x: list[Any], time: Any, density: Any, steps: Any, due: Any) -> tuple[Any, Any]:
+        time, density = value(time), value(density)
         healthy = (steps < budget) & (epsilon > SHORTEST * span * density)
         for c in x[: scene.motion]:
             healthy = healthy & (c * c <= bound)
@@ -53,9 +70,9 @@ def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str,
     start = [tape.assign(f"start[{i}]", "f", outer) for i in range(size)]
     square = dot(start[: scene.motion], start[: scene.motion])
     bound = DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
-    first = first_density(twin, scene.unpack(start[:d], carry), epsilon, span, xp.maximum)
+    first = first_density(twin, followed(start), epsilon, span, largest)
     outer.add(*(f"x{i} = {text_of(c)}" for i, c in enumerate(start)))
-    outer.add("time = 0.0", "steps = 0.0", f"density = {text_of(first)}")
+    outer.add("steps = 0.0", *assigned("time", 0.0), *assigned("density", first))
 
     # a step of the sequence
     x, time, density, steps = carried(inner)
@@ -64,13 +81,13 @@ def recorded_loop(composition: Composition, scene: Mechanical, carry: tuple[str,
     inner.add(f"if not ({text_of(ahead)} and {text_of(healthy)}):", "    break")
     h = epsilon / density
     end = advanced(x, h)
-    inner.add(f"{', '.join(f'x{i}' for i in range(size))} = {', '.join(end)}", f"time = {text_of(time + h)}")
+    inner.add(f"{', '.join(f'x{i}' for i in range(size))} = {', '.join(end)}", *assigned("time", time + h))
     inner.add("steps = steps + 1.0")
     after = Block(inner, inner.indent)
-    moved = [Recorded(tape, f"x{i}", "f", after) for i in range(d)]
-    following = next_density(twin, scene.unpack(moved, carry), density, epsilon, span, xp.maximum)
+    moved = [Recorded(tape, f"x{i}", "f", after) for i in range(size)]
+    following = assigned("density", next_density(twin, followed(moved), density, epsilon, span, largest))
     inner.lines += after.lines
-    inner.add(f"density = {text_of(following)}")
+    inner.add(*following)
 
     # the shortened one to the saved time
     interval.add("while True:")

@@ -186,7 +186,7 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
     """The same loop as a program compiled by LLVM."""
 
     sensitivity_source = "forward-mode AD, accepted steps frozen"
-    map_source = "forward-mode AD through the steps and their choice, on jax"
+    map_source = "forward-mode AD through the steps and their choice"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -196,14 +196,14 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         self.times = np.ascontiguousarray(r.save_at)
         self.run, self.compile_s = self.loop()
 
-    def loop(self, tangent: bool = False) -> tuple[Any, float]:
+    def loop(self, tangent: bool = False, moving: bool = False) -> tuple[Any, float]:
         """The compiled loop, and the seconds it took."""
         r = self.request
-        key = (r.scene.structure, r.carry, tangent)
+        key = (r.scene.structure, r.carry, tangent, moving)
         if key not in _loops:
             elapsed = stopwatch()
             scene: Any = r.scene
-            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent))
+            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
             _loops[key] = compiled(text).run, elapsed()
         return _loops[key]
 
@@ -222,9 +222,7 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         return self.ended(y0, y, int(steps), time, last, density)
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
-        if not frozen:
-            return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0, frozen)
-        run, _ = self.loop(tangent=True)
+        run, _ = self.loop(tangent=True, moving=not frozen)
         pushed = [self.solved(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in self.tangents(y0)]
         return np.stack(pushed, axis=-1)
 

@@ -23,6 +23,7 @@ VARIABLE = "CONTACTBENCH_CACHE"
 KINDS = {
     "numbers": "float64[::1]", "spans": "float64[:, ::1]", "data": "float64[::1]", "shape": "int64[::1]",
     "w": "float64[:, ::1]", "start": "float64[::1]", "y": "float64[:, ::1]",
+    "after": "float64[::1]",
     "starts": "float64[:, ::1]", "ends": "float64[:, :, ::1]", "part": "int64[::1]",
     "options": "float64[::1]", "times": "float64[::1]", "facts": "float64[::1]",
 }  # fmt: skip

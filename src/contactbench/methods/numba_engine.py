@@ -85,7 +85,7 @@ class NumbaLoop(FixedStepRun):
 
     def divide(self, step: float) -> None:
         super().divide(step)
-        self.size = len(self.n), len(self._own_start)
+        self.size = len(self.n) * len(self._own_start)
         if self.short(self.n):
             self.rows, self.shape = self.loop.rows(self.numbers, self.h, self.n)
 
@@ -94,16 +94,16 @@ class NumbaLoop(FixedStepRun):
         return len(n) * self.loop.program.width <= AHEAD
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        y = np.empty(self.size)
-        self.run(y0, self.rows, self.shape, y)
-        return y[-1]
+        after = np.empty(self.size)
+        self.run(y0, self.rows, self.shape, after)
+        return after if len(after) == len(y0) else after[-len(y0) :]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         if self.saves_start or self.needed > self.request.max_steps or not self.short(self.n):
             return super().integrate(y0)
-        y = np.empty(self.size)
-        if self.run(y0, self.rows, self.shape, y) < 0:  # nothing to look for
-            return Outcome(y, self.totals, Status.ok, "", self._end, True)
+        after = np.empty(self.size)
+        if self.run(y0, self.rows, self.shape, after) < 0:  # nothing to look for
+            return Outcome(after.reshape(-1, len(y0)), self.totals, Status.ok, "", self._end, True)
         return super().integrate(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ class NumbaLoop(FixedStepRun):
                 rows, shape = self.rows, self.shape
             else:
                 rows, shape = loop.rows(self.numbers, h[part], n[part])
-            loop.module.run(y0, rows, shape, y[part])
+            loop.module.run(y0, rows, shape, y[part].ravel())  # a view
             y0 = y[part][-1]
         return y
 

@@ -59,9 +59,9 @@ class PythonLoop(FixedStepRun):
             if span != last:
                 setup(numbers, [span], data, shape, w)
                 last = span
-            rows.append([0.0] * len(y))
-            run(y, w, [*shape, 0], rows[-1:])
-            y = rows[-1]
+            after = [0.0] * len(y)
+            run(y, w, [*shape, 0], after)
+            rows.append(y := after)
         return rows
 
     def as_written(self, y: list[float], spans: list[Span]) -> list[list[float]]:

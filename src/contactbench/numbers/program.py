@@ -3,7 +3,7 @@
 `record` runs a function of (numbers, h, n, state) on recorded numbers and writes two functions,
 
     setup(numbers, spans, data, shape, w)    row u of w: everything that depends on (h, n) = spans[u] only
-    run(start, w, shape, y)                  row j of y: the state after interval j, from row which[j] of w
+    run(start, w, shape, after)              the states after all intervals in turn, of j from row which[j] of w
 
 `setup` is called once per choice of steps, `run` at every call.  Vectors made by ``xp.asarray``, such as
 the coefficients of a composition, are data of the program and not part of it, as are their lengths and the
@@ -211,23 +211,24 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
     bound = " + ".join(f"{x} * {x}" for x in state[:bounded])
     run.add(*sizes, *(f"{x} = start[{i}]" for i, x in enumerate(state)))
     run.add(f"size = sqrt({bound})", f"bound = {factor!r} * (size if size != 0.0 else 1.0)", "bad = -1")
-    run.add("for j in range(len(y)):", f"    u = shape[{len(tape.shape)} + j]")
+    known = len(tape.shape)
+    run.add(f"for j in range(len(shape) - {known}):", f"    u = shape[{known} + j]")
     loads = {"f": "{} = w[u, {}]", "i": "{} = int(w[u, {}])", "b": "{} = w[u, {}] != 0.0"}
     run.add(*("    " + loads[kind].format(name, i) for i, (name, kind) in enumerate(tape.exported.items())))
     run.lines += tape.main.lines
     run.add(f"    {', '.join(state)}, = {', '.join(ends)},")
-    run.add(*(f"    y[j, {i}] = {x}" for i, x in enumerate(state)))
+    run.add(*(f"    after[{len(state)} * j + {i}] = {x}" for i, x in enumerate(state)))
     healthy = [f"abs({x}) <= {'bound' if i < bounded else 'LARGEST'}" for i, x in enumerate(state)]
     run.add(f"    if bad < 0 and not ({' and '.join(healthy)}):", "        bad = j", "return bad")
     start = run.lines.index("    bad = -1") + 1
     many = [
         *(line for line in run.lines[: start - 3] if "start[" not in line),
         *(f"    {x} = starts[{i}]" for i, x in enumerate(state)),
-        *(line.replace("(y)", "(ends)").replace("y[j,", "ends[j,") for line in run.lines[start:-3]),
+        *(line.replace(f"after[{len(state)} * j + ", "ends[j, ") for line in run.lines[start:-3]),
     ]
     return "\n".join(
         [
             *("def setup(numbers, spans, data, shape, w):", *setup.lines, "", ""),
-            *("def run(start, w, shape, y):", *run.lines, ""),
+            *("def run(start, w, shape, after):", *run.lines, ""),
         ]
     ), "\n".join(["def many(starts, w, shape, ends, part):", *many, ""])

@@ -14,6 +14,7 @@ from contactbench.report import (  # registers the rooms, in no particular order
     headline,
     laws,
     limits,
+    long_time,
     stability,
     work_precision,
 )

@@ -7,8 +7,9 @@ import pandas as pd
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
 from contactbench.report.drawing import Figure
 from contactbench.report.figures import paper
+from contactbench.report.numbers import many, names
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, slug
-from contactbench.results.schema import SEPARATOR
+from contactbench.results.schema import BEYOND, SEPARATOR
 
 VERDICTS = {
     "holds": (Mark.holds, "the measurements agree with the claim as it stands"),
@@ -94,6 +95,12 @@ def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
     return Section(heading(row), tuple(parts))
 
 
+def parted(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The paper's claims, and those beyond it."""
+    beyond = frame["where"] == BEYOND
+    return frame[~beyond], frame[beyond]
+
+
 def count(frame: pd.DataFrame) -> dict[str, int]:
     return {name: int((frame["verdict"] == name).sum()) for name in VERDICTS}
 
@@ -102,10 +109,17 @@ def findings(frames: Frames) -> list[Finding]:
     frame = frames["claims"]
     if not len(frame):
         return []
-    held, corrected, refuted = count(frame).values()
+    own, beyond = parted(frame)
+    held, corrected, refuted = count(own).values()
     sentence = (
-        f"Of its {len(frame)} claims {held} hold, {corrected} hold once corrected, {refuted} are refuted."
+        f"Of its {len(own)} claims {held} hold, {corrected} hold once corrected, {refuted} are refuted."
     )
+    if len(beyond):
+        sentence += (
+            f" Beyond it {count(beyond)['holds']} of {many(len(beyond), 'claim')} hold: "
+            + names([row["claim"].partition(":")[0].lower() for _, row in beyond.iterrows()])
+            + "."
+        )
     missing = frame[~frame["verdict"].isin(VERDICTS)]
     exceptions = tuple(f"{r['id']} was not measured: {r['message']}" for _, r in missing.iterrows())
     return [Finding("claims", "The paper", sentence, f"{len(frame)} claims", exceptions)]
@@ -120,17 +134,21 @@ def sections(frames: Frames) -> list[Part]:
     changes = tuple(
         f"[{r['id']}](#{slug(heading(r))}), {r['where']}: {r['correction']}" for _, r in fell.iterrows()
     )
-    told = tuple(claim_section(row, drawn) for _, row in frame.iterrows())
+    told, more_told = (
+        tuple(claim_section(row, drawn) for _, row in some.iterrows()) for some in parted(frame)
+    )
     return [
         Text(ABOUT),
         *([Section("What to change in the paper", (Text(items=changes),))] if changes else []),
         claims_view(frame),
         Section("Claim by claim", told),
+        *([Section("Beyond the paper", more_told)] if more_told else []),
         *([Section("Other figures", tuple(drawn.values()))] if drawn else []),
     ]
 
 
 ROOMS.add(
-    Room("claims", "The paper's claims, measured", "every checkable claim of the paper with its verdict", 70,
-         ("claims", "paper_figures"), sections, findings, tab="Claims")
+    Room("claims", "The paper's claims, measured",
+         "every checkable claim of the paper with its verdict, and two beyond it", 70, ("claims", "paper_figures"),
+         sections, findings, tab="Claims")
 )  # fmt: skip

@@ -18,6 +18,7 @@ from contactbench.errors import BadInput, Registry
 #: how much is run, from little to much; each makes the rows of those before it, and more
 PROFILES = ("smoke", "standard", "full")
 SEPARATOR = " // "  #: between the measurements listed in one cell
+BEYOND = "beyond the paper"  #: where a claim stands that is not the paper's
 
 Type = Literal["text", "number", "whole", "flag"]
 

@@ -15,6 +15,7 @@ from contactbench.results.columns import (
     words,
 )
 from contactbench.results.law_columns import WithLaws, law_column
+from contactbench.results.long_time import LONG_TIME as LONG_TIME
 from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
 #: why an error bar has no rule
@@ -191,10 +192,10 @@ DEFINITIONS = table(
 
 CLAIMS_TABLE = table(
     "claims",
-    "every claim of the paper with a measured number and the verdict that follows from it",
+    "every claim of the paper, and some beyond it, with a measured number and the verdict that follows",
     {
         "id": Column("number of the claim"),
-        "where": words("section, equation or figure of the paper"),
+        "where": words("section, equation or figure of the paper, or beyond it"),
         "claim": words("what is claimed, in our words"),
         "scene": Column("what it is measured on", rule=Rule.same),
         "method": Column("integrator, or how the equations themselves are tested", rule=Rule.same),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from contactbench.scene import BodyState, Mechanical, RigidBody, State, dot
@@ -38,6 +39,12 @@ def damped_body(scene: RigidBody, t: Any, mp: Any) -> BodyState:
     return BodyState(tuple(decay * c for c in m), None, s)
 
 
+@lru_cache(16)
+def elliptic_phase(sine: Any, cosine: Any, modulus: Any, mp: Any, precision: int) -> Any:
+    """F of the angle with these sides, to so many bits: where the motion starts, the same for all of its times."""
+    return mp.ellipf(mp.atan2(sine, cosine), modulus)
+
+
 def free_top(inertia: tuple, M0: tuple, tau: Any, mp: Any) -> tuple:
     """Body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
 
@@ -64,7 +71,7 @@ def free_top(inertia: tuple, M0: tuple, tau: Any, mp: Any) -> tuple:
     right_handed = axes in ([0, 1, 2], [1, 2, 0], [2, 0, 1])
     side = 1 if M3 >= 0 else -1
     forward = (right_handed == (I1 < I3)) == (side > 0)
-    u = mp.ellipf(mp.atan2(M2 / A2, M1 / A1), modulus) + (rate * tau if forward else -rate * tau)
+    u = elliptic_phase(M2 / A2, M1 / A1, modulus, mp, mp.prec) + (rate * tau if forward else -rate * tau)
     cn, sn, dn = (mp.ellipfun(kind, u, m=modulus) for kind in ("cn", "sn", "dn"))
     by_axis = dict(zip(axes, (A1 * cn, A2 * sn, side * A3 * dn), strict=True))
     return tuple(by_axis[i] for i in range(3))

@@ -1,0 +1,118 @@
+"""What do long runs of a chaotic scene average to, and at what cost?  One cell: a method at all its settings.
+
+Trajectories start anywhere in both wells and settle; then energy and exponents are averaged.  Of a method with fixed
+steps one run with tangents gives all of them.  A solver that chooses its steps has its energy taken from a plain run,
+since it would not carry tangents for that, and its exponents from the variational equations, begun anew after every
+orthonormalisation: which is why a multistep solver is asked for the energy alone.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+import contactbench as cb
+from cells import cells, controlled
+from contactbench.measure.averages import Average, blocks, jackknife
+from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
+from contactbench.solution import keywords
+
+SCENE = cb.SCENES["duffing"]
+PERIOD = 2 * math.pi / SCENE.parameters["drive"]
+FIXED = ("contact-strang", "contact-rkn4", "contact-rkn6", "herglotz2", "rk4")
+ADAPTIVE = ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5", "cvode-adams")
+WITHOUT_TANGENTS = ("cvode-adams",)
+#: evaluations in a period that fixed steps are chosen for, and tolerances
+EVALUATIONS, RTOLS = (12, 16, 24, 32, 48, 64, 96, 192), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+TRAJECTORIES, PERIODS, SETTLE, SEED = 128, 400, 50, 1
+#: another engine than those compared, and finer: with what the others are compared
+REFERENCE, REFERENCE_RTOL, REFERENCE_TRAJECTORIES = "cyrk-dop853", 1e-8, 512
+#: of the smoke profile: one that has rows of every kind
+SMOKE = ("contact-rkn4",)
+
+
+def methods(profile):
+    return [(SCENE.name, name) for name in (SMOKE if profile.points == 1 else (*FIXED, *ADAPTIVE))]
+
+
+def starts(count):
+    """Initial data over both wells."""
+    rng = np.random.default_rng(SEED)
+    return {"q": (rng.uniform(-1.5, 1.5, count),), "p": (rng.uniform(-1, 1, count),)}
+
+
+def settings(method):
+    """(kind, value) of each rung."""
+    if method.adaptive:
+        return [("rtol", rtol) for rtol in RTOLS]
+    each = method.per_step(SCENE, ())
+    return [("step", PERIOD / n) for n in dict.fromkeys(max(1, round(e / each)) for e in EVALUATIONS)]
+
+
+def with_tangents(method, kind, value, count=TRAJECTORIES):
+    """Rows of the exponents, and of the energy along them."""
+    found = cb.lyapunov(
+        SCENE, method.name, every=PERIOD, intervals=PERIODS, settle=SETTLE, initial_conditions=starts(count),
+        **keywords(kind, value),
+    )  # fmt: skip
+    largest = Average(found.exponents.value[0], found.exponents.error[0])
+    total = found.total._replace(value=found.total.value + SCENE.gamma)
+    averages = {ENERGY: found.energy, EXPONENT: largest, DIMENSION: found.dimension, SUM: total}
+    defect = found.rates.sum(axis=1) + SCENE.gamma
+    told = {SUM: {"pairing_defect": math.sqrt(np.mean(defect * defect))}}
+    for quantity, average in averages.items():
+        more = told.get(quantity, {}) if not found.diverged else {}
+        yield (
+            row(method, kind, value, quantity, average, found.evaluations, 0.0, found.diverged, count) | more
+        )
+
+
+def plain(method, kind, value):
+    """The row of the energy of runs without tangents, saved once in a period."""
+    times = PERIOD * np.arange(1, SETTLE + PERIODS + 1)
+    run = cb.prepare(SCENE, method.name, save_at=times, carry=(), **keywords(kind, value))
+    given = starts(TRAJECTORIES)
+    runs = [run(q=(q,), p=(p,)) for q, p in zip(given["q"][0], given["p"][0], strict=True)]
+    ok = [solution for solution in runs if solution.ok]
+    average, evaluations, jacobians = Average(math.nan, math.nan), math.nan, math.nan
+    if ok:
+        energy = np.array([SCENE.energy(solution.states())[SETTLE:] for solution in ok])
+        average = jackknife(blocks(energy.T[:, None]), np.sum)
+        evaluations, jacobians = (
+            np.mean([getattr(solution.counts, name) for solution in ok]) / times[-1]
+            for name in ("evaluations", "jacobians")
+        )
+    return row(method, kind, value, ENERGY, average, evaluations, jacobians, len(runs) - len(ok))
+
+
+def row(method, kind, value, quantity, average, evaluations, jacobians, lost, count=TRAJECTORIES):
+    """One row; without numbers where a trajectory was lost, which would leave an average over the others."""
+    known = {
+        "mean": float(average.value), "error": float(average.error), "evaluations_per_time": evaluations,
+        "jacobians_per_time": jacobians,
+    } if not lost else {}  # fmt: skip
+    kind_of = method.kind_on(SCENE) if kind == "step" else "rhs"
+    return known | {
+        "scene": SCENE.name, "method": method.name, "engine": method.engines[0], **controlled(kind, value),
+        "status": "diverged" if lost else "ok", "quantity": quantity, "reference": count > TRAJECTORIES,
+        "message": f"{lost} of {count} trajectories left the scene's scale" if lost else "",
+        "trajectories": count, "periods": PERIODS, "evaluation_kind": kind_of,
+    }  # fmt: skip
+
+
+@cells(methods)
+def test_long_time(cell, record):
+    method = cb.METHODS[cell[1]]
+    rows = []
+    for kind, value in settings(method):
+        if kind == "rtol":
+            rows.append(plain(method, kind, value))
+        if method.name not in WITHOUT_TANGENTS:
+            found = with_tangents(method, kind, value)
+            rows += [each for each in found if kind == "step" or each["quantity"] != ENERGY]
+    if method.name == REFERENCE:
+        rows += with_tangents(method, "rtol", REFERENCE_RTOL, REFERENCE_TRAJECTORIES)
+    for each in rows:
+        record(LONG_TIME, **each)
+    assert all(each["status"] == "ok" or each["message"] for each in rows)

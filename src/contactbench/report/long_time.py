@@ -1,0 +1,256 @@
+"""Averages over long runs of a chaotic scene: who has them right, for how many evaluations; and what the pairs do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
+from contactbench.report.figures import long_time as figures
+from contactbench.report.numbers import many, names, scientific
+from contactbench.report.raw import raw
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Text
+from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
+from contactbench.results.round_off import STRUCTURE
+
+SOURCE = "long_time.csv"
+AVERAGES = (ENERGY, EXPONENT, DIMENSION)
+#: error bars within which two averages are the same, and beyond which they differ: chance decides in between
+ALIKE, APART = 3.0, 5.0
+#: settings stand up to so far apart: methods whose least cost differs by less are a tie
+RUNG = 1.5
+
+
+def known(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """The rows of a quantity with a number, cheap to dear.
+
+    off : the difference from the reference in error bars of both.
+    """
+    part = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
+    part = part.sort_values("evaluations_per_time", kind="stable")
+    reference = part[part["reference"]]
+    if not len(reference):
+        return part.assign(off=np.nan)
+    true = reference.iloc[0]
+    return part.assign(off=(part["mean"] - true["mean"]).abs() / np.hypot(part["error"], true["error"]))
+
+
+def right_from(rows: pd.DataFrame, within: float = ALIKE) -> float:
+    """The evaluations of one method from which on it is within so many error bars; nan if it never is."""
+    wrong = ~(rows["off"] <= within).to_numpy()
+    first = int(np.flatnonzero(wrong)[-1]) + 1 if wrong.any() else 0
+    return float(rows["evaluations_per_time"].iloc[first]) if first < len(rows) else np.nan
+
+
+def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """Evaluations from which on each method has an average right; a row per method, the fewest first.
+
+    surely : from where it is right.  perhaps : from where it is not clearly wrong.  bound : 1 where that is its
+    cheapest setting.
+    """
+    rows = known(frame, quantity)
+    rows = rows[~rows["reference"]]
+    found = {
+        name: {
+            "surely": (surely := right_from(own)),
+            "perhaps": right_from(own, APART),
+            "bound": surely == own["evaluations_per_time"].iloc[0],
+        }
+        for name, own in rows.groupby("method", sort=False)
+    }
+    costs = pd.DataFrame.from_dict(found, orient="index", columns=["surely", "perhaps", "bound"]).astype(
+        float
+    )
+    return costs.dropna().sort_values(["surely", "perhaps"], kind="stable")
+
+
+def tied(costs: pd.DataFrame) -> list[str]:
+    """The cheapest, and those that neither a rung nor the noise tells from it."""
+    return [str(name) for name in costs.index[costs["perhaps"] <= RUNG * costs["surely"].min()]]
+
+
+def spoken(cost: pd.Series) -> str:
+    """7.8; 7.8 to 15 where the noise does not tell; ≤ 7.8 where nothing cheaper was measured."""
+    low, high = f"{cost['perhaps']:.2g}", f"{cost['surely']:.2g}"
+    return f"≤ {low}" if cost["bound"] else low if low == high else f"{low} to {high}"
+
+
+# -- pairs -----------------------------------------------------------------------------------------
+def harmless_from(frame: pd.DataFrame, method: str) -> float:
+    """The evaluations from which on what the pairs are off hides in the error bar of the largest exponent."""
+    bars, sums = (known(frame, quantity) for quantity in (EXPONENT, SUM))
+    own = sums[sums["method"] == method]
+    hidden = own["mean"].abs() <= own["setting"].map(
+        bars[bars["method"] == method].set_index("setting")["error"]
+    )
+    return right_from(own.assign(off=np.where(hidden, 0.0, np.inf)))
+
+
+# -- views -----------------------------------------------------------------------------------------
+def costs_view(frame: pd.DataFrame) -> View:
+    found = {quantity: least(frame, quantity) for quantity in AVERAGES}
+    rows = []
+    for method in dict.fromkeys(frame["method"]):
+        cells: list[Cell] = [word(method)]
+        for costs in found.values():
+            best = tied(costs)
+            mark = (Mark.tie if len(best) > 1 else Mark.best) if method in best else None
+            has = method in costs.index
+            cells.append(
+                Cell(spoken(costs.loc[method]), float(costs.loc[method, "surely"]), marks(mark))
+                if has
+                else Cell(DASH)
+            )
+        rows.append(tuple(cells))
+    meaning = (
+        "Evaluations of a trajectory per unit of time from which on, at every dearer setting too, an average is within "
+        f"{ALIKE:g} error bars of the reference; two numbers where it is up to {APART:g} bars off in between, which is "
+        f"no telling; ≤: at its cheapest setting. Settings are up to a factor {RUNG:g} apart, and methods within that "
+        "are a tie. Exponents and dimension are of runs with tangents, which a solver with a tolerance controls too "
+        f"and begins anew every period. {DASH}: not measured, or wrong at every setting."
+    )
+    return View(
+        "long_time_costs", "The least that has the averages right", meaning,
+        (Head("method", words=True), *map(Head, AVERAGES)), tuple(rows), SOURCE,
+    )  # fmt: skip
+
+
+def pairs_view(frame: pd.DataFrame) -> View:
+    rows, sums = [], known(frame, SUM)
+    for method in dict.fromkeys(sums["method"].reindex(frame.index).dropna()):
+        own = sums[sums["method"] == method]
+        defects = own["pairing_defect"]
+        kept = Mark.kept if (defects <= STRUCTURE).all() else None
+        cells = (number(defects.iloc[k], scientific, kept) for k in (0, -1))
+        rows.append((word(method), *cells, number(harmless_from(frame, method), "{:.2g}".format)))
+    heads = (
+        Head("method", words=True), Head("cheapest", group="pairing defect"), Head("dearest", group="pairing defect"),
+        Head("hidden from", "evaluations per unit of time"),
+    )  # fmt: skip
+    meaning = (
+        f"{LONG_TIME.columns['pairing_defect'].meaning.partition(';')[0].capitalize()}, at a method's cheapest and "
+        "dearest settings; and from how many evaluations on what it adds up to, the sum of the exponents plus γ, is "
+        "below the error bar of the largest exponent and no longer matters for these averages."
+    )
+    return View("long_time_pairs", "Pairs of exponents", meaning, heads, tuple(rows), SOURCE)
+
+
+# -- findings --------------------------------------------------------------------------------------
+def findings(frames: Frames) -> list[Finding]:
+    frame = frames["long_time"]
+    return [*averages_finding(frame), *pairs_finding(frame)]
+
+
+def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
+    """Who has the averages right for the fewest evaluations."""
+    reference = frame[frame["reference"]]
+    if not len(reference):
+        return
+    said = []
+    for quantity in AVERAGES:
+        costs = least(frame, quantity)
+        best = tied(costs)
+        first, rest = ([f"{name} {spoken(costs.loc[name])}" for name in costs.index if (name in best) == led]
+                       for led in (True, False))  # fmt: skip
+        if first:
+            led = f"{quantity} {'tie: ' if len(first) > 1 else ''}{names(first)}"
+            said.append(led + (f", then {names(rest)}" if rest else ""))
+    true = reference.iloc[0]
+    bars = reference.set_index("quantity")
+    share = names(
+        [f"{100 * bars['error'][q] / abs(bars['mean'][q]):.1g} % ({q})" for q in AVERAGES if q in bars.index]
+    )
+    sentence = (
+        "Evaluations per unit of time from which on averages over long chaotic runs are right to within the noise, "
+        f"fewest first: {'; '.join(said)}."
+    )
+    covers = (
+        f"`{true['scene']}`, {many(frame['method'].nunique(), 'method')}, {true['periods']:.0f} periods, within "
+        f"{ALIKE:g} error bars of {true['method']} at {true['setting']}, whose own are {share}; two numbers where a "
+        f"setting is up to {APART:g} bars off, which is no telling; ≤: at its cheapest setting; methods within a "
+        f"factor {RUNG:g}, the spacing of the settings, are a tie"
+    )
+    yield Finding("long_time", "Long chaotic runs", sentence, covers, tuple(exceptions(frame)))
+
+
+def exceptions(frame: pd.DataFrame) -> Iterator[str]:
+    """What a comparison of costs does not say: no chaos where there should be some, Jacobians, lost trajectories."""
+    calm = known(frame, EXPONENT)
+    calm = calm[calm["mean"] <= ALIKE * calm["error"]]
+    if len(calm):
+        where = [
+            f"{method} ({', '.join(f'{v:.2g}' for v in own['evaluations_per_time'])})"
+            for method, own in calm.groupby("method", sort=False)
+        ]
+        yield (
+            "not chaotic at all, because the coarse map has settled on a periodic orbit, at these evaluations per unit "
+            f"of time: {names(where)}"
+        )
+    implicit = known(frame, ENERGY)
+    for method, own in implicit[implicit["jacobians_per_time"] > 0].groupby("method", sort=False):
+        low, high = own["jacobians_per_time"].min(), own["jacobians_per_time"].max()
+        yield f"{method} takes {low:.2g} to {high:.2g} Jacobians per unit of time beside that"
+    lost = frame[(frame["status"] != "ok") & (frame["quantity"] == ENERGY)]
+    if len(lost):
+        yield f"trajectories diverged at {many(len(lost), 'setting')}: {names(list(dict.fromkeys(lost['method'])))}"
+
+
+def pairs_finding(frame: pd.DataFrame) -> Iterator[Finding]:
+    """Who keeps the pairs, and from where on that makes no difference any more."""
+    rows = known(frame, SUM)
+    if not len(rows):
+        return
+    rows = rows.reindex([i for i in frame.index if i in rows.index])
+    worst = rows.groupby("method", sort=False)["pairing_defect"].max()
+    kept = [str(name) for name in worst.index[worst <= STRUCTURE]]
+    rest = rows[~rows["method"].isin(kept)]
+    said = []
+    if kept:
+        said.append(
+            f"{names(kept)} keep σ₁σ₂ = e^{{−γt}} to round-off at every setting (at most "
+            f"{scientific(worst[kept].max())} per unit of time)"
+        )
+    if len(rest):
+        smallest = rest.loc[rest["pairing_defect"].idxmin()]
+        who = names(list(dict.fromkeys(rest["method"])))
+        said.append(
+            f"{who} at none (at least {scientific(smallest['pairing_defect'])}: {smallest['method']}, "
+            f"{smallest['setting']})" if (rest["pairing_defect"] > STRUCTURE).all() else f"{who} at some only"
+        )  # fmt: skip
+    hidden = [
+        f"{m} {c:.2g}" for m in dict.fromkeys(rest["method"]) if np.isfinite(c := harmless_from(frame, m))
+    ]
+    sentence = f"{'; '.join(said)}."
+    if hidden:
+        sentence += (
+            " It stops mattering for averages where the sum of the exponents is off by less than the error bar of the "
+            f"largest, at these evaluations per unit of time: {names(hidden)}."
+        )
+    covers = f"`{rows['scene'].iloc[0]}`, {many(len(rows), 'setting')} of {many(rows['method'].nunique(), 'method')}"
+    yield Finding("pairing", "Pairs of exponents", sentence, covers)
+
+
+def sections(frames: Frames) -> list[Part]:
+    frame = frames["long_time"]
+    return [
+        Text(
+            "Runs of a chaotic scene cannot be compared point by point. Their averages can, as far as their error bars "
+            "allow: the mean energy, Lyapunov's exponents, the dimension of the attractor. Error bars are standard "
+            "errors from independent trajectories."
+        ),
+        costs_view(frame),
+        *figures.averages(frame),
+        pairs_view(frame),
+        *figures.pairs(frame),
+        raw(LONG_TIME, frame),
+    ]
+
+
+ROOMS.add(
+    Room(
+        "long_time", "Long chaotic runs", "energy, Lyapunov exponents and dimension from long runs, against what they "
+        "cost", 58, ("long_time",), sections, findings,
+    )
+)  # fmt: skip
