@@ -274,6 +274,13 @@ def test_herglotz_maps_keep_the_product_of_the_factors_of_their_steps(name, scen
     assert columns["contact_drift"] > 1e-4
 
 
+def test_a_negative_factor_has_no_logarithm_and_no_number_stands_for_it():
+    """1 − γh = −0.6 in the first step, γ being 2 there; the map keeps ker η all the same."""
+    columns = row(cb.solve(LANE_EMDEN[1], "herglotz1", step=0.8, save_at=saved(LANE_EMDEN[1])))
+    assert math.isnan(columns["own_factor_drift"])
+    assert columns["distribution_drift"] < 1e-13
+
+
 def test_pairs_under_a_damping_that_changes_with_time_have_the_product_of_its_integral():
     for scene in (FORCED_PULSATING, LANE_EMDEN[1]):
         assert (
