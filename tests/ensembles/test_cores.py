@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Semaphore
+
 import numpy as np
 import pytest
 
@@ -50,6 +53,28 @@ def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
         assert done < len(begun) <= done + 1 + 2 * AHEAD
     assert len(list(results)) == 97
     assert len(begun) == 100
+
+
+def test_no_chunk_is_begun_once_nobody_asks(monkeypatch):
+    begun, permits, integrate = [], Semaphore(1), cores.side_by_side
+
+    class Pool(ThreadPoolExecutor):
+        def shutdown(self, wait=True, **options):
+            super().shutdown(wait=False, **options)
+            permits.release()  # the chunk that is under way may end now
+            super().shutdown(wait)
+
+    def on_permission(*args):
+        begun.append(1)
+        permits.acquire(timeout=1)
+        return integrate(*args)
+
+    monkeypatch.setattr(cores, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr(cores, "side_by_side", on_permission)
+    results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 1, LANES)
+    next(results)
+    results.close()
+    assert len(begun) <= 2
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])

@@ -29,6 +29,8 @@ from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.recording import CannotRecord
 
 ENGINES = ("numba", "jax")
+#: trajectories in a task of an executor: how many workers share them nobody knows
+TASK = 2**14
 #: how often a chunk is given to an executor that loses it
 ATTEMPTS = 3
 
@@ -98,7 +100,7 @@ def results(
             yield first, result
             first += len(result[-1])
     else:
-        yield from spread(executor, task, y0, own, chunk or CHUNK["cpu"])
+        yield from spread(executor, task, y0, own, chunk or TASK)
 
 
 def spread(

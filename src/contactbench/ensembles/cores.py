@@ -35,7 +35,8 @@ def on_cores(
     rows, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
     share = equal_share(y0.shape[1], cores, chunk)
     ahead: deque[Future[Result]] = deque()
-    with ThreadPoolExecutor(cores) as threads:
+    threads = ThreadPoolExecutor(cores)
+    try:
         for first in range(0, y0.shape[1], share):
             part = y0[:, first : first + share]
             ahead.append(threads.submit(side_by_side, run, many, rows, shape, names, part))
@@ -43,6 +44,8 @@ def on_cores(
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
+    finally:  # where one has failed or nobody asks any more, none is begun
+        threads.shutdown(cancel_futures=True)
 
 
 def equal_share(n: int, cores: int, chunk: int) -> int:

@@ -47,15 +47,22 @@ def right_from(rows: pd.DataFrame, within: float = ALIKE) -> float:
 def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
     """Evaluations from which on each method has an average right; a row per method, the fewest first.
 
-    surely : from where it is right.  perhaps : from where it is not clearly wrong.
+    surely : from where it is right.  perhaps : from where it is not clearly wrong.  bound : 1 where that is its
+    cheapest setting.
     """
     rows = known(frame, quantity)
     rows = rows[~rows["reference"]]
     found = {
-        name: {"surely": right_from(own), "perhaps": right_from(own, APART)}
+        name: {
+            "surely": (surely := right_from(own)),
+            "perhaps": right_from(own, APART),
+            "bound": surely == own["evaluations_per_time"].iloc[0],
+        }
         for name, own in rows.groupby("method", sort=False)
     }
-    costs = pd.DataFrame.from_dict(found, orient="index", columns=["surely", "perhaps"]).astype(float)
+    costs = pd.DataFrame.from_dict(found, orient="index", columns=["surely", "perhaps", "bound"]).astype(
+        float
+    )
     return costs.dropna().sort_values(["surely", "perhaps"], kind="stable")
 
 
@@ -65,9 +72,9 @@ def tied(costs: pd.DataFrame) -> list[str]:
 
 
 def spoken(cost: pd.Series) -> str:
-    """7.8, or 7.8 to 15 where the noise does not tell."""
+    """7.8; 7.8 to 15 where the noise does not tell; ≤ 7.8 where nothing cheaper was measured."""
     low, high = f"{cost['perhaps']:.2g}", f"{cost['surely']:.2g}"
-    return low if low == high else f"{low} to {high}"
+    return f"≤ {low}" if cost["bound"] else low if low == high else f"{low} to {high}"
 
 
 # -- pairs -----------------------------------------------------------------------------------------
@@ -100,8 +107,9 @@ def costs_view(frame: pd.DataFrame) -> View:
     meaning = (
         "Evaluations of a trajectory per unit of time from which on, at every dearer setting too, an average is within "
         f"{ALIKE:g} error bars of the reference; two numbers where it is up to {APART:g} bars off in between, which is "
-        f"no telling. Settings are up to a factor {RUNG:g} apart, and methods within that are a tie. Exponents and "
-        f"dimension are of runs with tangents. {DASH}: not measured, or wrong at every setting."
+        f"no telling; ≤: at its cheapest setting. Settings are up to a factor {RUNG:g} apart, and methods within that "
+        "are a tie. Exponents and dimension are of runs with tangents, which a solver with a tolerance controls too "
+        f"and begins anew every period. {DASH}: not measured, or wrong at every setting."
     )
     return View(
         "long_time_costs", "The least that has the averages right", meaning,
@@ -161,8 +169,8 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
     covers = (
         f"`{true['scene']}`, {many(frame['method'].nunique(), 'method')}, {true['periods']:.0f} periods, within "
         f"{ALIKE:g} error bars of {true['method']} at {true['setting']}, whose own are {share}; two numbers where a "
-        f"setting is up to {APART:g} bars off, which is no telling; methods within a factor {RUNG:g}, the spacing of "
-        "the settings, are a tie"
+        f"setting is up to {APART:g} bars off, which is no telling; ≤: at its cheapest setting; methods within a "
+        f"factor {RUNG:g}, the spacing of the settings, are a tie"
     )
     yield Finding("long_time", "Long chaotic runs", sentence, covers, tuple(exceptions(frame)))
 

@@ -76,7 +76,7 @@ def kernels_view(work: pd.DataFrame) -> View | None:
         "Fastest round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
         "included, beside the same arithmetic as a C loop, compiled by the machine's own compiler and called from "
         "Python. "
-        "On short runs that call is most of the loop's time: only the long ones compare the arithmetic."
+        "Short runs compare two calls, of one or two microseconds each, as well: only the long ones the arithmetic."
     )
     return View("kernels", "Compiled kernels beside a C loop", meaning, heads, tuple(rows), SOURCE)
 
