@@ -98,8 +98,9 @@ def lyapunov(
 
     every : time between two orthonormalisations, at whose ends the energy is taken.  intervals : how many of them
         count.  settle : how many come before that, for trajectories and tangents to settle, at least one.
-    step, rtol : as in `solve`; equal steps in every interval.  Of the methods that choose their steps those of CyRK are taken: they solve the
-        variational equations with the tangents in their error control, afresh in every interval.
+    step, rtol : as in `solve`; equal steps in every interval.  Of the methods that choose their steps those of CyRK
+        are taken: they solve the variational equations with the tangents in their error control, afresh in every
+        interval.
     initial_conditions : as in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where
         trajectories end on different attractors the result is the mean over them.
     carry : as in `solve`; by default nothing that does not act back on the motion.
