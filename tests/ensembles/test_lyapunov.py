@@ -95,16 +95,20 @@ def test_of_others_it_is_to_their_order():
     assert 1e-13 < abs(fine) < 1e-9
 
 
-def test_a_changed_coefficient_changes_the_sum_by_as_much():
-    """Strang with 1 + 10⁻⁶ times the damped drift: e^{−γt(1 + 10⁻⁶)}."""
-    strang = next(c for c in COMPOSITIONS if c.name == "contact-strang")
-    change = {"kick": Fraction(1), "drift_damp": 1 + Fraction(1, 10**6)}
-    stages = tuple((name, c * change[name]) for name, c in strang.stages)
-    cb.METHODS.add(contact_method(replace(strang, name="mutant", stages=stages)))
+def mutant(name, change, **options):
+    """A run of a method whose flows are scaled by the factors `change`."""
+    whole = next(c for c in COMPOSITIONS if c.name == name)
+    stages = tuple((flow, c * change.get(flow, 1)) for flow, c in whole.stages)
+    cb.METHODS.add(contact_method(replace(whole, name="mutant", stages=stages)))
     try:
-        found = duffing("mutant", step=PERIOD / 16, intervals=20)
+        return duffing("mutant", **options)
     finally:
         del cb.METHODS["mutant"]
+
+
+def test_a_changed_coefficient_changes_the_sum_by_as_much():
+    """Strang with 1 + 10⁻⁶ times the damped drift: e^{−γt(1 + 10⁻⁶)}."""
+    found = mutant("contact-strang", {"drift_damp": 1 + Fraction(1, 10**6)}, intervals=20)
     assert found.total.value + DUFFING.gamma == pytest.approx(-1e-6 * DUFFING.gamma, rel=1e-3)
 
 
@@ -118,6 +122,14 @@ def test_two_ways_to_the_tangent_map_agree_on_the_chaotic_scene():
         assert np.all(a.error < 0.06 * np.abs(a.value)), quantity
     assert ours.exponents.value[0] > 0.15
     assert 1.3 < ours.dimension.value < 1.5
+
+
+def test_a_kick_that_is_one_per_cent_too_long_changes_every_average():
+    right = duffing("contact-rkn4", n=128, step=PERIOD / 8)
+    wrong = mutant("contact-rkn4", {"kick": Fraction(101, 100)}, n=128, step=PERIOD / 8)
+    for quantity in ("exponents", "dimension", "energy"):
+        a, b = getattr(right, quantity), getattr(wrong, quantity)
+        assert np.all(np.abs(a.value - b.value) > 6 * np.hypot(a.error, b.error)), quantity
 
 
 def test_the_published_spectrum_of_ueda():
@@ -155,7 +167,7 @@ def test_one_long_trajectory_has_an_error_bar_too():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"method": "scipy-dop853", "rtol": 1e-6}, "fixed steps, and those of CyRK"),
+        ({"method": "scipy-dop853", "rtol": 1e-6}, "a given step, and those of CyRK"),
         ({"method": "rk4", "step": 0.1, "every": 0.0}, "every"),
         ({"method": "rk4", "step": 0.1, "intervals": 0}, "intervals"),
         ({"method": "rk4", "step": 0.1, "settle": 0}, "settle"),

@@ -45,8 +45,8 @@ def quartic(q, stiffness):
 
 def quartic_gradient(q, stiffness):
     x, y = q
-    slope = 1 + stiffness * (x * x + y * y)
-    return (slope * x, slope * y)
+    square = x * x + y * y  # multiplied last: of the operations that wait for one another there is one less
+    return (x + stiffness * x * square, y + stiffness * y * square)
 
 
 def quartic_hessian(q, stiffness):
