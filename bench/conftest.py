@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,7 +27,6 @@ from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import TABLES
 from contactbench.results.store import OldTable, read
 from contactbench.results.tables import WORK_PRECISION
-from contactbench.xla import jax
 
 SHUFFLE_SEED = 20
 #: after the name of a cell: its second visit
@@ -100,7 +100,10 @@ def pin_to_one_core(which: int) -> None:
     thread costs more than running them (up to 70 µs a call, measured)."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {CORES[which % len(CORES)]})
-        jax.config.update("jax_num_cpu_devices", 1)  # contactbench, imported before, took one for every core
+        if "jax" in sys.modules:  # it took one for every core; brought up later, it takes the one it is left
+            from contactbench.xla import jax  # not above: pytest asks every name of this file for attributes
+
+            jax.config.update("jax_num_cpu_devices", 1)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

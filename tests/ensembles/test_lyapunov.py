@@ -167,7 +167,7 @@ def test_one_long_trajectory_has_an_error_bar_too():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"method": "scipy-dop853", "rtol": 1e-6}, "fixed steps, and those of CyRK"),
+        ({"method": "scipy-dop853", "rtol": 1e-6}, "a given step, and those of CyRK"),
         ({"method": "rk4", "step": 0.1, "every": 0.0}, "every"),
         ({"method": "rk4", "step": 0.1, "intervals": 0}, "intervals"),
         ({"method": "rk4", "step": 0.1, "settle": 0}, "settle"),

@@ -98,8 +98,9 @@ def lyapunov(
 
     every : time between two orthonormalisations, at whose ends the energy is taken.  intervals : how many of them
         count.  settle : how many come before that, for trajectories and tangents to settle, at least one.
-    step, rtol : as in `solve`.  Of the methods that choose their steps those of CyRK are taken: they solve the
-        variational equations with the tangents in their error control, afresh in every interval.
+    step, rtol : as in `solve`; equal steps in every interval.  Of the methods that choose their steps those of CyRK
+        are taken: they solve the variational equations with the tangents in their error control, afresh in every
+        interval.
     initial_conditions : as in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where
         trajectories end on different attractors the result is the mean over them.
     carry : as in `solve`; by default nothing that does not act back on the motion.
@@ -131,10 +132,8 @@ def lyapunov(
         for k in range(-settle, count):
             x, v, evaluations = advance(x, v)
             alive &= np.isfinite(x).all(axis=0) & (np.abs(x[: scene.motion]).max(axis=0) <= bound)
-            x, v = (
-                np.where(alive, x, start),
-                np.where(alive, v, first),
-            )  # the dead begin again, and are not counted
+            # those that left begin again, and are not counted
+            x, v = np.where(alive, x, start), np.where(alive, v, first)
             v, logs = orthonormal(v)
             if k >= 0:
                 rates[k], energy[k, 0] = logs / every, scene.energy(scene.unpack(tuple(x), own))
@@ -175,7 +174,7 @@ def tangent_map(run: Prepared) -> TangentMap:
             raise BadInput(f"method = {run.method!r}: {error}") from error
     if isinstance(run, CyrkRun):
         return one_by_one(run)
-    raise BadInput(f"method = {run.method!r}: takes methods with fixed steps, and those of CyRK")
+    raise BadInput(f"method = {run.method!r}: takes methods with a given step, and those of CyRK")
 
 
 def side_by_side(run: FixedStepRun) -> TangentMap:

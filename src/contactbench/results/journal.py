@@ -122,7 +122,8 @@ def _fold(folder: Path) -> None:
     record = json.loads(run.read_text(encoding="utf-8"))
     profile = record["profile"]
     for name, new in rows.items():
-        merge(TABLES[name], new, results)
+        if new:
+            merge(TABLES[name], new, results)
     whole = _whole(folder, _done(results, profile) | made)
     profiles = PROFILES[: PROFILES.index(profile) + 1]
     for name, known in whole.items():

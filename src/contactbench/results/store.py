@@ -229,7 +229,8 @@ def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> set[tuple[Any, ...]]:
     """The keys of rows as they stand in the table."""
-    return set(canonical(table, rows)[list(table.key)].astype(object).itertuples(index=False, name=None))
+    named = pd.DataFrame([{name: row.get(name) for name in table.key} for row in rows])
+    return set(index(rounded(typed(named, table), table), list(table.key)))
 
 
 def forget(table: Table, made: set[tuple[Any, ...]], profiles: Iterable[str], results: Path) -> int:
@@ -296,7 +297,8 @@ def written(values: pd.Series, column: Column) -> list[str]:
 
 def rounded(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     """The frame with the digits that are written: no more than say something."""
-    for name, column in table.every_column.items():
+    for name in frame:
+        column = table.every_column[name]
         if column.type == "number" and not column.exact and frame[name].notna().any():
             digits = np.full(len(frame), TIME_DIGITS if column.timed else DIGITS)
             digits[(frame[name].abs() <= floor(column.rule, frame)).to_numpy()] = ROUND_OFF_DIGITS
