@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 import contactbench as cb
-from cells import EVERYWHERE, SMOKE, cells, contestants, outcome, setting, step_budget
+from cells import cells, contestants, outcome, setting, small, step_budget
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scenes import scenes_of
@@ -37,7 +37,7 @@ def ladder(profile):
         if scene.name in FEW or scene.experiments
         for method in contestants("decay_laws", scene, cb.METHODS)
         for cost in (COSTS[:1] if brief else COSTS)
-        if not brief or scene.name == SMOKE or method in EVERYWHERE
+        if not brief or small(scene.name, method)
     ]
 
 

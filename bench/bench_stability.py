@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import SAVES, cells, controlled, step_budget
+from cells import SAVES, cells, controlled, small, step_budget
 from contactbench.measure.isolation import Died, TimedOut, Workers
 from contactbench.measure.stability import (
     THEORY,
@@ -45,8 +45,8 @@ RUNGS = {"overdamped": (1.0, 0.2, 0.04, 0.01), "large_step": (1.0, 2 / 3, 0.25, 
 BY_FOUR, LOW_ORDER = (1.0, 1 / 4, 1 / 16, 1 / 64), 2
 #: and each method's own finest tolerance
 TOLERANCES = (1e-4, 1e-7, 1e-10, 1e-13)
-#: of the smoke profile: every method on the scene where nothing ends ok, which compiles no derivative, and
-#: two methods on every scene
+#: of the smoke profile: what is soon compiled on the scene where nothing ends ok, which compiles no derivative,
+#: and two methods on every scene
 SMOKE, EVERYWHERE = "escape", ("contact-strang", "heyoka-taylor")
 CREEP_RTOLS = (1e-3, 1e-6, 1e-9)
 DAMPING_PER_STEP = (1.0, 5.0, 25.0)
@@ -83,7 +83,7 @@ def ladder(profile):
         (scene.name, method)
         for scene in hard_scenes()
         for method in cb.METHODS
-        if not brief(profile) or scene.name == SMOKE or method in EVERYWHERE
+        if not brief(profile) or small(scene.name, method, SMOKE, EVERYWHERE)
     ]
 
 
@@ -193,7 +193,7 @@ PER_EVALUATION = np.geomspace(1e-3, 30.0, 40)
 
 def linear(profile):
     names = [method.name for method in fixed_step_methods()]
-    some = {*names[::4], *(name for name in names if is_processed(cb.METHODS[name]))}
+    some = {names[0], *(name for name in names if is_processed(cb.METHODS[name]))}
     return [(name,) for name in names if not brief(profile) or name in some]
 
 

@@ -92,7 +92,7 @@ def write(judged: Sequence[Judgement], results: Path, whole: bool) -> list[dict[
     made = rows(judged)
     merge(GATE_SELFCHECK, made, results)
     if whole:
-        forget(GATE_SELFCHECK, keys(GATE_SELFCHECK, made), (*PROFILES, ""), results)
+        forget(GATE_SELFCHECK, set(keys(GATE_SELFCHECK, made)), (*PROFILES, ""), results)
     return made
 
 

@@ -136,7 +136,7 @@ def test_a_measurement_that_now_times_out_does_not_keep_its_old_result(tmp_path)
 def test_rows_whose_benchmark_no_longer_exists_are_forgotten(tmp_path):
     made = [row("rk4"), row("contact-strang")]
     merge(CONVERGENCE, [*made, row("gone"), row("of-a-larger-run", profile="full")], tmp_path)
-    assert forget(CONVERGENCE, keys(CONVERGENCE, made), ("smoke", "standard"), tmp_path) == 1
+    assert forget(CONVERGENCE, set(keys(CONVERGENCE, made)), ("smoke", "standard"), tmp_path) == 1
     assert set(read(CONVERGENCE, tmp_path)["method"]) == {"rk4", "contact-strang", "of-a-larger-run"}
 
 
@@ -258,3 +258,24 @@ def test_an_odd_environment_is_refused(tmp_path, content):
     (tmp_path / "environment.json").write_text(content)
     with pytest.raises(cb.BadInput, match="not the record of a benchmark run"):
         provenance.runs(tmp_path)
+
+
+@pytest.mark.parametrize("table", [WORK_PRECISION, LAWS_TABLE, CONVERGENCE], ids=lambda table: table.name)
+def test_keys_of_many_rows_are_those_of_each(table):
+    rows = [
+        {
+            "scene": scene,
+            "method": "rk4",
+            "engine": "numba",
+            "setting": f"step={value:.6g}",
+            "id": "C01",
+            **more,
+        }
+        for scene in ("particle", "central")
+        for value in (0.1, 1 / 3, 1e-9)
+        for more in ({}, {"variant": "chosen"}, {"value": value})
+    ]
+    rows = [{name: row.get(name) for name in table.every_column} for row in rows]
+    alone = [key for row in rows for key in keys(table, [row])]
+    assert keys(table, rows) == alone
+    assert keys(table, []) == []

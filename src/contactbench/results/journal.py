@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,8 @@ from contactbench.results.store import forget, index, keys, merge, read, replaci
 Cell = tuple[str, ...]  #: the file of an experiment and the name of one of its cells
 Made = dict[Cell, dict[str, list[list[Any]]]]  #: for each cell that is done, table → keys of its rows
 FOLDER = ".journal"
+#: how often a journal is forced to disk, at most
+SYNC_SECONDS = 1.0
 
 
 class Journal:
@@ -44,6 +48,7 @@ class Journal:
         self.results, self.run_id = results, run_id
         self.folder = results / FOLDER / run_id
         self.alive = FileLock(self.folder / "alive")
+        self.synced = -math.inf
 
     def open(self, record: Mapping[str, Any]) -> None:
         """Begin the run."""
@@ -53,12 +58,17 @@ class Journal:
             json.dump(record, file)
 
     def append(self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell | None = None) -> None:
-        """Add the rows of a cell, on disk when this returns; without a cell, rows of one that failed."""
+        """Add the rows of a cell, which no kill takes away when this returns; without a cell, rows of one that failed.
+
+        A failure of power may take the last `SYNC_SECONDS`: waiting for the disk costs more than a short cell.
+        """
         entry = {"cell": cell, "rows": [[table.name, dict(row)] for table, row in rows]}
         with (self.folder / f"{os.getpid()}.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry, default=_plain) + "\n")
             file.flush()
-            os.fsync(file.fileno())
+            if monotonic() - self.synced > SYNC_SECONDS:
+                os.fsync(file.fileno())
+                self.synced = monotonic()
 
     def expect(self, cells: Iterable[Cell]) -> None:
         """All cells of the experiments that are run as a whole."""
@@ -106,16 +116,18 @@ def entries(folder: Path) -> Iterator[dict[str, Any]]:
 def _fold(folder: Path) -> None:
     results = folder.parents[1]
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
-    made: Made = {}
-    for entry in entries(folder):
-        mine: dict[str, list[dict[str, Any]]] = {}
+    lines = list(entries(folder))
+    for entry in lines:
         for name, row in entry["rows"]:
             rows[name].append(row)
-            mine.setdefault(name, []).append(row)
+    known_by = {name: iter(keys(TABLES[name], each)) for name, each in rows.items()}
+    made: Made = {}
+    for entry in lines:
+        mine: dict[str, set[tuple[Any, ...]]] = {}
+        for name, _ in entry["rows"]:
+            mine.setdefault(name, set()).add(next(known_by[name]))
         if entry["cell"]:
-            made[tuple(entry["cell"])] = {
-                name: sorted(map(list, keys(TABLES[name], those))) for name, those in mine.items()
-            }
+            made[tuple(entry["cell"])] = {name: sorted(map(list, those)) for name, those in mine.items()}
     run = folder / "run.json"
     if not run.exists():  # killed before it began
         return

@@ -227,10 +227,10 @@ def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     return rounded(frame, table).drop_duplicates(list(table.key), keep="last")
 
 
-def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> set[tuple[Any, ...]]:
-    """The keys of rows as they stand in the table."""
-    named = pd.DataFrame([{name: row.get(name) for name in table.key} for row in rows])
-    return set(index(rounded(typed(named, table), table), list(table.key)))
+def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
+    """The key of each row as it stands in the table; of all rows at once, a thousand times as fast as of each."""
+    named = pd.DataFrame([{name: row.get(name) for name in table.key} for row in rows], columns=[*table.key])
+    return list(index(rounded(typed(named, table), table), list(table.key)))
 
 
 def forget(table: Table, made: set[tuple[Any, ...]], profiles: Iterable[str], results: Path) -> int:
