@@ -35,7 +35,7 @@ def ladder(profile):
         (scene.name, method, cost)
         for scene in scenes_of("decay_laws")
         if scene.name in FEW or scene.experiments
-        for method in contestants(scene, cb.METHODS)
+        for method in contestants("decay_laws", scene, cb.METHODS)
         for cost in (COSTS[:1] if brief else COSTS)
         if not brief or scene.name == SMOKE or method in EVERYWHERE
     ]

@@ -69,25 +69,27 @@ def pairs(
     return [
         (scene.name, method)
         for scene in scenes_of(experiment)
-        for method in contestants(scene, methods)
+        for method in contestants(experiment, scene, methods)
         if profile.points > 1 or scene.name == SMOKE or method in everywhere
     ]
 
 
 #: what XLA compiles and what calls back into Python takes seconds on every scene
 DEAR = ("jax", "python")
-#: where it runs nevertheless, of the scenes that not every experiment runs: (scene, method)
-DEAR_CELLS = {("forced_oscillator", name) for name in ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")}
+#: where it runs nevertheless, of the scenes that not every experiment runs
+DEAR_CELLS = {
+    ("laws", "forced_oscillator", name) for name in ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
+}
 
 
-def contestants(scene: Scene, methods: Iterable[str]) -> list[str]:
+def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[str]:
     """Which of some methods an experiment runs on a scene: all of them where every experiment runs it."""
     return [
         method
         for method in methods
         if not scene.experiments
         or METHODS[method].engines[0] not in DEAR
-        or (scene.name, method) in DEAR_CELLS
+        or (experiment, scene.name, method) in DEAR_CELLS
     ]
 
 
@@ -95,20 +97,25 @@ def contestants(scene: Scene, methods: Iterable[str]) -> list[str]:
 CROSS_CHECKED = "particle"
 
 
-def engines(scene: Scene) -> list[tuple[str, str]]:
+def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.  On a scene that not every experiment runs, the engines that compile.
+    numba) on one scene only.  The smoke profile has of what JAX compiles, which takes seconds a program, every
+    method whose only engine it is on that scene, and the cross-check of a few.
     """
-    if scene.experiments:
-        first = [(name, method.engines[0]) for name, method in METHODS.items()]
-        return [(name, engine) for name, engine in first if engine not in DEAR]
+
+    def chosen(name: str, engine: str) -> bool:
+        first, here = engine == METHODS[name].engines[0], scene.name == CROSS_CHECKED
+        if engine == "jax" and profile.points == 1:
+            return here and (first or name in EVERYWHERE)
+        return first or "python" in engine or here
+
     return [
         (name, engine)
         for name, method in METHODS.items()
         for engine in method.engines
-        if engine == method.engines[0] or "python" in engine or scene.name == CROSS_CHECKED
+        if chosen(name, engine)
     ]
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import contactbench as cb
 from cases import by_name, pairs
+from contactbench.cli import main
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.precision import error_at, order_at
 from contactbench.numbers import quadrature
@@ -273,6 +274,13 @@ def test_herglotz_maps_keep_the_product_of_the_factors_of_their_steps(name, scen
     assert columns["contact_drift"] > 1e-4
 
 
+def test_a_negative_factor_has_no_logarithm_and_no_number_stands_for_it():
+    """1 − γh = −0.6 in the first step, γ being 2 there; the map keeps ker η all the same."""
+    columns = row(cb.solve(LANE_EMDEN[1], "herglotz1", step=0.8, save_at=saved(LANE_EMDEN[1])))
+    assert math.isnan(columns["own_factor_drift"])
+    assert columns["distribution_drift"] < 1e-13
+
+
 def test_pairs_under_a_damping_that_changes_with_time_have_the_product_of_its_integral():
     for scene in (FORCED_PULSATING, LANE_EMDEN[1]):
         assert (
@@ -297,6 +305,42 @@ def test_laws_of_h_are_not_claimed_where_time_is_in_it():
         "pairing_drift",
         "solution_error",
     }
+
+
+# -- wherever a scene may go ---------------------------------------------------------------------------
+@by_name(DRIVEN)
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+def test_ensembles_are_the_runs_one_by_one_and_go_on_from_where_they_ended(scene, engine):
+    q, h = np.linspace(0.95, 1.0, 3) * scene.q[0], scene.t_end / 200
+    first = cb.ensemble(scene, "contact-rkn4", {"q": (q,)}, step=h, engine=engine)
+    runs = [cb.solve(scene.with_(q=(x,)), "contact-rkn4", step=h, carry=()).y[-1] for x in q.tolist()]
+    np.testing.assert_allclose(
+        [first.final.q[0], first.final.p[0], first.final.t], np.transpose(runs), atol=1e-13
+    )
+    again = cb.ensemble(scene, "contact-rkn4", first.final, step=h, engine=engine)
+    np.testing.assert_allclose(again.final.t, scene.t + 2 * scene.t_end, rtol=1e-12)
+
+
+@by_name(DRIVEN)
+def test_the_command_line_knows_them_by_name(scene, capsys):
+    assert main(["list", "scenes"]) == 0
+    assert scene.name in capsys.readouterr().out.split()
+    assert main(["solve", scene.name, "contact-rkn4", "--step", repr(scene.t_end / 400), "--laws"]) == 0
+    said = capsys.readouterr().out
+    assert "ok" in said
+    assert "contact_drift" in said
+    assert "hamiltonian_law" not in said
+
+
+@by_name([FORCED_PULSATING, DUFFING])
+def test_they_are_raced(scene):
+    """Against their references; the structure is among the laws kept to round-off."""
+    frame = cb.compare(scene.name, ["contact-rkn4", "rk4", "cyrk-vern8"], [1e-3, 1e-5], budget=60.0)
+    assert frame.attrs["reference"]["source"] == "frozen"
+    ours = frame[frame["method"] == "contact-rkn4"]
+    assert (ours["status"] == "ok").all()
+    assert all("contact drift" in kept and "pairing drift" in kept for kept in ours["laws_kept"])
+    assert not any("drift" in kept for kept in frame[frame["method"] == "rk4"]["laws_kept"])
 
 
 # -- mutants ---------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from contactbench.methods.base import METHODS, Refused
 from contactbench.methods.entry import asked, lookup
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import Division
-from contactbench.scene import BodyState, Scene, State
+from contactbench.scene import BodyState, DrivenState, Scene, State
 from contactbench.solution import Counts, Status
 
 #: more trajectories than fit into any memory
@@ -63,7 +63,7 @@ class Ensemble:
 def ensemble(
     scene: Scene | str,
     method: str,
-    initial_conditions: State | BodyState | Mapping[str, Any],
+    initial_conditions: State | BodyState | DrivenState | Mapping[str, Any],
     *,
     step: float,
     measure_at: Sequence[float] | np.ndarray | None = None,

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import BadInput, array, finite, shown, unknown_name
-from contactbench.scene import BodyState, Scene, State, quaternion_of
+from contactbench.scene import BodyState, DrivenState, Scene, State, quaternion_of
 
 
 def members(
     scene: Scene, carry: tuple[str, ...], given: Any, parameters: Mapping[str, Any]
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """Packed initial states (d, n), and by its place among the scene's numbers each parameter (n,)."""
-    if isinstance(given, State | BodyState):
+    if isinstance(given, State | BodyState | DrivenState):
         given = {name: value for name, value in given._asdict().items() if value is not None}
     if not isinstance(given, Mapping):
-        raise BadInput(f"initial_conditions = {type(given).__name__}: must be a State, BodyState or dict")
+        raise BadInput(f"initial_conditions = {type(given).__name__}: must be a state of the scene or a dict")
     if not isinstance(parameters, Mapping):
         raise BadInput(f"parameters = {shown(parameters)}: must be a dict of arrays by name")
     for name in given:

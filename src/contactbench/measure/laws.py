@@ -111,8 +111,8 @@ def energy_law_relative(solution: Solution) -> Deviation:
 
 #: what ∫Γ' means in the definitions of the laws
 RATE = (
-    "∫Γ' = γt, where Γ' changes that of the truth: e^{−∫Γ'} = H*(t)/H(y₀); relative to no less than a "
-    "thousandth of the terms that cancel"
+    "∫Γ' = γt, of a γ(t) its integral, where Γ' follows s that of the truth: e^{−∫Γ'} = H*(t)/H(y₀); relative to no "
+    "less than a thousandth of the terms that cancel"
 )
 
 
@@ -257,12 +257,13 @@ def distribution_drift_frozen(solution: Solution) -> Deviation | float:
 
 @law(
     "‖Φ*η − cη‖ / |c|‖η‖, c the product of the conformal factors of the contact maps applied, each taken "
-    "from its formula at the numerical state; blank for a method that is no composition of such maps",
+    "from its formula at the numerical state; blank for a method that is no composition of such maps, and where "
+    "a factor is negative",
     "drift from its own factor", **CONTACT,
 )  # fmt: skip
 def own_factor_drift(solution: Solution) -> Deviation | float:
     log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
-    if log_factor is None or pulled is None:
+    if log_factor is None or pulled is None or np.isnan(log_factor).any():
         return math.nan
     values, form, terms, error = pulled
     return conformal(values, form, 1.0, -log_factor, terms, error)

@@ -52,6 +52,8 @@ PROBLEMS = {
     "weak_damping_particle": "hardly any damping, several degrees of freedom",
     "saddle_edge": "at the edge of escape",
     "quadratic_damping": "damping that is quadratic in s",
+    "forced_oscillator": "a sinusoidal force",
+    "lane_emden_5": "damping 2/t, a motion that slows down",
 }
 
 
