@@ -35,7 +35,7 @@ def ladder(profile):
     """(scene, method, engine, control, value)."""
     rows = []
     for scene in scenes_of("work_precision"):
-        for name, engine in engines(scene):
+        for name, engine in engines(scene, profile):
             method = cb.METHODS[name]
             if method.control == EXACT:
                 values = [0.0]

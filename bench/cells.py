@@ -97,20 +97,25 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[s
 CROSS_CHECKED = "particle"
 
 
-def engines(scene: Scene) -> list[tuple[str, str]]:
+def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.  On a scene that not every experiment runs, the engines that compile.
+    numba) on one scene only.  The smoke profile has of what JAX compiles, which takes seconds a program, every
+    method whose only engine it is on that scene, and the cross-check of a few.
     """
-    if scene.experiments:
-        first = [(name, method.engines[0]) for name, method in METHODS.items()]
-        return [(name, engine) for name, engine in first if engine not in DEAR]
+
+    def chosen(name: str, engine: str) -> bool:
+        first, here = engine == METHODS[name].engines[0], scene.name == CROSS_CHECKED
+        if engine == "jax" and profile.points == 1:
+            return here and (first or name in EVERYWHERE)
+        return first or "python" in engine or here
+
     return [
         (name, engine)
         for name, method in METHODS.items()
         for engine in method.engines
-        if engine == method.engines[0] or "python" in engine or scene.name == CROSS_CHECKED
+        if chosen(name, engine)
     ]
 
 

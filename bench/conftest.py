@@ -265,8 +265,14 @@ def full_disk() -> Iterator[None]:
 
 def smallest_profile(request: pytest.FixtureRequest) -> str:
     """The smallest profile that has the cell of a test; the rows of a cell are the same in all."""
-    cell, cells = request.node.callspec.params["cell"], request.function.cells
-    return next(name for name in NAMES if cell in cells(PROFILES[name]))
+    cell = request.node.callspec.params["cell"]
+    return next(name for name in NAMES if cell in cells_of(request.function, name))
+
+
+@cache
+def cells_of(test: Any, profile: str) -> frozenset[tuple]:
+    """All cells of a test: asked for once a cell, of thousands, it would cost as much as what is measured."""
+    return frozenset(test.cells(PROFILES[profile]))
 
 
 @pytest.fixture

@@ -31,14 +31,14 @@ def given(rows: pd.DataFrame) -> set[str]:
 
 
 def missing(table: Table, rows: pd.DataFrame) -> set[tuple[str, str]]:
-    """(table, what): columns, scenes and timed methods on engines that rows of other profiles alone have."""
+    """(table, what): columns, scenes, timed methods and their engines that rows of other profiles alone have."""
     smoke = rows[rows["profile"] == "smoke"]
     lost = given(rows) - given(smoke)
     if "scene" in table.key and table.name not in IN_WORDS:
         lost |= {*rows["scene"]} - {*smoke["scene"]}
     if table.name == WORK_PRECISION.name:
-        pairs = [{*(frame["method"] + " on " + frame["engine"])} for frame in (rows, smoke)]
-        lost |= pairs[0] - pairs[1]
+        for column in ("method", "engine"):
+            lost |= {*rows[column]} - {*smoke[column]}
     return {(table.name, what) for what in lost}
 
 

@@ -30,7 +30,8 @@ def test_nothing_is_missing_where_smoke_meets_everything():
         ("message", ["", "", "a word"], "message"),
         ("fixed_s", [None, None, 2.0], "fixed_s"),
         ("scene", ["particle", "central", "rigid_body"], "rigid_body"),
-        ("engine", ["numba", "numba", "jax"], "rk4 on jax"),
+        ("engine", ["numba", "numba", "jax"], "jax"),
+        ("method", ["rk4", "contact-rkn6", "heyoka-taylor"], "heyoka-taylor"),
     ],
 )
 def test_what_only_a_larger_profile_has_is_named(column, values, lost):

@@ -72,7 +72,8 @@ class DiffraxRun(CompiledRun):
             return jnp.stack(scene.pack(scene.rhs(scene.unpack(list(x), r.carry))))
 
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field), self.method_.solver(tolerances), 0.0, times[-1], None,
+            # recorded once: diffrax calls it at a dozen places of an implicit step, and traces it anew at each
+            diffrax.ODETerm(jax.jit(field, inline=True)), self.method_.solver(tolerances), 0.0, times[-1], None,
             y0 if as_array else scene.unpack(list(y0), r.carry),
             saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=[
                 diffrax.SubSaveAt(t1=True), diffrax.SubSaveAt(ts=times),
