@@ -101,12 +101,14 @@ def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.  The smoke profile has of what JAX compiles, which takes seconds a program, every
+    numba) on one scene only.  On a scene that not every experiment runs, the compiled first engines.  The smoke profile has of what JAX compiles, which takes seconds a program, every
     method whose only engine it is on that scene, and the cross-check of a few.
     """
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == CROSS_CHECKED
+        if scene.experiments:
+            return first and engine not in DEAR
         if engine == "jax" and profile.points == 1:
             return here and (first or name in EVERYWHERE)
         return first or "python" in engine or here
