@@ -101,8 +101,9 @@ def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.  On a scene that not every experiment runs, the compiled first engines.  The smoke profile has of what JAX compiles, which takes seconds a program, every
-    method whose only engine it is on that scene, and the cross-check of a few.
+    numba) on one scene only.  On a scene that not every experiment runs, first engines that are not `DEAR`.  The
+    smoke profile has of what JAX compiles, which takes seconds a program, every method whose only engine it is on
+    that one scene, and the cross-check of a few.
     """
 
     def chosen(name: str, engine: str) -> bool:
