@@ -111,12 +111,15 @@ def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.  The smoke profile has everything on that scene, but few of the cross-checks, and
-    elsewhere a part that no other scene or method has an influence on, without JAX, which takes seconds a program.
+    numba) on one scene only.  Of a scene that not every experiment runs, the first engine, unless it is dear.
+    The smoke profile has everything on that one scene, but few of the cross-checks, and elsewhere a part that
+    depends on no other scene or method, without JAX, which takes seconds a program.
     """
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == CROSS_CHECKED
+        if scene.experiments and (not first or engine in DEAR):
+            return False
         if profile.points > 1 or here:
             cross_checked = here and (profile.points > 1 or engine != "jax" or name in EVERYWHERE)
             return first or "python" in engine or cross_checked

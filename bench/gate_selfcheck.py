@@ -34,8 +34,8 @@ from contactbench.gate import judge, revisions
 from contactbench.results.journal import FOLDER
 from contactbench.results.provenance import environment, new_run_id, save_run
 from contactbench.results.schema import PROFILES
+from contactbench.results.selfcheck import GATE_SELFCHECK
 from contactbench.results.store import forget, keys, merge
-from contactbench.results.tables import GATE_SELFCHECK
 from selfcheck_faults import ROOT, Judgement, Task
 
 

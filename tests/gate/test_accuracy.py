@@ -11,12 +11,12 @@ import contactbench as cb
 from contactbench.gate.accuracy import accuracy
 from contactbench.gate.rules import DECADES
 from contactbench.results.schema import TABLES, Rule
+from contactbench.results.selfcheck import GATE_SELFCHECK
 from contactbench.results.store import merge
 from contactbench.results.tables import (
     CLAIMS_TABLE,
     CONVERGENCE,
     ENSEMBLE_TABLE,
-    GATE_SELFCHECK,
     LAWS_TABLE,
     LAWS_TIME,
     PAPER_FIGURES,

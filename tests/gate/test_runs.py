@@ -65,6 +65,8 @@ def test_a_scene_that_names_its_experiments_is_run_by_these_and_no_others():
     for experiment, (file, test) in EXPERIMENTS.items():
         cells = visited(file, test, "standard")
         assert {cell[0] for cell in cells} & set(few) == {name for name in few if experiment in few[name]}
+    timed = [cell for cell in visited(*EXPERIMENTS["work_precision"], "standard") if cell[0] in few]
+    assert not {engine for _, _, engine, *_ in timed} & {"jax", "python", "c+python"}  # seconds a cell
 
 
 @pytest.mark.parametrize(

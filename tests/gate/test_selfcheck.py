@@ -21,8 +21,8 @@ import selfcheck_tables
 from contactbench.gate.verdict import Line
 from contactbench.report import gate_selfcheck as room
 from contactbench.report import markdown
+from contactbench.results.selfcheck import GATE_SELFCHECK
 from contactbench.results.store import read
-from contactbench.results.tables import GATE_SELFCHECK
 from contactbench.splitting.tables import COMPOSITIONS
 from selfcheck_faults import Judgement, Task
 

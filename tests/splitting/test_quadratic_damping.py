@@ -15,6 +15,7 @@ from contactbench.measure import precision
 from contactbench.measure.laws import decay_rate, laws_of
 from contactbench.measure.pullback import pullback
 from contactbench.methods.base import METHODS
+from contactbench.plugins import OWN
 from contactbench.splitting import composition, flows
 from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax, jnp
@@ -106,8 +107,19 @@ CONTACT = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("method", CONTACT)
-@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+#: of each flow damped quadratically, `damp` and `drift_damp`, a method that JAX compiles in the quick tests; the
+#: others compose the same flows, and their loops on JAX are the contract's
+ON_JAX = ("contact-abc", "contact-strang")
+
+
+def on_engines():
+    for engine in ("numba", "jax", "python"):
+        for name in CONTACT:
+            quick = engine != "jax" or name in ON_JAX or name not in OWN
+            yield pytest.param(name, engine, id=f"{engine}-{name}", marks=[] if quick else pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("method", "engine"), on_engines())
 def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
     """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
     for scene in (SCENE, SCENE.with_(gamma=0.2)):

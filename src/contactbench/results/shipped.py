@@ -27,7 +27,6 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     folder : of a run of your own; by default the tables that came with the package.
     ``attrs["columns"]`` says what each column means.  Raises `BadInput` for an unknown name or absent tables.
     """
-    from contactbench.results import tables  # noqa: F401 (registers them)
     from contactbench.results.schema import TABLES
     from contactbench.results.store import read
 
