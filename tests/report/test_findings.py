@@ -835,6 +835,8 @@ def test_marginal_cost_ranks_anew_and_a_cost_that_is_mostly_fixed_is_marked():
     assert {c.outcome for c in Field(noisy, MARGINAL).contests().values()} == {"tie"}
     lost = work.assign(marginal_s=-1.0)  # lost in noise: no cost, rather than the least
     assert not any(c.decided for c in Field(lost, MARGINAL).contests().values())
+    vague = work.assign(marginal_iqr_s=[1.0 if m == "rk4" else 0.1 for m in work["method"]])
+    assert all(set(c.costs) == {"contact-a"} for c in Field(vague, MARGINAL).contests().values())
 
 
 def test_one_more_trajectory_has_a_table_of_its_own():

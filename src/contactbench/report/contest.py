@@ -57,13 +57,19 @@ class Kind:
     repeat: str = "time_repeat_ratio"
     #: whether a closed form, which costs the same for any span, takes part
     exact: bool = True
+    #: column of the spread over rounds: a cost no larger is not resolved, and takes no part
+    spread: str = ""
     #: what else than the methods differs
     caveat: str = ""
 
     def compares(self, rows: pd.DataFrame) -> pd.Series:
         """The rows that take part."""
         chosen = self.engines(rows["engine"])
-        return chosen if self.exact else chosen & (rows["control"] != "exact")
+        if not self.exact:
+            chosen &= rows["control"] != "exact"
+        if self.spread and self.spread in rows:
+            chosen &= ~(rows[self.cost].astype(float) <= rows[self.spread].astype(float))
+        return chosen
 
 
 EVALUATIONS = Kind(
@@ -89,7 +95,8 @@ MARGINAL = Kind(
     "marginal", "Marginal time, compiled", "marginal_s", COMPILED.engines, duration,
     "What one more unit of the scene's time takes, without what a call takes however short the run: from compiled "
     "runs over a fifth of the span and all of it, at the same setting. A closed form costs the same for any span: it "
-    "has no marginal time and takes no part.", repeat="marginal_repeat_ratio", exact=False,
+    "has no marginal time and takes no part; nor does a time that is no larger than its spread over rounds.",
+    repeat="marginal_repeat_ratio", spread="marginal_iqr_s", exact=False,
 )  # fmt: skip
 KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
 
