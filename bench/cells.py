@@ -14,6 +14,7 @@ from contactbench.measure.ladder import steps as steps
 from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
 from contactbench.methods.base import Method
+from contactbench.plugins import OWN
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES, scenes_of
 from contactbench.solution import Counts, Solution, printed_setting
@@ -76,8 +77,10 @@ def pairs(
 
 
 def small(scene: str, method: str, main: str = SMOKE, everywhere: Iterable[str] = EVERYWHERE) -> bool:
-    """Whether the smoke profile has a cell: a few methods on all scenes, and what is soon compiled on a main one."""
-    return method in everywhere or (scene == main and METHODS[method].engines[0] not in DEAR)
+    """Whether the smoke profile has a cell: a few methods on all scenes, on a main one what is soon compiled or
+    a user's."""
+    soon = METHODS[method].engines[0] not in DEAR or method not in OWN
+    return method in everywhere or (scene == main and soon)
 
 
 #: what XLA compiles and what calls back into Python takes seconds on every scene
@@ -113,15 +116,17 @@ def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
     numba) on one scene only.  Of a scene that not every experiment runs, the first engine, unless it is dear.
     The smoke profile has everything on that one scene, but few of the cross-checks, and elsewhere a part that
-    depends on no other scene or method, without JAX, which takes seconds a program.
+    depends on no other scene or method, without JAX, which takes seconds a program.  What a user brings is left
+    out by no profile.
     """
 
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == CROSS_CHECKED
         if scene.experiments and (not first or engine in DEAR):
             return False
-        if profile.points > 1 or here:
-            cross_checked = here and (profile.points > 1 or engine != "jax" or name in EVERYWHERE)
+        brought = scene.name not in OWN or name not in OWN
+        if profile.points > 1 or here or brought:
+            cross_checked = here and (profile.points > 1 or brought or engine != "jax" or name in EVERYWHERE)
             return first or "python" in engine or cross_checked
         part = name in EVERYWHERE or crc32(f"{scene.name} {name}".encode()) % SOME == 0
         return part and engine != "jax" and (first or "python" in engine)

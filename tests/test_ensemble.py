@@ -232,7 +232,7 @@ BAD = [
     ({"method": "rk5"}, "did you mean 'rk4'?"),
     ({"step": 0}, "step = 0: must be > 0"),
     ({"step": 1e-9}, "of which 100000000 are allowed"),
-    ({"given": 3}, "initial_conditions = int: must be a State"),
+    ({"given": 3}, "initial_conditions = int: must be a state of the scene"),
     ({"given": {"M": TWO}}, "unknown initial value of scene 'particle' 'M'"),
     ({"given": {"q": (TWO, THREE)}}, "arrays of one length, one entry per trajectory; got q[0] 2, q[1] 3"),
     ({"given": {"q": TWO[:1]}}, "q: must be 2 components, each a number or an array; got 1"),
