@@ -198,3 +198,13 @@ def test_it_has_a_short_repr():
     said = repr(duffing("rk4", n=2, intervals=2))
     assert said.startswith("<Lyapunov exponents of duffing by rk4: ")
     assert len(said) < 150
+
+
+@pytest.mark.parametrize(("gamma", "every"), [(50.0, 2.0), (50.0, 1.0), (5.0, 10.0)])
+def test_an_interval_that_loses_a_tangent_to_rounding_is_refused(gamma, every):
+    """e^{−γt} apart: the smaller one is rounding, and the sum of the exponents would not be −γ."""
+    scene = cb.SCENES["overdamped"].with_(gamma=gamma)
+    with pytest.raises(cb.BadInput, match=f"every = {every:g}: one tangent grows more than"):
+        cb.lyapunov(scene, "contact-strang", step=0.05, every=every, intervals=8)
+    found = cb.lyapunov(scene, "contact-strang", step=0.05, every=0.25, intervals=64)
+    assert found.total.value == pytest.approx(-gamma, rel=1e-9)

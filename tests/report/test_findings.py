@@ -758,7 +758,7 @@ def test_ensembles_stand_beside_c_loops_and_a_fall_of_throughput_is_told():
     cores = [run("contact-a", t, question="cores", cores=c) for c, t in ((1, 1e-6), (2, 8e-7))]
     (finding,) = ensemble.findings(frames(ensemble=[*arithmetic, *cores]))
     assert "contact-a (numba) 0.8 ns, ×0.80 (plain) and ×1.60 (tiled)." in finding.sentence
-    assert "On 2 cores contact-a (numba) has ×1.25 the throughput of 1." in finding.sentence
+    assert "On 2 cores contact-a (numba) has ×1.25 the throughput of 1 by medians" in finding.sentence
 
     def meaning(*rates):
         size = [
@@ -861,6 +861,8 @@ def test_one_more_trajectory_has_a_table_of_its_own():
         view = ensemble.error_view(timed, marginal)
         firsts.append([line[0].text for line in view.rows if Mark.best in line[-1].marks])
     assert firsts == [["rk4"], ["contact-a"]]
+    vague = timed.assign(marginal_iqr_s=[2e-3 if m == "contact-a" else 1e-3 for m in timed["method"]])
+    assert [line[0].text for line in ensemble.error_view(vague, True).rows] == ["rk4"]
     unknown = ensemble.timed(table("ensemble", [r | {"marginal_s": math.nan} for r in runs("rk4", 1.0, 0.0)]))
     assert ensemble.error_view(unknown, marginal=True) is None
 

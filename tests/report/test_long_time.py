@@ -7,6 +7,7 @@ import pytest
 
 from contactbench.report import long_time as room
 from contactbench.report import markdown
+from contactbench.report.figures.long_time import ALLOWED
 from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
 from frames import frames, row
 
@@ -14,9 +15,9 @@ TRUE = {ENERGY: 0.04, EXPONENT: 0.16, DIMENSION: 1.4, SUM: 0.0}
 
 
 def told(method, cost, off=0.0, defect=1e-14, total=0.0, reference=False, **more):
-    """Rows of all quantities at one setting; off : by how many of its error bars, of 1 % each."""
+    """Rows of all quantities at one setting; off : by how many of its error bars, a fifth of what is allowed each."""
     for quantity, true in TRUE.items():
-        error = 1e-15 if quantity == SUM else 0.01 * true
+        error = 1e-15 if quantity == SUM else ALLOWED[quantity] * true / 5
         yield row(
             "duffing", method, 1 / cost, quantity=quantity, reference=reference, trajectories=128, periods=400,
             evaluations_per_time=cost, jacobians_per_time=0.0, evaluation_kind="rhs",
@@ -31,7 +32,7 @@ def planted(**changes):
         "reference": told("cyrk-dop853", 50, reference=True, defect=1e-9, control="rtol"),
         "ours": [*told("contact-rkn4", 4, 20), *told("contact-rkn4", 8, 1), *told("contact-rkn4", 16, 2)],
         "herglotz": [*told("herglotz2", 7, 4, 1e-3, 1e-5), *told("herglotz2", 16, 0, 1e-4, 1e-6)],
-        "rk4": [*told("rk4", 4, 1, 0.1, 0.01), *told("rk4", 8, 6, 1e-2, 3e-3), *told("rk4", 16, 0, 1e-3, 1e-4)],
+        "rk4": [*told("rk4", 4, 1, 0.1, 0.01), *told("rk4", 8, 8, 1e-2, 3e-3), *told("rk4", 16, 0, 1e-3, 1e-4)],
     } | changes  # fmt: skip
     return frames(long_time=[each for some in rows.values() for each in some])
 
@@ -52,7 +53,7 @@ def test_the_least_that_is_right_at_every_dearer_setting_too():
 def test_what_the_noise_does_not_tell_is_a_tie():
     said = sentences()["long_time"]
     assert "mean energy tie: contact-rkn4 8 and herglotz2 7 to 16, then rk4 16;" in said
-    clear = sentences(herglotz=[*told("herglotz2", 7, 6, 1e-3), *told("herglotz2", 16, 0, 1e-4)])["long_time"]
+    clear = sentences(herglotz=[*told("herglotz2", 7, 8, 1e-3), *told("herglotz2", 16, 0, 1e-4)])["long_time"]
     assert "mean energy contact-rkn4 8, then rk4 16 and herglotz2 16;" in clear
 
 
@@ -70,7 +71,7 @@ def test_pairs_are_kept_or_not_and_hidden_from_where_their_sum_is_below_the_nois
     said = sentences()["pairing"]
     assert said.startswith("contact-rkn4 keep σ₁σ₂")
     assert "herglotz2 and rk4 at none (at least 1.0e-09: cyrk-dop853, rtol=0.02)" in said
-    assert "herglotz2 7 and rk4 16" in said  # the error bar of the largest exponent is 1.6e-3
+    assert "herglotz2 ≤ 7 and rk4 16" in said  # the error bar of the largest exponent is 1.6e-3
 
 
 def test_one_row_that_breaks_the_pairs_changes_the_sentence():

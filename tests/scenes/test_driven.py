@@ -378,9 +378,16 @@ def test_what_does_not_fit_is_refused(changes, said):
         LANE_EMDEN[0].with_(**changes)
 
 
-@pytest.mark.parametrize("gamma", [0.0, 2.0])
-def test_the_forced_oscillator_has_its_closed_form_without_damping_and_at_critical_damping(gamma):
-    scene = FORCED_OSCILLATOR.with_(gamma=gamma)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"gamma": 0.0}, {"gamma": 2.0}, {"gamma": 0.0, "drive": 1.0}, {"omega": 0.0, "drive": 0.0},
+        {"gamma": 0.0, "omega": 0.0, "drive": 0.0}, {"gamma": 0.0, "omega": 0.0},
+    ],
+)  # fmt: skip
+def test_the_forced_oscillator_has_its_closed_form_where_denominators_vanish(changes):
+    """No damping, critical damping, resonance, a constant force without a spring."""
+    scene = FORCED_OSCILLATOR.with_(**changes)
     assert cb.solve(scene, "scipy-dop853", rtol=1e-12, save_at=saved(scene)).laws().loc[
         "solution_error", "deviation"
     ] == pytest.approx(0, abs=1e-10)

@@ -44,9 +44,10 @@ def halves(method: str, law: str, gamma: float, steps: int) -> tuple[float, floa
 
 @claim(
     "X01", BEYOND,
-    "Near-conservation: the steps of the splitting are the exact flow of a modified Hamiltonian H̃ = H + h² H₂ + h⁴ H₄ "
-    "+ …, nested Jacobi brackets of its parts, which decays as e^{−γt}. So H keeps its decay law to O(h²) without a "
-    "drift, however long the run.",
+    "Near-conservation: to any power of h the steps of the splitting are the flow of a modified Hamiltonian "
+    "H̃ = H + h² H₂ + h⁴ H₄ + …, nested Jacobi brackets of its parts, which decays as e^{−γt}. So the deviation of H "
+    "from its decay is O(h²) of the terms H is the sum of, without a drift: of an underdamped motion about a rest with "
+    "V = 0, whose terms decay as H does, however long the run.",
     scene="particle; T = 20, and 10⁶ steps of h = 0.1 in which H falls to 1/e", method="contact-strang beside rk4",
 )  # fmt: skip
 def near_conservation(gamma: float = 0.1, weak: float = 1e-5, steps: int = 1_000_000) -> Evidence:
@@ -84,10 +85,10 @@ def pairing(method: str, **setting: float) -> tuple[float, float]:
 
 @claim(
     "X02", BEYOND,
-    "Pairing: the singular values of the tangent map of (q, p) come in pairs σ_i σ_{2n+1−i} = e^{−γt}, and so do the "
-    "Lyapunov exponents, λ_i + λ_{2n+1−i} = −γ. The splitting keeps the pairs to round-off at every step, on a chaotic "
-    "motion too. Methods that are no contact maps keep them to their order or tolerance, which at its tightest is "
-    "round-off as well.",
+    "Pairing: the singular values of the tangent map of (q, p) come in pairs σ_i σ_{2n+1−i} = e^{−γt} at every time, "
+    "and so do the Lyapunov exponents in the limit, λ_i + λ_{2n+1−i} = −γ. The splitting keeps the pairs to round-off "
+    "at every step, on a chaotic motion too. Methods that are no contact maps keep them to their order or tolerance, "
+    "which at its tightest is round-off as well.",
     scene="duffing, h from 0.025 to 0.4",
     method="contact-strang, contact-rkn4, contact-rkn6; rk4, herglotz2, CyRK's explicit pairs",
 )  # fmt: skip

@@ -33,6 +33,9 @@ from contactbench.solution import DIVERGENCE
 #: ``(x, v) -> (x, v, evaluations)``: states (d, n) and tangents (m, d, n) over one interval, and what it cost, (n,)
 TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]
 MOST_INTERVALS = 10**7
+#: log of how many times as much one tangent may grow as another in an interval: rounding takes e^16 ε = 2·10⁻⁹ of
+#: what grows least
+APART = 16.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +107,11 @@ def lyapunov(
     initial_conditions : as in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where
         trajectories end on different attractors the result is the mean over them.
     carry : as in `solve`; by default nothing that does not act back on the motion.
-    The error bar is that of independent trajectories, or of blocks of a few (see `measure.averages`).
-    Where every trajectory leaves the scene's scale all is nan.  Raises `BadInput` for anything it cannot work with.
+    The error bar is that of sampling, from independent trajectories or blocks of a few (see `measure.averages`).  It
+    knows nothing of the bias of a finite time, which is all there is where motion is not chaotic: 1/T where tangents
+    turn or are sheared on the way.  The exponents are those of R: they come in pairs in the limit only.
+    Where every trajectory leaves the scene's scale all is nan.  Raises `BadInput` for anything it cannot work with,
+    also for an interval in which tangents grow so far apart that rounding loses the small ones.
 
     >>> import contactbench as cb
     >>> found = cb.lyapunov("oscillator", "contact-strang", step=0.1, every=1.0, intervals=64)
@@ -135,6 +141,7 @@ def lyapunov(
             # those that left begin again, and are not counted
             x, v = np.where(alive, x, start), np.where(alive, v, first)
             v, logs = orthonormal(v)
+            near_enough(logs[:, alive], every)
             if k >= 0:
                 rates[k], energy[k, 0] = logs / every, scene.energy(scene.unpack(tuple(x), own))
                 spent += evaluations
@@ -146,6 +153,16 @@ def lyapunov(
         scalar(jackknife(blocks(energy[:, :, kept]), np.sum)), float(spent[kept].mean()) / (every * count),
         int((~alive).sum()), rates[:, :, kept],
     )  # fmt: skip
+
+
+def near_enough(logs: np.ndarray, every: float) -> None:
+    """Raise `BadInput` where tangents grew too far apart over an interval; logs : log diag R, (m, n)."""
+    apart = float((logs.max(axis=0) - logs.min(axis=0)).max(initial=0.0))
+    if not apart <= APART:
+        raise BadInput(
+            f"every = {every:g}: one tangent grows more than e^{APART:g} times as much as another within that, and "
+            "rounding loses the other: take a shorter interval"
+        )
 
 
 def scalar(average: Average) -> Average:

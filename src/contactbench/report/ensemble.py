@@ -102,6 +102,7 @@ def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
     """
     part = asked(frame, "error")
     column, repeat = ("marginal_s", "marginal_repeat_ratio") if marginal else ("each", "time_repeat_ratio")
+    part = resolved(part) if marginal else part
     if not len(part) or part[column].isna().all():
         return None
     tie = max(TIE, noise(part, repeat))
@@ -126,7 +127,10 @@ def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
     spoken = "; ".join(f"`{v}`: {SHAPES[v]}" for v in dict.fromkeys(part["variant"]) if v in SHAPES)
     timed = "Time per trajectory"
     if marginal:
-        timed = "What one more trajectory takes, from calls with a quarter of them and all"
+        timed = (
+            "What one more trajectory takes, from calls with a quarter of them and all; a time no larger than its "
+            "spread over rounds takes no part"
+        )
     meaning = f"{timed}, on one core. {spoken}. {said(tie)} {CHEAPEST} {DASHES}"
     name, title = "ensemble_error", "A trajectory at equal error"
     if marginal:
@@ -169,6 +173,11 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
         twice = f"measured twice, 19 of 20 cells differ by at most {100 * (margin - 1):.0f} %"
         meaning += f" {'. '.join(fallen)} ({twice})."
     return View(f"ensemble_{question}", title, meaning, heads, tuple(rows), SOURCE)
+
+
+def resolved(part: pd.DataFrame) -> pd.DataFrame:
+    """The rows whose marginal time is larger than its spread over rounds."""
+    return part[~(part["marginal_s"].astype(float) <= part["marginal_iqr_s"].astype(float))]
 
 
 def leaders(part: pd.DataFrame, column: str, repeat: str) -> dict[float, dict[str, Cost]]:
@@ -220,13 +229,13 @@ def limit_finding(frame: pd.DataFrame) -> list[Finding]:
         line = line.sort_values("cores", kind="stable")
         first, last = line.iloc[0], line.iloc[-1]
         if last["cores"] > first["cores"]:
+            gains = (last["rate"] / first["rate"], first["time_min_s"] / last["time_min_s"])
             sentence += (
-                f" On {last['cores']:.0f} cores {method} ({engine}) has {times(last['rate'] / first['rate'])} the "
-                f"throughput of {first['cores']:.0f}."
+                f" On {last['cores']:.0f} cores {method} ({engine}) has {times(gains[0])} the throughput of "
+                f"{first['cores']:.0f} by medians, {times(gains[1])} by fastest rounds."
             )
-    covers = (
-        f"one core, fastest round; below ×1: faster than C; margin of noise {100 * (noise(frame) - 1):.0f} %"
-    )
+    margin = f"{100 * (noise(frame) - 1):.0f} %"
+    covers = f"beside C: one core, fastest round; below ×1: faster than C; margin of noise {margin}"
     return [Finding("ensemble_limit", "Ensembles beside C loops", sentence, covers)]
 
 
@@ -245,7 +254,7 @@ def error_finding(frame: pd.DataFrame) -> list[Finding]:
     if not calls:
         return []
     sentence = f"Least time per trajectory at equal error, whole calls of {many_of}: {told(calls)}."
-    more = leaders(part, "marginal_s", "marginal_repeat_ratio")
+    more = leaders(resolved(part), "marginal_s", "marginal_repeat_ratio")
     if more and {e: set(own) for e, own in more.items()} != {e: set(own) for e, own in calls.items()}:
         sentence += f" One more trajectory, without what every call takes: {told(more)}."
     covers = f"{many(part['method'].nunique(), 'method')}, one core, {many_of} trajectories"

@@ -9,6 +9,7 @@ import pandas as pd
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.figures import long_time as figures
+from contactbench.report.figures.long_time import ALLOWED
 from contactbench.report.numbers import many, names, scientific
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Text
@@ -17,8 +18,8 @@ from contactbench.results.round_off import STRUCTURE
 
 SOURCE = "long_time.csv"
 AVERAGES = (ENERGY, EXPONENT, DIMENSION)
-#: error bars within which two averages are the same, and beyond which they differ: chance decides in between
-ALIKE, APART = 3.0, 5.0
+#: error bars on either side of an average in which the true one surely is
+SURE = 2.0
 #: settings stand up to so far apart: methods whose least cost differs by less are a tie
 RUNG = 1.5
 
@@ -26,20 +27,24 @@ RUNG = 1.5
 def known(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
     """The rows of a quantity with a number, cheap to dear.
 
-    off : the difference from the reference in error bars of both.
+    off, bar : the difference from the reference and its error bar, in parts of what is allowed.
     """
     part = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
     part = part.sort_values("evaluations_per_time", kind="stable")
     reference = part[part["reference"]]
-    if not len(reference):
-        return part.assign(off=np.nan)
+    if not len(reference) or quantity not in ALLOWED:
+        return part.assign(off=np.nan, bar=np.nan)
     true = reference.iloc[0]
-    return part.assign(off=(part["mean"] - true["mean"]).abs() / np.hypot(part["error"], true["error"]))
+    allowed = ALLOWED[quantity] * abs(true["mean"])
+    return part.assign(
+        off=(part["mean"] - true["mean"]).abs() / allowed,
+        bar=np.hypot(part["error"], true["error"]) / allowed,
+    )
 
 
-def right_from(rows: pd.DataFrame, within: float = ALIKE) -> float:
-    """The evaluations of one method from which on it is within so many error bars; nan if it never is."""
-    wrong = ~(rows["off"] <= within).to_numpy()
+def right_from(rows: pd.DataFrame, right: pd.Series) -> float:
+    """The evaluations of one method from which on every setting is right; nan if the dearest is not."""
+    wrong = ~right.to_numpy(dtype=bool)
     first = int(np.flatnonzero(wrong)[-1]) + 1 if wrong.any() else 0
     return float(rows["evaluations_per_time"].iloc[first]) if first < len(rows) else np.nan
 
@@ -47,15 +52,15 @@ def right_from(rows: pd.DataFrame, within: float = ALIKE) -> float:
 def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
     """Evaluations from which on each method has an average right; a row per method, the fewest first.
 
-    surely : from where it is right.  perhaps : from where it is not clearly wrong.  bound : 1 where that is its
-    cheapest setting.
+    surely : from where it is, its noise taken against it; perhaps : the noise taken for it.  bound : 1 where that is
+    its cheapest setting.
     """
     rows = known(frame, quantity)
     rows = rows[~rows["reference"]]
     found = {
         name: {
-            "surely": (surely := right_from(own)),
-            "perhaps": right_from(own, APART),
+            "surely": (surely := right_from(own, own["off"] + SURE * own["bar"] <= 1)),
+            "perhaps": right_from(own, own["off"] - SURE * own["bar"] <= 1),
             "bound": surely == own["evaluations_per_time"].iloc[0],
         }
         for name, own in rows.groupby("method", sort=False)
@@ -77,6 +82,11 @@ def spoken(cost: pd.Series) -> str:
     return f"≤ {low}" if cost["bound"] else low if low == high else f"{low} to {high}"
 
 
+def allowed() -> str:
+    """10 % (mean energy), …"""
+    return names([f"{100 * part:g} % ({quantity})" for quantity, part in ALLOWED.items()])
+
+
 # -- pairs -----------------------------------------------------------------------------------------
 def harmless_from(frame: pd.DataFrame, method: str) -> float:
     """The evaluations from which on what the pairs are off hides in the error bar of the largest exponent."""
@@ -85,7 +95,15 @@ def harmless_from(frame: pd.DataFrame, method: str) -> float:
     hidden = own["mean"].abs() <= own["setting"].map(
         bars[bars["method"] == method].set_index("setting")["error"]
     )
-    return right_from(own.assign(off=np.where(hidden, 0.0, np.inf)))
+    return right_from(own, hidden)
+
+
+def hidden_from(frame: pd.DataFrame, method: str) -> str:
+    """The same in words; ≤: at the cheapest setting."""
+    cost = harmless_from(frame, method)
+    own = known(frame, SUM)
+    least = own[own["method"] == method]["evaluations_per_time"].min()
+    return DASH if np.isnan(cost) else f"{'≤ ' if cost == least else ''}{cost:.2g}"
 
 
 # -- views -----------------------------------------------------------------------------------------
@@ -106,8 +124,8 @@ def costs_view(frame: pd.DataFrame) -> View:
         rows.append(tuple(cells))
     meaning = (
         "Evaluations of a trajectory per unit of time from which on, at every dearer setting too, an average is within "
-        f"{ALIKE:g} error bars of the reference; two numbers where it is up to {APART:g} bars off in between, which is "
-        f"no telling; ≤: at its cheapest setting. Settings are up to a factor {RUNG:g} apart, and methods within that "
+        f"{allowed()} of the reference; two numbers where {SURE:g} error bars decide whether it is; ≤: at its cheapest "
+        f"setting. Settings are up to a factor {RUNG:g} apart, and methods within that "
         "are a tie. Exponents and dimension are of runs with tangents, which a solver with a tolerance controls too "
         f"and begins anew every period. {DASH}: not measured, or wrong at every setting."
     )
@@ -124,7 +142,7 @@ def pairs_view(frame: pd.DataFrame) -> View:
         defects = own["pairing_defect"]
         kept = Mark.kept if (defects <= STRUCTURE).all() else None
         cells = (number(defects.iloc[k], scientific, kept) for k in (0, -1))
-        rows.append((word(method), *cells, number(harmless_from(frame, method), "{:.2g}".format)))
+        rows.append((word(method), *cells, Cell(hidden_from(frame, method))))
     heads = (
         Head("method", words=True), Head("cheapest", group="pairing defect"), Head("dearest", group="pairing defect"),
         Head("hidden from", "evaluations per unit of time"),
@@ -163,30 +181,38 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
         [f"{100 * bars['error'][q] / abs(bars['mean'][q]):.1g} % ({q})" for q in AVERAGES if q in bars.index]
     )
     sentence = (
-        "Evaluations per unit of time from which on averages over long chaotic runs are right to within the noise, "
-        f"fewest first: {'; '.join(said)}."
+        f"Evaluations per unit of time from which on averages over long chaotic runs are within {allowed()} of the "
+        f"true ones, fewest first: {'; '.join(said)}."
     )
     covers = (
-        f"`{true['scene']}`, {many(frame['method'].nunique(), 'method')}, {true['periods']:.0f} periods, within "
-        f"{ALIKE:g} error bars of {true['method']} at {true['setting']}, whose own are {share}; two numbers where a "
-        f"setting is up to {APART:g} bars off, which is no telling; ≤: at its cheapest setting; methods within a "
-        f"factor {RUNG:g}, the spacing of the settings, are a tie"
+        f"`{true['scene']}`, {many(frame['method'].nunique(), 'method')}, {true['periods']:.0f} periods, compared "
+        f"with {true['method']} at {true['setting']}, whose error bars are {share}, those of the others about "
+        f"{names([typical(frame, q) for q in AVERAGES])}; two numbers where {SURE:g} bars decide; ≤: at its cheapest "
+        f"setting; methods within a factor {RUNG:g}, the spacing of the settings, are a tie; exponents and "
+        "dimension of solvers with a tolerance are of runs with the tangents in their error control"
     )
     yield Finding("long_time", "Long chaotic runs", sentence, covers, tuple(exceptions(frame)))
+
+
+def typical(frame: pd.DataFrame, quantity: str) -> str:
+    """The median error bar of an average, as a part of the reference."""
+    rows = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
+    true = rows[rows["reference"]]["mean"].iloc[0]
+    return f"{100 * rows[~rows['reference']]['error'].median() / abs(true):.2g} %"
 
 
 def exceptions(frame: pd.DataFrame) -> Iterator[str]:
     """What a comparison of costs does not say: no chaos where there should be some, Jacobians, lost trajectories."""
     calm = known(frame, EXPONENT)
-    calm = calm[calm["mean"] <= ALIKE * calm["error"]]
+    calm = calm[calm["mean"] <= SURE * calm["error"]]
     if len(calm):
         where = [
             f"{method} ({', '.join(f'{v:.2g}' for v in own['evaluations_per_time'])})"
             for method, own in calm.groupby("method", sort=False)
         ]
         yield (
-            "not chaotic at all, because the coarse map has settled on a periodic orbit, at these evaluations per unit "
-            f"of time: {names(where)}"
+            "on the whole not chaotic, because most or all trajectories of the coarse map end on a periodic orbit, at "
+            f"these evaluations per unit of time: {names(where)}"
         )
     implicit = known(frame, ENERGY)
     for method, own in implicit[implicit["jacobians_per_time"] > 0].groupby("method", sort=False):
@@ -209,7 +235,7 @@ def pairs_finding(frame: pd.DataFrame) -> Iterator[Finding]:
     said = []
     if kept:
         said.append(
-            f"{names(kept)} keep σ₁σ₂ = e^{{−γt}} to round-off at every setting (at most "
+            f"{names(kept)} keep σ₁σ₂ = e^{{−γt}} to round-off at every setting that did not diverge (at most "
             f"{scientific(worst[kept].max())} per unit of time)"
         )
     if len(rest):
@@ -219,16 +245,17 @@ def pairs_finding(frame: pd.DataFrame) -> Iterator[Finding]:
             f"{who} at none (at least {scientific(smallest['pairing_defect'])}: {smallest['method']}, "
             f"{smallest['setting']})" if (rest["pairing_defect"] > STRUCTURE).all() else f"{who} at some only"
         )  # fmt: skip
-    hidden = [
-        f"{m} {c:.2g}" for m in dict.fromkeys(rest["method"]) if np.isfinite(c := harmless_from(frame, m))
-    ]
+    hidden = [f"{m} {c}" for m in dict.fromkeys(rest["method"]) if (c := hidden_from(frame, m)) != DASH]
     sentence = f"{'; '.join(said)}."
     if hidden:
         sentence += (
             " It stops mattering for averages where the sum of the exponents is off by less than the error bar of the "
             f"largest, at these evaluations per unit of time: {names(hidden)}."
         )
-    covers = f"`{rows['scene'].iloc[0]}`, {many(len(rows), 'setting')} of {many(rows['method'].nunique(), 'method')}"
+    covers = (
+        f"`{rows['scene'].iloc[0]}`, of one degree of freedom: the pair is the determinant; "
+        f"{many(len(rows), 'setting')} of {many(rows['method'].nunique(), 'method')}; ≤: at its cheapest setting"
+    )
     yield Finding("pairing", "Pairs of exponents", sentence, covers)
 
 

@@ -31,8 +31,9 @@ class Driven(Mechanical):
     rate : ``γ(t, **parameters) -> number``; and where it is known in closed form
     span : ``(t, h, xp, **parameters) -> (G, φ)``, with G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a
     momentum is worth that is damped meanwhile.  Without it both come from Gauss's collocation method of order 16
-    on every step, eight values of γ: right to round-off while γh and the phase of an oscillating γ stay below 1 over
-    a step, to 10⁻¹¹ below 2 (measured in the tests).
+    on every step, eight values of γ: right to round-off while γh and the phase of a sinusoidal γ stay below 1 over
+    a step, to 10⁻¹¹ below 2 (measured in the tests).  A γ with complex singularities nearer to the real axis than
+    about two steps asks for smaller ones.  The steps are contact maps in any case, with the factor of the rule.
 
     A processed composition (contact-rkn8) begins and ends with steps back: its γ(t) and V(q, t) have to be defined
     some steps before the start.

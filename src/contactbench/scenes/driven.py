@@ -81,20 +81,24 @@ def pulsating(t, friction, depth, pulse, **parameters):
 def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
     """Steady and transient oscillation, sums of exponentials; s = ½ q p + r, r' = −γ r + ½ F q cos Ωt.
 
-    Critical and no damping are limits of the formula: there it is taken beside them, with digits to spare.
+    Critical and no damping, and a constant force without a spring, are limits of the formula: there it is taken
+    beside them, with digits to spare.
     """
-    square = scene.parameters["omega"] ** 2
+    omega, drive = mp.mpf(scene.parameters["omega"]), scene.parameters["drive"]
     digits, gamma = mp.dps, mp.mpf(scene.gamma)
-    with mp.workdps(3 * digits):
-        if gamma == 0 or gamma * gamma / 4 == square / mp.mpf(scene.mass):
-            gamma += mp.mpf(10) ** -digits
-        return oscillation(scene, gamma, t, mp)
+    with mp.workdps(8 * digits):
+        near = mp.mpf(10) ** -digits
+        if omega == 0 and drive == 0:
+            omega = near
+        if gamma == 0 or gamma * gamma / 4 == omega * omega / mp.mpf(scene.mass):
+            gamma += near
+        return oscillation(scene, omega, gamma, t, mp)
 
 
-def oscillation(scene: Driven, gamma: Any, t: Any, mp: Any) -> DrivenState:
-    """`forced_oscillator` at a damping that is neither critical nor zero."""
+def oscillation(scene: Driven, omega: Any, gamma: Any, t: Any, mp: Any) -> DrivenState:
+    """`forced_oscillator` where no denominator vanishes."""
     m, force = scene.mass, scene.parameters["force"]
-    square, turn = scene.parameters["omega"] ** 2, mp.mpc(0, scene.parameters["drive"])
+    square, turn = omega * omega, mp.mpc(0, scene.parameters["drive"])
     start = mp.exp(turn * scene.t)
     amplitude = force * start / (m * turn * turn + m * gamma * turn + square)
     root = mp.sqrt(gamma**2 / 4 - square / m + mp.mpc(0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 import pandas as pd
 
 from contactbench.report.curves import by_method, floats, hints, number_axis, round_off
@@ -12,8 +11,10 @@ from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
 
 COST = "evaluations per unit of time"
-#: how far a panel shows beyond the reference, in error bars of a typical row
-SHOWN = 15.0
+#: how far an average may be off, as a part of it
+ALLOWED = {ENERGY: 0.1, EXPONENT: 0.05, DIMENSION: 0.01}
+#: how far a panel shows beyond the reference, in parts of that
+SHOWN = 2.5
 
 
 def of(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
@@ -32,13 +33,13 @@ def averages(frame: pd.DataFrame) -> Iterator[Figure]:
     if panels:
         yield Figure(
             "long_time", "Averages over long chaotic runs against their cost", tuple(panels),
-            "Error bars: one standard error. Grey: the reference, within three of its own. Points far off are outside "
-            "the panels.", 3, source="long_time.csv", size=(5.0, 4.4),
+            "Error bars: one standard error. Shaded: as far as an average may be off the reference. Points far off are "
+            "outside the panels.", 3, source="long_time.csv", size=(5.0, 4.4),
         )  # fmt: skip
 
 
 def panel(quantity: str, rows: pd.DataFrame, true: pd.Series) -> Panel:
-    reach = SHOWN * float(np.median(rows["error"])) if len(rows) else 1.0
+    reach = SHOWN * ALLOWED[quantity] * abs(float(true["mean"]))
     ends = float(true["mean"]) - reach, float(true["mean"]) + reach
     curves = tuple(
         Curve(
@@ -47,9 +48,8 @@ def panel(quantity: str, rows: pd.DataFrame, true: pd.Series) -> Panel:
             family=str(own["family"].iloc[0]),
         ) for method, own in rows.groupby("method", sort=False)
     )  # fmt: skip
-    band = Span(
-        "y", float(true["mean"] - 3 * true["error"]), float(true["mean"] + 3 * true["error"]), "reference"
-    )
+    allowed = ALLOWED[quantity] * abs(float(true["mean"]))
+    band = Span("y", float(true["mean"]) - allowed, float(true["mean"]) + allowed, "allowed")
     return Panel(quantity, number_axis(COST), Axis(quantity, within=ends), curves, spans=(band,))
 
 
