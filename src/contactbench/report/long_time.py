@@ -187,7 +187,7 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
     covers = (
         f"`{true['scene']}`, {many(frame['method'].nunique(), 'method')}, {true['periods']:.0f} periods, compared "
         f"with {true['method']} at {true['setting']}, whose error bars are {share}, those of the others about "
-        f"{names([typical(frame, q) for q in AVERAGES])}; two numbers where {SURE:g} bars decide; ≤: at its cheapest "
+        f"{names([typical(frame, q) for q in AVERAGES if q in bars.index])}; two numbers where {SURE:g} bars decide; ≤: at its cheapest "
         f"setting; methods within a factor {RUNG:g}, the spacing of the settings, are a tie; exponents and "
         "dimension of solvers with a tolerance are of runs with the tangents in their error control"
     )
