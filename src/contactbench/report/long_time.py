@@ -184,12 +184,13 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
         f"Evaluations per unit of time from which on averages over long chaotic runs are within {allowed()} of the "
         f"true ones, fewest first: {'; '.join(said)}."
     )
+    others = names([typical(frame, q) for q in AVERAGES if q in bars.index])
     covers = (
         f"`{true['scene']}`, {many(frame['method'].nunique(), 'method')}, {true['periods']:.0f} periods, compared "
         f"with {true['method']} at {true['setting']}, whose error bars are {share}, those of the others about "
-        f"{names([typical(frame, q) for q in AVERAGES if q in bars.index])}; two numbers where {SURE:g} bars decide; ≤: at its cheapest "
-        f"setting; methods within a factor {RUNG:g}, the spacing of the settings, are a tie; exponents and "
-        "dimension of solvers with a tolerance are of runs with the tangents in their error control"
+        f"{others}; two numbers where {SURE:g} bars decide; ≤: at its cheapest setting; methods within a factor "
+        f"{RUNG:g}, the spacing of the settings, are a tie; exponents and dimension of solvers with a tolerance are of "
+        "runs with the tangents in their error control"
     )
     yield Finding("long_time", "Long chaotic runs", sentence, covers, tuple(exceptions(frame)))
 
