@@ -202,7 +202,7 @@ def other_rounding(results: Path) -> list[Judgement]:
 
 def identical(condition: str, k: int, truth: Truth, scratch: Path) -> list[Judgement]:
     """A run of the same code by the benchmark itself, with its worker processes."""
-    workers = ("-n", "auto", "--dist", "loadgroup")
+    workers = ("-n", "auto")
     before = truth.of(IDENTICAL, workers)
     start = perf_counter()
     with load() if condition == LOADED else nullcontext():

@@ -73,6 +73,11 @@ def pairs(
     return pytest.mark.parametrize(names, chosen)
 
 
+def most_slow(values, *quick):
+    """The values of a parametrisation, all slow but a few."""
+    return [pytest.param(value, marks=[] if value in quick else [pytest.mark.slow]) for value in values]
+
+
 def random_state(scene, seed: int = 0, carry=None):
     """A generic state of a scene, its attitude a unit quaternion."""
     rng = np.random.default_rng(seed)

@@ -11,7 +11,7 @@ from cells import family, takes_long
 
 def test_cells_whose_programs_are_the_same_are_in_one_process(tmp_path):
     words = "(convergence or laws) and rk4 and (particle or central or quadratic)"
-    workers = ("-vv", "-m", "not timed", "-n", "2", "--dist", "loadgroup", "-p", "no:benchmark")
+    workers = ("-vv", "-m", "not timed", "-n", "2", "-p", "no:benchmark")
     output = finished(bench(tmp_path, words, *workers))
     cells = re.findall(r"\[(gw\d)\].* PASSED .*::test_(?:convergence|laws)\[(\w+)-rk4\]", output)
     assert len(cells) == 8, output  # two experiments on four scenes

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import selfcheck_speed
+from cases import most_slow
 from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions, speed
 from contactbench.gate.workload import MANY, Cell, workload
@@ -353,7 +354,7 @@ def test_a_suspect_is_red_when_three_pairs_of_processes_agree(agreeing, verdicts
     ]
 
 
-@pytest.mark.parametrize("fault", ["compilation", "memory left behind"])
+@pytest.mark.parametrize("fault", most_slow(["compilation", "memory left behind"], "compilation"))
 def test_compilation_and_memory_are_planted_in_one_of_two_trees(fault, copy, tmp_path, monkeypatch):
     (planted,) = (f.planted for f in SPENT if f.measure == fault and f.seen)
     monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "more.py", planted.format(tree=str(copy)))))

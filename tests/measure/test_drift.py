@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, TILTED, USER, by_name, random_state
+from cases import ALL_SCENES, TILTED, USER, by_name, most_slow, random_state
 from contactbench.measure.laws import row
 from contactbench.measure.pullback import pullback
 from contactbench.measure.round_off import round_off_bound
@@ -83,7 +83,7 @@ def test_derivative_through_the_choice_of_steps_agrees_with_differences(scene, r
     assert np.abs(frozen.values - exact.values).max() > 1e-7 * rtol  # and it is another derivative
 
 
-@pytest.mark.parametrize("engine", ["jax", "python"])
+@pytest.mark.parametrize("engine", most_slow(["jax", "python"], "python"))
 def test_both_engines_of_the_adaptive_contact_method_have_both_drifts(engine):
     solution = cb.solve(CENTRAL, "contact-adaptive", rtol=1e-4, save_at=[20.0], engine=engine)
     assert drift(solution) == pytest.approx(1.16e-7, rel=0.1)
@@ -274,7 +274,7 @@ SHORT = {name: cb.SCENES[name].with_(t_end=5.0) for name in SCENES} | {
 }
 
 
-@pytest.mark.parametrize("case", list(SHORT))
+@pytest.mark.parametrize("case", most_slow(SHORT, "no Hessian", "rigid_body"))
 def test_all_derivatives_agree_at_tight_tolerance(case, independent):
     """AD through RK4, AD through diffrax, and the variational equations of five solvers."""
     scene = SHORT[case]

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import contactbench as cb
+from cases import pairs
 from contactbench.scenes import SCENES
 
 ADAPTIVE = [method for method in cb.METHODS.values() if method.adaptive]
 
 
-@pytest.mark.parametrize("scene", ["central", "rigid_body_anisotropic"])
-@pytest.mark.parametrize("method", ADAPTIVE, ids=lambda method: method.name)
+@pairs(ADAPTIVE, [SCENES["central"], SCENES["rigid_body_anisotropic"]], share=2)
 def test_the_states_that_are_differenced_are_those_of_the_run(method, scene):
     run = cb.prepare(scene, method, rtol=1e-5, save_at=[0.7, 2.0])
     moved = run.start * (1 + 1e-3)

@@ -227,7 +227,7 @@ def test_order_of_the_others(name):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(cb.METHODS[name].order, abs=0.25)
 
 
-@pairs([cb.METHODS[name] for name in ("contact-abc", "contact-rkn4", "rk4", "herglotz2")], DRIVEN, share=2)
+@pairs([cb.METHODS[name] for name in ("contact-abc", "contact-rkn4", "rk4", "herglotz2")], DRIVEN, share=4)
 def test_engines_agree(method, scene):
     numba, jax, python = (
         cb.solve(scene, method.name, step=0.1, engine=engine, save_at=[1.0, 2.0]).y

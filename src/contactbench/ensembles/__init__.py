@@ -98,13 +98,8 @@ def ensemble(
     if not isinstance(chosen, FixedStep):
         fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
         raise BadInput(f"method = {shown(method)}: an ensemble takes a fixed-step method: {fixed}")
-    request = asked(
-        scene,
-        method,
-        positive("step", step),
-        carry=carry,
-        save_at=[scene.t_end] if measure_at is None else measure_at,
-    )
+    times = [scene.t_end] if measure_at is None else measure_at
+    request = asked(scene, chosen, positive("step", step), save_at=times, carry=carry)
     if isinstance(request, Refused):
         raise BadInput(request.why)
     run = Division(method, request, chosen)

@@ -57,6 +57,17 @@ def equal_share(n: int, cores: int, chunk: int) -> int:
     return whole if whole <= chunk else share
 
 
+def furthest(motion: np.ndarray) -> np.ndarray:
+    """How large the motion of each trajectory may become, (m,), from its start (·, m)."""
+    size = np.linalg.norm(motion, axis=0)
+    return DIVERGENCE * np.where(size > 0, size, 1.0)
+
+
+def within(y: np.ndarray, motion: int, bound: np.ndarray) -> np.ndarray:
+    """Which of the states y (d, m) are finite, and their motion, the first entries, no larger than `bound` (m,)."""
+    return np.isfinite(y).all(axis=0) & (np.abs(y[:motion]).max(axis=0) <= bound)
+
+
 def side_by_side(
     run: FixedStepRun,
     many: Callable[..., Any],
@@ -78,8 +89,7 @@ def side_by_side(
         return np.stack(np.broadcast_arrays(*DECAYING[name][0](scene, x)), axis=-1)
 
     start, motion = scene.unpack(tuple(y0), r.carry), run._motion
-    size = np.linalg.norm(y0[:motion], axis=0)
-    bound = DIVERGENCE * np.where(size > 0, size, 1.0)
+    bound = furthest(y0[:motion])
     alive, end = np.ones(m, dtype=bool), np.zeros(m)
     with np.errstate(all="ignore"):
         origin = {name: quantity(name, start) for name in names[1:]}
@@ -89,8 +99,7 @@ def side_by_side(
             many(y, rows, np.append(shape[:place], which), after, part)
             y = after[0]
             x = scene.unpack(tuple(y[:, :m]), r.carry)
-            alive &= np.abs(y[:motion, :m]).max(axis=0) <= bound  # nan is not
-            alive &= np.isfinite(y[motion:, :m]).all(axis=0)
+            alive &= within(y[:, :m], motion, bound)
             end = np.where(alive, t, end)
             for name, first in origin.items():
                 terms = DECAYING[name][1](scene, x)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.cores import LANES
+from contactbench.ensembles.cores import LANES, furthest, within
 from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.averages import Average, blocks, jackknife
@@ -28,7 +28,6 @@ from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
-from contactbench.solution import DIVERGENCE
 
 #: ``(x, v) -> (x, v, evaluations)``: states (d, n) and tangents (m, d, n) over one interval, and what it cost, (n,)
 TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]
@@ -133,13 +132,12 @@ def lyapunov(
     v = np.array([run.tangents(start) for start in x.T])  # (n, m, d)
     start, first = x.copy(), np.ascontiguousarray(np.moveaxis(v, 0, 2))
     v = first.copy()
-    size = np.linalg.norm(x[: scene.motion], axis=0)
-    bound, alive = DIVERGENCE * np.where(size > 0, size, 1.0), np.ones(n, dtype=bool)
+    bound, alive = furthest(x[: scene.motion]), np.ones(n, dtype=bool)
     rates, energy, spent = np.empty((count, len(v), n)), np.empty((count, 1, n)), np.zeros(n)
     with np.errstate(all="ignore"):
         for k in range(-settle, count):
             x, v, evaluations = advance(x, v)
-            alive &= np.isfinite(x).all(axis=0) & (np.abs(x[: scene.motion]).max(axis=0) <= bound)
+            alive &= within(x, scene.motion, bound)
             # those that left begin again, and are not counted
             x, v = np.where(alive, x, start), np.where(alive, v, first)
             v, logs = orthonormal(v)

@@ -98,10 +98,6 @@ class CompiledRun(Prepared):
 
         return jax.device_put(self._own_start)
 
-    def differentiable(self, y0: Any, fixed: Any) -> Any:
-        """`states`, in whatever form is best differentiated."""
-        return self.states(y0, fixed)
-
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to trace and compile.
 
@@ -120,7 +116,7 @@ class CompiledRun(Prepared):
         return _programs[key]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return self.pushed(y0, self.differentiable, "steps")
+        return self.pushed(y0, self.states, "steps")
 
     def pushed(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
         """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""

@@ -59,10 +59,10 @@ def prepare(
     max_steps : budget; a run that needs more ends with status `budget`.
     Raises `BadInput` for anything it cannot work with.
     """
-    request = asked(scene, method, step, rtol, atol, save_at, carry, engine, max_steps)
+    scene, chosen = lookup(scene, method)
+    request = asked(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
     if isinstance(request, Refused):
         return request
-    scene, chosen = lookup(scene, method)
     engines = chosen.engines if engine is None else (engine,)
     try:
         run = first = chosen.prepare(request)
@@ -76,18 +76,10 @@ def prepare(
 
 
 def asked(
-    scene: Scene | str,
-    method: Method | str,
-    step: float | None = None,
-    rtol: float | None = None,
-    atol: float | None = None,
-    save_at: Sequence[float] | np.ndarray | None = None,
-    carry: Sequence[str] | None = None,
-    engine: str | None = None,
-    max_steps: int | None = None,
-) -> Request | Refused:
+    scene: Scene, chosen: Method, step: Any, rtol: Any = None, atol: Any = None, save_at: Any = None,
+    carry: Any = None, engine: Any = None, max_steps: Any = None,
+) -> Request | Refused:  # fmt: skip
     """What `prepare` is asked for, checked, for the first engine; `Refused` where the method refuses the scene."""
-    scene, chosen = lookup(scene, method)
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
         raise BadInput(f"engine = {shown(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
     if chosen.exact:

@@ -11,10 +11,7 @@ import numpy as np
 from contactbench.methods.base import Outcome
 from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.numbers.control import Repeat, repeat
-
-#: evaluations written out in one turn of the compiled loop
-UNROLL = 32
+from contactbench.numbers.control import Repeat
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
@@ -24,18 +21,8 @@ def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
     return lax.fori_loop(0, n, lambda _, x: body(x), x)
 
 
-#: loops over stages too: the shortest code
+#: loops over stages too: the shortest code, and no slower than steps written out
 rolled = Repeat(compiled_loop, over_stages=True)
-
-
-def unrolled(together: int) -> Repeat:
-    """`repeat` as a compiled loop with several steps, stages written out, in a turn."""
-
-    def loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-        x = compiled_loop(n // together, lambda x: repeat(together, body, x), x)
-        return x if together == 1 else compiled_loop(n % together, body, x)
-
-    return Repeat(loop)
 
 
 class JaxSteps(FixedStepRun, CompiledRun):
@@ -65,29 +52,19 @@ class JaxSteps(FixedStepRun, CompiledRun):
     def key(self) -> tuple[Any, ...]:
         return (self.method_, self.capacity)
 
-    def differentiable(self, y0: Any, fixed: Any) -> Any:
-        """The same map as shorter code: stages in loops, one step a turn.  Slower, but its derivative
-        compiles in a fraction of the time."""
-        return self.states(y0, fixed, short=True)
-
-    def states(self, y0: Any, fixed: Any, short: bool = False) -> Any:
+    def states(self, y0: Any, fixed: Any) -> Any:
         from contactbench.xla import jnp, lax
 
         numbers, h, n = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))
-        loop = rolled if short else unrolled(self.steps_a_turn())
 
         def interval(x: Any, span: Any) -> Any:
             h, n = span
-            x = self.method_.advance(scene, x, h, n, xp, loop)
+            x = self.method_.advance(scene, x, h, n, xp, rolled)
             return x, jnp.stack(scene.pack(x))
 
         return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n.astype(int)))[1]
-
-    def steps_a_turn(self) -> int:
-        """Steps written out per turn of the loop: a turn costs XLA some 4 ns whatever it does."""
-        return max(1, UNROLL // self.each_step)
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         derivative = super().sensitivity(y0)[: len(self.n)]

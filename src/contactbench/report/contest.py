@@ -67,9 +67,12 @@ class Kind:
         chosen = self.engines(rows["engine"])
         if not self.exact:
             chosen &= rows["control"] != "exact"
-        if self.spread and self.spread in rows:
-            chosen &= ~(rows[self.cost].astype(float) <= rows[self.spread].astype(float))
-        return chosen
+        return chosen & resolved(rows, self.cost, self.spread) if self.spread in rows else chosen
+
+
+def resolved(rows: pd.DataFrame, cost: str, spread: str) -> pd.Series:
+    """Which costs are larger than their spread over rounds, as far as that is known."""
+    return ~(rows[cost].astype(float) <= rows[spread].astype(float))
 
 
 EVALUATIONS = Kind(

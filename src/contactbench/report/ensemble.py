@@ -8,7 +8,7 @@ from itertools import pairwise
 import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs
+from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs, resolved
 from contactbench.report.contest_views import CHEAPEST, DASHES, error_heads, said
 from contactbench.report.figures import ensemble as figures
 from contactbench.report.numbers import count, duration, many, names, power, times
@@ -102,7 +102,7 @@ def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
     """
     part = asked(frame, "error")
     column, repeat = ("marginal_s", "marginal_repeat_ratio") if marginal else ("each", "time_repeat_ratio")
-    part = resolved(part) if marginal else part
+    part = part[resolved(part, column, "marginal_iqr_s")] if marginal else part
     if not len(part) or part[column].isna().all():
         return None
     tie = max(TIE, noise(part, repeat))
@@ -173,11 +173,6 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
         twice = f"measured twice, 19 of 20 cells differ by at most {100 * (margin - 1):.0f} %"
         meaning += f" {'. '.join(fallen)} ({twice})."
     return View(f"ensemble_{question}", title, meaning, heads, tuple(rows), SOURCE)
-
-
-def resolved(part: pd.DataFrame) -> pd.DataFrame:
-    """The rows whose marginal time is larger than its spread over rounds."""
-    return part[~(part["marginal_s"].astype(float) <= part["marginal_iqr_s"].astype(float))]
 
 
 def leaders(part: pd.DataFrame, column: str, repeat: str) -> dict[float, dict[str, Cost]]:
@@ -254,7 +249,8 @@ def error_finding(frame: pd.DataFrame) -> list[Finding]:
     if not calls:
         return []
     sentence = f"Least time per trajectory at equal error, whole calls of {many_of}: {told(calls)}."
-    more = leaders(resolved(part), "marginal_s", "marginal_repeat_ratio")
+    known = part[resolved(part, "marginal_s", "marginal_iqr_s")]
+    more = leaders(known, "marginal_s", "marginal_repeat_ratio")
     if more and {e: set(own) for e, own in more.items()} != {e: set(own) for e, own in calls.items()}:
         sentence += f" One more trajectory, without what every call takes: {told(more)}."
     covers = f"{many(part['method'].nunique(), 'method')}, one core, {many_of} trajectories"

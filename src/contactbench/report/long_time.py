@@ -29,8 +29,7 @@ def known(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
 
     off, bar : the difference from the reference and its error bar, in parts of what is allowed.
     """
-    part = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
-    part = part.sort_values("evaluations_per_time", kind="stable")
+    part = figures.of(frame, quantity)
     reference = part[part["reference"]]
     if not len(reference) or quantity not in ALLOWED:
         return part.assign(off=np.nan, bar=np.nan)
@@ -88,22 +87,17 @@ def allowed() -> str:
 
 
 # -- pairs -----------------------------------------------------------------------------------------
-def harmless_from(frame: pd.DataFrame, method: str) -> float:
-    """The evaluations from which on what the pairs are off hides in the error bar of the largest exponent."""
-    bars, sums = (known(frame, quantity) for quantity in (EXPONENT, SUM))
-    own = sums[sums["method"] == method]
-    hidden = own["mean"].abs() <= own["setting"].map(
-        bars[bars["method"] == method].set_index("setting")["error"]
-    )
-    return right_from(own, hidden)
-
-
 def hidden_from(frame: pd.DataFrame, method: str) -> str:
-    """The same in words; ≤: at the cheapest setting."""
-    cost = harmless_from(frame, method)
-    own = known(frame, SUM)
-    least = own[own["method"] == method]["evaluations_per_time"].min()
-    return DASH if np.isnan(cost) else f"{'≤ ' if cost == least else ''}{cost:.2g}"
+    """The evaluations from which on what the pairs are off hides in the error bar of the largest exponent.
+
+    ≤: at the cheapest setting.
+    """
+    own = frame[frame["method"] == method]
+    sums, bars = figures.of(own, SUM), figures.of(own, EXPONENT).set_index("setting")["error"]
+    cost = right_from(sums, sums["mean"].abs() <= sums["setting"].map(bars))
+    return (
+        DASH if np.isnan(cost) else f"{'≤ ' if cost == sums['evaluations_per_time'].min() else ''}{cost:.2g}"
+    )
 
 
 # -- views -----------------------------------------------------------------------------------------
@@ -136,7 +130,7 @@ def costs_view(frame: pd.DataFrame) -> View:
 
 
 def pairs_view(frame: pd.DataFrame) -> View:
-    rows, sums = [], known(frame, SUM)
+    rows, sums = [], figures.of(frame, SUM)
     for method in dict.fromkeys(sums["method"].reindex(frame.index).dropna()):
         own = sums[sums["method"] == method]
         defects = own["pairing_defect"]
@@ -197,14 +191,14 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
 
 def typical(frame: pd.DataFrame, quantity: str) -> str:
     """The median error bar of an average, as a part of the reference."""
-    rows = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
+    rows = figures.of(frame, quantity)
     true = rows[rows["reference"]]["mean"].iloc[0]
     return f"{100 * rows[~rows['reference']]['error'].median() / abs(true):.2g} %"
 
 
 def exceptions(frame: pd.DataFrame) -> Iterator[str]:
     """What a comparison of costs does not say: no chaos where there should be some, Jacobians, lost trajectories."""
-    calm = known(frame, EXPONENT)
+    calm = figures.of(frame, EXPONENT)
     calm = calm[calm["mean"] <= SURE * calm["error"]]
     if len(calm):
         where = [
@@ -215,7 +209,7 @@ def exceptions(frame: pd.DataFrame) -> Iterator[str]:
             "on the whole not chaotic, because most or all trajectories of the coarse map end on a periodic orbit, at "
             f"these evaluations per unit of time: {names(where)}"
         )
-    implicit = known(frame, ENERGY)
+    implicit = figures.of(frame, ENERGY)
     for method, own in implicit[implicit["jacobians_per_time"] > 0].groupby("method", sort=False):
         low, high = own["jacobians_per_time"].min(), own["jacobians_per_time"].max()
         yield f"{method} takes {low:.2g} to {high:.2g} Jacobians per unit of time beside that"
@@ -226,7 +220,7 @@ def exceptions(frame: pd.DataFrame) -> Iterator[str]:
 
 def pairs_finding(frame: pd.DataFrame) -> Iterator[Finding]:
     """Who keeps the pairs, and from where on that makes no difference any more."""
-    rows = known(frame, SUM)
+    rows = figures.of(frame, SUM)
     if not len(rows):
         return
     rows = rows.reindex([i for i in frame.index if i in rows.index])

@@ -31,7 +31,7 @@ from contactbench.scene import (
     State,
     dot,
     quaternion_product,
-)  # fmt: skip
+)
 from contactbench.splitting import driven
 from contactbench.splitting.dissipation import decayed, survival
 from contactbench.splitting.free_body import free

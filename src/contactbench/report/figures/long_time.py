@@ -18,6 +18,7 @@ SHOWN = 2.5
 
 
 def of(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """The rows of a quantity with a number, cheap to dear."""
     rows = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
     return rows.sort_values("evaluations_per_time", kind="stable")
 
@@ -39,8 +40,9 @@ def averages(frame: pd.DataFrame) -> Iterator[Figure]:
 
 
 def panel(quantity: str, rows: pd.DataFrame, true: pd.Series) -> Panel:
-    reach = SHOWN * ALLOWED[quantity] * abs(float(true["mean"]))
-    ends = float(true["mean"]) - reach, float(true["mean"]) + reach
+    middle = float(true["mean"])
+    allowed = ALLOWED[quantity] * abs(middle)
+    ends = middle - SHOWN * allowed, middle + SHOWN * allowed
     curves = tuple(
         Curve(
             floats(own["evaluations_per_time"]), floats(own["mean"]), str(method), str(method), hints=hints(own),
@@ -48,8 +50,7 @@ def panel(quantity: str, rows: pd.DataFrame, true: pd.Series) -> Panel:
             family=str(own["family"].iloc[0]),
         ) for method, own in rows.groupby("method", sort=False)
     )  # fmt: skip
-    allowed = ALLOWED[quantity] * abs(float(true["mean"]))
-    band = Span("y", float(true["mean"]) - allowed, float(true["mean"]) + allowed, "allowed")
+    band = Span("y", middle - allowed, middle + allowed, "allowed")
     return Panel(quantity, number_axis(COST), Axis(quantity, within=ends), curves, spans=(band,))
 
 
