@@ -171,9 +171,6 @@ class Stepped:
         y = np.sin(3 * y0) + self.height * (y0 > self.jump_at)
         return Outcome(y[None], Counts(1, 1), Status.ok, "", 1.0)
 
-    def saved_states(self, y0):
-        return self.integrate(y0).y
-
 
 @pytest.mark.parametrize("away", [3e-4, 3e-5, -2e-5])
 def test_a_jump_between_two_increments_is_passed_over(away):

@@ -194,10 +194,6 @@ class Prepared(ABC):
         """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
         return self.integrate(y0).y[-1]
 
-    def saved_states(self, y0: np.ndarray) -> np.ndarray:
-        """The saved states of `integrate`, (k, d), to the bit: where a faster way is known that is not timed."""
-        return self.integrate(y0).y
-
     #: of fixed steps: the step asked for, and the longest taken
     steps_taken = (math.nan, math.nan)
 

@@ -47,7 +47,7 @@ def scale(x: object, v: object) -> float:
 
 
 def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
-    """dΦ at y0 by differences of `run.saved_states`, run a `Prepared` and out its `Outcome` there."""
+    """dΦ at y0 by differences of `run.integrate`, run a `Prepared` and out its `Outcome` there."""
     scene: Scene = run.request.scene
     x = scene.unpack(tuple(y0.tolist()), run.request.carry)
     tangents = scene.tangents(x)
@@ -61,7 +61,7 @@ def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
         return Differential(why, out.y, none)
 
     def end(v: object, amount: float) -> np.ndarray:
-        return run.saved_states(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float))
+        return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
 
     scales = np.array([scale(x, v) for v in tangents])
     plain = np.array([

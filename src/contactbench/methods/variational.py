@@ -141,5 +141,5 @@ def integrated(run: Prepared, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     carry = run.request.carry
     x = scene.base.unpack(tuple(y0.tolist()), carry)
     start = np.array(scene.pack(Bundle(x, tuple(scene.base.tangents(x)))), dtype=float)
-    y = run.saved_states(start).reshape(-1, 1 + scene.count, len(y0))
+    y = run.integrate(start).y.reshape(-1, 1 + scene.count, len(y0))
     return y[:, 0], np.moveaxis(y[:, 1:], 1, 2)

@@ -266,7 +266,7 @@ STABILITY = table(
         {
         **DRIFTS,
         **COUNTS,
-        "time_s": seconds("fastest of a few calls, 25 saved times; other work may run beside it"),
+        "time_s": seconds("fastest of a few public calls, 25 saved times; other work may run beside it"),
         },
     ),
     whole=ONE_CELL,
