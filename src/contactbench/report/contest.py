@@ -9,7 +9,7 @@ are a tie.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ import pandas as pd
 from contactbench.report.cells import DASH
 from contactbench.report.numbers import count, duration, many, names, power, times
 from contactbench.report.rooms import Frames
-from contactbench.results.statistics import TIE, cost_to_reach, noise, verdict
+from contactbench.results.statistics import TIE, costs_to_reach, noise, verdict
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -155,7 +155,7 @@ class Cost:
         return f"{'≤ ' if self.bound else ''}{show(self.value)}{FIXED if self.fixed else ''}"
 
 
-def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cost]:
+def costs(rows: pd.DataFrame, column: str, targets: Sequence[float]) -> list[Cost]:
     """Log–log interpolation between the settings of one method (on one engine, where times are asked)."""
     ok = (rows["status"] == "ok").to_numpy()
     errors, spent = (
@@ -163,14 +163,13 @@ def costs(rows: pd.DataFrame, column: str, targets: Iterable[float]) -> list[Cos
         for name in ("solution_error", column)
     )
     loosest, reason = max(errors, default=math.nan), unreached(rows)
-    values = ((target, cost_to_reach(errors, spent, target)) for target in targets)
     fixed = np.full(len(ok), math.nan)
     if column in WHOLE and "fixed_s" in rows:
         fixed = (rows["fixed_s"].astype(float) / rows["time_median_s"].astype(float)).to_numpy(dtype=float)
     shares = fixed[ok].tolist()
     return [
         Cost(value, target > loosest, reason, _fixed(errors, spent, shares, target))
-        for target, value in values
+        for target, value in zip(targets, costs_to_reach(errors, spent, targets), strict=True)
     ]
 
 
@@ -264,19 +263,8 @@ class Field:
         self.kind, self.margin = kind, margin(work, kind)
         part = contestants(work)
         part = part[kind.compares(part) & (part["status"] != "unsupported")]
-        part = part.reindex(
-            columns=[
-                "scene",
-                "method",
-                "family",
-                "engine",
-                "value",
-                "status",
-                "solution_error",
-                "fixed_s",
-                kind.cost,
-            ]
-        )
+        told = ["scene", "method", "family", "engine", "value", "status", "solution_error", "fixed_s"]
+        part = part.reindex(columns=[*told, kind.cost])
         family = dict(zip(part["method"], part["family"], strict=True))
         self.methods = list(family)
         self.scenes, self.contested = list(dict.fromkeys(part["scene"])), []

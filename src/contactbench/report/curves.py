@@ -25,13 +25,16 @@ def round_off(axis: Literal["x", "y"]) -> Span:
 
 
 def floats(values: Iterable[Any]) -> tuple[float, ...]:
-    return tuple(float(v) for v in pd.to_numeric(pd.Series(list(values)), errors="coerce").astype(float))
+    series = values if isinstance(values, pd.Series) else pd.Series(list(values))
+    if not pd.api.types.is_float_dtype(series.dtype):
+        series = pd.to_numeric(series, errors="coerce")
+    return tuple(series.to_numpy(dtype=float, na_value=np.nan).tolist())
 
 
 def hints(rows: pd.DataFrame) -> tuple[str, ...]:
     """Setting and engine of each row."""
-    known = [name for name in ("setting", "engine") if name in rows]
-    return tuple(", ".join(str(v) for v in row) for row in rows[known].itertuples(index=False))
+    known = [map(str, rows[name].tolist()) for name in ("setting", "engine") if name in rows]
+    return tuple(map(", ".join, zip(*known, strict=True))) if known else ("",) * len(rows)
 
 
 def by_method(

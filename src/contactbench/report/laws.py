@@ -22,14 +22,14 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
         return None
     structure = column.rule is Rule.structure
     scenes = [s for s in dict.fromkeys(frame["scene"]) if s in set(rows["scene"])]
-    lines = []
+    lines, by_pair = [], dict(list(rows.groupby(["method", "scene"], sort=False)))
     for method in dict.fromkeys(rows["method"]):
         cells = [word(method)]
         for scene in scenes:
-            here = rows[(rows["method"] == method) & (rows["scene"] == scene)]
-            if not len(here):
+            if (method, scene) not in by_pair:
                 cells.append(Cell(DASH))
                 continue
+            here = by_pair[method, scene]
             low, high = here["value"].min(), here["value"].max()
             kept, ill = structure and bool(here["kept"].all()), structure and bool(here["ill"].any())
             clamped, vague = bool((here["clamped"] > 0).any()), bool(here["unsure"].any())

@@ -43,6 +43,12 @@ def rungs(here: pd.DataFrame) -> list[str]:
     return heads
 
 
+def endings(rows: pd.DataFrame) -> list[Cell]:
+    """`ending` of every run of a method on a scene."""
+    told = ["status", "solution_error", "setting", "message", "blow_up_time"]
+    return [ending(row) for _, row in rows[told].iterrows()]
+
+
 def ending(row: pd.Series, digits: int = 0) -> Cell:
     """The error of a run, or how it ended; where the true motion reaches infinity, diverging is right."""
     if row["status"] == "ok":
@@ -59,7 +65,7 @@ def map_view(frame: pd.DataFrame) -> View:
     for method, mine in frame.groupby("method", sort=False):
         cells = [word(method)]
         for scene, steps in scenes.items():
-            runs = [ending(r) for _, r in mine[mine["scene"] == scene].iterrows()]
+            runs = endings(mine[mine["scene"] == scene])
             cells += [*runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
         rows.append(tuple(cells))
     heads = (
@@ -82,7 +88,7 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
     rows = []
     for method, mine in part.groupby("method", sort=False):
         good = mine[mine["status"] == "ok"]
-        runs = [ending(r) for _, r in mine.iterrows()]
+        runs = endings(mine)
         cells = [word(method), *runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
         for law in shown:
             cells.append(worst_cell(good[good[law].notna()], law))

@@ -21,6 +21,11 @@ def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float
     accurate than `target` it is the cost of the cheapest: no more than a bound, but a fair one, because a method
     that is better than asked for at a lower cost is the better choice.
     """
+    return costs_to_reach(errors, costs, (target,))[0]
+
+
+def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Sequence[float]) -> list[float]:
+    """`cost_to_reach` for several errors."""
     points = sorted(
         (e, c)
         for e, c in zip(errors, costs, strict=True)
@@ -31,10 +36,11 @@ def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float
         if front and cost >= front[-1][1]:
             continue
         front.append((error, cost))
-    if not front or target < front[0][0]:
-        return math.nan
-    x, y = np.log([e for e, _ in front]), np.log([c for _, c in front])
-    return float(np.exp(np.interp(math.log(target), x, y)))
+    if not front:
+        return [math.nan] * len(targets)
+    x, y = np.log(np.array(front).T)
+    reached = np.exp(np.interp(np.log(targets), x, y)).tolist()
+    return [math.nan if t < front[0][0] else cost for t, cost in zip(targets, reached, strict=True)]
 
 
 #: resampled medians behind a bootstrap interval

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from contactbench.report.drawing import Axis, Curve
 from contactbench.report.look import look
-from contactbench.results.statistics import cost_to_reach
+from contactbench.results.statistics import costs_to_reach
 
 #: curves in colour in one panel
 MOST = 8
@@ -69,9 +70,10 @@ def best_of_each(
     return tuple(sorted(muted, key=lambda c: not c.muted))
 
 
+@lru_cache(maxsize=256)  # of a panel every curve is compared with every other
 def costs(curve: Curve) -> np.ndarray:
     """What each error of TARGETS costs (x: error, y: cost); nan where it is not reached."""
-    return np.array([cost_to_reach(curve.x, curve.y, target) for target in TARGETS])
+    return np.array(costs_to_reach(curve.x, curve.y, TARGETS))
 
 
 def cheapest(curve: Curve, own: Sequence[Curve]) -> float:
