@@ -135,6 +135,10 @@ LINES = {
     "no chunk": (lambda: cb.ensemble("particle", "rk4", {"s": np.ones(2)}, step=0.5, chunk="x"), "chunk = 'x'"),
     "no parameters": (lambda: cb.SCENES["particle"].with_(parameters=5), "parameters = 5: must be a dict"),
     "no potential": (lambda: cb.SCENES["particle"].with_(potential=1), "potential = 1: must be a function"),
+    "no experiment": (
+        lambda: cb.SCENES["particle"].with_(experiments=("laws", "cost")),
+        "experiments = ('laws', 'cost'): must be a tuple of names among convergence, laws, decay_laws, ",
+    ),
     "no mass": (lambda: cb.SCENES["particle"].with_(mass=5e-324), "mass = 5e-324"),
     "no name": (lambda: cb.METHODS[[]], "unknown method []"),
     "no order": (lambda: cb.fixed_step("x", None), "order = None"),

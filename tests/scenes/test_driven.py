@@ -250,7 +250,7 @@ def test_solvers_with_a_tolerance_solve_them(scene, name):
 
 
 # -- contact form ----------------------------------------------------------------------------------
-@pairs(CONTACT, DRIVEN, share=3)
+@pairs(CONTACT, DRIVEN, share=6)
 def test_contact_methods_keep_the_contact_form_at_a_coarse_step(method, scene):
     """Up to t = 20 at most: beyond, the tangents of the chaotic scene magnify roundings more."""
     solution = cb.solve(scene, method.name, step=0.2, save_at=min(scene.t_end, 20.0) * np.arange(1, 6) / 5)

@@ -12,7 +12,7 @@ from mpmath import mp
 
 import contactbench as cb
 import properties
-from cases import in_mp
+from cases import in_mp, most_slow
 from contactbench.measure.pullback import growth
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.scene import BodyState, dot, rotate, rotation_matrix
@@ -339,7 +339,7 @@ BODIES = [
 ]
 
 
-@pytest.mark.parametrize("engine", EXACT.engines)
+@pytest.mark.parametrize("engine", most_slow(EXACT.engines, "numba", "python"))
 @pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
 def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
     times = scene.t_end * np.arange(11) / 10

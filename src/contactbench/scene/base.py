@@ -12,6 +12,9 @@ from typing import Any, ClassVar, Self
 from contactbench.errors import BadInput, finite, function, shown, switch, text, unknown_name
 from contactbench.scene.algebra import Vector, shifted
 
+#: what a scene may ask to be run by
+EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
+
 
 @dataclass(frozen=True, kw_only=True)
 class System(ABC):
@@ -155,8 +158,14 @@ class Scene(System):
         text("name", self.name)
         text("about", self.about)
         switch("hard", self.hard)
-        if not isinstance(self.experiments, tuple) or not all(isinstance(e, str) for e in self.experiments):
-            raise BadInput(f"experiments = {shown(self.experiments)}: must be a tuple of names")
+        known = isinstance(self.experiments, tuple) and all(
+            isinstance(e, str) and e in EXPERIMENTS for e in self.experiments
+        )
+        if not known:
+            allowed = ", ".join(EXPERIMENTS)
+            raise BadInput(
+                f"experiments = {shown(self.experiments)}: must be a tuple of names among {allowed}"
+            )
         if self.exact is not None:
             function("exact", self.exact)
 
