@@ -229,8 +229,11 @@ def limit_finding(frame: pd.DataFrame) -> list[Finding]:
                 f" On {last['cores']:.0f} cores {method} ({engine}) has {times(gains[0])} the throughput of "
                 f"{first['cores']:.0f} by medians, {times(gains[1])} by fastest rounds."
             )
-    margin = f"{100 * (noise(frame) - 1):.0f} %"
-    covers = f"beside C: one core, fastest round; below ×1: faster than C; margin of noise {margin}"
+    margin = noise(frame)
+    covers = (
+        f"beside C: one core, fastest round; from {times(1 / margin)} to {times(margin)} a tie within the noise, below "
+        "that faster than C"
+    )
     return [Finding("ensemble_limit", "Ensembles beside C loops", sentence, covers)]
 
 
