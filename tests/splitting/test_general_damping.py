@@ -109,13 +109,7 @@ def test_compositions_keep_their_order(method, n):
 
 @pytest.mark.parametrize(
     ("scene", "engine"),
-    [
-        (SCENE, "numba"),
-        (SCENE, "jax"),
-        (SCENE, "python"),
-        pytest.param(QUADRATURE, "numba", marks=pytest.mark.slow),  # compiled for ten seconds
-        (QUADRATURE, "python"),
-    ],
+    [(SCENE, "numba"), (SCENE, "jax"), (SCENE, "python"), (QUADRATURE, "numba"), (QUADRATURE, "python")],
     ids=lambda v: getattr(v, "name", v),
 )
 def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
