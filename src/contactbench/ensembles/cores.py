@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from contactbench.ensembles.devices import Result
-from contactbench.ensembles.measures import DECAYING
+from contactbench.ensembles.measures import DECAYING, furthest, within
 from contactbench.measure.deviation import conformal_deviation
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import Loop
-from contactbench.solution import DIVERGENCE
 
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
 LANES = 32
@@ -55,17 +54,6 @@ def equal_share(n: int, cores: int, chunk: int) -> int:
     share = -(-n // (cores * -(-n // (cores * chunk))))
     whole = LANES * -(-share // LANES)
     return whole if whole <= chunk else share
-
-
-def furthest(motion: np.ndarray) -> np.ndarray:
-    """How large the motion of each trajectory may become, (m,), from its start (·, m)."""
-    size = np.linalg.norm(motion, axis=0)
-    return DIVERGENCE * np.where(size > 0, size, 1.0)
-
-
-def within(y: np.ndarray, motion: int, bound: np.ndarray) -> np.ndarray:
-    """Which of the states y (d, m) are finite, and their motion, the first entries, no larger than `bound` (m,)."""
-    return np.isfinite(y).all(axis=0) & (np.abs(y[:motion]).max(axis=0) <= bound)
 
 
 def side_by_side(

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.measures import DECAYING
+from contactbench.ensembles.measures import DECAYING, furthest, within
 from contactbench.measure.deviation import conformal_deviation
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
-from contactbench.solution import DIVERGENCE
 
 #: trajectories a core integrates at a time: half a kilobyte per component
 TILE = 64
@@ -86,7 +85,7 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
             return jnp.stack(DECAYING[name][0](scene, x), axis=-1)
 
         start = scene.unpack(tuple(y0), carry)
-        bound = DIVERGENCE * scale(y0[:motion])
+        bound = furthest(y0[:motion], jnp)
         origin = {name: quantity(name, start) for name in names[1:]}
 
         def span(carried: Any, interval: Any) -> Any:
@@ -95,7 +94,7 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
             h = jnp.broadcast_to(h, tile) if places else h
             x = run.method_.advance(scene, x, h, n, xp, rolled)
             y = jnp.stack(scene.pack(x))
-            alive = alive & jnp.isfinite(y).all(axis=0) & (jnp.abs(y[:motion]).max(axis=0) <= bound)
+            alive = alive & within(y, motion, bound, jnp)
             for name in origin:
                 terms, rate = DECAYING[name][1](scene, x), scene.conformal_rate
                 law = conformal_deviation(quantity(name, x), origin[name], t, rate, terms, jnp)
@@ -113,9 +112,5 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, own)]
         y, measures, end = lax.map(lambda part: one_tile(part[0], part[1], numbers, spans), tiles)
         return *(a.swapaxes(0, 1).reshape(a.shape[1], -1) for a in (y, measures)), end.reshape(-1)
-
-    def scale(motion: Any) -> Any:
-        size = jnp.sqrt((motion * motion).sum(axis=0))
-        return jnp.where(size > 0, size, 1.0)
 
     return share

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.cores import LANES, furthest, within
+from contactbench.ensembles.cores import LANES
+from contactbench.ensembles.measures import furthest, within
 from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.averages import Average, blocks, jackknife

@@ -9,7 +9,7 @@ import numpy as np
 
 from contactbench.measure.laws import LAWS
 from contactbench.scene import Scene
-from contactbench.solution import Status
+from contactbench.solution import DIVERGENCE, Status
 
 Measured = Callable[[Scene, Any], Any]
 #: laws of the numerical solution alone, with the quantity that must decay as e^{−γt} and the size of its terms
@@ -38,6 +38,17 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
     return [
         name for name in DECAYING if LAWS[name].applies(scene) and {*LAWS[name].needs_on(scene)} <= {*carry}
     ]
+
+
+def furthest(motion: Any, xp: Any = np) -> Any:
+    """How large the motion of each trajectory may become, (m,), from its start (·, m)."""
+    size = xp.sqrt((motion * motion).sum(axis=0))
+    return DIVERGENCE * xp.where(size > 0, size, 1.0)
+
+
+def within(y: Any, motion: int, bound: Any, xp: Any = np) -> Any:
+    """Which of the states y (d, m) are finite, and their motion, the first entries, no larger than `bound` (m,)."""
+    return xp.isfinite(y).all(axis=0) & (xp.abs(y[:motion]).max(axis=0) <= bound)
 
 
 def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
