@@ -22,7 +22,7 @@ SOURCE = "ensemble.csv"
 SHAPES = {
     "vmap": "every trajectory has its own steps",
     "shared": "the trajectories of a tile share their steps",
-    "batch": "a vector register of trajectories",
+    "batch": "a vector register of trajectories, each with its own steps",
     "loop": "one trajectory after the other in compiled code",
     "passes": "every flow a loop over all trajectories",
     "plain": "drift and kick in one loop",

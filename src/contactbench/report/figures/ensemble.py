@@ -14,8 +14,8 @@ from contactbench.report.figures.work_precision import error_axis
 from contactbench.report.numbers import count
 
 SOURCE = "ensemble.csv"
-#: how trajectories share their steps; what is not told shares a fixed one
-STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "shared steps"}
+#: whether trajectories that are integrated together share the steps that a solver chooses
+STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "own steps"}
 
 
 def steps(rows: pd.DataFrame) -> str:
