@@ -1,4 +1,4 @@
-"""An ensemble cell on several cores, its row and times: ``python ensemble_on_cores.py '[[cores], [cell]]'``."""
+"""An ensemble cell on several cores, its row and times: ``python ensemble_on_cores.py '[[cores], [cell], truth]'``."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import json
 import os
 import sys
 
-CORES, CELL = json.loads(sys.argv[1])
+CORES, CELL, EXACT = json.loads(sys.argv[1])
 os.sched_setaffinity(0, CORES)  # before contactbench is imported: it takes a device for every core
 
 import gc
 from time import perf_counter
+
+import numpy as np
 
 from bench_ensemble import prepared_row
 
@@ -29,5 +31,5 @@ def seconds(run):
     return samples
 
 
-row, (run, _) = prepared_row(CELL)
+row, (run, _) = prepared_row(CELL, np.array(EXACT))
 print(json.dumps([row, seconds(run)], default=float))

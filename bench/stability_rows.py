@@ -44,10 +44,11 @@ def solve(scene, method, **options):
         return cb.solve(scene, method, **options)
 
 
-#: compiled evaluations that a call back into Python is worth, and right-hand sides of an implicit step
-CALLBACK, IMPLICIT = 200, 20
-#: of one that costs less than this the fastest of several calls is timed, else the second, in Python the first
-QUICK, CALLS = 1e6, 5
+#: compiled evaluations that a call back into Python is worth, and a step of an implicit method that does not say
+CALLBACK, IMPLICIT = 200, 1000
+#: of one that costs less than QUICK the fastest of several calls is timed; of one that costs more than LONG the first
+#: call, to which what only that one does adds nothing; else the second
+QUICK, LONG, CALLS = 1e5, 1e7, 5
 
 
 def work(solution):
@@ -94,10 +95,11 @@ def stability_row(scene, method, engine, kind, value, max_steps):
 
 
 def time_of(run, solution, first):
-    """Seconds of a call, `first` those of the first one: of a long one in Python, which compiles nothing, it counts."""
-    if work(solution) < QUICK:
+    """Seconds of a call, `first` those of the first one; in Python, which compiles nothing, that counts earlier."""
+    cost = work(solution)
+    if cost < QUICK:
         return fastest(run, CALLS)
-    return first if solution.engine == "python" else fastest(run, 1)
+    return first if cost > LONG or solution.engine == "python" else fastest(run, 1)
 
 
 def fastest(run, calls):

@@ -111,6 +111,8 @@ def closest(gaps: np.ndarray) -> np.ndarray:
 class Run(Protocol):
     """What a solution asks of the run that made it: see `Prepared`."""
 
+    @property
+    def steps_follow_state(self) -> bool: ...
     def differential(self, y0: np.ndarray, out: Any, frozen: bool) -> Differential: ...
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None: ...
     def modified_hamiltonian(self, x: Any) -> Any | None: ...
@@ -193,6 +195,8 @@ class Solution:
     @cached_property
     def frozen_differential(self) -> Differential:
         """dΦ with the steps held fixed, as AD with the choice of steps left out gives it."""
+        if self.run is not None and not self.run.steps_follow_state:
+            return self.differential
         return self._differentiated(frozen=True)
 
     def _differentiated(self, frozen: bool) -> Differential:
