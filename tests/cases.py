@@ -73,6 +73,12 @@ def pairs(
     return pytest.mark.parametrize(names, chosen)
 
 
+def few_slow(values, *slow):
+    """The values of a parametrisation, or tuples of values, a few of them slow."""
+    each = [(value, value if isinstance(value, tuple) else (value,)) for value in values]
+    return [pytest.param(*given, marks=[pytest.mark.slow] if value in slow else []) for value, given in each]
+
+
 def most_slow(values, *quick):
     """The values of a parametrisation, all slow but a few."""
     return [pytest.param(value, marks=[] if value in quick else [pytest.mark.slow]) for value in values]

@@ -2,8 +2,42 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from zlib import crc32
+
 import pytest
 from mpmath import mp
+
+from contactbench.methods import METHODS
+from contactbench.plugins import OWN
+from contactbench.scenes import SCENES
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest leaves out what is slow
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of the cases of a test marked ``share(n)`` one in n is quick, and of those with a user's method or scene all.
+
+    From which case on they are counted is different from test to test.
+    """
+    cases = defaultdict(list)
+    for item in items:
+        mark = item.get_closest_marker("share")
+        if mark and not has_a_users(item):
+            cases[item.nodeid.partition("[")[0], *mark.args].append(item)
+    for (name, n), found in cases.items():
+        for k, item in enumerate(found, crc32(name.encode())):
+            if k % min(n, len(found)):
+                item.add_marker("slow")
+
+
+def has_a_users(item: pytest.Item) -> bool:
+    """Whether a test is about something registered that is not ours."""
+    names = {
+        getattr(value, "name", value)
+        for value in item.callspec.params.values()
+        if hasattr(value, "name") or isinstance(value, str)
+    }
+    return bool(names & {*METHODS, *SCENES} - OWN)
 
 
 @pytest.fixture

@@ -75,6 +75,7 @@ def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
     assert "my-method" in (results / "figures" / "work_precision_particle.svg").read_text()
 
 
+@pytest.mark.slow
 def test_the_tests_take_it_in(example):
     done = run(
         "pytest", "tests/methods/test_contract.py", "tests/scene/test_scene_contract.py", "--plugin", example, "-q",

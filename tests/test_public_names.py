@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import few_slow
 from contactbench.boundary import FUNCTIONS
 from contactbench.numbers import functions
 
@@ -34,7 +35,7 @@ ALL = {
 }
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", few_slow(ALL, "diffrax-kvaerno5", "diffrax-dopri8"))
 def test_a_prepared_run_has_a_short_repr(name):
     said = repr(cb.prepare("particle", name, **ALL[name]))
     assert said.startswith(f"<{name} on particle (")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cases import bench
+from cases import bench, few_slow
 from contactbench.results.store import read
 from contactbench.results.tables import DEFINITIONS
 
@@ -30,7 +30,7 @@ journal.{name} = full(journal.{name})
 """
 
 
-@pytest.mark.parametrize(("name", "after"), [("Journal.append", 1), ("merge", 0)])
+@pytest.mark.parametrize(("name", "after"), few_slow([("Journal.append", 1), ("merge", 0)], ("merge", 0)))
 def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, tmp_path):
     fault, results = tmp_path / "full.py", tmp_path / "results"
     fault.write_text(FULL.format(name=name, after=after))

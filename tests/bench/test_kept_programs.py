@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 CODE = """
 import contactbench as cb
 run = cb.prepare("oscillator", "diffrax-tsit5", rtol=1e-6, save_at=[1.0], carry=())
@@ -13,6 +15,7 @@ print(run().y[-1].tolist())
 """
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing_and_finds_the_same(tmp_path):
     def once():
         done = subprocess.run(

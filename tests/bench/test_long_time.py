@@ -40,6 +40,7 @@ def test_where_trajectories_are_lost_there_is_a_row_without_numbers(short):
         assert row["message"].startswith("64 of 64")
 
 
+@pytest.mark.slow
 def test_a_plain_run_and_one_with_tangents_agree_on_the_energy_and_the_plain_one_is_cheaper(short):
     method = cb.METHODS["cyrk-dop853"]
     plain = bench.plain(method, "rtol", 1e-4)

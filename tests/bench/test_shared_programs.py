@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 
+import pytest
+
 from cases import bench, finished
 from cells import family, takes_long
 
 
+@pytest.mark.slow
 def test_cells_whose_programs_are_the_same_are_in_one_process(tmp_path):
     words = "(convergence or laws) and rk4 and (particle or central or quadratic)"
     workers = ("-vv", "-m", "not timed", "-n", "2", "-p", "no:benchmark")

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import contactbench as cb
+from cases import few_slow
 from contactbench.report.rooms import ROOMS
 from contactbench.results import shipped
 from made_up import folder
@@ -17,6 +18,8 @@ PAGES = [
     for path in (REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md")))
     if BLOCK.search(path.read_text())
 ]
+#: takes ten seconds
+LONG = [page for page in PAGES if page.name == "adding.md"]
 
 
 @pytest.fixture
@@ -34,7 +37,7 @@ def line_of(text: str, block: re.Match[str]) -> int:
     return text.count("\n", 0, block.start(1))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize("page", few_slow(PAGES, *LONG), ids=lambda path: path.name)
 def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     tables = folder(tmp_path / "tables")  # a clone's may be those of any run

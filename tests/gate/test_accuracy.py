@@ -88,6 +88,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.share(2)
 def test_every_kind_of_regression_is_red_and_named(fault, baseline, tmp_path):
     change, method, measure = FAULTS[fault]
     verdict = judged(baseline, change, tmp_path)

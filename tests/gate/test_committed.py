@@ -89,6 +89,7 @@ ATTACKS = {
 
 @pytest.mark.parametrize("how", ["in the tree", "committed"])
 @pytest.mark.parametrize("attack", ATTACKS)
+@pytest.mark.share(3)
 def test_the_baseline_cannot_be_moved_from_the_tree_that_is_judged(attack, how, root, tmp_path):
     harm, change, measure = ATTACKS[attack]
     harm(root)
@@ -257,6 +258,7 @@ READ = [
 
 
 @pytest.mark.parametrize(("command", "damage"), READ)
+@pytest.mark.share(3)
 def test_damage_is_told_with_file_line_and_column_in_one_line(command, damage, root, tmp_path, capsys):
     spoil, message = DAMAGE[damage]
     run = fresh(root, tmp_path / "fresh")

@@ -89,6 +89,7 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
         assert cells[0] <= cells[1] <= cells[2]
 
 
+@pytest.mark.slow
 def test_a_wrong_coefficient_is_found_in_real_runs(tmp_path):
     """The drift of Strang's method, and that of no other method, a part in a thousand too long."""
     few = "convergence and particle and not long and (contact-strang or contact-abc)"

@@ -181,6 +181,7 @@ def test_the_committed_tables_against_themselves_are_green(folders):
 
 
 @pytest.mark.parametrize("fault", selfcheck_tables.DOCTORED, ids=lambda fault: fault.what)
+@pytest.mark.share(3)
 def test_doctored_tables_are_given_away(fault, folders):
     (one,) = selfcheck_tables.doctored(fault, folders, fault.what.replace(" ", "-"))
     assert one.red

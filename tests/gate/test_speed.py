@@ -355,6 +355,7 @@ def test_a_suspect_is_red_when_three_pairs_of_processes_agree(agreeing, verdicts
 
 
 @pytest.mark.parametrize("fault", most_slow(["compilation", "memory left behind"], "compilation"))
+@pytest.mark.slow
 def test_compilation_and_memory_are_planted_in_one_of_two_trees(fault, copy, tmp_path, monkeypatch):
     (planted,) = (f.planted for f in SPENT if f.measure == fault and f.seen)
     monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "more.py", planted.format(tree=str(copy)))))

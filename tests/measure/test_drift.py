@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, TILTED, USER, by_name, most_slow, random_state
+from cases import ALL_SCENES, TILTED, USER, by_name, few_slow, most_slow, random_state
 from contactbench.measure.laws import row
 from contactbench.measure.pullback import pullback
 from contactbench.measure.round_off import round_off_bound
@@ -74,6 +74,7 @@ def test_the_actual_map_of_heyoka_drifts_forty_times_more_than_its_variational_r
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4])
 @pytest.mark.parametrize("scene", [CENTRAL, cb.SCENES["particle"], USER], ids=lambda s: s.name)
+@pytest.mark.share(3)
 def test_derivative_through_the_choice_of_steps_agrees_with_differences(scene, rtol):
     run = cb.prepare(scene, "contact-adaptive", rtol=rtol, save_at=saved(scene))
     solution = run()
@@ -83,7 +84,8 @@ def test_derivative_through_the_choice_of_steps_agrees_with_differences(scene, r
     assert np.abs(frozen.values - exact.values).max() > 1e-7 * rtol  # and it is another derivative
 
 
-@pytest.mark.parametrize("engine", most_slow(["jax", "python"], "python"))
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["jax", "python"])
 def test_both_engines_of_the_adaptive_contact_method_have_both_drifts(engine):
     solution = cb.solve(CENTRAL, "contact-adaptive", rtol=1e-4, save_at=[20.0], engine=engine)
     assert drift(solution) == pytest.approx(1.16e-7, rel=0.1)
@@ -91,6 +93,7 @@ def test_both_engines_of_the_adaptive_contact_method_have_both_drifts(engine):
 
 
 @pytest.mark.parametrize("method", FIXED)
+@pytest.mark.share(3)
 def test_fixed_steps_have_one_derivative(method):
     solution = cb.solve(CENTRAL, method, step=0.1, save_at=saved(CENTRAL))
     np.testing.assert_array_equal(solution.differential.value, solution.frozen_differential.value)
@@ -108,7 +111,9 @@ def test_a_step_chosen_from_a_tolerance_is_a_fixed_step(method):
     assert np.linalg.norm(found.values - exact.values, axis=1).max() <= found.uncertainty.max()
 
 
-@pytest.mark.parametrize("method", ["scipy-dop853", "cvode-bdf", "heyoka-taylor", *DIFFRAX])
+@pytest.mark.parametrize(
+    "method", few_slow(["scipy-dop853", "cvode-bdf", "heyoka-taylor", *DIFFRAX], "diffrax-dopri8")
+)
 def test_where_the_solver_chooses_the_steps_both_drifts_are_told_and_differ(method):
     solution = cb.solve(CENTRAL, method, rtol=1e-6, save_at=saved(CENTRAL))
     columns = row(solution)
@@ -128,6 +133,7 @@ def differenced(run):
 
 @pytest.mark.parametrize("method", ["contact-strang", "rk4"])
 @by_name(ALL_SCENES)
+@pytest.mark.share(3)
 def test_error_bar_of_differences_covers_their_distance_to_the_exact_derivative(scene, method, unlimited):
     """Bodies included; the derivative itself where the scene is no contact system."""
     scene = scene.with_(t_end=min(scene.t_end, 20.0))
@@ -227,6 +233,7 @@ def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
 # -- variational runs ------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", [*VARIATIONAL, *CYRK])
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.share(3)
 def test_frozen_drift_falls_with_the_tolerance(name, method):
     scene = cb.SCENES[name]
     drifts = []
@@ -240,7 +247,7 @@ def test_frozen_drift_falls_with_the_tolerance(name, method):
         assert fine < coarse / 5  # two decades of tolerance
 
 
-@pytest.mark.parametrize("method", VARIATIONAL)
+@pytest.mark.parametrize("method", few_slow(VARIATIONAL, "scipy-radau"))
 @pytest.mark.parametrize("name", SCENES)
 def test_the_drift_of_the_map_falls_with_the_tolerance(name, method, unlimited):
     scene = cb.SCENES[name]
@@ -271,7 +278,7 @@ SHORT = {name: cb.SCENES[name].with_(t_end=5.0) for name in SCENES} | {
 }
 
 
-@pytest.mark.parametrize("case", most_slow(SHORT, "no Hessian", "rigid_body"))
+@pytest.mark.parametrize("case", most_slow(SHORT, "rigid_body"))
 def test_all_derivatives_agree_at_tight_tolerance(case, independent):
     """AD through RK4, AD through diffrax, and the variational equations of five solvers."""
     scene = SHORT[case]
@@ -286,6 +293,7 @@ def test_all_derivatives_agree_at_tight_tolerance(case, independent):
 
 @pytest.mark.parametrize("method", ["rk4", "contact-strang", "contact-bm4"])
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.share(3)
 def test_all_engines_give_the_same_derivative(name, method):
     """By dual numbers in a compiled loop, and by JAX's forward mode."""
     scene = cb.SCENES[name].with_(t_end=2.0)
@@ -310,7 +318,7 @@ def test_the_derivative_starts_with_the_tangents_when_the_start_is_saved(method)
     assert np.abs(frozen[1] - start).max() > 0.1
 
 
-@pytest.mark.parametrize("method", [*VARIATIONAL, *CYRK])
+@pytest.mark.parametrize("method", few_slow([*VARIATIONAL, *CYRK], "scipy-radau"))
 def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
     """At other initial data it is another derivative: against differences of two runs."""
     scene = cb.SCENES["particle"].with_(t_end=2.0)

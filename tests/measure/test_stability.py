@@ -63,6 +63,7 @@ def largest(method, gamma, h, steps, at_once=50):
 
 @every
 @pytest.mark.parametrize("gamma", [0.0, 1.0, 10.0])
+@pytest.mark.share(3)
 def test_orbits_are_bounded_below_the_limit_and_not_above(method, gamma):
     """The limit is told by orbits alone: a per mille below, and behind it, where a window may be narrow."""
     found = stability(method, gamma, 1.0)
@@ -156,6 +157,7 @@ def test_without_damping_limit_and_windows_are_roots_of_a_polynomial(method):
 
 
 @every
+@pytest.mark.share(3)
 def test_windows_at_random_damping_are_those_of_long_runs(method):
     """2³⁰ steps by squaring the matrix, at random steps none of which is next to a border."""
     rng = np.random.default_rng(5)
@@ -260,8 +262,11 @@ def test_a_rate_is_read_off_an_oscillating_energy():
 
 @pytest.mark.parametrize(
     ("name", "off"),
-    [("cvode-adams", 0.3), ("diffrax-dopri8", 0.3), ("contact-adaptive", 1e-4), ("contact-strang", 1e-4)],
-)
+    [
+        ("cvode-adams", 0.3), ("contact-adaptive", 1e-4), ("contact-strang", 1e-4),
+        pytest.param("diffrax-dopri8", 0.3, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_weak_damping_is_measured_at_the_same_cost(name, off):
     """At eight evaluations a unit of time the dissipation of a peer is a good part of the true one."""
     from stability_rows import COST, weak_row

@@ -347,6 +347,7 @@ def test_sixteen_bytes_a_call_are_seen():
 
 @counted
 @peers
+@pytest.mark.share(3)
 def test_calls_take_no_memory(method, engine):
     """Measured: none."""
     brief = {"rtol": 1e-4, "engine": engine}
@@ -357,6 +358,7 @@ def test_calls_take_no_memory(method, engine):
 
 @counted
 @peers
+@pytest.mark.share(3)
 def test_a_prepared_run_gives_its_memory_back(method, engine):
     """A vector of CVODE's, the smallest thing it makes, would be 200 bytes every time; measured: none."""
     options = {"rtol": 1e-4, "save_at": [0.1], "engine": engine}

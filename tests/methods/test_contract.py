@@ -16,20 +16,23 @@ from contactbench.testing.method import CASES, check_case
 
 RK4 = cb.METHODS["rk4"]
 
+#: one of its own, and the cross-checks of one of each kind
+ON_JAX = ("diffrax-tsit5", "contact-printed", "contact-rkn6", "herglotz2")
+
+
+def on_jax(method, taken):
+    return taken[0] if method.name in ON_JAX else None
+
 
 def product():
     """Every method, engine and kind of scene; of our own each method on one scene, and the rest slow.
 
-    In turn, but the first it takes on JAX, which compiles bodies for seconds, and of those that JAX cross-checks one
-    in three.
+    In turn, but on JAX, which compiles for seconds, the first it takes of a few methods.
     """
     for k, method in enumerate(cb.METHODS.values()):
+        taken = [scene for scene in CASES if method.refuses(scene) is None]
         for case in method_cases(method):
-            taken = [scene for scene in CASES if method.refuses(scene) is None]
-            if case.engine != "jax":
-                turn = taken[k % len(taken)]
-            else:
-                turn = taken[0] if method.engines[0] == "jax" or k % 3 == 0 else None
+            turn = on_jax(method, taken) if case.engine == "jax" else taken[k % len(taken)]
             name = f"{method.name}-{case.engine}-{case.scene.name}"
             quick = case.scene is turn or case.scene not in taken or method.name not in OWN
             yield pytest.param(case, id=name, marks=[] if quick else pytest.mark.slow)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import USER, pairs
+from cases import USER, few_slow, pairs
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.grid import steps_in
 from contactbench.solution import Status
@@ -42,7 +42,7 @@ def setting(method, fine=False):
 # -- order and accuracy ----------------------------------------------------------------------------
 
 
-@pairs(cb.METHODS.values(), SCENES, share=2)
+@pairs(cb.METHODS.values(), SCENES, share=4)
 def test_solution_approaches_the_reference(method, scene):
     """Every engine of every method, all fields carried; the bound is what its order or tolerance gives."""
     for engine in method.engines:
@@ -168,6 +168,7 @@ def test_body_solution_has_a_rotation_matrix():
 
 
 @fixed
+@pytest.mark.share(3)
 def test_divergence_is_located_to_the_step(method):
     """One save at the very end and a save at every step must tell the same time."""
     times = []
@@ -249,7 +250,11 @@ def test_diffrax_runs_in_double_precision():
     assert error < 1e-10
 
 
-@adaptive
+@pytest.mark.parametrize(
+    "method",
+    few_slow(ADAPTIVE, *map(cb.METHODS.get, ("diffrax-kvaerno5", "diffrax-dopri8"))),
+    ids=lambda m: m.name,
+)
 def test_singular_right_hand_side_is_a_row_and_not_a_crash(method):
     scene = cb.Mechanical(
         name="collision", potential=lambda q: -((q[0] * q[0]) ** -0.5),

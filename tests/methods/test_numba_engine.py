@@ -148,7 +148,7 @@ def test_derivatives_of_functions(name, mp50):
 
 
 # -- the engine ------------------------------------------------------------------------------------
-@pairs(FIXED, ALL_SCENES, share=3)
+@pairs(FIXED, ALL_SCENES, share=6)
 def test_the_compiled_loop_is_the_same_map(method, scene):
     """As plain Python, to round-off: uneven saved times, other initial data, every field carried or none."""
     times = [0.0, 0.5, 0.75, 2.0]
@@ -170,7 +170,7 @@ def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
     assert np.array_equal(run().y, ours)
 
 
-@pairs(FIXED, ALL_SCENES, share=6)
+@pairs(FIXED, ALL_SCENES, share=9)
 def test_the_tangent_loop_carries_the_derivative(method, scene):
     """Against differences of the compiled loop itself, of fourth order."""
     run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])
@@ -293,6 +293,7 @@ def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
 # -- ensembles -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", ["contact-bm4", "herglotz2", "rk4"])
 @by_name([scene for scene in ALL_SCENES if scene.name in ("particle", "rigid_body", "tilted", "user")])
+@pytest.mark.share(4)
 def test_an_ensemble_on_jax_is_the_same(method, scene, monkeypatch):
     """1000 trajectories: several tiles, the last one not full, on as many threads as there are devices."""
     if cb.METHODS[method].refuses(scene):

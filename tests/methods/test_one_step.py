@@ -23,6 +23,7 @@ def supported(names, scenes):
 
 
 @pytest.mark.parametrize(("scene", "method"), supported(STEPS, ["particle", "rigid_body"]))
+@pytest.mark.share(3)
 def test_steps_one_after_another_are_a_run(scene, method):
     """Processed methods apart, which begin and end every run with stages of their own."""
     step = cb.step_map(scene, method)
@@ -101,6 +102,7 @@ def test_jax_compiles_and_vectorises_it():
         np.testing.assert_allclose(row, step(step.start, STEP, gamma=gamma), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_the_damping_of_a_trajectory_is_found_by_gradient_descent():
     """The observed motion has γ = 0.23; the step map is differentiated, and γ followed downhill."""
     from contactbench.xla import jax, jnp, lax

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 import contactbench as cb
+from cases import few_slow
 
 #: solvers that tell their steps and not their attempts, and take no fixed number of evaluations for one
 SILENT = {
@@ -12,9 +13,13 @@ SILENT = {
     ("cvode-adams", "c+python"), ("cvode-bdf", "c+python"),
 }  # fmt: skip
 CASES = [(m, e) for m in cb.METHODS.values() if m.adaptive for e in m.engines if "jax" not in m.engines[1:]]
+#: takes six seconds
+KVAERNO = (cb.METHODS["diffrax-kvaerno5"], "jax")
 
 
-@pytest.mark.parametrize(("method", "engine"), CASES, ids=[f"{m.name}-{e}" for m, e in CASES])
+@pytest.mark.parametrize(
+    ("method", "engine"), few_slow(CASES, KVAERNO), ids=[f"{m.name}-{e}" for m, e in CASES]
+)
 def test_rejected_steps_are_counted_or_said_not_to_be(method, engine):
     scene = next(s for s in (cb.SCENES["particle"], cb.SCENES["rigid_body"]) if method.refuses(s) is None)
     options = {"rtol": 1e-5} if getattr(method, "control", "rtol") == "rtol" else {}

@@ -65,6 +65,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.share(2)
 def test_each_file_that_differs_is_named(change, results, capsys):
     name, why = CHANGES[change]
     path = (results / name).resolve()

@@ -119,6 +119,7 @@ def killed_while_folding(tmp_path_factory):
 
 
 @pytest.mark.parametrize("writes", WRITES)
+@pytest.mark.share(3)
 def test_a_kill_while_folding_loses_nothing(killed_while_folding, writes):
     """Five files of four tables, the environment and the list of what is done: killed before any is written."""
     folder, codes = killed_while_folding
@@ -157,6 +158,7 @@ def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
     assert set(read(LAWS_TABLE, tmp_path)["method"]) == {"contact-strang", "cvode-adams"}
 
 
+@pytest.mark.slow
 def test_workers_resume_what_is_left(tmp_path):
     """The same with the cells handed out to worker processes, as in the untimed phase of a run."""
     workers = ("-m", "not timed", "-n", "2", "-p", "no:benchmark")

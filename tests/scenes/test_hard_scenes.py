@@ -85,6 +85,7 @@ def test_condition_numbers_are_the_growth_of_errors():
     assert condition_number(cb.SCENES["particle"].with_(gamma=0.7)) is None
 
 
+@pytest.mark.slow
 def test_blow_up_time_against_an_integral():
     """q'' = 3q²/2, q = 1/(t* − t)² · 4: from q(0) = 4, p(0) = 8 the end is at t = 1 exactly."""
     scene = cb.Mechanical(

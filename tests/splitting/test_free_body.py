@@ -199,6 +199,7 @@ def compiled_motion(inertia, M, t):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.share(3)
 def test_double_precision_is_right_to_what_the_data_determine(kind):
     """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
     phase); J = R M and the lengths of M and R to round-off."""
@@ -210,6 +211,7 @@ def test_double_precision_is_right_to_what_the_data_determine(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.share(3)
 def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
     """As above, axes in order (one program) and times ahead."""
     for inertia, M, t in motions(kind, 6):

@@ -21,6 +21,7 @@ from mpmath import mp
 
 import contactbench as cb
 import properties
+from cases import few_slow
 from contactbench.methods import herglotz
 from contactbench.methods.contact import contact_method
 from contactbench.splitting import dissipation, elliptic, flows, free_body
@@ -43,6 +44,8 @@ MUTATED = [
     (flows, ("damp_generally", "general_log_factor")),
     (herglotz, ("explicit_kick", "implicit_kick")),
 ]
+#: take ten seconds
+LONG = [(module, names) for module, names in MUTATED if "course" in names]
 
 
 def every(check: Callable[..., bool], *scenes: Any) -> bool:
@@ -142,7 +145,9 @@ def test_the_code_as_it_is_has_every_property():
         assert properties.has_its_local_order(method, PARTICLE, BODY), method.name
 
 
-@pytest.mark.parametrize(("module", "names"), MUTATED, ids=[names[0] for _, names in MUTATED])
+@pytest.mark.parametrize(
+    ("module", "names"), few_slow(MUTATED, *LONG), ids=[names[0] for _, names in MUTATED]
+)
 def test_every_flipped_sign_is_noticed(module, names, record_property):
     asked, code = OWN.get(module, COMMON), whole()
     caught: dict[str, str] = {}  #: by the first property that notices
@@ -213,6 +218,7 @@ def test_every_wrong_coefficient_is_noticed(composition, record_property):
 
 
 @pytest.mark.parametrize("composition", [c for c in COMPOSITIONS if c.palindromic], ids=lambda c: c.name)
+@pytest.mark.share(2)
 def test_a_wrong_coefficient_that_keeps_the_sum_is_noticed_by_the_order(composition):
     """Not asked of `contact-printed`: of order 1 is any composition whose sums are right."""
     mutants = list(balanced(composition))

@@ -120,6 +120,7 @@ def on_engines():
 
 
 @pytest.mark.parametrize(("method", "engine"), on_engines())
+@pytest.mark.share(3)
 def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
     """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
     for scene in (SCENE, SCENE.with_(gamma=0.2)):
@@ -167,6 +168,7 @@ SCENES = [
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.name)
 @pytest.mark.parametrize("method", CONTACT)
+@pytest.mark.share(3)
 def test_the_form_is_kept_with_the_factor_of_the_flows_to_40_digits(method, scene, mp50):
     """Φ*η = c η with c the product of the flows' own factors: the law that is structural here."""
     method = cb.METHODS[method]

@@ -59,6 +59,7 @@ def test_manifest_matches_file_and_scene(name):
 
 
 @pytest.mark.parametrize("name", [name for name in ENTRIES if SCENES[name].hard])
+@pytest.mark.share(2)
 def test_frozen_solves_the_hard_scene_as_it_is_now(name):
     """As below, from the initial data, with steps of its own."""
     scene = SCENES[name]
@@ -193,6 +194,7 @@ def test_other_parameters_never_get_frozen_values(change):
 
 
 @each_scene
+@pytest.mark.share(2)
 def test_live_equals_frozen(name):
     """The live path at its lower precision agrees with the files, at times in the first quarter."""
     scene = SCENES[name]
