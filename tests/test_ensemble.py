@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import TILTED, USER, in_mp, pairs, random_state
+from cases import TILTED, USER, few_slow, in_mp, pairs, random_state
 from contactbench.ensembles.devices import TILE
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
@@ -61,9 +61,13 @@ CASES += [
     for name in ("contact-abc", "contact-bm4", "contact-rkn6", "rk4")
     if cb.METHODS[name].refuses(scene) is None
 ]
+#: compiled for seconds
+LONG = [(scene, method) for scene, method in CASES if "body" in scene.kind and method.name == "contact-abc"]
 
 
-@pytest.mark.parametrize(("scene", "method"), CASES, ids=[f"{s.name}-{m.name}" for s, m in CASES])
+@pytest.mark.parametrize(
+    ("scene", "method"), few_slow(CASES, *LONG), ids=[f"{s.name}-{m.name}" for s, m in CASES]
+)
 @pytest.mark.share(3)
 def test_an_ensemble_is_its_single_solutions(scene, method):
     data, times = spread(scene, 3), [0.4, 1.0]

@@ -32,7 +32,11 @@ def results(tmp_path_factory):
     """The tables of a small run with all four, and what the report makes of them."""
     folder = tmp_path_factory.mktemp("results")
     finished(
-        bench(folder, "test_laws and heun or test_work_precision and quartic and heun and numba", *PLUGINS)
+        bench(
+            folder,
+            "heun and (test_laws and (quartic or particle) or test_work_precision and quartic and numba)",
+            *PLUGINS,
+        )
     )
     subprocess.run([sys.executable, FILES[-1], folder], cwd=REPOSITORY, check=True, timeout=120)
     contactbench("report", "--results", folder)

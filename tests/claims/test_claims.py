@@ -218,7 +218,7 @@ def test_a_verdict_against_the_paper_has_a_counterexample_and_a_correction(ledge
     assert "fails" not in row["corrected_evidence"]
 
 
-@pytest.mark.parametrize("name", ["C08", "C18", "C23", "C24", "C26", "C30"])
+@pytest.mark.parametrize("name", few_slow(["C08", "C18", "C23", "C24", "C26", "C30"], *DEAR))
 def test_what_goes_beyond_a_claim_is_measured_too(ledger, name):
     assert "fails" not in ledger[name]["evidence"] + ledger[name]["corrected_evidence"]
     assert ledger[name]["correction"]
@@ -365,6 +365,7 @@ def test_a_changed_coefficient_breaks_the_pairs(monkeypatch):
 
 
 # -- the table, the document, the figures, the command line ----------------------------------------
+@pytest.mark.slow
 def test_document(ledger, tmp_path):
     merge(CLAIMS_TABLE, [ledger[name] for name in (*IDS, *MORE)], tmp_path)
     again = read(CLAIMS_TABLE, tmp_path)

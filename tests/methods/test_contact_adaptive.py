@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import USER, in_mp, most_slow, random_state
+from cases import USER, in_mp, random_state
 from contactbench.methods.step_density import frequency, next_density, squared_curvature
 from contactbench.numbers.dual import Dual
 from contactbench.scenes import hard_scenes, standard_scenes
@@ -58,8 +58,9 @@ def test_engines_agree(scene):
         assert runs[0].counts == run.counts
 
 
-@pytest.mark.parametrize("carry", most_slow([(), ("s",)], ("s",)), ids=["motion", "with s"])
-@pytest.mark.parametrize("scene", most_slow([KEPLER.with_(t_end=3.0), USER], USER), ids=lambda s: s.name)
+@pytest.mark.slow
+@pytest.mark.parametrize("carry", [(), ("s",)], ids=["motion", "with s"])
+@pytest.mark.parametrize("scene", [KEPLER.with_(t_end=3.0), USER], ids=lambda s: s.name)
 def test_the_derivative_through_the_choice_of_steps(scene, carry):
     times = np.linspace(0, scene.t_end, 4)
     on = {

@@ -44,8 +44,13 @@ def setting(method, fine=False):
 
 @pairs(cb.METHODS.values(), SCENES, share=4)
 def test_solution_approaches_the_reference(method, scene):
-    """Every engine of every method, all fields carried; the bound is what its order or tolerance gives."""
+    """Every engine of every method, all fields carried; the bound is what its order or tolerance gives.
+
+    A body is left out on JAX, which compiles it for seconds, where that is a cross-check.
+    """
     for engine in method.engines:
+        if engine == "jax" != method.engines[0] and "body" in scene.kind:
+            continue
         solution = cb.solve(
             scene, method.name, engine=engine, save_at=[2.0, 4.0], **setting(method, fine=True)
         )

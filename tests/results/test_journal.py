@@ -210,6 +210,7 @@ def test_the_run_behind_rows_of_a_larger_profile_stays_on_record(tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_a_rerun_changes_what_the_clock_says_and_nothing_else(tmp_path):
     """Two runs on one machine: the same bytes in every table but those of times."""
     few = "particle and not long and not limit and strang and (laws or work_precision or convergence) and not jax"

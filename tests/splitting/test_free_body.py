@@ -238,6 +238,7 @@ def packed_flow(scene, t, xp):
 @pytest.mark.parametrize(
     "M", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1), (0.3, 1, -0.5)], ids=str
 )
+@pytest.mark.slow
 def test_compiled_flow_and_its_derivative_on_and_off_the_axes(M):
     """Without nan, and against differences at 50 digits off the exact data."""
     scene = BODY.with_(M=tuple(map(float, M)), R=(0.5, 0.5, -0.5, 0.5), s=0.1)
@@ -358,6 +359,7 @@ def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scen
     assert momentum.counts == (10, 10 * MOMENTUM_COST, 0, 0, "rotation")
 
 
+@pytest.mark.slow
 def test_contact_exact_on_its_engines_and_from_other_data():
     runs = [cb.prepare(BODY, "contact-exact", engine=e, save_at=[0.0, 1.0, 20.0]) for e in EXACT.engines]
     other = {"M": (-0.4, 0.1, 0.9), "s": 0.3}

@@ -9,7 +9,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-from cases import in_mp
+from cases import few_slow, in_mp
 from contactbench.measure import precision
 from contactbench.splitting.dissipation import decayed, survival
 from contactbench.splitting.flows import flows_of
@@ -109,7 +109,10 @@ def test_compositions_keep_their_order(method, n):
 
 @pytest.mark.parametrize(
     ("scene", "engine"),
-    [(SCENE, "numba"), (SCENE, "jax"), (SCENE, "python"), (QUADRATURE, "numba"), (QUADRATURE, "python")],
+    few_slow(
+        [(SCENE, "numba"), (SCENE, "jax"), (SCENE, "python"), (QUADRATURE, "numba"), (QUADRATURE, "python")],
+        (QUADRATURE, "numba"),
+    ),
     ids=lambda v: getattr(v, "name", v),
 )
 def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
