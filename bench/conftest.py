@@ -337,7 +337,6 @@ def write_report(results: Path) -> None:
 
     if CORES:  # nothing is timed any more
         os.sched_setaffinity(0, CORES)
-    write.report(results, {"methods": METHODS, "scenes": SCENES})
     readme = REPOSITORY / "README.md"
-    if results == REPOSITORY / "results" and readme.exists():
-        write.into_readme(readme, results)
+    beside = results == REPOSITORY / "results" and readme.exists()
+    write.report(results, {"methods": METHODS, "scenes": SCENES}, readme if beside else None)

@@ -303,17 +303,17 @@ def test_the_computed_part_replaces_what_stands_between_the_marks(tmp_path, resu
     readme = tmp_path / "README.md"
     begin, end = write.README_PART
     readme.write_text(f"before\n{begin}old\n{end}after\n")
-    write.into_readme(readme, results)
+    write.into_readme(readme, results, write.tables(results))
     text = readme.read_text()
     assert text.startswith(f"before\n{begin}")
     assert text.endswith(f"{end}after\n")
     assert "old" not in text
     assert "dimensionless" in text
-    write.into_readme(readme, results)
+    write.into_readme(readme, results, write.tables(results))
     assert readme.read_text() == text
 
 
 def test_a_readme_without_its_marks_is_refused(tmp_path):
     (tmp_path / "README.md").write_text("nothing")
     with pytest.raises(cb.BadInput, match="once each"):
-        write.into_readme(tmp_path / "README.md", tmp_path)
+        write.into_readme(tmp_path / "README.md", tmp_path, {})

@@ -25,13 +25,10 @@ def report(arguments: argparse.Namespace) -> int:
         return 1 if found else 0
     writable_folder("--results", arguments.results)
     if arguments.readme:  # refused now if it has no computed part
-        write.with_excerpt(arguments.readme, arguments.results)
+        write.parts_beside(arguments.readme)
         writable("--readme", arguments.readme)
-    for path in write.report(arguments.results, registries):
+    for path in write.report(arguments.results, registries, arguments.readme):
         print(path)
-    if arguments.readme:
-        write.into_readme(arguments.readme, arguments.results)
-        print(arguments.readme)
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from contactbench.report import draw, glossary
-from contactbench.report.write import made, with_excerpt
+from contactbench.report.write import made, tables, with_excerpt
 
 
 def differing(results: Path, readme: Path | None, registries: glossary.Registries) -> list[str]:
@@ -14,10 +14,11 @@ def differing(results: Path, readme: Path | None, registries: glossary.Registrie
     Documents and the page are compared as text; figures by the digest of their data, because how they are
     drawn depends on the fonts of the machine.
     """
-    texts, figures = made(results, registries)
+    frames = tables(results)
+    texts, figures = made(results, frames, registries)
     wanted = {results / name: text for name, text in texts.items()}
     if readme is not None:
-        wanted[readme] = with_excerpt(readme, results)
+        wanted[readme] = with_excerpt(readme, results, frames)
     found = []
     for path, text in wanted.items():
         if not path.exists():

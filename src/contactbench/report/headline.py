@@ -14,9 +14,9 @@ import pandas as pd
 
 from contactbench.report import damping, equal_cost, work_precision
 from contactbench.report.cells import View
-from contactbench.report.contest import EVALUATIONS, KINDS, Field, reasons
+from contactbench.report.contest import EVALUATIONS, Field, reasons
 from contactbench.report.contest_views import losses_view, winners_view
-from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, rooms, spoken
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, once, rooms, spoken
 
 UNITS = "All quantities are dimensionless, as in the paper; only times are in seconds."
 SOURCES = "work_precision.csv, stability.csv"
@@ -66,7 +66,12 @@ def problem(scene: str) -> str:
 
 def all_findings(frames: Frames) -> list[Finding]:
     """The sentences of every room, in their order."""
-    return [finding for room in rooms(frames) if room.name != "headline" for finding in room.findings(frames)]
+    return [
+        finding
+        for room in rooms(frames)
+        if room.name != "headline"
+        for finding in once(room.findings, frames)
+    ]
 
 
 def documents(frames: Frames) -> Text:
@@ -106,7 +111,7 @@ def fields(frames: Frames) -> list[Field]:
     work, hard = frames["work_precision"], frames["stability"]
     both = [frame for frame in (work, hard) if len(frame)]
     found = [Field(pd.concat(both, ignore_index=True), EVALUATIONS)] if both else []
-    return found + [Field(work, kind) for kind in KINDS if kind.timed and len(work)]
+    return found + [field for field in once(work_precision.fields, frames) if field.kind.timed and len(work)]
 
 
 def sections(frames: Frames) -> list[Part]:

@@ -10,6 +10,7 @@ is undecided, neither kept nor broken.  So is one that differences of the solver
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Column, Rule, Table
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
+#: a row of a frame
+type Row = pd.Series | Mapping[Any, Any]
 #: laws of the state alone: the sensitivity of the motion does not magnify their round-off
 OF_THE_STATE = ("momentum_law", "attitude_drift")
 #: up to so many error bars a deviation by differences is no more than an upper bound
@@ -144,7 +147,7 @@ def bounded(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(**{f"{law}_bound": bound(frame, law) for law in structural() if law in frame})
 
 
-def drift_cell(row: pd.Series, law: str) -> Cell:
+def drift_cell(row: Row, law: str) -> Cell:
     """One deviation: with its error bar where that is a tenth of it or more, a dagger
     where clamped and a double one where undecided.
 
@@ -166,7 +169,7 @@ def drift_cell(row: pd.Series, law: str) -> Cell:
     )  # fmt: skip
 
 
-def scalar(row: pd.Series, name: str) -> float:
+def scalar(row: Row, name: str) -> float:
     """A number of a row, 0 where it is blank."""
     value = row.get(name)
     return 0.0 if value is None or pd.isna(value) else float(value)

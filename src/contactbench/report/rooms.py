@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import cast
 
 import pandas as pd
 
@@ -23,6 +24,23 @@ from contactbench.report.drawing import Figure
 
 #: table name → its rows
 Frames = Mapping[str, pd.DataFrame]
+
+
+class Tables(dict[str, pd.DataFrame]):
+    """Frames that remember what rooms have computed of them."""
+
+    def __init__(self, frames: Frames) -> None:
+        super().__init__(frames)
+        self.known: dict[Callable[[Frames], object], object] = {}
+
+
+def once[T](compute: Callable[[Frames], T], frames: Frames) -> T:
+    """``compute(frames)``, the first time that one of several rooms asks for it."""
+    if not isinstance(frames, Tables):
+        return compute(frames)
+    if compute not in frames.known:
+        frames.known[compute] = compute(frames)
+    return cast(T, frames.known[compute])
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -43,13 +45,15 @@ def rungs(here: pd.DataFrame) -> list[str]:
     return heads
 
 
-def endings(rows: pd.DataFrame) -> list[Cell]:
-    """`ending` of every run of a method on a scene."""
-    told = ["status", "solution_error", "setting", "message", "blow_up_time"]
-    return [ending(row) for _, row in rows[told].iterrows()]
+def runs_by(frame: pd.DataFrame, *keys: str) -> dict[Any, list[dict[Any, Any]]]:
+    """The rows of a frame by the values of some columns; picking them from the frame takes longer."""
+    found = defaultdict(list)
+    for row in frame.to_dict("records"):
+        found[tuple(row[key] for key in keys)].append(row)
+    return found
 
 
-def ending(row: pd.Series, digits: int = 0) -> Cell:
+def ending(row: dict[Any, Any], digits: int = 0) -> Cell:
     """The error of a run, or how it ended; where the true motion reaches infinity, diverging is right."""
     if row["status"] == "ok":
         return number(row["solution_error"], lambda e: scientific(e, digits), hint=str(row["setting"]))
@@ -61,12 +65,13 @@ def ending(row: pd.Series, digits: int = 0) -> Cell:
 def map_view(frame: pd.DataFrame) -> View:
     """Every run at a glance: methods × scenes, each with its ladder of settings."""
     scenes = {scene: rungs(here) for scene, here in frame.groupby("scene", sort=False)}
-    rows = []
-    for method, mine in frame.groupby("method", sort=False):
+    told = ["status", "solution_error", "setting", "message", "blow_up_time"]
+    rows, runs = [], runs_by(frame[["scene", "method", *told]], "scene", "method")
+    for method in dict.fromkeys(frame["method"]):
         cells = [word(method)]
         for scene, steps in scenes.items():
-            runs = endings(mine[mine["scene"] == scene])
-            cells += [*runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
+            mine = runs[scene, method]
+            cells += [*map(ending, mine), *(Cell(DASH) for _ in range(len(steps) - len(mine)))]
         rows.append(tuple(cells))
     heads = (
         Head("method", words=True),
@@ -86,14 +91,13 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
     ok = part[part["status"] == "ok"]
     shown = [law for law in laws(STABILITY, "stability") if law != "solution_error" and ok[law].notna().any()]
     rows = []
-    for method, mine in part.groupby("method", sort=False):
-        good = mine[mine["status"] == "ok"]
-        runs = endings(mine)
-        cells = [word(method), *runs, *(Cell(DASH) for _ in range(len(steps) - len(runs)))]
-        for law in shown:
-            cells.append(worst_cell(good[good[law].notna()], law))
-        cells.append(number(good["rhs_equivalents"].max() if len(good) else None, count))
-        whys = dict.fromkeys(m for m in mine[mine["status"] != "ok"]["message"] if m)
+    for (method,), mine in runs_by(part, "method").items():
+        good = [run for run in mine if run["status"] == "ok"]
+        cells = [word(method), *map(ending, mine), *(Cell(DASH) for _ in range(len(steps) - len(mine)))]
+        cells += [worst_cell([run for run in good if not pd.isna(run[law])], law) for law in shown]
+        spent = [run["rhs_equivalents"] for run in good if not pd.isna(run["rhs_equivalents"])]
+        cells.append(number(max(spent, default=None), count))
+        whys = dict.fromkeys(run["message"] for run in mine if run["status"] != "ok" and run["message"])
         cells.append(word(shortened("; ".join(whys))))
         rows.append(tuple(cells))
     labels = (Head(called(law), STABILITY.columns[law].meaning, group="worst") for law in shown)
@@ -105,12 +109,12 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
     return View(f"hard_{scene}", f"Errors and laws on {scene}", meaning, heads, tuple(rows), "stability.csv")
 
 
-def worst_cell(rows: pd.DataFrame, law: str) -> Cell:
+def worst_cell(rows: list[dict[Any, Any]], law: str) -> Cell:
     """The largest deviation of a method's runs; bold only where every one of them keeps the law."""
-    if not len(rows):
+    if not rows:
         return Cell(DASH)
-    cells = [drift_cell(row, law) for _, row in rows.iterrows()]
-    worst = cells[int(np.argmax(rows[law].to_numpy(dtype=float)))]
+    cells = [drift_cell(row, law) for row in rows]
+    worst = cells[int(np.argmax([float(row[law]) for row in rows]))]
     return (
         worst
         if all(Mark.kept in cell.marks for cell in cells)

@@ -12,7 +12,7 @@ from contactbench.report.contest_views import costs_view, duel_view
 from contactbench.report.figures import work_precision as figures
 from contactbench.report.numbers import count, duration, many, scientific, times
 from contactbench.report.raw import raw
-from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
+from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, once
 from contactbench.results.statistics import TIE, noise
 from contactbench.results.tables import WORK_PRECISION
 
@@ -21,11 +21,16 @@ CHOSEN = "chosen"
 ERROR = WORK_PRECISION.columns["solution_error"].meaning
 
 
+def fields(frames: Frames) -> list[Field]:
+    """The contests of every kind."""
+    return [Field(frames["work_precision"], kind) for kind in KINDS]
+
+
 def findings(frames: Frames) -> list[Finding]:
     found = []
-    for kind in KINDS:
-        if said := standing(Field(frames["work_precision"], kind)):
-            found.append(Finding(f"cost_{kind.name}", f"{kind.title}, at equal error", *said))
+    for field in once(fields, frames):
+        if said := standing(field):
+            found.append(Finding(f"cost_{field.kind.name}", f"{field.kind.title}, at equal error", *said))
     return found
 
 
@@ -129,8 +134,7 @@ def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Se
 
 
 def sections(frames: Frames) -> list[Part]:
-    work = frames["work_precision"]
-    fields = [Field(work, kind) for kind in KINDS]
+    work, contests = frames["work_precision"], once(fields, frames)
     parts: list[Part] = [
         Text(
             "Log–log interpolation between a method's own settings, without those that cost more for less accuracy. "
@@ -141,7 +145,7 @@ def sections(frames: Frames) -> list[Part]:
         Text(
             "Which method is cheapest where, and where the contact methods lose, is in [README.md](README.md)."
         ),
-        *(scene_section(work, str(scene), fields) for scene in dict.fromkeys(work["scene"])),
+        *(scene_section(work, str(scene), contests) for scene in dict.fromkeys(work["scene"])),
     ]
     parts += [
         view for view in (kernels_view(work), chosen_view(work), endings_view(work)) if view is not None

@@ -10,7 +10,7 @@ from contactbench.errors import BadInput
 from contactbench.report import draw, glossary, headline, markdown, page
 from contactbench.report.drawing import Figure
 from contactbench.report.page import Said
-from contactbench.report.rooms import Frames, figures, rooms
+from contactbench.report.rooms import Frames, Tables, figures, once, rooms
 from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, replacing
@@ -19,9 +19,9 @@ Runs = Sequence[Mapping[str, Any]]  #: the records of the benchmark runs, oldest
 README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
 
 
-def tables(results: Path) -> Frames:
+def tables(results: Path) -> Tables:
     """Every table of a folder; those without a file have no rows."""
-    return {name: read(table, results) for name, table in TABLES.items()}
+    return Tables({name: read(table, results) for name, table in TABLES.items()})
 
 
 def heard(frames: Frames, recorded: Runs) -> list[Said]:
@@ -31,7 +31,7 @@ def heard(frames: Frames, recorded: Runs) -> list[Said]:
         parts = tuple(room.sections(frames))
         if room.name == "headline":
             parts = (*parts, headline.machines(recorded))
-        said.append(Said(room, parts, tuple(room.findings(frames))))
+        said.append(Said(room, parts, tuple(once(room.findings, frames))))
     return said
 
 
@@ -48,26 +48,33 @@ def excerpt(frames: Frames, folder: str) -> str:
     return markdown.parts(headline.excerpt(frames), 3).replace("](#", f"]({folder}/README.md#")
 
 
-def with_excerpt(readme: Path, results: Path) -> str:
-    """A README's text with its computed part as the tables have it.  Raises `BadInput` without its marks."""
+def parts_beside(readme: Path) -> tuple[str, str]:
+    """A README's text before its computed part and after it.  Raises `BadInput` without its marks."""
     text = readme.read_text(encoding="utf-8")
     begin, end = README_PART
     if text.count(begin) != 1 or text.count(end) != 1:
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    before, after = text.partition(begin)[0], text.partition(end)[2]
-    return f"{before}{begin}\n{excerpt(tables(results), results.name)}\n\n{end}{after}"
+    return text.partition(begin)[0], text.partition(end)[2]
 
 
-def into_readme(readme: Path, results: Path) -> None:
-    text = with_excerpt(readme, results)
+def with_excerpt(readme: Path, results: Path, frames: Frames) -> str:
+    """A README's text with its computed part as the tables of a folder have it."""
+    (before, after), (begin, end) = parts_beside(readme), README_PART
+    return f"{before}{begin}\n{excerpt(frames, results.name)}\n\n{end}{after}"
+
+
+def into_readme(readme: Path, results: Path, frames: Frames) -> None:
+    text = with_excerpt(readme, results, frames)
     with replacing(readme) as file:
         file.write(text)
 
 
-def made(results: Path, registries: glossary.Registries) -> tuple[dict[str, str], dict[str, Figure]]:
+def made(
+    results: Path, frames: Frames, registries: glossary.Registries
+) -> tuple[dict[str, str], dict[str, Figure]]:
     """What the tables of a folder allow: documents and the page, file name → text, and figures by name."""
     recorded = runs(results)
-    said = heard(tables(results), recorded)
+    said = heard(frames, recorded)
     texts = documents(said, registries)
     if texts:
         texts["report.html"] = page.page(said, recorded, glossary.sections(registries), page.LINKS)
@@ -82,16 +89,22 @@ def remove_others(names: Container[str], folder: Path) -> None:
             vector.with_suffix(".png").unlink(missing_ok=True)
 
 
-def report(results: Path, registries: glossary.Registries) -> list[Path]:
+def report(results: Path, registries: glossary.Registries, readme: Path | None = None) -> list[Path]:
     """Write every document and figure the tables allow, and the page; returns the paths.
 
     Figures of an earlier report that no table gives any more are removed.
+    readme : a file whose computed part is filled in too.
     """
-    texts, drawn = made(results, registries)
+    frames = tables(results)
+    texts, drawn = made(results, frames, registries)
     written = []
     for name, text in texts.items():
         with replacing(results / name) as file:
             file.write(text)
         written.append(results / name)
     remove_others(drawn, results / "figures")
-    return written + draw.save_all(list(drawn.values()), results / "figures")
+    written += draw.save_all(list(drawn.values()), results / "figures")
+    if readme is not None:
+        into_readme(readme, results, frames)
+        written.append(readme)
+    return written
