@@ -69,6 +69,11 @@ class Clock:
             self.cells[self.key] = Cell(make())
         return self.cells[self.key].made
 
+    @property
+    def over(self) -> bool:
+        """Whether this was the last visit to the cell."""
+        return self.key not in self.cells
+
     def columns(self, run: Callable[[], Any] | None, group: str, part: Part | None = None) -> dict[str, Any]:
         """The time columns, from all visits so far; none where there is nothing to run.
 
