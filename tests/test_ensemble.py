@@ -289,6 +289,7 @@ answer.write_text(json.dumps([jax.process_count(), out.statistics, out.endings, 
 """
 
 
+@pytest.mark.slow
 def test_two_processes_give_what_one_gives(whole, tmp_path):
     """On loopback, with shares of different size; the statistics are over both in both."""
     with socket.socket() as probe:

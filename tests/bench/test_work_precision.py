@@ -6,6 +6,7 @@ import pytest
 
 import contactbench as cb
 from bench_work_precision import error, evaluations_spread, passes_through
+from cases import few_slow
 from contactbench.measure.ladder import ENDS, work_ladder
 
 
@@ -14,7 +15,7 @@ def spread(method, scene, rtol):
     return evaluations_spread(run, run().counts.evaluations)
 
 
-@pytest.mark.parametrize("method", ["cvode-adams", "cvode-bdf", "heyoka-taylor"])
+@pytest.mark.parametrize("method", few_slow(["cvode-adams", "cvode-bdf", "heyoka-taylor"], "cvode-adams"))
 def test_a_short_run_costs_the_same_whatever_the_last_digit_of_its_initial_data(method):
     assert spread(method, "particle", 1e-4) == 0
 

@@ -275,6 +275,7 @@ def mutated_flow(monkeypatch, name, change):
     monkeypatch.setitem(flows.MECHANICAL, name, flow._replace(apply=apply))
 
 
+@pytest.mark.slow
 def test_wrong_action_in_drift_damp(monkeypatch, fresh):
     """s is left undamped: no contact flow, and no contact structure."""
     mutated_flow(monkeypatch, "drift_damp", lambda new, old: new._replace(s=old.s))

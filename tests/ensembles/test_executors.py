@@ -69,6 +69,7 @@ def test_a_thread_pool_gives_what_one_process_gives(alone):
     assert brief.endings == alone.endings
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_process_pool_dies_midway(alone):
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         executor = Watched(pool, lambda: os.kill(next(iter(pool._processes)), signal.SIGKILL))

@@ -273,6 +273,7 @@ def test_a_verdict_says_inconclusive_in_words():
 
 
 # -- compilation and memory ------------------------------------------------------------------------
+@pytest.mark.slow
 def test_both_trees_begin_with_empty_caches_of_their_own(copy, tmp_path, monkeypatch):
     """A program kept elsewhere, which one tree alone might find, is neither read nor written."""
     seen = []

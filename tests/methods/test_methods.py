@@ -42,7 +42,7 @@ def setting(method, fine=False):
 # -- order and accuracy ----------------------------------------------------------------------------
 
 
-@pairs(cb.METHODS.values(), SCENES, share=4)
+@pairs(cb.METHODS.values(), SCENES, share=6)
 def test_solution_approaches_the_reference(method, scene):
     """Every engine of every method, all fields carried; the bound is what its order or tolerance gives.
 
@@ -71,6 +71,7 @@ def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
 
 # -- prepared solvers ------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", [m for m in ON_PARTICLE if "jax" in m.engines], ids=lambda m: m.name)
+@pytest.mark.share(3)
 def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypatch):
     from contactbench.methods import compiled
 

@@ -218,6 +218,7 @@ def test_what_a_cheap_method_leaves_goes_to_the_others(monkeypatch):
     assert "no time was left after step=1" in why["herglotz2"][1]
 
 
+@pytest.mark.slow
 def test_xla_compiles_an_adaptive_solver_once():
     """Another budget of steps would be another program: a dozen compilations instead of one."""
     scene = double_well()

@@ -168,6 +168,7 @@ def test_workers_resume_what_is_left(tmp_path):
     assert set(read(LAWS_TABLE, tmp_path)["method"]) == {"contact-strang", "cvode-adams"}
 
 
+@pytest.mark.slow
 def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
     first, second = bench(tmp_path, f"{SMALL} and cvode"), bench(tmp_path, f"{SMALL} and strang")
     for process in (first, second):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import few_slow
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import hard_scenes, standard_scenes
 from contactbench.truth import blow_up_time, condition_number
@@ -222,7 +223,9 @@ def test_momentum_law_where_strong_damping_cancels_it():
     assert cb.LAWS["momentum_law"](turned) > 1e-3
 
 
-@pytest.mark.parametrize("method", ["contact-strang", "rk4", "scipy-dop853", "heyoka-taylor"])
+@pytest.mark.parametrize(
+    "method", few_slow(["contact-strang", "rk4", "scipy-dop853", "heyoka-taylor"], "scipy-dop853")
+)
 def test_laws_of_underflow_are_finite(method):
     setting = {"rtol": 1e-8} if cb.METHODS[method].adaptive else {"step": 0.05}
     engine = {"engine": "python"} if method == "rk4" else {}

@@ -35,7 +35,7 @@ def test_a_symmetric_body_is_solved_exactly_at_any_step(method, inertia):
 
 @every
 @pytest.mark.parametrize("scene", [TUMBLING, NEEDLE, UNDAMPED, UNDERFLOW], ids=lambda s: s.name)
-@pytest.mark.share(2)
+@pytest.mark.share(5)
 def test_momentum_attitude_and_contact_form_are_kept_on_hard_data(method, scene):
     """s carried; a hundred steps.  Round-off of the contact form grows with the derivative of the map,
     10⁶ for the unstable axis and 10³ for the needle."""

@@ -127,7 +127,7 @@ def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
     np.testing.assert_allclose(accurate.y, solution.y, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("engine", ["numba", "python"])
+@pytest.mark.parametrize("engine", few_slow(["numba", "python"], "numba"))
 def test_blow_up_ends_as_diverged_with_the_time(engine):
     """Γ = −s³ feeds s until it is infinite: ds/dt = s³ from 1 ends at t = ½."""
     scene = cb.GeneralDamping(

@@ -59,7 +59,7 @@ def test_manifest_matches_file_and_scene(name):
 
 
 @pytest.mark.parametrize("name", [name for name in ENTRIES if SCENES[name].hard])
-@pytest.mark.share(2)
+@pytest.mark.share(4)
 def test_frozen_solves_the_hard_scene_as_it_is_now(name):
     """As below, from the initial data, with steps of its own."""
     scene = SCENES[name]
@@ -131,6 +131,7 @@ def test_planted_wrong_digit_is_noticed(generate, tmp_path):
     assert by_digit.startswith(f"q1 at t = {cells[0]}")
 
 
+@pytest.mark.slow
 def test_checker_refuses_a_changed_scene(generate):
     found = generate.check(SCENES["oscillator"].with_(gamma=0.11))
     assert any("definition has changed" in line for line in found)
@@ -194,7 +195,7 @@ def test_other_parameters_never_get_frozen_values(change):
 
 
 @each_scene
-@pytest.mark.share(2)
+@pytest.mark.share(4)
 def test_live_equals_frozen(name):
     """The live path at its lower precision agrees with the files, at times in the first quarter."""
     scene = SCENES[name]
