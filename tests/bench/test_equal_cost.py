@@ -53,7 +53,7 @@ def test_costs_are_equal_within_a_tenth_and_settings_the_same_every_time(name, c
 
 @pytest.mark.parametrize("name", ["heyoka-taylor", "cvode-adams"])
 @pytest.mark.parametrize("cost", COSTS)
-@pytest.mark.share(4)
+@pytest.mark.slow
 def test_where_the_cost_jumps_or_ends_the_nearest_is_taken(name, cost):
     """heyoka's order changes with the tolerance; CVODE's tightest tolerance may cost less than asked for."""
     scene, method = cb.SCENES["central"], cb.METHODS[name]

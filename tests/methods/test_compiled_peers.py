@@ -118,6 +118,7 @@ def test_cyrk_is_as_accurate_as_scipy(cyrk, scipy, rtol, scene):
 
 @peers
 @by_name([PARTICLE, BODY, ANISOTROPIC])
+@pytest.mark.share(2)
 def test_saved_states_are_as_accurate_as_the_last(method, engine, scene):
     """At 97 times, most of them between steps: the interpolation must not show."""
     rtol = 1e-8

@@ -141,6 +141,7 @@ def test_it_writes_nothing(tmp_path, monkeypatch):
     assert before == {path: path.stat().st_mtime_ns for path in REPOSITORY.glob("*/*.csv")}
 
 
+@pytest.mark.slow
 def test_a_method_without_a_setting_is_raced_too():
     frame = cb.compare("rigid_body", ["contact-exact", "contact-strang"], (1e-2, 1e-9), budget=60.0)
     exact = frame[frame["method"] == "contact-exact"]

@@ -344,6 +344,7 @@ BODIES = [
 
 @pytest.mark.parametrize("engine", most_slow(EXACT.engines, "numba", "python"))
 @pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
+@pytest.mark.share(3)
 def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
     times = scene.t_end * np.arange(11) / 10
     solution = cb.solve(scene, "contact-exact", save_at=times, engine=engine)

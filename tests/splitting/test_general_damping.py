@@ -68,6 +68,7 @@ def test_which_methods_take_it():
 
 @pytest.mark.parametrize("s", [0.0, 1e-12, -0.3, 0.7, 2.0])
 @pytest.mark.parametrize("h", [1e-3, 0.3, -0.2, 0.8])
+@pytest.mark.share(3)
 def test_quadrature_is_the_closed_form(s, h):
     """To round-off in doubles where Γ'h is below one, to 45 digits in mpmath; 2.5 are the largest here."""
     with mp.workdps(50):
@@ -112,6 +113,7 @@ def test_compositions_keep_their_order(method, n):
     few_slow(
         [(SCENE, "numba"), (SCENE, "jax"), (SCENE, "python"), (QUADRATURE, "numba"), (QUADRATURE, "python")],
         (QUADRATURE, "numba"),
+        (QUADRATURE, "python"),
     ),
     ids=lambda v: getattr(v, "name", v),
 )

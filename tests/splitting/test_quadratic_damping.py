@@ -205,6 +205,7 @@ def test_momentum_and_form_follow_the_own_factor_to_round_off(method):
         (-2.0, 1.5, "contact-abc"),
     ],
 )
+@pytest.mark.share(3)
 def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, kappa, s, method):
     """No force: s' = T − ½κs² reaches infinity when its closed form does; T = 0 where κ > 0."""
     p = 0.0 if kappa > 0 else 0.8

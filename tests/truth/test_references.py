@@ -181,6 +181,7 @@ def test_source(name, carry, changes, times, source):
 
 
 @pytest.mark.parametrize("change", [{"gamma": 0.3}, {"q": (1.0, 0.4)}, {"coupling": 0.2}, {"mass": 1.5}])
+@pytest.mark.share(2)
 def test_other_parameters_never_get_frozen_values(change):
     scene, t = SCENES["particle"].with_(**change), [4.0, 20.0]
     assert truth.frozen(scene, np.array(t), ("s",)) is None
@@ -231,6 +232,7 @@ def test_division_by_three_is_not_trusted_to_heyoka():
 
 
 @pytest.mark.parametrize("times", [[0.0, 200.0], [200.0]])
+@pytest.mark.share(2)
 def test_decay_out_of_sight_keeps_relative_digits(times):
     """Body momentum e^{−6·200} of its start: digits come from the closed form, relative to itself."""
     scene = SCENES["rigid_body"].with_(gamma=6.0)
