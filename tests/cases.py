@@ -56,18 +56,21 @@ def pairs(
     applies=lambda method, scene: method.refuses(scene) is None,
     names=("method", "scene"),
     share=1,
+    dear=(),
 ):
     """Parametrised over the pairs of a method, or a composition, and a scene to which a test applies.
 
     applies : by default where the method does not refuse the scene.
     share : one in so many of a method's scenes, in turn from method to method, and the other pairs slow; of a
         plug-in's method none is slow.
+    dear : methods whose pairs are all slow.
     """
     chosen = []
     for i, method in enumerate(methods):
         mine = [scene for scene in scenes if applies(method, scene)]
         for j, scene in enumerate(mine):
-            quick = (i + j) % min(share, len(mine)) == 0 or method.name not in OWN
+            in_turn = (i + j) % min(share, len(mine)) == 0 and method.name not in dear
+            quick = in_turn or method.name not in OWN
             marks = [] if quick else [pytest.mark.slow]
             chosen.append(pytest.param(method, scene, marks=marks, id=f"{method.name}-{scene.name}"))
     return pytest.mark.parametrize(names, chosen)

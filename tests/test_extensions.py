@@ -27,6 +27,9 @@ def contactbench(*arguments, code=0):
     return done.stdout
 
 
+pytestmark = pytest.mark.slow  # twenty seconds in processes of its own; `test_plugins` has a quicker one
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     """The tables of a small run with all four, and what the report makes of them."""

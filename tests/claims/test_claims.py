@@ -401,6 +401,7 @@ def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
 
 
 @pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.share(2)
 def test_figures(name, tmp_path):
     frame = merge(PAPER_FIGURES, rows(name), tmp_path)
     assert frame[["x", "y"]].map(math.isfinite).all(axis=None)

@@ -238,6 +238,7 @@ MOVES = {
 
 
 @pytest.mark.parametrize("what", MOVES)
+@pytest.mark.share(3)
 def test_what_was_not_compared_once_moves_within_its_limits_only(what, tmp_path):
     table, rows, name, little, much = MOVES[what]
 

@@ -278,7 +278,7 @@ SHORT = {name: cb.SCENES[name].with_(t_end=5.0) for name in SCENES} | {
 }
 
 
-@pytest.mark.parametrize("case", most_slow(SHORT, "rigid_body"))
+@pytest.mark.parametrize("case", most_slow(SHORT))
 def test_all_derivatives_agree_at_tight_tolerance(case, independent):
     """AD through RK4, AD through diffrax, and the variational equations of five solvers."""
     scene = SHORT[case]

@@ -42,7 +42,7 @@ def setting(method, fine=False):
 # -- order and accuracy ----------------------------------------------------------------------------
 
 
-@pairs(cb.METHODS.values(), SCENES, share=6)
+@pairs(cb.METHODS.values(), SCENES, share=6, dear=("diffrax-kvaerno5",))
 def test_solution_approaches_the_reference(method, scene):
     """Every engine of every method, all fields carried; the bound is what its order or tolerance gives.
 

@@ -67,6 +67,7 @@ def test_numpy_arrays_are_many_states_at_once(scene, method):
 
 
 @pytest.mark.parametrize(("scene", "method"), supported(SHORT, ["particle", "rigid_body"]))
+@pytest.mark.share(3)
 def test_numba_calls_it_in_a_compiled_loop(scene, method):
     import numba
 

@@ -101,6 +101,7 @@ def test_a_table_that_has_moved_on_leaves_its_documents_behind(results, capsys):
             path.write_bytes(content)
 
 
+@pytest.mark.slow
 def test_a_report_removes_figures_of_its_own_that_no_table_gives_any_more(results, capsys):
     figures = results / "figures"
     for kind in ("svg", "png"):

@@ -51,6 +51,7 @@ def test_a_partial_run_fills_its_part_of_every_table(results):
     assert (results / "environment.json").exists()
 
 
+@pytest.mark.slow
 def test_a_second_partial_run_leaves_the_other_rows_and_the_gate_sees_no_difference(results, tmp_path):
     before = read(WORK_PRECISION, results)
     shutil.copytree(results, tmp_path / "before")

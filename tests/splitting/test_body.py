@@ -74,6 +74,7 @@ def test_a_body_at_rest_stays_and_has_a_derivative(method):
     assert np.isfinite(solution.sensitivity).all()
 
 
+@pytest.mark.slow
 def test_a_step_as_long_as_the_decay_is_no_trouble():
     """e^{−γh} underflows within one step; negative substeps would grow by e^{+γ|a|h} if they met damping."""
     scene = UNDERFLOW.with_(M=(0.1, 0.2, 0.3))

@@ -94,6 +94,7 @@ def test_bent_part_is_an_integral_of_the_third_kind(mp50):
 
 
 # -- the flow --------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_free_flow_solves_its_equations_on_every_kind_of_motion(mp50):
     assert properties.free_body_solves_its_equations()
 
@@ -199,7 +200,7 @@ def compiled_motion(inertia, M, t):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.share(3)
+@pytest.mark.share(6)
 def test_double_precision_is_right_to_what_the_data_determine(kind):
     """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
     phase); J = R M and the lengths of M and R to round-off."""
@@ -211,7 +212,7 @@ def test_double_precision_is_right_to_what_the_data_determine(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.share(3)
+@pytest.mark.share(6)
 def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
     """As above, axes in order (one program) and times ahead."""
     for inertia, M, t in motions(kind, 6):

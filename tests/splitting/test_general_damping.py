@@ -83,6 +83,7 @@ def test_quadrature_is_the_closed_form(s, h):
 
 @both
 @pytest.mark.parametrize("s", ["0", "0.6", "-0.4"])
+@pytest.mark.share(3)
 def test_the_damping_flow_solves_its_equations_and_knows_its_factor(scene, s, mp50):
     """s' = −Γ, p' = −Γ'p, and ∂s(h)/∂s is the factor on p."""
     exact, x = in_mp(scene, scene.initial(("s",)))

@@ -120,7 +120,7 @@ def on_engines():
 
 
 @pytest.mark.parametrize(("method", "engine"), on_engines())
-@pytest.mark.share(3)
+@pytest.mark.share(6)
 def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
     """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
     for scene in (SCENE, SCENE.with_(gamma=0.2)):
@@ -152,6 +152,7 @@ def test_a_method_that_is_no_composition_of_contact_maps_has_no_factor_of_its_ow
     ("method", "n", "within"),
     [("contact-rkn4", 40, 0.02), ("contact-rkn6", 40, 0.02), ("contact-rkn8", 40, 0.05)],
 )
+@pytest.mark.share(3)
 def test_nystrom_tables_keep_their_order_under_nonlinear_damping(method, n, within):
     """[B,[B,[B,A]]] = 0 also for A = T + γs + ½κs²; slopes at 50 digits over n, 2n and 4n steps to t = 2."""
     method = cb.METHODS[method]

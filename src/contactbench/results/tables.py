@@ -266,7 +266,10 @@ STABILITY = table(
         {
         **DRIFTS,
         **COUNTS,
-        "time_s": seconds("fastest of a few public calls, 25 saved times; other work may run beside it"),
+        "time_s": seconds(
+            "fastest of a few public calls, of a long one the first or second, 25 saved times; other work may run "
+            "beside it"
+        ),
         },
     ),
     whole=ONE_CELL,
