@@ -88,6 +88,7 @@ def test_ids():
 
 
 @pytest.mark.parametrize("name", few_slow([*IDS, *MORE], *DEAR))
+@pytest.mark.share(3)
 def test_row(ledger, name):
     row = ledger[name]
     assert row["status"] == "ok", row
@@ -208,7 +209,7 @@ def test_steps_of_any_size_from_a_damping_on():
     assert unconditional_from("contact-printed") == pytest.approx(threshold(), abs=1e-6)
 
 
-@pytest.mark.parametrize("name", sorted(REFUTED | CORRECTED - {"C26"}))
+@pytest.mark.parametrize("name", few_slow(sorted(REFUTED | CORRECTED - {"C26"}), *DEAR))
 def test_a_verdict_against_the_paper_has_a_counterexample_and_a_correction(ledger, name):
     row = ledger[name]
     within = row["measured"] <= row["bound"] if row["relation"] == "≤" else row["measured"] >= row["bound"]
@@ -283,6 +284,7 @@ def test_wrong_action_in_drift_damp(monkeypatch, fresh):
     assert changes("C26") == ("holds, corrected", "refuted")
 
 
+@pytest.mark.slow
 def test_wrong_action_in_the_free_body(monkeypatch):
     """The paper's A on a body: what is measured beyond its claim fails."""
     flow = flows.ISOTROPIC["free"]
@@ -400,8 +402,7 @@ def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):
     assert list(read(PAPER_FIGURES, tmp_path)["figure"]) == ["one", "two", "two", "two"]
 
 
-@pytest.mark.parametrize("name", FIGURES)
-@pytest.mark.share(2)
+@pytest.mark.parametrize("name", few_slow(FIGURES, "paper_stability"))
 def test_figures(name, tmp_path):
     frame = merge(PAPER_FIGURES, rows(name), tmp_path)
     assert frame[["x", "y"]].map(math.isfinite).all(axis=None)

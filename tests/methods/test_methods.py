@@ -25,6 +25,8 @@ SCENES = [PARTICLE, BODY, ANISOTROPIC]
 ON_PARTICLE = [m for m in cb.METHODS.values() if m.refuses(PARTICLE) is None]
 ADAPTIVE = [m for m in ON_PARTICLE if m.adaptive]
 
+#: take XLA seconds to compile
+LONG = [cb.METHODS[name] for name in ("diffrax-kvaerno5", "diffrax-dopri8")]
 fixed = pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
 adaptive = pytest.mark.parametrize("method", ADAPTIVE, ids=lambda m: m.name)
 every = pytest.mark.parametrize("method", cb.METHODS.values(), ids=lambda m: m.name)
@@ -70,7 +72,9 @@ def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
 
 
 # -- prepared solvers ------------------------------------------------------------------------------
-@pytest.mark.parametrize("method", [m for m in ON_PARTICLE if "jax" in m.engines], ids=lambda m: m.name)
+@pytest.mark.parametrize(
+    "method", few_slow([m for m in ON_PARTICLE if "jax" in m.engines], *LONG), ids=lambda m: m.name
+)
 @pytest.mark.share(3)
 def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypatch):
     from contactbench.methods import compiled
@@ -258,7 +262,7 @@ def test_diffrax_runs_in_double_precision():
 
 @pytest.mark.parametrize(
     "method",
-    few_slow(ADAPTIVE, *map(cb.METHODS.get, ("diffrax-kvaerno5", "diffrax-dopri8"))),
+    few_slow(ADAPTIVE, *LONG),
     ids=lambda m: m.name,
 )
 def test_singular_right_hand_side_is_a_row_and_not_a_crash(method):

@@ -170,7 +170,7 @@ def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
     assert np.array_equal(run().y, ours)
 
 
-@pairs(FIXED, ALL_SCENES, share=12)
+@pairs(FIXED, ALL_SCENES, share=20)
 def test_the_tangent_loop_carries_the_derivative(method, scene):
     """Against differences of the compiled loop itself, of fourth order."""
     run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])
