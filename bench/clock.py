@@ -56,23 +56,20 @@ class Clock:
 
     cells : what is left of the cells visited once.  benchmark : the fixture of pytest-benchmark; with
     --benchmark-disable a run is for accuracy alone, on all cores, and has no times.
+    last : whether the run comes to the cell no more; the first visit may have been of a run that was killed.
     """
 
     cells: dict[Any, Cell]
     key: Any
     profile: Any
     benchmark: Any
+    last: bool = True
 
     def prepared(self, make: Callable[[], Any]) -> Any:
         """What `make` gives, made by the first visit; anew where that was in a run that was killed."""
         if self.key not in self.cells:
             self.cells[self.key] = Cell(make())
         return self.cells[self.key].made
-
-    @property
-    def over(self) -> bool:
-        """Whether this was the last visit to the cell."""
-        return self.key not in self.cells
 
     def columns(self, run: Callable[[], Any] | None, group: str, part: Part | None = None) -> dict[str, Any]:
         """The time columns, from all visits so far; none where there is nothing to run.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -36,6 +37,8 @@ CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else
 REPOSITORY = Path(__file__).resolve().parents[1]
 #: what the first visits to timed cells leave to the second
 VISITED = pytest.StashKey[dict[Any, Cell]]()
+#: how many visits to each cell are to come
+AHEAD = pytest.StashKey[Counter[tuple[str, Any]]]()
 #: what the untimed cells of this run that have one row have made, by their identity
 MADE = pytest.StashKey[dict[journal.Cell, dict[str, Any]]]()
 
@@ -83,7 +86,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.profile = PROFILES[config.getoption("--profile")]
     worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
     config.controls = worker is None
-    config.stash[VISITED], config.stash[MADE] = {}, {}
+    config.stash[VISITED], config.stash[MADE], config.stash[AHEAD] = {}, {}, Counter()
     if worker or not config.getoption("numprocesses", None):
         pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
     run_id = worker["run_id"] if worker else provenance.new_run_id()
@@ -304,8 +307,15 @@ def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
 @pytest.fixture
 def clock(request: pytest.FixtureRequest, profile: Profile, benchmark: Any) -> Clock:
     """The clock of a timed cell, at one of its visits."""
-    key = (request.node.originalname, request.node.callspec.params["cell"])
-    return Clock(request.config.stash[VISITED], key, profile, benchmark)
+    key, ahead = _cell(request.node), request.config.stash[AHEAD]
+    if not ahead:
+        ahead.update(map(_cell, request.session.items))
+    ahead[key] -= 1
+    return Clock(request.config.stash[VISITED], key, profile, benchmark, last=not ahead[key])
+
+
+def _cell(item: Any) -> tuple[str, Any]:
+    return item.originalname, item.callspec.params["cell"]
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ from contactbench.scenes import SCENES
 
 @pytest.hookimpl(tryfirst=True)  # before pytest leaves out what is slow
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of the cases of a test marked ``share(n)`` one in n is quick, and of those with a user's method or scene all.
+    """Of the cases of a test marked ``share(n)`` all but one in n are slow, none for it with a user's method or scene.
 
-    From which case on they are counted is different from test to test.
+    From which case on they are counted is different from test to test.  A case that is named alone is not slow for it.
     """
     cases = defaultdict(list)
     for item in items:

@@ -119,7 +119,7 @@ def on_engines():
             yield pytest.param(name, engine, id=f"{engine}-{name}", marks=[] if quick else pytest.mark.slow)
 
 
-@pytest.mark.parametrize(("method", "engine"), on_engines())
+@pytest.mark.parametrize(("method", "engine"), list(on_engines()))
 @pytest.mark.share(6)
 def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
     """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
