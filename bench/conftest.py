@@ -309,7 +309,7 @@ def clock(request: pytest.FixtureRequest, profile: Profile, benchmark: Any) -> C
     """The clock of a timed cell, at one of its visits."""
     key, ahead = _cell(request.node), request.config.stash[AHEAD]
     if not ahead:
-        ahead.update(map(_cell, request.session.items))
+        ahead.update(_cell(item) for item in request.session.items if "clock" in item.fixturenames)
     ahead[key] -= 1
     return Clock(request.config.stash[VISITED], key, profile, benchmark, last=not ahead[key])
 

@@ -12,7 +12,6 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-from contactbench.plugins import OWN
 from contactbench.scenes import standard_scenes
 
 REPOSITORY = Path(__file__).parents[1]
@@ -51,28 +50,16 @@ def by_name(items):
 
 
 def pairs(
-    methods,
-    scenes,
-    applies=lambda method, scene: method.refuses(scene) is None,
-    names=("method", "scene"),
-    share=1,
-    dear=(),
+    methods, scenes, applies=lambda method, scene: method.refuses(scene) is None, names=("method", "scene")
 ):
     """Parametrised over the pairs of a method, or a composition, and a scene to which a test applies.
 
     applies : by default where the method does not refuse the scene.
-    share : one in so many of a method's scenes, in turn from method to method, and the other pairs slow; of a
-        plug-in's method none is slow.
-    dear : methods whose pairs are all slow.
     """
-    chosen = []
-    for i, method in enumerate(methods):
-        mine = [scene for scene in scenes if applies(method, scene)]
-        for j, scene in enumerate(mine):
-            in_turn = (i + j) % min(share, len(mine)) == 0 and method.name not in dear
-            quick = in_turn or method.name not in OWN
-            marks = [] if quick else [pytest.mark.slow]
-            chosen.append(pytest.param(method, scene, marks=marks, id=f"{method.name}-{scene.name}"))
+    chosen = [
+        pytest.param(method, scene, id=f"{method.name}-{scene.name}")
+        for method in methods for scene in scenes if applies(method, scene)
+    ]  # fmt: skip
     return pytest.mark.parametrize(names, chosen)
 
 
@@ -84,7 +71,7 @@ def few_slow(values, *slow):
 
 def most_slow(values, *quick):
     """The values of a parametrisation, all slow but a few."""
-    return [pytest.param(value, marks=[] if value in quick else [pytest.mark.slow]) for value in values]
+    return few_slow(values, *(value for value in values if value not in quick))
 
 
 def random_state(scene, seed: int = 0, carry=None):

@@ -44,7 +44,8 @@ def setting(method, fine=False):
 # -- order and accuracy ----------------------------------------------------------------------------
 
 
-@pairs(cb.METHODS.values(), SCENES, share=6, dear=("diffrax-kvaerno5",))
+@pairs(cb.METHODS.values(), SCENES)
+@pytest.mark.share(4)
 def test_solution_approaches_the_reference(method, scene):
     """Every engine of every method, all fields carried; the bound is what its order or tolerance gives.
 

@@ -148,7 +148,8 @@ def test_derivatives_of_functions(name, mp50):
 
 
 # -- the engine ------------------------------------------------------------------------------------
-@pairs(FIXED, ALL_SCENES, share=6)
+@pairs(FIXED, ALL_SCENES)
+@pytest.mark.share(6)
 def test_the_compiled_loop_is_the_same_map(method, scene):
     """As plain Python, to round-off: uneven saved times, other initial data, every field carried or none."""
     times = [0.0, 0.5, 0.75, 2.0]
@@ -161,7 +162,8 @@ def test_the_compiled_loop_is_the_same_map(method, scene):
             np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=2e-14 * np.abs(theirs.y).max())
 
 
-@pairs(FIXED, ALL_SCENES, share=3)
+@pairs(FIXED, ALL_SCENES)
+@pytest.mark.share(3)
 def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
     run = cb.prepare(scene, method.name, engine="python", step=0.06, save_at=[0.5, 0.75, 2.0])
     y0, spans = run.start.tolist(), list(zip(run.h.tolist(), run.n.tolist(), strict=True))
@@ -170,7 +172,8 @@ def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
     assert np.array_equal(run().y, ours)
 
 
-@pairs(FIXED, ALL_SCENES, share=20)
+@pairs(FIXED, ALL_SCENES)
+@pytest.mark.share(10)
 def test_the_tangent_loop_carries_the_derivative(method, scene):
     """Against differences of the compiled loop itself, of fourth order."""
     run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])

@@ -207,8 +207,8 @@ def test_laws_over_a_span_take_the_integral_of_the_damping_and_not_its_rate():
 
 
 # -- order -----------------------------------------------------------------------------------------
-@pairs(CONTACT, [FORCED_OSCILLATOR, LANE_EMDEN[2]], share=2)
-@pytest.mark.share(3)
+@pairs(CONTACT, [FORCED_OSCILLATOR, LANE_EMDEN[2]])
+@pytest.mark.share(6)
 def test_order_at_fifty_digits(method, scene):
     assert order_at(method, scene, 2.0, 64) == pytest.approx(method.order, abs=0.1)
 
@@ -229,8 +229,8 @@ def test_order_of_the_others(name):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(cb.METHODS[name].order, abs=0.25)
 
 
-@pairs([cb.METHODS[name] for name in ("contact-abc", "contact-rkn4", "rk4", "herglotz2")], DRIVEN, share=4)
-@pytest.mark.share(2)
+@pairs([cb.METHODS[name] for name in ("contact-abc", "contact-rkn4", "rk4", "herglotz2")], DRIVEN)
+@pytest.mark.share(8)
 def test_engines_agree(method, scene):
     numba, jax, python = (
         cb.solve(scene, method.name, step=0.1, engine=engine, save_at=[1.0, 2.0]).y
@@ -253,8 +253,8 @@ def test_solvers_with_a_tolerance_solve_them(scene, name):
 
 
 # -- contact form ----------------------------------------------------------------------------------
-@pairs(CONTACT, DRIVEN, share=6)
-@pytest.mark.share(3)
+@pairs(CONTACT, DRIVEN)
+@pytest.mark.share(16)
 def test_contact_methods_keep_the_contact_form_at_a_coarse_step(method, scene):
     """Up to t = 20 at most: beyond, the tangents of the chaotic scene magnify roundings more."""
     solution = cb.solve(scene, method.name, step=0.2, save_at=min(scene.t_end, 20.0) * np.arange(1, 6) / 5)

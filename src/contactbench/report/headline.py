@@ -88,7 +88,7 @@ def documents(frames: Frames) -> Text:
 
 def glance(frames: Frames) -> tuple[View, ...]:
     """The table that stands first."""
-    view = equal_cost.overview(frames)
+    view = once(equal_cost.overview, frames)
     return () if view is None else (view,)
 
 
