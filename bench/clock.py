@@ -24,6 +24,8 @@ from contactbench.measure.clock import (
 
 #: to warm up: the first of a process is no measure of the others
 CALLS = 2
+#: rounds of the first visit and of the second, however long they take: five in all
+FEWEST = (3, 2)
 
 
 @dataclass
@@ -101,11 +103,12 @@ class Clock:
         """
         cell = self.cells[self.key]
         if math.isnan(cell.once) and part is not None:
-            cell.once = min(seconds(part.run, 1) for _ in range(CALLS)) / part.share
+            cell.once = warm_call(part.run) / part.share
         if not cell.once > WARM:
-            cell.once = min(seconds(run, 1) for _ in range(CALLS))
+            cell.once = warm_call(run)
         iterations = cell.iterations if cell.measured else calls_a_round(cell.once)
-        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once)
+        fewest = FEWEST[len(cell.measured)]
+        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once, fewest)
         self.benchmark.group = group
         shorter: Samples = []
 
@@ -116,3 +119,9 @@ class Clock:
         self.benchmark.pedantic(run, rounds=rounds, iterations=iterations, teardown=between)
         cell.shorter.append(shorter)
         return list(self.benchmark.stats.stats.data), iterations
+
+
+def warm_call(run: Callable[[], Any]) -> float:
+    """Seconds that a call takes; one that is long is called no second time for it."""
+    once = seconds(run, 1)
+    return once if once > WARM else min(once, *(seconds(run, 1) for _ in range(CALLS - 1)))

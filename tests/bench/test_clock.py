@@ -1,4 +1,4 @@
-"""How often a timed cell calls its run: three rounds a visit at least, however long a round is."""
+"""How often a timed cell calls its run: five rounds at least, however long a round is."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ def visited(part_s, visits=VISITS):
     return calls, columns
 
 
-@pytest.mark.parametrize("part_s", [0.2, 1.1 * SHARE * WARM])
-def test_a_long_run_is_warm_by_its_part_and_has_three_rounds_a_visit(part_s):
+@pytest.mark.parametrize(("part_s", "warm"), [(0.2, 1), (1.1 * SHARE * WARM, 2)])
+def test_a_long_run_is_warm_by_its_part_and_has_five_rounds(part_s, warm):
     calls, columns = visited(part_s)
-    assert calls == {"run": 3 * VISITS, "part": 2 + 3 * VISITS}
-    assert columns["rounds"] == 6
+    assert calls == {"run": 5, "part": warm + 5}
+    assert columns["rounds"] == 5
     assert columns["time_repeat_ratio"] == 1
 
 
 def test_a_short_run_is_warmed_up_and_has_more_rounds():
     calls, columns = visited(0.0)
-    assert columns["rounds"] > 6
+    assert columns["rounds"] > 5
     assert calls["run"] > columns["rounds"] * columns["iterations"]

@@ -84,10 +84,11 @@ def test_every_operation_is_compiled_to_what_it_is():
     program = record(every_operation, 1, d, 1, 1e6)
     w, y = np.empty((1, program.width)), np.empty(d)
     start, shape = np.full(d, INSIDE), np.append(program.shape, 0)
-    for module in (compiled(program.text).__dict__, executed(program.text)):
+    python = executed(program.setup + program.run)
+    for setup, run in (compiled(program.setup), compiled(program.run)), (python["setup"], python["run"]):
         y[:] = math.nan
-        module["setup"](np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)
-        assert module["run"](start, w, shape, y) == -1
+        setup(np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)
+        assert run(start, w, shape, y) == -1
         np.testing.assert_allclose(y, np.array(truth, dtype=float), rtol=4e-16, atol=0)
 
 
@@ -95,14 +96,14 @@ def test_every_operation_is_compiled_for_many_states_side_by_side():
     """Every lane is the run of its own state."""
     program = record(every_operation_of_one, 1, 1, 1, 1e6)
     w, shape = np.empty((1, program.width)), np.append(program.shape, 0)
-    module, lanes = compiled(program.text), 4
-    module.setup(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
+    run, lanes = compiled(program.run), 4
+    compiled(program.setup)(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
     starts = np.linspace(0.2, 0.4, 3 * lanes)[None]
     ends = np.full((1, *starts.shape), math.nan)
-    compiled(program.many, lanes).many(starts, w, shape, ends, np.array([1, 3]))
+    compiled(program.many, lanes)(starts, w, shape, ends, np.array([1, 3]))
     alone = np.empty(1)
     for k in range(lanes, 3 * lanes):
-        module.run(starts[:, k].copy(), w, shape, alone)
+        run(starts[:, k].copy(), w, shape, alone)
         assert ends[0, 0, k] == pytest.approx(alone[0], rel=4e-15)
     assert np.isnan(ends[0, 0, :lanes]).all()  # not asked for
 
@@ -121,7 +122,8 @@ def test_equal_operations_are_computed_once_and_constant_ones_before_the_loop():
     def advance(numbers, h, n, y, xp, repeat):
         return [repeat(n, lambda x: body(x, numbers[0] * h), y[0])]
 
-    text = record(advance, 1, 1, 1, 1e6).text
+    program = record(advance, 1, 1, 1, 1e6)
+    text = program.setup + program.run
     assert (
         text.count(" * ") - text.count(" * j") == 1 + 2 + 2
     )  # k in setup; x·k and its product with k in the loop; the size at the start
@@ -198,13 +200,42 @@ def test_the_bare_call_is_the_same_run(method):
 
 
 def test_one_program_serves_all_compositions_parameters_and_steps():
-    def module(method, scene=PARTICLE):
-        return loop_of(cb.METHODS[method], scene, ("s",)).module
+    def loop(method, scene=PARTICLE):
+        return loop_of(cb.METHODS[method], scene, ("s",))
 
-    assert module("contact-bm4") is module("contact-rkn6") is module("contact-o8")
-    assert module("contact-rkn6", PARTICLE.with_(gamma=0.3, coupling=0.2, mass=2.0)) is module("contact-rkn6")
+    for part in ("run", "setup"):
+        bm4, rkn6, o8 = (getattr(loop(name), part) for name in ("contact-bm4", "contact-rkn6", "contact-o8"))
+        assert bm4 is rkn6 is o8
+    assert loop("contact-rkn6", PARTICLE.with_(gamma=0.3, coupling=0.2, mass=2.0)) is loop("contact-rkn6")
     ends = {m: cb.solve(PARTICLE, m, step=0.5).y[-1] for m in ("contact-bm4", "contact-rkn6")}
     assert not np.array_equal(*ends.values())
+
+
+@pairs(FIXED, ALL_SCENES)
+@pytest.mark.share(12)
+def test_what_is_computed_ahead_has_the_same_bits_in_python_and_compiled(method, scene):
+    loop = cb.prepare(scene, method.name, engine="numba", step=0.1).loop
+    spans = np.array([[h, n] for n in (1, 2, 7) for h in (1e-9, 0.03, 2.0 / 3, 4.1, 40.0)])
+    numbers, tables = np.array(scene.numbers()), []
+    for compiles in (False, True):
+        if compiles:
+            assert loop.setup
+        else:
+            vars(loop).pop("setup", None)
+        tables.append(loop.table(numbers, spans))
+        assert compiles or "setup" not in vars(loop)  # Python could
+    assert loop.program.width
+    np.testing.assert_array_equal(*tables)
+
+
+def test_what_python_cannot_compute_ahead_is_compiled():
+    """exp(800) is infinite to a processor, an error to Python."""
+    scene = cb.SCENES["antidamping"].with_(gamma=-20.0)
+    loop = loop_of(cb.METHODS["contact-strang"], scene, ())
+    vars(loop).pop("setup", None)
+    rows = loop.table(np.array(scene.numbers()), np.array([[80.0, 1.0]]))
+    assert "setup" in vars(loop)
+    assert np.isinf(rows).any()
 
 
 def test_very_many_different_steps_are_taken_in_parts(monkeypatch):

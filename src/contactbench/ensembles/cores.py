@@ -30,7 +30,7 @@ def on_cores(
     No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
     and a few are always begun ahead of the one that is asked for.
     """
-    many = compiled(loop.program.many, LANES).many
+    many = compiled(loop.program.many, LANES)
     rows, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
     share = equal_share(y0.shape[1], cores, chunk)
     ahead: deque[Future[Result]] = deque()

@@ -202,7 +202,7 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
     """By dual numbers through the compiled steps: a trajectory for every tangent of every member."""
     r = run.request
     loop = loop_of(run.method_, r.scene, r.carry, tangent=True)
-    many = compiled(loop.program.many, LANES).many
+    many = compiled(loop.program.many, LANES)
     rows, shape = loop.rows(np.array(r.scene.numbers()), run.h, run.n)
     evaluations = run.totals.evaluations
 

@@ -66,9 +66,9 @@ def calls_a_round(once: float) -> int:
     return max(1, round(ROUND_SECONDS / once))
 
 
-def rounds_within(seconds: float, round_seconds: float) -> int:
+def rounds_within(seconds: float, round_seconds: float, fewest: int = FEWEST_ROUNDS) -> int:
     """How many rounds of one visit fit, within what is sensible."""
-    return min(MOST_ROUNDS, max(FEWEST_ROUNDS, round(seconds / round_seconds)))
+    return min(MOST_ROUNDS, max(fewest, round(seconds / round_seconds)))
 
 
 class Race:

@@ -204,7 +204,7 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
             elapsed = stopwatch()
             scene: Any = r.scene
             text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
-            _loops[key] = compiled(text).run, elapsed()
+            _loops[key] = compiled(text), elapsed()
         return _loops[key]
 
     def solved(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -85,8 +85,9 @@ class ExactNumba(ExactRun):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.loop = self.loop_of_one()
-        self.compile_s, self.run = self.loop.seconds, self.loop.module.run
+        self.run = self.loop.run
         self.rows, self.shapes = self.ahead(self.loop)
+        self.compile_s = self.loop.seconds
 
     def loop_of_one(self, tangent: bool = False) -> Loop:
         """The evaluation as a loop of one step from the initial state."""
@@ -117,7 +118,7 @@ class ExactNumba(ExactRun):
         for j, tangent in enumerate(tangents):
             start = np.concatenate([y0, tangent])
             for k, shape in enumerate(shapes):
-                loop.module.run(start, rows, shape, y[k, j])
+                loop.run(start, rows, shape, y[k, j])
         return y[:, :, d:].transpose(0, 2, 1)
 
 

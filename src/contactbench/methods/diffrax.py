@@ -1,7 +1,7 @@
 """diffrax's adaptive Runge–Kutta methods, compiled by JAX.
 
-Kidger, On Neural Differential Equations, Oxford 2021, arXiv:2202.02435.  64-bit, tolerances and
-parameters traced (one program for all of them), `throw=False` with the result code read.
+Kidger, On Neural Differential Equations, Oxford 2021, arXiv:2202.02435.  64-bit; tolerances,
+parameters and the budget of steps are traced (one program for all of them), `throw=False` with the result code read.
 """
 
 from __future__ import annotations
@@ -38,14 +38,18 @@ class DiffraxRun(CompiledRun):
 
         super().__post_init__()
         r = self.request
-        self.fixed = jax.device_put(self.together(r.scene.numbers(), [r.rtol, r.atol], self.times()))
+        self.fixed = jax.device_put(self.arguments())
         self.final_only = len(r.save_at) == 1
         self.program, self.compile_s = self.compiled(
             "run", self.flat(self._solve), self._own_start, self.fixed
         )
 
+    def arguments(self) -> np.ndarray:
+        r = self.request
+        return self.together(r.scene.numbers(), [r.rtol, r.atol, r.max_steps], self.times())
+
     def key(self) -> tuple[Any, ...]:
-        return (self.method_, capacity(len(self.request.save_at)), self.request.max_steps)
+        return (self.method_, capacity(len(self.request.save_at)))
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
@@ -53,9 +57,10 @@ class DiffraxRun(CompiledRun):
     def _solve(self, y0: Any, fixed: Any, counted: bool = False) -> Any:
         import diffrax
 
+        from contactbench.methods.diffrax_budget import Budgeted
         from contactbench.xla import jax, jnp
 
-        numbers, tolerances, times = self.apart(fixed)
+        numbers, (rtol, atol, max_steps), times = self.apart(fixed)
         r = self.request
         scene = r.scene.with_numbers(list(numbers))
 
@@ -73,15 +78,16 @@ class DiffraxRun(CompiledRun):
 
         solution = diffrax.diffeqsolve(
             # recorded once: diffrax calls it at a dozen places of an implicit step, and traces it anew at each
-            diffrax.ODETerm(jax.jit(field, inline=True)), self.method_.solver(tolerances), 0.0, times[-1], None,
+            diffrax.ODETerm(jax.jit(field, inline=True)), self.method_.solver(rtol, atol), 0.0, times[-1], None,
             y0 if as_array else scene.unpack(list(y0), r.carry),
             saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=[
                 diffrax.SubSaveAt(t1=True), diffrax.SubSaveAt(ts=times),
             ]),
-            stepsize_controller=diffrax.PIDController(
-                rtol=tolerances[0], atol=tolerances[1], dtmin=SHORTEST * times[-1], force_dtmin=False
+            stepsize_controller=Budgeted(
+                diffrax.PIDController(rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False),
+                max_steps, times[-1],
             ),
-            max_steps=r.max_steps,
+            max_steps=None,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )  # fmt: skip
@@ -136,8 +142,7 @@ class DiffraxRun(CompiledRun):
 
         r, twin = self.request, copy(self)
         twin.request, twin.final_only = replace(r, save_at=r.save_at[-1:]), True
-        fixed = twin.together(r.scene.numbers(), [r.rtol, r.atol], twin.times())
-        arguments = (self._own_start, jax.device_put(fixed))
+        arguments = (self._own_start, jax.device_put(twin.arguments()))
         program, _ = twin.compiled("count", partial(twin._solve, counted=True), *arguments)
         before = _calls[0]
         jax.block_until_ready(program(*arguments))
@@ -158,7 +163,7 @@ class DiffraxMethod(Adaptive):
     engines: tuple[str, ...] = ("jax",)
     rtol_range: tuple[float, float] = (1e-14, 1e-1)
 
-    def solver(self, tolerances: Any) -> Any:
+    def solver(self, rtol: Any, atol: Any) -> Any:
         import diffrax
         import optimistix
 
@@ -167,7 +172,7 @@ class DiffraxMethod(Adaptive):
         # The default, VeryChord, has one linearisation per step and a convergence criterion that
         # tight tolerances rarely meet: half of all steps are rejected and each is four times too
         # short.  Chord linearises at every stage and follows the error control.
-        finder: Any = optimistix.Chord(rtol=tolerances[0], atol=tolerances[1])
+        finder: Any = optimistix.Chord(rtol=rtol, atol=atol)
         return getattr(diffrax, self.solver_name)(root_finder=finder)
 
     def evaluations(self, accepted: int, rejected: int) -> int | None:

@@ -14,6 +14,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from contactbench.methods import lowering
 
@@ -32,7 +33,7 @@ from numba import njit
 from contactbench.methods.lowering import lowered
 '''
 FUNCTION = '''
-{name}_lowered = lowered("""{text}""", {lanes})
+{name}_lowered = lowered("""{text}""", {lanes}, {fused})
 
 @njit("int64({kinds})", nogil=True, cache=True, no_cfunc_wrapper=True)
 def {name}({arguments}):
@@ -66,17 +67,18 @@ def version() -> str:
 
 
 @cache
-def compiled(text: str, lanes: int = 1) -> ModuleType:
-    """The module of a source of several functions, compiled for arguments of the `KINDS`.
+def compiled(text: str, lanes: int = 1, fused: bool = True) -> Any:
+    """The function of a source, compiled for arguments of the `KINDS`.
 
-    lanes : how many states a function runs on at a time; see `Lanes`.
+    lanes : how many states it runs on at a time; see `Lanes`.  fused : whether products and sums may be one
+    operation with one rounding, which Python's are not.
     """
-    source = MODULE.format(version=version())
-    for function in filter(None, re.split(r"^(?=def )", text, flags=re.MULTILINE)):
-        name, arguments = re.match(r"def (\w+)\((.*)\):", function).groups()  # type: ignore[union-attr]
-        kinds = ", ".join(KINDS[argument] for argument in arguments.split(", "))
-        source += FUNCTION.format(name=name, text=function, kinds=kinds, arguments=arguments, lanes=lanes)
-    return imported(source)
+    name, arguments = re.match(r"def (\w+)\((.*)\):", text).groups()  # type: ignore[union-attr]
+    kinds = ", ".join(KINDS[argument] for argument in arguments.split(", "))
+    source = MODULE.format(version=version()) + FUNCTION.format(
+        name=name, text=text, kinds=kinds, arguments=arguments, lanes=lanes, fused=fused
+    )
+    return getattr(imported(source), name)
 
 
 def imported(source: str) -> ModuleType:

@@ -43,11 +43,17 @@ class Lowering:
     """
 
     def __init__(
-        self, function: ast.FunctionDef, builder: Any, arrays: dict[str, Array], numbers: dict[str, Any]
+        self,
+        function: ast.FunctionDef,
+        builder: Any,
+        arrays: dict[str, Array],
+        numbers: dict[str, Any],
+        fused: bool = True,
     ) -> None:
         from llvmlite import ir
 
         self.ir, self.builder, self.arrays = ir, builder, arrays
+        self.flags = CONTRACT if fused else ()
         self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
         self.values = dict(numbers)
         self.variables: dict[str, Any] = {}
@@ -163,13 +169,13 @@ class Lowering:
         if sign == "Pow":
             return self.call("pow", a, b)
         names = {"Add": "fadd", "Sub": "fsub", "Mult": "fmul", "Div": "fdiv"}
-        return getattr(self.builder, names[sign])(a, b, flags=CONTRACT)
+        return getattr(self.builder, names[sign])(a, b, flags=self.flags)
 
     def _UnaryOp(self, node: ast.UnaryOp) -> Any:
         x = self.value(node.operand)
         if isinstance(node.op, ast.Not):
             return self.builder.not_(x)
-        return self.builder.neg(x) if x.type == self.whole else self.builder.fneg(x, flags=CONTRACT)
+        return self.builder.neg(x) if x.type == self.whole else self.builder.fneg(x, flags=self.flags)
 
     def _BoolOp(self, node: ast.BoolOp) -> Any:
         result, *rest = map(self.value, node.values)
@@ -214,9 +220,10 @@ class Lowering:
         return self.builder.call(function, x)
 
 
-def lowered(text: str, lanes: int = 1) -> Any:
+def lowered(text: str, lanes: int = 1, fused: bool = True) -> Any:
     """The function of a source as a numba intrinsic.
 
+    fused : whether a product and a sum may be one operation.
     Its arguments are contiguous arrays of one or two dimensions, pointers to numbers, and numbers.
     """
     from numba.core import cgutils, types
@@ -241,7 +248,7 @@ def lowered(text: str, lanes: int = 1) -> Any:
                     arrays[name] = Array(array.data, *sizes[:2])
             if lanes > 1:
                 return Lanes(function, builder, arrays, lanes).returned
-            return Lowering(function, builder, arrays, numbers).returned
+            return Lowering(function, builder, arrays, numbers, fused).returned
 
         return types.int64(*arguments), instructions
 

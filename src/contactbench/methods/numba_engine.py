@@ -2,31 +2,48 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import Outcome, stopwatch
+from contactbench.methods.base import NO_NUMBER, Outcome, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.llvm import compiled
 from contactbench.methods.step_map import StepMap
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.program import Program, record
+from contactbench.numbers.source import executed_on_lists
 from contactbench.scene import Scene
 from contactbench.solution import DIVERGENCE, Status
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22
+#: as many of them take Python milliseconds, and `setup` a tenth of a second to compile
+FEW = 2**13
 
 
-@dataclass(frozen=True)
+@dataclass
 class Loop:
     """A compiled loop of steps, and how long it took to record and compile."""
 
     program: Program
-    module: Any
+    run: Any
     seconds: float
+
+    @cached_property
+    def setup(self) -> Any:
+        """What is computed ahead of a run, compiled: the same bits as in Python, whose operations are not fused."""
+        elapsed = stopwatch()
+        setup = compiled(self.program.setup, fused=False)
+        self.seconds += elapsed()
+        return setup
+
+    @cached_property
+    def in_python(self) -> Any:
+        return executed_on_lists(self.program.setup)["setup"]
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
@@ -34,9 +51,20 @@ class Loop:
         which = np.zeros(1, dtype=np.int64)
         if len(n) > 1:
             spans, which = np.unique(spans, axis=0, return_inverse=True)
-        w = np.empty((len(spans), self.program.width))
-        self.module.setup(numbers, spans, self.program.data, self.program.shape, w)
-        return w, np.concatenate([self.program.shape, which])
+        return self.table(numbers, spans), np.concatenate([self.program.shape, which])
+
+    def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
+        """The rows of several (h, n): by Python where they are few and `setup` is not compiled."""
+        program = self.program
+        if "setup" not in vars(self) and len(spans) * program.width <= FEW:
+            rows = [[0.0] * program.width for _ in spans]
+            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
+                given = (numbers, spans, program.data, program.shape)
+                self.in_python(*(part.tolist() for part in given), rows)
+                return np.array(rows, dtype=float)
+        w = np.empty((len(spans), program.width))
+        self.setup(numbers, spans, program.data, program.shape, w)
+        return w
 
 
 _loops: dict[Any, Loop] = {}
@@ -66,7 +94,7 @@ def loop_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool
     if key not in _loops:
         elapsed = stopwatch()
         program = program_of(method, scene, carry, tangent)
-        _loops[key] = Loop(program, compiled(program.text), elapsed())
+        _loops[key] = Loop(program, compiled(program.run), elapsed())
     return _loops[key]
 
 
@@ -78,16 +106,20 @@ class NumbaLoop(FixedStepRun):
     def __post_init__(self) -> None:
         r = self.request
         self.loop = loop_of(self.method_, r.scene, r.carry)
-        self.compile_s = self.loop.seconds
         self.numbers = np.array(r.scene.numbers())
-        self.run = self.loop.module.run
+        self.run = self.loop.run
         super().__post_init__()
+        self.compile_s = self.loop.seconds
 
     def divide(self, step: float) -> None:
         super().divide(step)
         self.size = len(self.n) * len(self._own_start)
         if self.short(self.n):
             self.rows, self.shape = self.loop.rows(self.numbers, self.h, self.n)
+
+    def divides_often(self) -> None:
+        self.loop.setup  # noqa: B018, compiled now
+        self.compile_s = self.loop.seconds
 
     def short(self, n: np.ndarray) -> bool:
         """Whether what depends on the steps is computed ahead of a run."""
@@ -119,7 +151,7 @@ class NumbaLoop(FixedStepRun):
                 rows, shape = self.rows, self.shape
             else:
                 rows, shape = loop.rows(self.numbers, h[part], n[part])
-            loop.module.run(y0, rows, shape, y[part].ravel())  # a view
+            loop.run(y0, rows, shape, y[part].ravel())  # a view
             y0 = y[part][-1]
         return y
 

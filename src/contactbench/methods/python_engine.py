@@ -33,7 +33,7 @@ class PythonLoop(FixedStepRun):
         self.program: Program | None = None
         with suppress(CannotRecord):
             self.program = program_of(self.method_, self.request.scene, self.request.carry)
-            self.functions = executed_on_lists(self.program.text)
+            self.functions = executed_on_lists(self.program.setup + self.program.run)
             self.compile_s = elapsed()
         super().__post_init__()
 

@@ -49,6 +49,7 @@ class ChosenStep(Prepared):
         super().__post_init__()
         first = float(self.request.save_at[-1]) / FIRST
         self.run = self.engine_run(self.method, replace(self.request, step=first), self.method_)
+        self.run.divides_often()
         self.compile_s = self.run.compile_s
         self.alone = Lock()  # one run to divide: calls from several threads take turns
         self.sensitivity_source = self.run.sensitivity_source

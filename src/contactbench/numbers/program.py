@@ -24,13 +24,14 @@ from contactbench.numbers.recording import Block, CannotRecord, Recorded, Record
 class Program(NamedTuple):
     """A recorded time loop.
 
-    text : source of `setup` and `run`, to be compiled after `source.PREAMBLE`.
+    setup, run : source of the two functions, to be compiled after `source.PREAMBLE`.
     many : source of ``many(starts, w, shape, ends, part)``, `run` for many states of one scene side by side.
     data : floating-point numbers and shape : whole numbers it is called with; `run` takes (*shape, *which).
     width : how long a row of w is.
     """
 
-    text: str
+    setup: str
+    run: str
     many: str
     data: np.ndarray
     shape: np.ndarray
@@ -184,8 +185,8 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     )
 
 
-def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -> tuple[str, str]:
-    """The two functions written out."""
+def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -> tuple[str, str, str]:
+    """The three functions written out."""
     setup, run = Block(), Block()
     columns = Block(indent=tape.root.indent)
     for j, column in enumerate(tape.columns):
@@ -226,9 +227,8 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
         *(f"    {x} = starts[{i}]" for i, x in enumerate(state)),
         *(line.replace(f"after[{len(state)} * j + ", "ends[j, ") for line in run.lines[start:-3]),
     ]
-    return "\n".join(
-        [
-            *("def setup(numbers, spans, data, shape, w):", *setup.lines, "", ""),
-            *("def run(start, w, shape, after):", *run.lines, ""),
-        ]
-    ), "\n".join(["def many(starts, w, shape, ends, part):", *many, ""])
+    return (
+        "\n".join(["def setup(numbers, spans, data, shape, w):", *setup.lines, ""]),
+        "\n".join(["def run(start, w, shape, after):", *run.lines, ""]),
+        "\n".join(["def many(starts, w, shape, ends, part):", *many, ""]),
+    )
