@@ -1,6 +1,7 @@
 """Compiled code between CVODE's C library and a scene's C functions.  Importing it loads both numba and the library.
 
-`to_end` is the bare call: a state in, the state at the end out.
+`to_end` is the bare call: a state in, the state at the end out.  Numbers are copied one by one: numba takes a second
+to compile the assignment of a slice, for the text of the error that arrays of different lengths raise.
 """
 
 from __future__ import annotations
@@ -83,7 +84,8 @@ RHS, JACOBIAN = _rhs.address, _jacobian.address
 @numba.njit(cache=True)
 def restart(memory, vector, y, start, data, end):  # type: ignore[no-untyped-def]
     """Back to t = 0 and a state; the calls counted from zero."""
-    y[:] = start
+    for i in range(len(y)):
+        y[i] = start[i]
     data[RHS_CALLS] = data[JACOBIAN_CALLS] = 0.0
     reinitialise(memory, 0.0, vector)
     set_stop_time(memory, end)
@@ -100,7 +102,8 @@ def told(memory, y, data, flag, reached, saved):  # type: ignore[no-untyped-def]
     newton_failures_of(memory, place + 16)
     facts[0], facts[1], facts[2], facts[3] = flag, reached, saved, count[0]
     facts[4], facts[5], facts[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
-    facts[KNOWN:] = y
+    for i in range(len(y)):
+        facts[KNOWN + i] = y[i]
     return facts
 
 
@@ -119,7 +122,9 @@ def in_a_loop(memory, vector, y, starts, data, end, max_steps):  # type: ignore[
     """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
-        out[k] = to_end(memory, vector, y, starts[k], data, end, max_steps)
+        row = to_end(memory, vector, y, starts[k], data, end, max_steps)
+        for i in range(len(row)):
+            out[k, i] = row[i]
     return out
 
 
@@ -141,8 +146,8 @@ def at_times(memory, vector, y, start, data, times, max_steps, out):  # type: ig
         while saved < len(times) and times[saved] <= now[0]:
             if times[saved] < now[0]:
                 interpolate(memory, times[saved], 0, vector)
-            out[saved] = y
-            y[:] = there
+            for i in range(len(y)):
+                out[saved, i], y[i] = y[i], there[i]
             saved += 1
         if saved == len(times):
             break

@@ -1,5 +1,7 @@
 """Compiled code between CyRK's C++ solvers and a scene's C functions.  Importing it loads CyRK and numba.
 
+Numbers are copied one by one: an assignment of a slice takes numba seconds to compile, most of them for the text
+of the error that arrays of different lengths raise.
 `to_end` is the bare call: a state in, the state at the end out.  Every call makes and frees a result of its own.
 """
 
@@ -13,7 +15,7 @@ import numpy as np
 from CyRK import get_error_message
 from CyRK.cy.pyhelpers import find_ode_method_int
 from CyRK.nb import numba_c_api
-from numba import carray, types
+from numba import types
 
 from contactbench.methods.c_functions import RHS_CALLS
 from contactbench.methods.cyrk_interface import GETTERS, KNOWN
@@ -70,7 +72,9 @@ def told(result, d, saved):  # type: ignore[no-untyped-def]
     facts = np.empty(KNOWN + d)
     facts[0], facts[1], facts[2], facts[3] = status_of(result), time_of(result), saved, steps_of(result)
     facts[4] = arguments_of(result)[RHS_CALLS]  # CyRK works on a copy of the data
-    facts[KNOWN:] = carray(state_of(result), (d,))
+    state = state_of(result)
+    for i in range(d):
+        facts[KNOWN + i] = state[i]
     free(result)
     return facts
 
@@ -87,7 +91,9 @@ def in_a_loop(rhs, method, starts, data, end, rtol, atol, max_steps):  # type: i
     """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
-        out[k] = to_end(rhs, method, starts[k], data, end, rtol, atol, max_steps)
+        row = to_end(rhs, method, starts[k], data, end, rtol, atol, max_steps)
+        for i in range(len(row)):
+            out[k, i] = row[i]
     return out
 
 
@@ -97,9 +103,13 @@ def at_times(rhs, method, start, data, times, rtol, atol, max_steps, out):  # ty
     d = len(start)
     result = solve(rhs, method, start, data, times, times[-1], rtol, atol, max_steps)
     saved: Any = min(np.int64(size_of(result)), len(times))
-    out[:saved] = carray(states_of(result), (saved, d))
+    states, state = states_of(result), state_of(result)
+    for k in range(saved):
+        for i in range(d):
+            out[k, i] = states[k * d + i]
     if saved == len(times):  # the last time is the solver's own, no interpolation
-        out[saved - 1] = carray(state_of(result), (d,))
+        for i in range(d):
+            out[saved - 1, i] = state[i]
     return told(result, d, saved)
 
 
