@@ -244,11 +244,11 @@ def test_implicit_diffrax_counts_every_newton_iteration():
 
 def test_diffrax_spends_a_budget_of_attempts_and_the_last_one_may_reach_the_end():
     run = {"rtol": 1e-6, "save_at": [5.0, 20.0]}
-    counts = cb.solve(PARTICLE, "diffrax-tsit5", **run).counts
+    counts = cb.solve("particle", "diffrax-tsit5", **run).counts
     assert counts.rejected
     attempts = counts.steps + counts.rejected
-    assert cb.solve(PARTICLE, "diffrax-tsit5", max_steps=attempts, **run).counts == counts
-    short = cb.solve(PARTICLE, "diffrax-tsit5", max_steps=attempts - 1, **run)
+    assert cb.solve("particle", "diffrax-tsit5", max_steps=attempts, **run).counts == counts
+    short = cb.solve("particle", "diffrax-tsit5", max_steps=attempts - 1, **run)
     assert short.status is Status.budget
     assert short.counts.steps + short.counts.rejected == attempts - 1
     assert 5 < short.end_time < 20
