@@ -24,7 +24,7 @@ from contactbench.measure.clock import (
 
 #: to warm up: the first of a process is no measure of the others
 CALLS = 2
-#: rounds of the first visit and of the second, however long they take: five in all
+#: rounds of the first visit and of the second, however long they take: five in all (after a kill between them three)
 FEWEST = (3, 2)
 
 
@@ -122,6 +122,6 @@ class Clock:
 
 
 def warm_call(run: Callable[[], Any]) -> float:
-    """Seconds that a call takes; one that is long is called no second time for it."""
+    """Seconds that a call takes; a long one is not repeated."""
     once = seconds(run, 1)
     return once if once > WARM else min(once, *(seconds(run, 1) for _ in range(CALLS - 1)))

@@ -16,7 +16,7 @@ import numpy as np
 
 from bench_ensemble import prepared_row
 
-#: of one visit (clock.py)
+#: of one visit
 ROUNDS = 5
 
 

@@ -17,15 +17,18 @@ from contactbench.scenes import SCENES
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of the cases of a test marked ``share(n)`` all but one in n are slow, none for it with a user's method or scene.
 
-    From which case on they are counted is different from test to test.  A case that is named alone is not slow for it.
+    Where cases have a method they are counted for each method alone, so that every one has a quick case.  From which
+    case on they are counted is different from test to test and from method to method.  A case that is named alone
+    is not slow for it.
     """
     cases = defaultdict(list)
     for item in items:
         mark = item.get_closest_marker("share")
         if mark and not has_a_users(item):
-            cases[item.nodeid.partition("[")[0], *mark.args].append(item)
-    for (name, n), found in cases.items():
-        for k, item in enumerate(found, crc32(name.encode())):
+            method = getattr(item.callspec.params.get("method"), "name", "")
+            cases[item.nodeid.partition("[")[0], method, *mark.args].append(item)
+    for (name, method, n), found in cases.items():
+        for k, item in enumerate(found, crc32(f"{name} {method}".encode())):
             if k % min(n, len(found)):
                 item.add_marker("slow")
 

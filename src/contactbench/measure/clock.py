@@ -16,7 +16,7 @@ import numpy as np
 VISITS = 2
 #: seconds a round takes at least, so that the clock's resolution plays no part
 ROUND_SECONDS = 1e-3
-#: rounds of one visit, however long they take
+#: rounds of one visit of a race, however long they take
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
 #: seconds from which a run that has been called before needs no warm-up: cold caches cost it less than a percent
 WARM = 0.02

@@ -1,7 +1,7 @@
 """Compiled code between CVODE's C library and a scene's C functions.  Importing it loads both numba and the library.
 
-`to_end` is the bare call: a state in, the state at the end out.  Numbers are copied one by one: numba takes a second
-to compile the assignment of a slice, for the text of the error that arrays of different lengths raise.
+`to_end` is the bare call: a state in, the state at the end out.  Numbers are copied one by one: numba takes seconds
+to compile the first assignment of a slice, for the text of the error that arrays of different lengths raise.
 """
 
 from __future__ import annotations

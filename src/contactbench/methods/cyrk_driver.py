@@ -1,7 +1,8 @@
 """Compiled code between CyRK's C++ solvers and a scene's C functions.  Importing it loads CyRK and numba.
 
-Numbers are copied one by one: an assignment of a slice takes numba seconds to compile, most of them for the text
-of the error that arrays of different lengths raise.
+Numbers are copied one by one: an assignment of a slice takes numba seconds to compile the first time, most of
+them for the text of the error that arrays of different lengths raise.
+
 `to_end` is the bare call: a state in, the state at the end out.  Every call makes and frees a result of its own.
 """
 

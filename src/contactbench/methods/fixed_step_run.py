@@ -41,7 +41,7 @@ class FixedStepRun(Prepared):
         self.totals, self.needed = self.cost(self.n), total(self.n)
 
     def divides_often(self) -> None:
-        """Asked ahead of runs that divide at every call: to have ready what makes that fast."""
+        """Called before runs that divide at every call: prepares what makes dividing fast."""
 
     def cost(self, n: np.ndarray) -> Counts:
         """Counts of intervals of n[k] steps; every interval starts afresh."""

@@ -247,7 +247,7 @@ def lowered(text: str, lanes: int = 1, fused: bool = True) -> Any:
                     sizes = cgutils.unpack_tuple(builder, array.shape)
                     arrays[name] = Array(array.data, *sizes[:2])
             if lanes > 1:
-                return Lanes(function, builder, arrays, lanes).returned
+                return Lanes(function, builder, arrays, lanes, fused).returned
             return Lowering(function, builder, arrays, numbers, fused).returned
 
         return types.int64(*arguments), instructions
@@ -267,11 +267,18 @@ class Lanes(Lowering):
     starts : (d, n), ends : (k, d, n), n a multiple of `lanes`.  part : the first tile of so many states, and the last.
     """
 
-    def __init__(self, function: ast.FunctionDef, builder: Any, arrays: dict[str, Array], lanes: int) -> None:
+    def __init__(
+        self,
+        function: ast.FunctionDef,
+        builder: Any,
+        arrays: dict[str, Array],
+        lanes: int,
+        fused: bool = True,
+    ) -> None:
         from llvmlite import ir
 
         self.lanes, self.wide = lanes, ir.VectorType(ir.DoubleType(), lanes)
-        super().__init__(function, builder, arrays, {})
+        super().__init__(function, builder, arrays, {}, fused)
 
     def run(self, body: list[ast.stmt]) -> None:
         from numba.core.cgutils import for_range

@@ -21,7 +21,7 @@ from contactbench.solution import DIVERGENCE, Status
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22
-#: as many of them take Python milliseconds, and `setup` a tenth of a second to compile
+#: as many numbers take Python milliseconds, and `setup` takes a tenth of a second to compile
 FEW = 2**13
 
 
@@ -32,13 +32,15 @@ class Loop:
     program: Program
     run: Any
     seconds: float
+    #: to compile `setup`, where that was needed
+    setup_seconds: float = 0.0
 
     @cached_property
     def setup(self) -> Any:
         """What is computed ahead of a run, compiled: the same bits as in Python, whose operations are not fused."""
         elapsed = stopwatch()
         setup = compiled(self.program.setup, fused=False)
-        self.seconds += elapsed()
+        self.setup_seconds = elapsed()
         return setup
 
     @cached_property
@@ -54,7 +56,7 @@ class Loop:
         return self.table(numbers, spans), np.concatenate([self.program.shape, which])
 
     def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
-        """The rows of several (h, n): by Python where they are few and `setup` is not compiled."""
+        """The rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
         program = self.program
         if "setup" not in vars(self) and len(spans) * program.width <= FEW:
             rows = [[0.0] * program.width for _ in spans]
@@ -119,7 +121,7 @@ class NumbaLoop(FixedStepRun):
 
     def divides_often(self) -> None:
         self.loop.setup  # noqa: B018, compiled now
-        self.compile_s = self.loop.seconds
+        self.compile_s = self.loop.seconds + self.loop.setup_seconds
 
     def short(self, n: np.ndarray) -> bool:
         """Whether what depends on the steps is computed ahead of a run."""

@@ -232,7 +232,7 @@ def limit_finding(frame: pd.DataFrame) -> list[Finding]:
     margin = noise(frame)
     covers = (
         f"beside C: one core, fastest round; from {times(1 / margin)} to {times(margin)} a tie within the noise, below "
-        "that faster than C"
+        "that less time than C took in this run"
     )
     return [Finding("ensemble_limit", "Ensembles beside C loops", sentence, covers)]
 
