@@ -65,8 +65,8 @@ class CyrkRun(Prepared):
         """Facts and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
         from contactbench.methods.cyrk_driver import in_a_loop
 
-        r = self.request
-        return in_a_loop(self.rhs, self.number, starts, self.data, self.end, r.rtol, r.atol, r.max_steps)
+        r, rows = self.request, np.ascontiguousarray(starts)  # CyRK reads a state where it begins
+        return in_a_loop(self.rhs, self.number, rows, self.data, self.end, r.rtol, r.atol, r.max_steps)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         if self.final_only:
