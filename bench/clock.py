@@ -20,10 +20,9 @@ from contactbench.measure.clock import (
     rounds_within,
     seconds,
     time_columns,
+    warm_call,
 )
 
-#: to warm up: the first of a process is no measure of the others
-CALLS = 2
 #: rounds of the first visit and of the second, however long they take: five in all (after a kill between them three)
 FEWEST = (3, 2)
 
@@ -119,9 +118,3 @@ class Clock:
         self.benchmark.pedantic(run, rounds=rounds, iterations=iterations, teardown=between)
         cell.shorter.append(shorter)
         return list(self.benchmark.stats.stats.data), iterations
-
-
-def warm_call(run: Callable[[], Any]) -> float:
-    """Seconds that a call takes; a long one is not repeated."""
-    once = seconds(run, 1)
-    return once if once > WARM else min(once, *(seconds(run, 1) for _ in range(CALLS - 1)))

@@ -88,9 +88,7 @@ class Race:
         """Seconds that a round of each run takes; a long call is warm after one."""
         rounds = []
         for i, run in enumerate(self.runs):
-            once = seconds(run, 1)
-            if once < WARM:
-                once = min(once, seconds(run, 1))
+            once = warm_call(run)
             self.iterations[i] = calls_a_round(once)
             rounds.append(once * self.iterations[i])
         return rounds
@@ -130,6 +128,12 @@ class Race:
     def columns(self, i: int) -> dict[str, Any]:
         """The time columns of run i, empty where it was not timed."""
         return time_columns(self.measured[i], self.iterations[i]) if self.measured[i] else {}
+
+
+def warm_call(run: Callable[[], Any]) -> float:
+    """Seconds that a call takes: not the first of a run, which is no measure of the others, unless it is long."""
+    once = seconds(run, 1)
+    return min(once, seconds(run, 1)) if once < WARM else once
 
 
 def seconds(run: Callable[[], Any], iterations: int) -> float:

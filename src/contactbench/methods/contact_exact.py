@@ -85,9 +85,8 @@ class ExactNumba(ExactRun):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.loop = self.loop_of_one()
-        self.run = self.loop.run
+        self.compile_s, self.run = self.loop.seconds, self.loop.run
         self.rows, self.shapes = self.ahead(self.loop)
-        self.compile_s = self.loop.seconds
 
     def loop_of_one(self, tangent: bool = False) -> Loop:
         """The evaluation as a loop of one step from the initial state."""

@@ -108,10 +108,10 @@ class NumbaLoop(FixedStepRun):
     def __post_init__(self) -> None:
         r = self.request
         self.loop = loop_of(self.method_, r.scene, r.carry)
+        self.compile_s = self.loop.seconds
         self.numbers = np.array(r.scene.numbers())
         self.run = self.loop.run
         super().__post_init__()
-        self.compile_s = self.loop.seconds
 
     def divide(self, step: float) -> None:
         super().divide(step)
