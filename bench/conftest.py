@@ -69,7 +69,7 @@ class Profile:
 
 PROFILES = {
     "smoke": Profile("smoke", 1, 0.0, 40_000),  # the budget of standard: the same rows, the same ends
-    "standard": Profile("standard", 6, 0.02, 40_000),
+    "standard": Profile("standard", 6, 0.01, 40_000),
     "full": Profile("full", 99, 0.3, 1_000_000),
 }
 

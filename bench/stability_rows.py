@@ -44,8 +44,8 @@ def solve(scene, method, **options):
         return cb.solve(scene, method, **options)
 
 
-#: compiled evaluations that a call back into Python is worth, and a step of an implicit method that does not say
-CALLBACK, IMPLICIT = 200, 1000
+#: compiled evaluations that a call back into Python is worth
+CALLBACK = 200
 #: of one that costs less than QUICK the fastest of several calls is timed; of one that costs more than LONG the first
 #: call, to which what only that one does adds nothing; else the second
 QUICK, LONG, CALLS = 1e5, 1e7, 5
@@ -53,13 +53,11 @@ QUICK, LONG, CALLS = 1e5, 1e7, 5
 
 def work(solution):
     """What a run cost, in compiled evaluations: of its counts alone."""
-    counts = solution.counts
-    evaluations = counts.rhs_equivalents
-    if evaluations is None:  # an implicit method that does not say
-        evaluations = IMPLICIT * (counts.steps + (counts.rejected or 0))
-    return evaluations * (
-        CALLBACK if "python" in solution.engine and cb.METHODS[solution.method].adaptive else 1
-    )
+    counts, method = solution.counts, cb.METHODS[solution.method]
+    dear = method.step_cost(solution.scene, solution.engine) if method.adaptive else None
+    if dear is None and counts.rhs_equivalents is not None:
+        return counts.rhs_equivalents
+    return CALLBACK * (dear or 1) * (counts.steps + (counts.rejected or 0))
 
 
 def stability_row(scene, method, engine, kind, value, max_steps):

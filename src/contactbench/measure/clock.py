@@ -15,7 +15,7 @@ import numpy as np
 
 VISITS = 2
 #: seconds a round takes at least, so that the clock's resolution plays no part
-ROUND_SECONDS = 1e-3
+ROUND_SECONDS = 5e-4
 #: rounds of one visit of a race, however long they take
 FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
 #: seconds from which a run that has been called before needs no warm-up: cold caches cost it less than a percent

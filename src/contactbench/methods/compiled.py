@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,14 +14,6 @@ from contactbench.methods.base import Prepared, stopwatch
 from contactbench.numbers.recording import advised
 
 _programs: dict[Any, tuple[Any, float]] = {}
-
-#: numbers of saved times a program is compiled for; the next larger one serves all in between
-CAPACITIES = (1, 64, 1024)
-
-
-def capacity(saves: int) -> int:
-    """The number of saved times of the program for so many."""
-    return next((size for size in CAPACITIES if size >= saves), saves)
 
 
 class XlaNumbers:
@@ -49,6 +41,9 @@ class CompiledRun(Prepared):
     Everything numerical (initial data, parameters, steps, tolerances, saved times) is an argument:
     a program is compiled once per scene structure and `capacity` for saved times, then shared.
     """
+
+    #: numbers of saved times a program is compiled for; the next larger one serves all in between
+    capacities: ClassVar[tuple[int, ...]] = (1, 64, 1024)
 
     #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
     fixed: Any
@@ -79,14 +74,22 @@ class CompiledRun(Prepared):
 
     def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
         """The three again: saved states (k, d), facts, last state (d,)."""
-        saves = self._saves
-        told = vector[capacity(saves) * d :].tolist()
-        return vector[: saves * d].reshape(-1, d), told[:-d], told[-d:]
+        told = vector[self.capacity * d :].tolist()
+        return vector[: self._saves * d].reshape(-1, d), told[:-d], told[-d:]
+
+    def room(self, saves: int) -> int:
+        """The number of saved times of the program for so many."""
+        return next((size for size in self.capacities if size >= saves), saves)
+
+    @cached_property
+    def capacity(self) -> int:
+        """The number of saved times of the program."""
+        return self.room(self._saves)
 
     def times(self) -> np.ndarray:
         """The saved times as a program takes them: the end again and again beyond those asked for."""
         times = self.request.save_at
-        return np.pad(times, (0, capacity(len(times)) - len(times)), mode="edge")
+        return np.pad(times, (0, self.capacity - len(times)), mode="edge")
 
     def placed(self, y0: np.ndarray) -> Any:
         """The initial state as the program takes it: the scene's own is moved once, not at every call."""

@@ -41,7 +41,7 @@ from contactbench.methods.base import (
     Request,
     stopwatch,
 )
-from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
+from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.methods.llvm import compiled
 from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.recording import CannotRecord, recorded
@@ -245,7 +245,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         )
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method, capacity(len(self.request.save_at)))
+        return (self.method, self.capacity)
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]

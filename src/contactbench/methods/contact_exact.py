@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Request
-from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
+from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.numbers.control import Repeat
@@ -134,7 +134,7 @@ class ExactJax(ExactRun, CompiledRun):
         self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method, capacity(len(self.request.save_at)))
+        return (self.method, self.capacity)
 
     def states(self, y0: Any, fixed: Any) -> Any:
         from contactbench.xla import jax, jnp

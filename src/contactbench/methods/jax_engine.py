@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Outcome
-from contactbench.methods.compiled import CompiledRun, XlaNumbers, capacity
+from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.numbers.control import Repeat
 
@@ -36,7 +36,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
         from contactbench.xla import jax
 
         super().__post_init__()
-        self.capacity = capacity(len(self.n))
+        self.capacity = self.room(len(self.n))
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(self.spans(self.h, self.n))
 
