@@ -1,12 +1,14 @@
 """For the benchmark and the tests alike: ``--plugin FILE``, by which a user's own methods and scenes join in,
-``--sample N``, which runs N of the chosen tests, always the same ones, and one cache of the programs that JAX
-compiles, shared by all processes of a run and by the runs after it."""
+``--sample N``, which runs N of the chosen tests, always the same ones, one cache of the programs that JAX
+compiles, shared by all processes of a run and by the runs after it, and an end without tidying up."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import random
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -53,6 +55,17 @@ def pytest_configure(config: pytest.Config) -> None:
             load_file(path)
     except BadInput as error:
         raise pytest.UsageError(str(error)) from None
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)  # after pytest-xdist has told its controller that all is done
+def pytest_sessionfinish(session: pytest.Session) -> Iterator[None]:
+    """End a worker of pytest-xdist at once: it takes seconds to free thousands of compiled programs one by one,
+    for which the controller waits."""
+    yield
+    if hasattr(session.config, "workerinput"):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 @pytest.hookimpl(trylast=True)  # of what -k and -m have left

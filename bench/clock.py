@@ -96,7 +96,7 @@ class Clock:
         return time_columns(cell.measured, cell.iterations)
 
     def rounds(self, run: Callable[[], Any], group: str, part: Part | None = None) -> tuple[Samples, int]:
-        """Rounds of about a millisecond, as many as the profile fills, after a warm-up.
+        """Rounds of about half a millisecond, as many as the profile fills, after a warm-up.
 
         A run whose part is long is warm once that has been called, a second visit to it finds it warm.
         """

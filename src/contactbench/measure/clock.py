@@ -1,4 +1,4 @@
-"""How calls are timed: rounds of about a millisecond, and every run measured twice.
+"""How calls are timed: rounds of about half a millisecond, and every run measured twice.
 
 What two measurements of one and the same run differ by (A/A) is the noise of the machine.
 """
