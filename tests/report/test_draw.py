@@ -209,12 +209,15 @@ def test_the_convergence_plot_has_a_guide_of_every_order_in_colour():
 # -- files -----------------------------------------------------------------------------------------
 def test_what_shows_the_same_is_not_drawn_again(tmp_path, monkeypatch):
     figure = race(curve("rk4", 1.0))
-    vector, picture = draw.save_all([figure], tmp_path)
+    with draw.in_background(tmp_path) as have_saved:
+        have_saved(figure)
     assert draw.current(figure, tmp_path)
+    vector, picture = draw.files(figure, tmp_path)
     before = vector.read_bytes(), picture.read_bytes()
     with monkeypatch.context() as patched:
-        patched.setattr(draw, "drawn", lambda figure: pytest.fail("drawn again"))
-        assert draw.save_all([figure], tmp_path) == [vector, picture]
+        patched.setattr(draw, "save", lambda *given: pytest.fail("drawn again"))
+        with draw.in_background(tmp_path) as have_saved:
+            have_saved(figure)
     changed = replace(figure, panels=(replace(figure.panels[0], title="other"),))
     assert not draw.current(changed, tmp_path)
     draw.save(figure, tmp_path)

@@ -10,8 +10,9 @@ import hashlib
 import multiprocessing
 import os
 import re
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +40,6 @@ AROUND = (0.78, 0.16, 0.58, 0.3)
 REMARK, TITLE, LEGEND_ROW, HANDLE, LETTER, BAR = 0.17, 0.34, 0.24, 0.7, 0.075, 0.8
 #: the height of the label of a span; first digits of the ticks of a linear axis
 TAG, STEPS = 0.16, (1, 2, 2.5, 5, 10)
-#: figures that are worth starting processes for
-FEWEST_FOR_PROCESSES = 8
 OTHERS = "other methods"
 #: behind a name
 BEHIND = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
@@ -367,14 +366,23 @@ def save(figure: Figure, folder: Path) -> list[Path]:
     return [vector, picture]
 
 
-def save_all(figures: Sequence[Figure], folder: Path) -> list[Path]:
-    """The same for many, on all cores this process may use; those whose files show them already are left."""
-    old = [figure for figure in figures if not current(figure, folder)]
+@contextmanager
+def in_background(folder: Path) -> Iterator[Callable[[Figure], Any]]:
+    """A function that has a figure saved, unless its files show it already; all are there when the block ends.
+
+    By other processes, on the cores that this one leaves; by this one where it has only one.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores == 1 or len(old) < FEWEST_FOR_PROCESSES:
-        for figure in old:
-            save(figure, folder)
-    else:
-        with ProcessPoolExecutor(min(cores, len(old)), multiprocessing.get_context("spawn")) as pool:
-            list(pool.map(save, old, [folder] * len(old)))
-    return [path for figure in figures for path in files(figure, folder)]
+    if cores == 1:
+        yield lambda figure: None if current(figure, folder) else save(figure, folder)
+        return
+    with ProcessPoolExecutor(cores - 1, multiprocessing.get_context("spawn")) as pool:
+        saved: list[Future[list[Path]]] = []
+
+        def have_saved(figure: Figure) -> None:
+            if not current(figure, folder):
+                saved.append(pool.submit(save, figure, folder))
+
+        yield have_saved
+        for each in saved:
+            each.result()

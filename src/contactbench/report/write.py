@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +24,13 @@ def tables(results: Path) -> Tables:
     return Tables({name: read(table, results) for name, table in TABLES.items()})
 
 
-def heard(frames: Frames, recorded: Runs) -> list[Said]:
+def heard(frames: Frames, recorded: Runs) -> Iterator[Said]:
     """Every room that has something to say, with its parts and findings."""
-    said = []
     for room in rooms(frames):
         parts = tuple(room.sections(frames))
         if room.name == "headline":
             parts = (*parts, headline.machines(recorded))
-        said.append(Said(room, parts, tuple(once(room.findings, frames))))
-    return said
+        yield Said(room, parts, tuple(once(room.findings, frames)))
 
 
 def documents(said: Iterable[Said], registries: glossary.Registries) -> dict[str, str]:
@@ -70,15 +68,28 @@ def into_readme(readme: Path, results: Path, frames: Frames) -> None:
 
 
 def made(
-    results: Path, frames: Frames, registries: glossary.Registries
+    results: Path,
+    frames: Frames,
+    registries: glossary.Registries,
+    have_saved: Callable[[Figure], object] = lambda figure: None,
 ) -> tuple[dict[str, str], dict[str, Figure]]:
-    """What the tables of a folder allow: documents and the page, file name → text, and figures by name."""
+    """What the tables of a folder allow: documents and the page, file name → text, and figures by name.
+
+    have_saved : called with each figure as soon as there is one.
+    """
     recorded = runs(results)
-    said = heard(frames, recorded)
+    said: list[Said] = []
+    drawn: dict[str, Figure] = {}
+    for one in heard(frames, recorded):
+        said.append(one)
+        for figure in figures(one.parts):
+            if figure.name not in drawn:
+                drawn[figure.name] = figure
+                have_saved(figure)
     texts = documents(said, registries)
     if texts:
         texts["report.html"] = page.page(said, recorded, glossary.sections(registries), page.LINKS)
-    return texts, {figure.name: figure for one in said for figure in figures(one.parts)}
+    return texts, drawn
 
 
 def remove_others(names: Container[str], folder: Path) -> None:
@@ -96,14 +107,15 @@ def report(results: Path, registries: glossary.Registries, readme: Path | None =
     readme : a file whose computed part is filled in too.
     """
     frames = tables(results)
-    texts, drawn = made(results, frames, registries)
-    written = []
-    for name, text in texts.items():
-        with replacing(results / name) as file:
-            file.write(text)
-        written.append(results / name)
-    remove_others(drawn, results / "figures")
-    written += draw.save_all(list(drawn.values()), results / "figures")
+    with draw.in_background(results / "figures") as have_saved:
+        texts, drawn = made(results, frames, registries, have_saved)
+        written = []
+        for name, text in texts.items():
+            with replacing(results / name) as file:
+                file.write(text)
+            written.append(results / name)
+        remove_others(drawn, results / "figures")
+    written += [path for figure in drawn.values() for path in draw.files(figure, results / "figures")]
     if readme is not None:
         into_readme(readme, results, frames)
         written.append(readme)
