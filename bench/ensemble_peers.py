@@ -71,12 +71,13 @@ def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
 
 
 def diffrax(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
-    """The number of trajectories must be a multiple of the tile.  The program for `ROOM` serves fewer too."""
+    """The program for `ROOM` serves fewer too; the last trajectory fills the last tile."""
     program, steps, n = diffrax_program(method, shape, scene.name), [0], y0.shape[1]
-    room = np.pad(y0, ((0, 0), (0, max(0, ROOM - n))))
+    tiles = -(-n // TILE)
+    room = np.pad(y0, ((0, 0), (0, max(ROOM, tiles * TILE) - n)), mode="edge")
 
     def run() -> np.ndarray:
-        y, steps[0] = program(room, n // TILE, value, scene.t_end)
+        y, steps[0] = program(room, tiles, value, scene.t_end)
         return np.asarray(y)[:, :n]
 
     return run, lambda: (int(steps[0]), int(steps[0]) * SOLVERS[method][1] + 1, "rhs")

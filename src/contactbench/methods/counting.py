@@ -17,7 +17,7 @@ Rule = Callable[[dict[str, Any], Sequence[Any], Any], tuple[Sequence[Any], Any]]
 def counted(function: Callable[..., Any], *arguments: Any) -> tuple[Any, Any]:
     """What a traceable function returns, and how many `jax.debug.callback` it came by, which are not called.
 
-    Raises `NotImplementedError` where one is in a construct of JAX that has no rule here.
+    Raises `NotImplementedError` where one, or any other effect, is in a construct of JAX that has no rule here.
     """
     program, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
     outputs, number = _closed(program, jax.tree.leaves(arguments), jnp.array(0))
@@ -25,7 +25,7 @@ def counted(function: Callable[..., Any], *arguments: Any) -> tuple[Any, Any]:
 
 
 def _closed(program: Any, inputs: Sequence[Any], number: Any) -> tuple[list[Any], Any]:
-    """A program evaluated equation by equation; only callbacks have effects."""
+    """A program evaluated equation by equation; of all that has effects only callbacks are known."""
     jaxpr = program.jaxpr
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *inputs], strict=True))
 
@@ -47,7 +47,7 @@ def _closed(program: Any, inputs: Sequence[Any], number: Any) -> tuple[list[Any]
         elif name in RULES:
             found, number = RULES[name](equation.params, given, number)
         else:
-            raise NotImplementedError(f"a callback inside {name}")
+            raise NotImplementedError(f"a callback, or another effect, inside {name}")
         values |= zip(equation.outvars, found, strict=True)
     return list(map(read, jaxpr.outvars)), number
 

@@ -28,7 +28,8 @@ class DiffraxRun(CompiledRun):
     method_: DiffraxMethod
 
     sensitivity_source = "forward-mode AD, accepted steps frozen"
-    #: one program for all saves that are more than the last: to save costs it next to nothing
+    #: one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
+    #: a program takes seconds to compile
     capacities = (1, 1024)
 
     def __post_init__(self) -> None:
@@ -55,8 +56,8 @@ class DiffraxRun(CompiledRun):
     def _counted(self, y0: Any, fixed: Any) -> Any:
         """As `_solve`; of an implicit method the facts have the evaluations too.
 
-        diffrax does not report its Newton iterations.  To count them costs a program nothing: measured on five
-        scenes, the same bits, in 0.8 to 1.0 of the time.
+        diffrax does not report its Newton iterations.  To count them costs a program nothing: measured on a
+        dozen scenes, the same bits, in 0.8 to 1.01 of the time.
         """
         if not self.method_.stiff:
             return self._solve(y0, fixed)

@@ -40,6 +40,8 @@ AROUND = (0.78, 0.16, 0.58, 0.3)
 REMARK, TITLE, LEGEND_ROW, HANDLE, LETTER, BAR = 0.17, 0.34, 0.24, 0.7, 0.075, 0.8
 #: the height of the label of a span; first digits of the ticks of a linear axis
 TAG, STEPS = 0.16, (1, 2, 2.5, 5, 10)
+#: figures that are worth starting processes for
+FEWEST_FOR_PROCESSES = 8
 OTHERS = "other methods"
 #: behind a name
 BEHIND = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}
@@ -367,22 +369,31 @@ def save(figure: Figure, folder: Path) -> list[Path]:
 
 
 @contextmanager
-def in_background(folder: Path) -> Iterator[Callable[[Figure], Any]]:
+def in_background(folder: Path) -> Iterator[Callable[[Figure], None]]:
     """A function that has a figure saved, unless its files show it already; all are there when the block ends.
 
-    By other processes, on the cores that this one leaves; by this one where it has only one.
+    Many are drawn by other processes, on the cores that this one leaves, a few by this one at the end.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores == 1:
-        yield lambda figure: None if current(figure, folder) else save(figure, folder)
-        return
-    with ProcessPoolExecutor(cores - 1, multiprocessing.get_context("spawn")) as pool:
-        saved: list[Future[list[Path]]] = []
+    pool = ProcessPoolExecutor(
+        max(1, cores - 1), multiprocessing.get_context("spawn")
+    )  # starts none before it must
+    few: list[Figure] = []
+    saved: list[Future[list[Path]]] = []
 
-        def have_saved(figure: Figure) -> None:
-            if not current(figure, folder):
-                saved.append(pool.submit(save, figure, folder))
+    def have_saved(figure: Figure) -> None:
+        if current(figure, folder):
+            return
+        few.append(figure)
+        if cores > 1 and len(few) + len(saved) >= FEWEST_FOR_PROCESSES:
+            saved.extend(pool.submit(save, each, folder) for each in few)
+            few.clear()
 
+    try:
         yield have_saved
+        for figure in few:
+            save(figure, folder)
         for each in saved:
             each.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
