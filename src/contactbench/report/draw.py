@@ -372,12 +372,10 @@ def save(figure: Figure, folder: Path) -> list[Path]:
 def in_background(folder: Path) -> Iterator[Callable[[Figure], None]]:
     """A function that has a figure saved, unless its files show it already; all are there when the block ends.
 
-    Many are drawn by other processes, on the cores that this one leaves, a few by this one at the end.
+    Many are drawn by other processes, one for every core, a few by this one at the end.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    pool = ProcessPoolExecutor(
-        max(1, cores - 1), multiprocessing.get_context("spawn")
-    )  # starts none before it must
+    pool = ProcessPoolExecutor(cores, multiprocessing.get_context("spawn"))  # starts none before it must
     few: list[Figure] = []
     saved: list[Future[list[Path]]] = []
 
