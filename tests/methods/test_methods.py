@@ -240,7 +240,9 @@ def test_diffrax_counts_what_it_evaluates(name, monkeypatch):
     run = cb.prepare(PARTICLE, name, rtol=1e-8, save_at=[4.0])
     jax.block_until_ready(jax.jit(partial(run._solve, marked=True))(run.start, run.fixed))
     jax.effects_barrier()
-    assert run().counts.evaluations == len(calls) > 100
+    counts = run().counts
+    assert counts.evaluations == len(calls)
+    assert counts.evaluations > run.method_.stages * counts.steps
 
 
 def test_diffrax_spends_a_budget_of_attempts_and_the_last_one_may_reach_the_end():

@@ -39,10 +39,10 @@ def _closed(program: Any, inputs: Sequence[Any], number: Any) -> tuple[list[Any]
             number, found = number + 1, ()
         elif not equation.effects:
             parameters = equation.primitive.get_bind_params(equation.params)
-            functions, parameters = (
-                parameters if isinstance(parameters, tuple) else ([], parameters)
-            )  # JAX < 0.12
-            found = equation.primitive.bind(*functions, *given, **parameters)
+            if isinstance(parameters, tuple):  # of older JAX: functions to be called, and the rest
+                functions, parameters = parameters
+                given = [*functions, *given]
+            found = equation.primitive.bind(*given, **parameters)
             found = found if equation.primitive.multiple_results else [found]
         elif name in RULES:
             found, number = RULES[name](equation.params, given, number)
