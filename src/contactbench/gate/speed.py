@@ -25,6 +25,7 @@ from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.gate.fresh import environment
+from contactbench.gate.speed_worker import RUNS_SECONDS
 from contactbench.gate.workload import Cell
 from contactbench.results.statistics import PairedRatio, paired_ratio
 
@@ -185,13 +186,15 @@ def paired_times(
     """Ratio second/first tree of every cell, from one new process each.
 
     rounds : for every cell; the undecided get as many again until they have `MOST_ROUNDS` or more.
-    until : on the clock of `perf_counter`, when to stop; three quarters of what is left go into
-    compilation at most, which takes several times as long as the rounds.
+    until : on the clock of `perf_counter`, when to stop.  Of what is left, what the runs for memory take at the
+    end is set aside; three quarters of the rest go into compilation at most, which takes longer than the rounds.
     """
     from tqdm import tqdm
 
     main, other = cores()
     draw = random.Random(seed)
+    if until is not None:
+        until -= RUNS_SECONDS * len(cells)
     left = None if until is None else max(1.0, 0.75 * (until - perf_counter()))
     with ExitStack() as stack:
         sides = [
