@@ -52,7 +52,7 @@ def add(command: Command) -> None:
   contactbench gate --only accuracy --fresh /tmp/results-of-a-run
   contactbench gate --only speed --base origin/main
 
-Accuracy: a fresh smoke run of the benchmark (about three minutes), and the tables of the working tree, against
+Accuracy: a fresh smoke run of the benchmark (about two minutes), and the tables of the working tree, against
 the tables of another revision.  Speed: the working tree against another revision, in turns on one core (a few
 minutes).  Prints one table of what moved.  A change that means to change tables names them, in a line
 "Tables-changed: laws, claims" of a commit's message or with --tables-changed.
