@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -196,6 +196,8 @@ def sentences(first: speed.Measured, lines: Sequence[Line], names: tuple[str, st
 
 def refusals(cells: Sequence[Cell], found: speed.Measured) -> tuple[str, ...]:
     """Why cells were not timed; those there was no time for in one note."""
+    base, head = found.costs
+    no_peak = "" if base.compile.keys() == head.compile.keys() else ", nor to compare the peaks of memory"
     late = [i for i, why in found.refused.items() if why.endswith("no time left")]
     notes = [
         f"{cells[i].scene} {cells[i].method} ({cells[i].engine}) not timed: {why}"
@@ -204,32 +206,38 @@ def refusals(cells: Sequence[Cell], found: speed.Measured) -> tuple[str, ...]:
     ]
     return (
         *notes,
-        *([f"inconclusive: no time to compile {len(late)} of {len(cells)} cells"] if late else []),
+        *([f"inconclusive: no time to compile {len(late)} of {len(cells)} cells{no_peak}"] if late else []),
     )
 
 
 def once_a_process(
     pythons: Sequence[str], trees: Sequence[Path], cells: Sequence[Cell], first: speed.Pair, until: float | None
 ) -> list[Line]:  # fmt: skip
-    """Compilation and memory: red where they are too much in every one of `CONFIRMED` pairs of processes."""
-    over = speed.suspects(first)
-    pairs, every = [first], range(len(cells))
-    which = sorted({i for found in over.values() for i in found if i >= 0}) or list(every)
-    if -1 in {i for found in over.values() for i in found}:
-        which = list(every)
-    while over and len(pairs) < speed.CONFIRMED and (until is None or perf_counter() < until):
-        found = speed.paired_times(pythons, trees, [cells[i] for i in which], 0, seed=0, until=until)
-        pair = tuple(renumbered(side, which) for side in found.costs)
-        pairs.append((pair[0], pair[1]))
+    """Compilation and memory: red where they are too much in every one of `CONFIRMED` pairs of processes.
+
+    A pair that measures a suspect and finds nothing clears it; one that there was no time to measure again stays,
+    inconclusive.
+    """
+    found = Counter((what, i) for what, which in speed.suspects(first).items() for i in which)
+    pairs = [first]
+    while found and len(pairs) < speed.CONFIRMED and (until is None or perf_counter() < until):
+        which = sorted({i for _, i in found} - {speed.WHOLE})  # first: there may be no time for more
+        if speed.WHOLE in {i for _, i in found}:
+            which += [i for i in range(len(cells)) if i not in which]
+        again = speed.paired_times(pythons, trees, [cells[i] for i in which], 0, seed=0, until=until)
+        base, head = (renumbered(side, which) for side in again.costs)
+        pairs.append((base, head))
         now = speed.suspects(pairs[-1])
-        over = {what: kept for what, old in over.items() if (kept := old & now.get(what, set()))}
-    sure = len(pairs) == speed.CONFIRMED
-    return [
-        line
-        for what, found in over.items()
-        for i in sorted(found)
-        for line in [spent(what, i, cells, pairs, sure)]
-    ]
+        for what, i in list(found):
+            if i in now.get(what, set()):
+                found[what, i] += 1
+            elif speed.looked_at(pairs[-1], i, first):
+                del found[what, i]
+    lines = []
+    for (what, i), times in sorted(found.items()):
+        measured = [pair for pair in pairs if speed.looked_at(pair, i, first)]
+        lines.append(spent(what, i, cells, measured, times == speed.CONFIRMED))
+    return lines
 
 
 def renumbered(costs: speed.Costs, which: Sequence[int]) -> speed.Costs:
@@ -240,20 +248,19 @@ def renumbered(costs: speed.Costs, which: Sequence[int]) -> speed.Costs:
 
 
 def spent(what: str, i: int, cells: Sequence[Cell], pairs: Sequence[speed.Pair], sure: bool) -> Line:
-    """The line of a cost: the medians of both sides over the pairs of processes."""
+    """The line of a cost: the medians of both sides over the pairs of processes that were asked for it."""
 
     def middle(side: int) -> float:
-        costs = [pair[side] for pair in pairs]
-        values = {
-            "compilation": [c.compile.get(i, 0.0) for c in costs],
-            "memory left behind": [c.leaked.get(i, 0.0) / 1e6 for c in costs],
-            "peak memory": [c.peak / 1e6 for c in costs],
+        value: Callable[[speed.Costs], float] = {
+            "compilation": lambda c: c.compile[i],
+            "memory left behind": lambda c: c.leaked[i] / 1e6,
+            "peak memory": lambda c: c.peak / 1e6,
         }[what]
-        return float(np.median(values))
+        return float(np.median([value(pair[side]) for pair in pairs]))
 
     before, after = middle(0), middle(1)
     unit = "s" if what == "compilation" else "MB"
-    cell = cells[i] if i >= 0 else None
+    cell = cells[i] if i != speed.WHOLE else None
     words = (what, f"{before:.3g} {unit}", f"{after:.3g} {unit}", f"{after - before:+.3g} {unit}")
     verdict = "more" if sure else "inconclusive"
     where = (cell.scene, cell.method, cell.engine, cell.setting) if cell else ("", "", "", "")

@@ -33,6 +33,8 @@ LIMIT = 1.25
 ROUNDS = 15
 #: rounds a cell gets at most, as long as it is undecided
 MOST_ROUNDS = 60
+#: share of the time that compilation may take
+COMPILING = 0.6
 #: seconds of processor time of compilation, and share of what the base takes, that the head may take more
 COMPILE, COMPILE_SHARE = 0.1, 0.15
 #: bytes that repeated runs of a cell may leave behind more than the base's
@@ -53,6 +55,8 @@ class Costs:
 
 
 Pair = tuple[Costs, Costs]  #: of base and head
+#: the number of no cell: the process as a whole
+WHOLE = -1
 
 
 @dataclass(frozen=True)
@@ -78,18 +82,30 @@ def verdict(first: PairedRatio, again: PairedRatio | None) -> str:
 
 
 def suspects(pair: Pair) -> dict[str, set[int]]:
-    """The cells that compile longer or leave more behind than they may, and {-1} where the peak is higher."""
+    """The cells that compile longer or leave more behind than they may, and {WHOLE} where the peak is higher.
+
+    The peaks of processes that had time for different cells are not compared.
+    """
     base, head = pair
     # a cell that one side had no time for, or refuses, is no suspect
     compiled, kept = base.compile.keys() & head.compile.keys(), base.leaked.keys() & head.leaked.keys()
+    same = base.compile.keys() == head.compile.keys()
     over = {
         "compilation": {
             i for i in compiled if head.compile[i] > base.compile[i] * (1 + COMPILE_SHARE) + COMPILE
         },
         "memory left behind": {i for i in kept if head.leaked[i] > base.leaked[i] + LEAK},
-        "peak memory": {-1} if head.peak > base.peak * (1 + PEAK_SHARE) + PEAK else set(),
+        "peak memory": {WHOLE} if same and head.peak > base.peak * (1 + PEAK_SHARE) + PEAK else set(),
     }
     return {what: which for what, which in over.items() if which}
+
+
+def looked_at(pair: Pair, i: int, first: Pair) -> bool:
+    """Whether a pair has measured a cell; of the process as a whole, all cells of the first pair."""
+    base, head = pair
+    if i != WHOLE:
+        return i in base.compile.keys() & head.compile.keys()
+    return base.compile.keys() == head.compile.keys() >= first[0].compile.keys() & first[1].compile.keys()
 
 
 # -- processes -------------------------------------------------------------------------------------
@@ -186,16 +202,14 @@ def paired_times(
     """Ratio second/first tree of every cell, from one new process each.
 
     rounds : for every cell; the undecided get as many again until they have `MOST_ROUNDS` or more.
-    until : on the clock of `perf_counter`, when to stop.  Of what is left, what the runs for memory take at the
-    end is set aside; three quarters of the rest go into compilation at most, which takes longer than the rounds.
+    until : on the clock of `perf_counter`, when to stop.  Of what is left, compilation takes `COMPILING` at most, and
+    what the runs for memory take at the end is set aside.
     """
     from tqdm import tqdm
 
     main, other = cores()
     draw = random.Random(seed)
-    if until is not None:
-        until -= RUNS_SECONDS * len(cells)
-    left = None if until is None else max(1.0, 0.75 * (until - perf_counter()))
+    left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
     with ExitStack() as stack:
         sides = [
             stack.enter_context(Side(python, tree, cells, core, main, left))
@@ -207,6 +221,8 @@ def paired_times(
         times: dict[int, tuple[list[float], list[float]]] = {
             i: ([], []) for i in range(len(cells)) if i not in refused
         }
+        if until is not None:
+            until -= RUNS_SECONDS * len(times)
         ratios: dict[int, PairedRatio] = {}
         ask, late = list(times) if rounds else [], False
         while ask and not late:

@@ -9,6 +9,7 @@ go the file of the code that is timed with the cells it refused, then lists of s
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -21,8 +22,8 @@ from typing import Any
 #: calls are repeated to fill this, so that the clock's resolution plays no part
 FILL = 1e-3
 REPEATS = 3
-#: what is left behind is measured over so many runs, or over as many as this takes at most, in seconds
-RUNS, RUNS_SECONDS = 300, 0.1
+#: what is left behind is measured over so many runs, or over as many as this takes at most, in seconds, in three goes
+RUNS, RUNS_SECONDS, GOES = 300, 0.1, 3
 #: a scene that is not timed, so that its programs are no other's
 WARM = "critical"
 
@@ -80,18 +81,47 @@ def resident() -> int:
         return int(file.read().split()[1]) * resource.getpagesize()
 
 
+class MallInfo(ctypes.Structure):
+    """What glibc's `mallinfo2` says; `hblkhd` and `uordblks` are what is in use."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in (
+            "arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost",
+        )
+    ]  # fmt: skip
+
+
+def handed_out() -> int:
+    """Bytes that the C library has handed out and not got back; 0 where it does not say."""
+    library = ctypes.CDLL(None)
+    if not hasattr(library, "mallinfo2"):
+        return 0
+    library.mallinfo2.restype = MallInfo
+    info = library.mallinfo2()
+    return info.uordblks + info.hblkhd
+
+
 def left_behind(run: Callable[[], Any], calls: int) -> float:
-    """Bytes by which the process grows over `RUNS` runs; of longer ones from fewer of them."""
+    """Bytes that `RUNS` runs leave behind; of longer ones from fewer of them.
+
+    The middle one of three goes: what is allocated once plays no part.  Of each the larger of two: what the process
+    has grown by, which holes in its memory may have taken in, and what the C library has handed out, which is not
+    where Python keeps its small objects.
+    """
     if not os.path.exists("/proc/self/statm"):
         return 0.0
     each = FILL / calls
-    runs = max(5, min(RUNS, int(RUNS_SECONDS / each)))
+    runs = max(2, min(RUNS, int(RUNS_SECONDS / each)) // GOES)
+    grown = []
     gc.collect()
-    before = resident()
-    for _ in range(runs):
-        run()
-    gc.collect()
-    return (resident() - before) * RUNS / runs
+    for _ in range(GOES):
+        before = resident(), handed_out()
+        for _ in range(runs):
+            run()
+        gc.collect()
+        grown.append(max(resident() - before[0], handed_out() - before[1]))
+    return sorted(grown)[GOES // 2] * RUNS / runs
 
 
 def costs(runs: dict[int, Ready]) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def view(frame: pd.DataFrame, name: str, title: str, meaning: str, cell: Callabl
 
 def findings(frames: Frames) -> list[Finding]:
     fit = fits(frames["convergence"])
-    known = fit[(fit["status"] == "ok") & fit["order"].notna()]
+    known = fit[fit["order"].notna()]  # whether or not its coarsest step diverged
     if not len(known):
         return []
     off = known[[abs(r["order"] - r["order_nominal"]) > allowed(r) for _, r in known.iterrows()]]
@@ -82,7 +82,7 @@ def findings(frames: Frames) -> list[Finding]:
         + ("" if pd.isna(r["last_slope"]) else f", last pairwise slope {r['last_slope']:.2f}")
         for _, r in off.iterrows()
     ]
-    blank = fit[(fit["status"] == "ok") & fit["order"].isna()]
+    blank = fit[(fit["status"] != "unsupported") & fit["order"].isna()]
     covers = f"{known['method'].nunique()} fixed-step methods on {known['scene'].nunique()} scenes"
     if len(blank):
         pairs = [f"{r['method']} on `{r['scene']}`" for _, r in blank.iterrows()]
