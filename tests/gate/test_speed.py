@@ -15,7 +15,7 @@ import pytest
 import selfcheck_speed
 from cases import most_slow
 from contactbench.errors import BadInput
-from contactbench.gate import judge, revisions, speed
+from contactbench.gate import judge, revisions, speed, speed_worker
 from contactbench.gate.workload import MANY, Cell, workload
 from contactbench.plugins import VARIABLE
 from contactbench.results.statistics import PairedRatio
@@ -353,6 +353,65 @@ def test_a_suspect_is_red_when_three_pairs_of_processes_agree(agreeing, verdicts
     assert [(line.method, line.measure, line.verdict) for line in found] == [
         ("rk4", "compilation", verdict) for verdict in verdicts
     ]
+
+
+def answering(monkeypatch, *costs):
+    """The pairs of processes answer so, one after the other; the cells each is asked for."""
+    asked, answers = [], list(costs)
+
+    def paired_times(pythons, trees, cells, rounds, seed, until):
+        asked.append(cells)
+        return speed.Measured({}, {}, answers.pop(0))
+
+    monkeypatch.setattr(speed, "paired_times", paired_times)
+    return asked
+
+
+NOTHING = (speed.Costs(), speed.Costs())
+
+
+def test_a_suspect_that_there_is_no_time_to_measure_again_stays_inconclusive(monkeypatch):
+    answering(monkeypatch, NOTHING, NOTHING)
+    cells = [*CELLS, Cell("particle", "rk4", "numba", "step", 0.1, ())]
+    found = judge.once_a_process((), (), cells, pair(leaked={0: 0.0, 1: 3.2e6}), None)
+    assert [(line.method, line.measure, line.verdict, line.change) for line in found] == [
+        ("rk4", "memory left behind", "inconclusive", "+3 MB")
+    ]
+
+
+@pytest.mark.parametrize(("again", "verdicts"), [(4.8e8, ["more"]), (4.1e8, [])])
+def test_a_peak_is_confirmed_by_processes_that_run_every_cell_suspects_first(again, verdicts, monkeypatch):
+    """What runs fewer cells clears nothing."""
+    cells = [Cell("particle", name, "numba", "step", 0.1, ()) for name in ("rk4", "contact-strang")]
+    asked = answering(monkeypatch, *[pair(peak=again)] * 2)
+    found = judge.once_a_process((), (), cells, pair(peak=4.8e8, compile={0: 1.0, 1: 0.5}), None)
+    assert asked[0] == cells[::-1]
+    assert [line.verdict for line in found if line.measure == "peak memory"] == verdicts
+    answering(monkeypatch, NOTHING, NOTHING)
+    (line,) = judge.once_a_process((), (), cells, pair(peak=4.8e8), None)
+    assert (line.measure, line.verdict, line.change) == ("peak memory", "inconclusive", "+80 MB")
+
+
+def test_peaks_of_processes_that_ran_different_cells_are_not_compared():
+    assert speed.suspects((speed.Costs({0: 1.0}, {}, 4e8), speed.Costs({0: 1.0, 1: 1.0}, {}, 8e8))) == {}
+
+
+@pytest.mark.skipif(not speed_worker.handed_out(), reason="the C library does not say what it has handed out")
+@pytest.mark.parametrize("size", [0, 1000, 20_000, 900_000])
+def test_what_runs_leave_behind_is_counted_but_not_what_is_allocated_once(size):
+    """Beside a hole of some megabytes, which a leak could hide in."""
+    hole = [np.ones(5000) for _ in range(100)]
+    kept = [np.ones(1_000_000)]
+    del hole[::2]
+
+    def run():
+        if len(kept) == 1:
+            kept.append(np.ones(3_000_000))
+        if size:
+            kept.append(np.ones(size // 8))
+
+    found = speed_worker.left_behind(run, calls=5)
+    assert found == pytest.approx(speed_worker.RUNS * size, rel=0.1, abs=5e4)
 
 
 @pytest.mark.parametrize("fault", most_slow(["compilation", "memory left behind"], "compilation"))
