@@ -12,6 +12,7 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
+from contactbench.gate.speed_worker import handed_out
 from contactbench.scenes import standard_scenes
 
 REPOSITORY = Path(__file__).parents[1]
@@ -42,6 +43,8 @@ TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
 #: every standard scene, the potentials only hard ones have, and the shapes the registry does not have
 TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
 ALL_SCENES = [*standard_scenes(), TWO_SCALES, cb.SCENES["kepler_drag"], USER, TILTED]
+#: tests that ask the C library what it has handed out
+counts_memory = pytest.mark.skipif(not handed_out(), reason="needs the C library of GNU")
 CONTACT_SCENES = [scene for scene in ALL_SCENES if scene.conformal_rate is not None]
 
 

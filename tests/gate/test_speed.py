@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import selfcheck_speed
-from cases import most_slow
+from cases import counts_memory, most_slow
 from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions, speed, speed_worker
 from contactbench.gate.workload import MANY, Cell, workload
@@ -337,24 +337,6 @@ def test_a_cell_that_one_tree_had_no_time_for_is_no_suspect(side):
     assert speed.suspects((sides[side], sides[1 - side])) == {}
 
 
-@pytest.mark.parametrize(("agreeing", "verdicts"), [(2, ["more"]), (1, []), (0, [])])
-def test_a_suspect_is_red_when_three_pairs_of_processes_agree(agreeing, verdicts, monkeypatch):
-    """Alone in its processes, a cell has another number than among all."""
-    more, same = ({0: 0.5} for _ in range(2)), {0: 0.02}
-    answers = [next(more) if k < agreeing else same for k in range(2)]
-
-    def paired_times(pythons, trees, cells, rounds, seed, until):
-        assert [cell.method for cell in cells] == ["rk4"]
-        return speed.Measured({}, {}, (speed.Costs({0: 0.02}), speed.Costs(answers.pop(0))))
-
-    monkeypatch.setattr(speed, "paired_times", paired_times)
-    cells = [*CELLS, Cell("particle", "rk4", "numba", "step", 0.1, ())]
-    found = judge.once_a_process((), (), cells, pair(compile={0: 1.0, 1: 0.5}), None)
-    assert [(line.method, line.measure, line.verdict) for line in found] == [
-        ("rk4", "compilation", verdict) for verdict in verdicts
-    ]
-
-
 def answering(monkeypatch, *costs):
     """The pairs of processes answer so, one after the other; the cells each is asked for."""
     asked, answers = [], list(costs)
@@ -365,6 +347,20 @@ def answering(monkeypatch, *costs):
 
     monkeypatch.setattr(speed, "paired_times", paired_times)
     return asked
+
+
+@pytest.mark.parametrize(("agreeing", "verdicts"), [(2, ["more"]), (1, []), (0, [])])
+def test_a_suspect_is_red_when_three_pairs_of_processes_agree(agreeing, verdicts, monkeypatch):
+    """Alone in its processes, a cell has another number than among all."""
+    seconds = (0.5 if k < agreeing else 0.02 for k in range(2))
+    asked = answering(monkeypatch, *[(speed.Costs({0: 0.02}), speed.Costs({0: each})) for each in seconds])
+    cells = [*CELLS, Cell("particle", "rk4", "numba", "step", 0.1, ())]
+    found = judge.once_a_process((), (), cells, pair(compile={0: 1.0, 1: 0.5}), None)
+    assert [(line.method, line.measure, line.verdict) for line in found] == [
+        ("rk4", "compilation", verdict) for verdict in verdicts
+    ]
+    assert asked
+    assert all([cell.method for cell in cells] == ["rk4"] for cells in asked)
 
 
 NOTHING = (speed.Costs(), speed.Costs())
@@ -393,10 +389,14 @@ def test_a_peak_is_confirmed_by_processes_that_run_every_cell_suspects_first(aga
 
 
 def test_peaks_of_processes_that_ran_different_cells_are_not_compared():
-    assert speed.suspects((speed.Costs({0: 1.0}, {}, 4e8), speed.Costs({0: 1.0, 1: 1.0}, {}, 8e8))) == {}
+    costs = speed.Costs({0: 1.0}, {}, 4e8), speed.Costs({0: 1.0, 1: 1.0}, {}, 8e8)
+    assert speed.suspects(costs) == {}
+    (note,) = judge.refusals(CELLS, speed.Measured({}, {}, costs))
+    assert note.startswith("peak memory not compared")
+    assert judge.refusals(CELLS, speed.Measured({}, {}, pair())) == ()
 
 
-@pytest.mark.skipif(not speed_worker.handed_out(), reason="the C library does not say what it has handed out")
+@counts_memory
 @pytest.mark.parametrize("size", [0, 1000, 20_000, 900_000])
 def test_what_runs_leave_behind_is_counted_but_not_what_is_allocated_once(size):
     """Beside a hole of some megabytes, which a leak could hide in."""

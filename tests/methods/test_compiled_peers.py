@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, USER, by_name, random_state
+from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
+from contactbench.gate.speed_worker import handed_out
 from contactbench.methods import c_functions, cvode_library, cyrk_interface
 from contactbench.methods.engines import ENGINES
 from contactbench.solution import Status
@@ -297,18 +298,6 @@ def test_a_cyrk_with_another_interface_is_unsupported(monkeypatch):
 # -- memory and threads ----------------------------------------------------------------------------
 #: the C library, as every process has it
 C = ctypes.pythonapi
-counted = pytest.mark.skipif(not hasattr(C, "mallinfo2"), reason="needs the C library of GNU")
-
-
-class MallInfo(ctypes.Structure):
-    """What mallinfo2(3) returns."""
-
-    _fields_ = [
-        (name, ctypes.c_size_t)
-        for name in (
-            "arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"
-        )
-    ]  # fmt: skip
 
 
 def left_behind(run) -> int:
@@ -317,24 +306,22 @@ def left_behind(run) -> int:
     The least of three goes: what is allocated once, or by another thread, plays no part.  The memory of the process
     would not do: it has holes, in which a leak of megabytes goes unseen.
     """
-    C.mallinfo2.restype = MallInfo
     grown = []
     gc.collect()
     gc.freeze()  # what other tests have left need not be looked through again
     try:
         for _ in range(3):
-            before = C.mallinfo2()
+            before = handed_out()
             for _ in range(500):
                 run()
             gc.collect()
-            after = C.mallinfo2()
-            grown.append(after.uordblks + after.hblkhd - before.uordblks - before.hblkhd)
+            grown.append(handed_out() - before)
     finally:
         gc.unfreeze()
     return min(grown)
 
 
-@counted
+@counts_memory
 def test_sixteen_bytes_a_call_are_seen():
     C.malloc.restype, C.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
     C.free.argtypes = [ctypes.c_void_p]
@@ -346,7 +333,7 @@ def test_sixteen_bytes_a_call_are_seen():
             C.free(place)
 
 
-@counted
+@counts_memory
 @peers
 @pytest.mark.share(3)
 def test_calls_take_no_memory(method, engine):
@@ -357,7 +344,7 @@ def test_calls_take_no_memory(method, engine):
     assert left_behind(lambda: [run.integrate(start) for run in runs]) < 500 * 16
 
 
-@counted
+@counts_memory
 @peers
 @pytest.mark.share(3)
 def test_a_prepared_run_gives_its_memory_back(method, engine):

@@ -195,19 +195,18 @@ def sentences(first: speed.Measured, lines: Sequence[Line], names: tuple[str, st
 
 
 def refusals(cells: Sequence[Cell], found: speed.Measured) -> tuple[str, ...]:
-    """Why cells were not timed; those there was no time for in one note."""
-    base, head = found.costs
-    no_peak = "" if base.compile.keys() == head.compile.keys() else ", nor to compare the peaks of memory"
+    """Why cells were not timed, and what cannot be compared for it; those there was no time for in one note."""
     late = [i for i, why in found.refused.items() if why.endswith("no time left")]
     notes = [
         f"{cells[i].scene} {cells[i].method} ({cells[i].engine}) not timed: {why}"
         for i, why in found.refused.items()
         if i not in late
     ]
-    return (
-        *notes,
-        *([f"inconclusive: no time to compile {len(late)} of {len(cells)} cells{no_peak}"] if late else []),
-    )
+    if late:
+        notes.append(f"inconclusive: no time to compile {len(late)} of {len(cells)} cells")
+    if not speed.same_cells(found.costs):
+        notes.append("peak memory not compared: the two processes ran different cells")
+    return tuple(notes)
 
 
 def once_a_process(
@@ -221,8 +220,9 @@ def once_a_process(
     found = Counter((what, i) for what, which in speed.suspects(first).items() for i in which)
     pairs = [first]
     while found and len(pairs) < speed.CONFIRMED and (until is None or perf_counter() < until):
-        which = sorted({i for _, i in found} - {speed.WHOLE})  # first: there may be no time for more
-        if speed.WHOLE in {i for _, i in found}:
+        suspects = {i for _, i in found}
+        which = sorted(suspects - {speed.WHOLE})  # first: there may be no time for more
+        if speed.WHOLE in suspects:
             which += [i for i in range(len(cells)) if i not in which]
         again = speed.paired_times(pythons, trees, [cells[i] for i in which], 0, seed=0, until=until)
         base, head = (renumbered(side, which) for side in again.costs)

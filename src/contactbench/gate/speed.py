@@ -81,31 +81,43 @@ def verdict(first: PairedRatio, again: PairedRatio | None) -> str:
     return "slower" if first.low > LIMIT and again is not None and again.low > LIMIT else "inconclusive"
 
 
+def measured(pair: Pair) -> set[int]:
+    """The cells that both processes ran."""
+    base, head = pair
+    return base.compile.keys() & head.compile.keys()
+
+
+def same_cells(pair: Pair) -> bool:
+    """Whether both processes ran the same cells."""
+    base, head = pair
+    return base.compile.keys() == head.compile.keys()
+
+
 def suspects(pair: Pair) -> dict[str, set[int]]:
     """The cells that compile longer or leave more behind than they may, and {WHOLE} where the peak is higher.
 
-    The peaks of processes that had time for different cells are not compared.
+    The peaks of processes that ran different cells are not compared.
     """
     base, head = pair
     # a cell that one side had no time for, or refuses, is no suspect
-    compiled, kept = base.compile.keys() & head.compile.keys(), base.leaked.keys() & head.leaked.keys()
-    same = base.compile.keys() == head.compile.keys()
+    compiled, kept = measured(pair), base.leaked.keys() & head.leaked.keys()
     over = {
         "compilation": {
             i for i in compiled if head.compile[i] > base.compile[i] * (1 + COMPILE_SHARE) + COMPILE
         },
         "memory left behind": {i for i in kept if head.leaked[i] > base.leaked[i] + LEAK},
-        "peak memory": {WHOLE} if same and head.peak > base.peak * (1 + PEAK_SHARE) + PEAK else set(),
+        "peak memory": {WHOLE}
+        if same_cells(pair) and head.peak > base.peak * (1 + PEAK_SHARE) + PEAK
+        else set(),
     }
     return {what: which for what, which in over.items() if which}
 
 
 def looked_at(pair: Pair, i: int, first: Pair) -> bool:
     """Whether a pair has measured a cell; of the process as a whole, all cells of the first pair."""
-    base, head = pair
-    if i != WHOLE:
-        return i in base.compile.keys() & head.compile.keys()
-    return base.compile.keys() == head.compile.keys() >= first[0].compile.keys() & first[1].compile.keys()
+    if i == WHOLE:
+        return same_cells(pair) and measured(pair) >= measured(first)
+    return i in measured(pair)
 
 
 # -- processes -------------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ class MallInfo(ctypes.Structure):
 
 def handed_out() -> int:
     """Bytes that the C library has handed out and not got back; 0 where it does not say."""
-    library = ctypes.CDLL(None)
+    library = ctypes.pythonapi  # as every process has it
     if not hasattr(library, "mallinfo2"):
         return 0
     library.mallinfo2.restype = MallInfo
@@ -111,8 +111,7 @@ def left_behind(run: Callable[[], Any], calls: int) -> float:
     """
     if not os.path.exists("/proc/self/statm"):
         return 0.0
-    each = FILL / calls
-    runs = max(2, min(RUNS, int(RUNS_SECONDS / each)) // GOES)
+    runs = min(RUNS, int(RUNS_SECONDS / FILL * calls)) // GOES
     grown = []
     gc.collect()
     for _ in range(GOES):
