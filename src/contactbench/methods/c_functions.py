@@ -24,7 +24,8 @@ from contactbench.methods.llvm import imported, version
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.recording import Block, CannotRecord, Tape, recorded, text_of
 from contactbench.numbers.source import PREAMBLE
-from contactbench.scene import Scene
+from contactbench.scene import Scene, System
+from contactbench.scene.cache import Cache, key
 
 #: places in data: the two counters, then the constants
 RHS_CALLS, JACOBIAN_CALLS, CONSTANTS = 0, 1, 2
@@ -47,21 +48,22 @@ class CFunctions:
         return np.array([0.0] * CONSTANTS + self.constants(numbers))
 
 
-_compiled: dict[Any, CFunctions] = {}
+_compiled: Cache[CFunctions] = Cache(256)
 
 
-def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
-    """The C functions of a scene, compiled once for its structure and the fields carried.
+def c_functions(scene: System, carry: tuple[str, ...]) -> CFunctions:
+    """The C functions of a scene, compiled once for its identity and the fields carried.
 
     Raises `CannotRecord` where the right-hand side branches on values.
     """
-    key = (scene.structure, carry)
-    if key not in _compiled:
+
+    def make() -> CFunctions:
         elapsed = stopwatch()
         m = imported(HEADER.format(version=version()) + source(scene, carry))
         jacobian = m.jacobian.address if hasattr(m, "jacobian") else 0
-        _compiled[key] = CFunctions(m.rhs.address, jacobian, m.constants, elapsed(), m)
-    return _compiled[key]
+        return CFunctions(m.rhs.address, jacobian, m.constants, elapsed(), m)
+
+    return _compiled.get(key(scene.identity, carry), make)
 
 
 def source(scene: Scene, carry: tuple[str, ...]) -> str:

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
-from typing import Any
+from contextlib import suppress
+from math import isfinite
 
 import numpy as np
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, is_real, shown
+from contactbench.numbers.formula import Formula
 from contactbench.scene.base import Scene
-from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.cache import Cache, key
+from contactbench.scene.mechanical import Mechanical, derived_gradient
 
 #: points besides the initial one, and how far from it, in parts of the size of each component
 POINTS, SPREAD = 3, 0.1
@@ -30,24 +32,96 @@ SAFETY = 8.0
 #: where differences are worse than this nothing can be said: a kink, a singularity
 UNSURE = 1e-3
 
-_verified: set[Any] = set()
+#: random places where a gradient is compared with the derivative of the potential, and how far out they lie, in
+#: parts of the largest component
+PLACES, REACH = 1024, 2.0
+#: evaluations that a motion is followed for, and places on every step of it
+FOLLOWED, BETWEEN = 3000, 4
+
+_verified: Cache[bool] = Cache(1024)
 
 
 def verify(scene: Scene) -> None:
-    """Raise `BadInput` unless a scene's functions fit each other; once per definition.
+    """Raise `BadInput` unless a scene's functions fit each other near its start; once per definition.
 
     The functions of this package have tests of their own.
     """
-    if not isinstance(scene, Mechanical):
+    _once(scene, _verify)
+
+
+def verify_along(scene: Scene) -> None:
+    """The same for the gradient along the motion, as far as some thousand evaluations lead."""
+    _once(scene, _verify_along)
+
+
+def _once(scene: Scene, check: Callable[[Mechanical], None]) -> None:
+    if not isinstance(scene, Mechanical) or all(
+        is_ours(part) for name in scene.functions if (part := getattr(scene, name)) is not None
+    ):
         return
-    parts = [getattr(scene, field.name) for field in fields(scene) if field.name != "exact"]
-    if all(is_ours(part) for part in parts if callable(part)):
-        return
-    key = (scene.structure, tuple(scene.numbers()), scene.rotation_invariant)
-    if key not in _verified:
+
+    def made() -> bool:
         with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
-            _verify(scene)
-        _verified.add(key)
+            check(scene)
+        return True
+
+    start = tuple(getattr(scene, name) for name in scene.initial_fields)
+    data = (check, tuple(scene.numbers()), start, scene.t_end, scene.rotation_invariant)
+    _verified.get(key(scene.identity, *data), made)
+
+
+def _verify_along(scene: Mechanical) -> None:
+    """Follow the motion by a solver of its own and compare at every place of it."""
+    from scipy.integrate import DOP853
+
+    carry = scene.carry(("s",))
+
+    def slope(t: float, y: np.ndarray) -> list[float]:
+        return scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))
+
+    n, path = len(scene.q), []
+    with suppress(ArithmeticError, ValueError):  # the motion ends there
+        start = scene.pack(scene.initial(carry))
+        solver = DOP853(slope, 0.0, start, scene.t_end, rtol=1e-6, atol=1e-9)
+        while solver.status == "running" and solver.nfev < FOLLOWED and isfinite(solver.h_abs):
+            before = solver.t
+            solver.step()
+            steps = solver.dense_output()(np.linspace(before, solver.t, BETWEEN + 1)[1:])
+            path.append(steps[: n + n])
+            if scene.clock is not None:
+                path[-1] = np.vstack([steps[:n], steps[scene.clock]])
+    if path:
+        _compare(scene, np.concatenate(path, axis=1))
+
+
+def _compare(scene: Mechanical, places: np.ndarray) -> None:
+    """Raise `BadInput` unless the gradient is that of the potential at places (≥ n, k), the time below q if any."""
+    n = len(scene.q)
+    q, rest = tuple(places[:n]), () if scene.clock is None else (places[n],)
+    if not isinstance(scene.potential, Formula) or not isinstance(scene.gradient, Formula):
+        for place in places[:, :: max(1, places.shape[1] // 8)].T:
+            with suppress(ArithmeticError, ValueError):
+                _gradient(scene, place[:n], np.ones(n), np.where(place[:n] == 0, 1.0, np.abs(place[:n])))
+        return
+    try:
+        wanted = derived_gradient(scene.potential)
+    except BadInput:  # a function whose derivative is not known
+        return
+    a, b = (
+        np.array(np.broadcast_arrays(*g(q, *rest, **scene.parameters), places[0])[:n], dtype=float)
+        for g in (scene.gradient, wanted)
+    )
+    size = np.abs(b).max(axis=0)
+    off = np.abs(a - b).max(axis=0)
+    known = np.isfinite(off) & np.isfinite(size)
+    wrong = known & (off > TOLERANCE * size + 1e-3 * TOLERANCE * size[known].max(initial=0.0))
+    if wrong.any():
+        k = int(np.argmax(np.where(wrong, off, 0.0)))
+        i = int(np.argmax(np.abs(a - b)[:, k]))
+        raise BadInput(
+            f"scene {scene.name!r}: its gradient is not the potential's: component {i + 1} is {a[i, k]:.6g} at "
+            f"q = {_at(places[:n, k])}, the derivative of the potential there {b[i, k]:.6g}"
+        )
 
 
 def _verify(scene: Mechanical) -> None:
@@ -68,6 +142,12 @@ def _verify(scene: Mechanical) -> None:
             continue
         if scene.has_momentum_law:
             _symmetry(scene, q)
+    reach = REACH * (np.abs(start).max() or 1.0)
+    around = start[:, None] + rng.uniform(-reach, reach, (len(start), PLACES // len(start) + 1))
+    if scene.clock is not None:
+        around = np.vstack([around, rng.uniform(scene.t, scene.t + scene.t_end, around.shape[1])])
+    if isinstance(scene.gradient, Formula):
+        _compare(scene, around)
     _damping(scene, scene.s + SPREAD * rng.uniform(-1, 1))
 
 
