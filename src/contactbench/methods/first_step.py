@@ -24,7 +24,9 @@ def try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float 
     """
     if is_ours(type(method)) and is_ours(method.step):
         return
-    _tried.get(identity(method, scene, carry), lambda: _try_step(method, scene, carry, step))
+    with their_code(f"method {method.name!r}"):
+        known = identity(method, scene, carry)
+    _tried.get(known, lambda: _try_step(method, scene, carry, step))
 
 
 def _try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float | None) -> bool:

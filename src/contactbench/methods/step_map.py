@@ -116,7 +116,7 @@ def identity(method: StepMap, scene: Scene, carry: tuple[str, ...]) -> Hashable 
     """
     if (own := scene.identity) is None:
         return None
-    if is_ours(type(method)) and is_ours(method.step):
+    if is_ours(type(method)) and is_ours(getattr(method, "step", type(method))):
         return method, own, carry
     try:
         program = program_of(method, scene, carry)

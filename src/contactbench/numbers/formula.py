@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
 from itertools import product
@@ -51,17 +51,13 @@ class FormulaTape(Tape):
         self.arguments = [Recorded(self, f"v{i}", "f", self.root) for i in range(arguments)]
         self.operations: list[tuple[str, str, tuple[Operand, ...]]] = []
         self.places: dict[tuple[str, ...], int] = {}
-        #: of every quotient c/x, c a constant, that has been recorded: its place and c, by the place of x
-        self.quotients: dict[Operand, tuple[int, float]] = {}
 
     def operation(self, form: str, kind: str, *operands: Any) -> Recorded:
         given = tuple(map(self.operand, operands))
         key = (form, *map(repr, given))
         if key not in self.places:
-            self.places[key] = place = len(self.arguments) + len(self.operations)
+            self.places[key] = len(self.arguments) + len(self.operations)
             self.operations.append((form, kind, given))
-            if form == "{0} / {1}" and isinstance(given[0], float) and given[0]:
-                self.quotients.setdefault(given[1], (place, given[0]))
         return self.at(self.places[key], kind)
 
     def operand(self, x: Any) -> Operand:
@@ -85,7 +81,7 @@ class FormulaTape(Tape):
         return self.at(operand, "f" if before < 0 else self.operations[before][1])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Formula:
     """What a function of numbers computes.
 
@@ -99,13 +95,17 @@ class Formula:
     names: tuple[str, ...]
     operations: tuple[tuple[str, str, tuple[Operand, ...]], ...]
     results: Results
-    live: Callable[..., Any] | None = field(default=None, repr=False)
+    live: Callable[..., Any] | None = None
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all that it computes."""
         text = repr((self.arguments, self.names, self.operations, self.results))
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def __repr__(self) -> str:
+        name = getattr(self.live, "__name__", "derived" if self.live is None else type(self.live).__name__)
+        return f"<formula of {name}: {len(self.operations)} operations>"
 
     def __eq__(self, other: object) -> bool:
         return self.digest == other.digest if isinstance(other, Formula) else NotImplemented
@@ -163,7 +163,7 @@ class Formula:
         Raises `CannotRecord` for a function whose derivative is not known.
         """
         tape = self.replayed()
-        return self.derived(tape, tuple(recorded(lambda: pulled_back(tape, self.results, self.components))))
+        return self.derived(tape, tuple(recorded(lambda: Adjoints(tape, self.parameters).along(self.results, self.components))))
 
     def jacobian(self, symmetric: bool = False) -> Formula:
         """The derivative of a tuple of results, a row for each; zeros are constants.
@@ -171,7 +171,14 @@ class Formula:
         symmetric : it is, so that half of it is enough.
         """
         tape, n = self.replayed(), self.components
-        rows = [recorded(lambda out=out: pulled_back(tape, out, n)) for out in self.results]  # type: ignore[misc]
+        adjoints = Adjoints(tape, self.parameters)
+
+        def row(result: Operand) -> list[Any]:
+            found = adjoints.along(result, n)
+            adjoints.found.clear()
+            return found
+
+        rows = [recorded(lambda out=out: row(out)) for out in self.results]  # type: ignore[misc]
         if symmetric:
             for i, j in product(range(n), repeat=2):
                 rows[i][j] = rows[max(i, j)][min(i, j)]
@@ -183,6 +190,11 @@ class Formula:
         n = self.arguments[0]
         assert isinstance(n, int)
         return n or 1
+
+    @property
+    def parameters(self) -> range:
+        """The places of the keyword arguments."""
+        return range(self.size - len(self.names), self.size)
 
     def derived(self, tape: FormulaTape, results: Results) -> Formula:
         """A formula of the same arguments."""
@@ -260,89 +272,179 @@ def _written(results: Results) -> str:
 
 
 # -- reverse mode ----------------------------------------------------------------------------------
-def pulled_back(tape: FormulaTape, result: Operand, n: int) -> list[Any]:
-    """The derivatives of a result along the first n arguments: adjoints of operations, last to first.
+#: factors a product is written out to
+LONGEST = 8
+#: a product of the numbers at some places, and sums of them: place … place → coefficient
+Product = tuple[int, ...]
+Sum = dict[Product, float]
+
+
+class Adjoints:
+    """Derivatives of one result along what it was computed from, the last operation first.
+
+    They are kept as sums of products of numbers, so that equal products meet, constants are multiplied ahead of
+    the run, and what all products share is multiplied once: short code, which is what a force is to be.
 
     Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2, doi:10.1137/1.9780898717761.
     """
-    first = len(tape.arguments)
-    adjoints: dict[int, Any] = {}
-    waiting: list[int] = []
 
-    def add(operand: Operand, amount: Any) -> None:
-        if isinstance(operand, float) or amount is None:
+    def __init__(self, tape: FormulaTape, parameters: range) -> None:
+        self.tape, self.parameters = tape, parameters
+        self.found: dict[int, Sum] = {}
+        self.waiting: list[int] = []
+
+    def along(self, result: Operand, n: int) -> list[Any]:
+        """The derivatives of a result along the first n arguments."""
+        first = len(self.tape.arguments)
+        self.add(result, {(): 1.0})
+        while self.waiting:
+            place = -heappop(self.waiting)
+            form, _, operands = self.tape.operations[place - first]
+            self.share(form, operands, place, self.found.pop(place))
+        return [self.number(self.found[i]) if i in self.found else 0.0 for i in range(n)]
+
+    def add(self, operand: Operand, amount: Sum) -> None:
+        """Add to the derivative along an operand."""
+        if isinstance(operand, float):
             return
-        if operand not in adjoints:
-            adjoints[operand] = amount
-            if operand >= first:
-                heappush(waiting, -operand)
-        else:
-            adjoints[operand] = adjoints[operand] + amount
+        if operand not in self.found:
+            self.found[operand] = {}
+            if operand >= len(self.tape.arguments):
+                heappush(self.waiting, -operand)
+        found = self.found[operand]
+        for product, coefficient in amount.items():
+            found[product] = found.get(product, 0.0) + coefficient
+            if not found[product]:
+                del found[product]
 
-    add(result, 1.0)
-    while waiting:
-        place = -heappop(waiting)
-        form, _, operands = tape.operations[place - first]
-        for operand, amount in _shares(tape, form, operands, place, adjoints.pop(place)):
-            add(operand, amount)
-    return [adjoints.get(i, 0.0) for i in range(n)]
+    def share(self, form: str, operands: tuple[Operand, ...], place: int, adjoint: Sum) -> None:
+        """Add to the operands of an operation what its adjoint is worth to them."""
+        xp, y = RecordedNumbers(self.tape), self.tape.at(place)
+        x = [self.tape.value(operand) for operand in operands]
+        match form:
+            case "{0} + {1}":
+                self.add(operands[0], adjoint)
+                self.add(operands[1], adjoint)
+            case "{0} - {1}":
+                self.add(operands[0], adjoint)
+                self.add(operands[1], {product: -c for product, c in adjoint.items()})
+            case "{0} / {1}" if operands[0] == 1.0 and isinstance(operands[0], float):
+                self.add(operands[1], self.times(adjoint, -1.0, (place, place)))
+            case "-{0}" | "{0} * {1}" | "{0} / {1}":
+                coefficient, factors = self.product(place)
+                for factor in dict.fromkeys(factors):
+                    rest = list(factors)
+                    rest.remove(factor)
+                    times = coefficient * factors.count(factor)
+                    self.add(factor, self.times(adjoint, times, tuple(rest)))
+            case "{0} ** {1}" if isinstance(x[1], float):
+                self.chain(operands[0], adjoint, x[0] ** (x[1] - 1), x[1])
+            case "{0} ** {1}":
+                if not isinstance(x[0], float):
+                    self.chain(operands[0], adjoint, x[1] * x[0] ** (x[1] - 1))
+                self.chain(operands[1], adjoint, y * xp.log(x[0]))
+            case "abs({0})":
+                self.chain(operands[0], adjoint, xp.where(x[0] < 0, -1.0, 1.0))
+            case "sqrt({0})":
+                self.chain(operands[0], adjoint, 1.0 / y, 0.5)
+            case "atan2({0}, {1})":
+                square = x[0] * x[0] + x[1] * x[1]
+                self.chain(operands[0], adjoint, x[1] / square)
+                self.chain(operands[1], adjoint, x[0] / square, -1.0)
+            case "hypot({0}, {1})":
+                self.chain(operands[0], adjoint, x[0] / y)
+                self.chain(operands[1], adjoint, x[1] / y)
+            case "{1} if {0} else {2}":
+                amount = self.number(adjoint)
+                self.chain(operands[1], {(): 1.0}, xp.where(x[0], amount, 0.0))
+                self.chain(operands[2], {(): 1.0}, xp.where(x[0], 0.0, amount))
+            case _:
+                name = form.partition("(")[0]
+                if name not in DERIVATIVES:
+                    raise CannotRecord(f"no derivative of {name} is known")
+                self.chain(operands[0], adjoint, DERIVATIVES[name](xp, x[0], y))
 
+    def chain(self, operand: Operand, adjoint: Sum, slope: Any, coefficient: float = 1.0) -> None:
+        """Add adjoint · coefficient · slope to the derivative along an operand."""
+        if isinstance(slope, Recorded):
+            times, factors = self.product(self.tape.operand(slope))
+            self.add(operand, self.times(adjoint, coefficient * times, factors))
+        elif slope:
+            self.add(operand, self.times(adjoint, coefficient * slope, ()))
 
-def _times(a: Any, b: Any) -> Any:
-    """a·b, without a factor of 1."""
-    return b if isinstance(a, float) and a == 1 else a * b
+    def product(self, operand: Operand) -> tuple[float, Product]:
+        """An operand as a product of a constant and numbers, quotients as products with reciprocals."""
+        if isinstance(operand, float):
+            return operand, ()
+        first = len(self.tape.arguments)
+        if operand < first:
+            return 1.0, (operand,)
+        form, _, operands = self.tape.operations[operand - first]
+        if form == "-{0}":
+            coefficient, factors = self.product(operands[0])
+            return -coefficient, factors
+        if form == "{0} / {1}" and isinstance(operands[1], float):
+            coefficient, factors = self.product(operands[0])
+            return coefficient / operands[1], factors
+        if form == "{0} / {1}":
+            if isinstance(operands[0], float) and operands[0] == 1.0:
+                return 1.0, (operand,)
+            inverse = self.tape.operation(form, "f", 1.0, self.tape.value(operands[1]))
+            operands = (operands[0], self.tape.operand(inverse))
+        elif form != "{0} * {1}":
+            return 1.0, (operand,)
+        (a, left), (b, right) = map(self.product, operands)
+        if len(left) + len(right) > LONGEST:
+            return 1.0, (operand,) if form == "{0} * {1}" else tuple(o for o in operands if isinstance(o, int))
+        return a * b, tuple(sorted(left + right))
 
+    def times(self, adjoint: Sum, coefficient: float, factors: Product) -> Sum:
+        """A sum times a product."""
+        if not adjoint:
+            return adjoint
+        if len(adjoint) > 1 and (factors or coefficient != 1.0):
+            adjoint = self.collected(adjoint)
+        found: Sum = {}
+        for product, c in adjoint.items():
+            if len(product) + len(factors) > LONGEST:
+                product = (self.tape.operand(self.number({product: 1.0})),)  # type: ignore[assignment]
+            found[tuple(sorted(product + factors))] = c * coefficient
+        return found
 
-def _shares(
-    tape: FormulaTape, form: str, operands: tuple[Operand, ...], place: int, adjoint: Any
-) -> list[tuple[Operand, Any]]:
-    """What the adjoint of an operation adds to those of its operands."""
-    xp, y = RecordedNumbers(tape), tape.at(place)
-    x = [tape.value(operand) for operand in operands]
-    match form:
-        case "{0} + {1}":
-            return [(operands[0], adjoint), (operands[1], adjoint)]
-        case "{0} - {1}":
-            return [(operands[0], adjoint), (operands[1], -adjoint)]
-        case "-{0}":
-            return [(operands[0], -adjoint)]
-        case "{0} * {1}" if operands[0] == operands[1]:
-            return [(operands[0], _times(_times(2.0, adjoint), x[0]))]
-        case "{0} * {1}":
-            return [(operands[0], _times(adjoint, x[1])), (operands[1], _times(adjoint, x[0]))]
-        case "{0} / {1}" if isinstance(x[1], float):
-            return [(operands[0], _times(adjoint, 1 / x[1]))]
-        case "{0} / {1}" if isinstance(x[0], float):  # c/x: −c/x² = −y²/c
-            return [(operands[1], _times(adjoint * (-1 / x[0]), y * y) if x[0] else None)]
-        case "{0} / {1}":
-            inverse = 1.0 / x[1]
-            share = _times(adjoint, inverse)
-            return [(operands[0], share), (operands[1], -(share * (x[0] * inverse)))]
-        case "{0} ** {1}" if isinstance(x[1], float):
-            return [(operands[0], _times(_times(x[1], adjoint), x[0] ** (x[1] - 1)))]
-        case "{0} ** {1}":
-            along = None if isinstance(x[0], float) else _times(adjoint, x[1] * x[0] ** (x[1] - 1))
-            return [(operands[0], along), (operands[1], _times(adjoint, y * xp.log(x[0])))]
-        case "abs({0})":
-            return [(operands[0], xp.where(x[0] < 0, -adjoint, adjoint))]
-        case "sqrt({0})":
-            known = tape.quotients.get(place)  # c/√x has been divided already
-            slope = 0.5 / y if known is None else tape.at(known[0]) * (0.5 / known[1])
-            return [(operands[0], _times(adjoint, slope))]
-        case "atan2({0}, {1})":
-            share = adjoint / (x[0] * x[0] + x[1] * x[1])
-            return [(operands[0], share * x[1]), (operands[1], -(share * x[0]))]
-        case "hypot({0}, {1})":
-            share = adjoint / y
-            return [(operands[0], share * x[0]), (operands[1], share * x[1])]
-        case "{1} if {0} else {2}":
-            return [
-                (operands[1], xp.where(x[0], adjoint, 0.0)), (operands[2], xp.where(x[0], 0.0, adjoint)),
-            ]  # fmt: skip
-    name = form.partition("(")[0]
-    if name in DERIVATIVES:
-        return [(operands[0], _times(adjoint, DERIVATIVES[name](xp, x[0], y)))]
-    raise CannotRecord(f"no derivative of {name} is known")
+    def collected(self, adjoint: Sum) -> Sum:
+        """A sum as one product: what all its products share, and a sum of what is left of them."""
+        shared: list[int] = list(next(iter(adjoint)))
+        for product in adjoint:
+            shared = [x for x in dict.fromkeys(shared) for _ in range(min(shared.count(x), product.count(x)))]
+        size = min(map(abs, adjoint.values()))
+        total: Any = None
+        for product, coefficient in sorted(adjoint.items(), key=lambda item: item[1] < 0):
+            rest = list(product)
+            for x in shared:
+                rest.remove(x)
+            share = coefficient / size
+            if total is None:
+                total = self.number({tuple(rest): share})
+            elif share < 0:
+                total = total - self.number({tuple(rest): -share})
+            else:
+                total = total + self.number({tuple(rest): share})
+        if isinstance(total, float):
+            return {tuple(shared): total * size}
+        return {tuple(sorted([*shared, int(total.name[1:])])): size}
+
+    def number(self, adjoint: Sum) -> Any:
+        """The value of a sum; constants and parameters are multiplied first, ahead of a run, then what many may share."""
+        if len(adjoint) > 1:
+            adjoint = self.collected(adjoint)
+        for product, coefficient in adjoint.items():
+            value: Any = None if abs(coefficient) == 1 else abs(coefficient)
+            for x in sorted(dict.fromkeys(product), key=lambda x: (x not in self.parameters, -x)):
+                factor = self.tape.at(x) ** product.count(x)
+                value = factor if value is None else value * factor
+            value = 1.0 if value is None else value
+            return -value if coefficient < 0 else value
+        return 0.0
 
 
 # -- what formulas are written with ----------------------------------------------------------------

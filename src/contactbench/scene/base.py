@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
+import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
@@ -135,6 +135,19 @@ class System(ABC):
         found = {name: made for name in self.functions if (made := self._formula(name)) is not None}
         return self._replaced(**found) if found else self
 
+    def __reduce__(self) -> Any:
+        """Pickled with its functions as they compute now; `BadInput` for one that can be neither recorded nor found."""
+        scene = self.recorded()
+        for name in (*self.functions, "exact"):
+            try:
+                pickle.dumps(function := getattr(scene, name, None))
+            except Exception as error:
+                raise BadInput(
+                    f"scene {self.name!r}: its {name} {shown(function)} cannot be pickled: it must be a function "
+                    "that can be recorded, or stand at the top of a module"
+                ) from error
+        return _unpickled, (type(self), scene.__dict__)
+
     def _formula(self, name: str) -> Formula | None:
         function, wanted = getattr(self, name), self.functions[name]
         if function is None or isinstance(function, Formula) or is_ours(function):
@@ -161,10 +174,15 @@ class System(ABC):
         return made
 
     def _replaced(self, **attributes: Any) -> Self:
-        twin = copy.copy(self)
-        for key, value in attributes.items():
-            object.__setattr__(twin, key, value)
+        twin = object.__new__(type(self))
+        twin.__dict__.update(self.__dict__ | attributes)
         return twin
+
+    def __copy__(self) -> Self:
+        return self  # nothing of it changes
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self
 
     # -- equations -----------------------------------------------------------------------------
     @abstractmethod
@@ -184,6 +202,12 @@ class System(ABC):
         """The right-hand side on packed lists of floats, for solvers that call back."""
         unpack, pack, rhs = self.unpack, self.pack, self.rhs
         return lambda y: pack(rhs(unpack(y, carry)))
+
+
+def _unpickled(kind: type[System], attributes: dict[str, Any]) -> System:
+    scene = object.__new__(kind)
+    scene.__dict__.update(attributes)
+    return scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,3 +383,12 @@ class Scene(System):
     def may_gain_energy(self) -> bool:
         """H0 need not decay: no damping, negative damping, or damping whose sign follows the motion."""
         return False
+
+    @property
+    def bounds_energy(self) -> bool:
+        """H0 never exceeds what it was at the start."""
+        return not self.may_gain_energy
+
+    def energy_terms(self, x: Any) -> Any:
+        """The size of the terms that H0 is the sum of."""
+        return abs(self.energy(x))

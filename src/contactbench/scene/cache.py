@@ -16,6 +16,9 @@ class Cache(Generic[Made]):
         self.size = size
         self.items: OrderedDict[Hashable, Made] = OrderedDict()
 
+    def __len__(self) -> int:
+        return len(self.items)
+
     def get(self, key: Hashable | None, make: Callable[[], Made]) -> Made:
         """The thing of a key, made if it is not there."""
         if key is None:

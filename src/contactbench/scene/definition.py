@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from math import isfinite
+from typing import TypeGuard
 
 import numpy as np
 
@@ -32,9 +33,6 @@ SAFETY = 8.0
 #: where differences are worse than this nothing can be said: a kink, a singularity
 UNSURE = 1e-3
 
-#: random places where a gradient is compared with the derivative of the potential, and how far out they lie, in
-#: parts of the largest component
-PLACES, REACH = 1024, 2.0
 #: evaluations that a motion is followed for, and places on every step of it
 FOLLOWED, BETWEEN = 3000, 4
 
@@ -46,18 +44,36 @@ def verify(scene: Scene) -> None:
 
     The functions of this package have tests of their own.
     """
-    _once(scene, _verify)
+    _once(scene, "near the start", _verify)
 
 
 def verify_along(scene: Scene) -> None:
     """The same for the gradient along the motion, as far as some thousand evaluations lead."""
-    _once(scene, _verify_along)
+    _once(scene, "along the motion", _verify_along)
 
 
-def _once(scene: Scene, check: Callable[[Mechanical], None]) -> None:
-    if not isinstance(scene, Mechanical) or all(
+def verify_at(scene: Scene, y: np.ndarray) -> None:
+    """Raise `BadInput` unless the gradient is that of the potential at packed states (k, d)."""
+    if _has_functions(scene):
+        with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
+            _compare(scene, _places(scene, y.T))
+
+
+def _has_functions(scene: Scene) -> TypeGuard[Mechanical]:
+    """Whether a user has written any of them."""
+    return isinstance(scene, Mechanical) and not all(
         is_ours(part) for name in scene.functions if (part := getattr(scene, name)) is not None
-    ):
+    )
+
+
+def _places(scene: Mechanical, states: np.ndarray) -> np.ndarray:
+    """The coordinates of packed states (d, k), the time below them if it is a component."""
+    n = len(scene.q)
+    return states[:n] if scene.clock is None else np.vstack([states[:n], states[scene.clock]])
+
+
+def _once(scene: Scene, where: str, check: Callable[[Mechanical], None]) -> None:
+    if not _has_functions(scene):
         return
 
     def made() -> bool:
@@ -66,7 +82,7 @@ def _once(scene: Scene, check: Callable[[Mechanical], None]) -> None:
         return True
 
     start = tuple(getattr(scene, name) for name in scene.initial_fields)
-    data = (check, tuple(scene.numbers()), start, scene.t_end, scene.rotation_invariant)
+    data = (where, tuple(scene.numbers()), start, scene.t_end, scene.rotation_invariant)
     _verified.get(key(scene.identity, *data), made)
 
 
@@ -79,7 +95,7 @@ def _verify_along(scene: Mechanical) -> None:
     def slope(t: float, y: np.ndarray) -> list[float]:
         return scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))
 
-    n, path = len(scene.q), []
+    path: list[np.ndarray] = []
     with suppress(ArithmeticError, ValueError):  # the motion ends there
         start = scene.pack(scene.initial(carry))
         solver = DOP853(slope, 0.0, start, scene.t_end, rtol=1e-6, atol=1e-9)
@@ -87,15 +103,13 @@ def _verify_along(scene: Mechanical) -> None:
             before = solver.t
             solver.step()
             steps = solver.dense_output()(np.linspace(before, solver.t, BETWEEN + 1)[1:])
-            path.append(steps[: n + n])
-            if scene.clock is not None:
-                path[-1] = np.vstack([steps[:n], steps[scene.clock]])
+            path.append(_places(scene, steps))
     if path:
         _compare(scene, np.concatenate(path, axis=1))
 
 
 def _compare(scene: Mechanical, places: np.ndarray) -> None:
-    """Raise `BadInput` unless the gradient is that of the potential at places (≥ n, k), the time below q if any."""
+    """Raise `BadInput` unless the gradient is that of the potential at `_places`."""
     n = len(scene.q)
     q, rest = tuple(places[:n]), () if scene.clock is None else (places[n],)
     if not isinstance(scene.potential, Formula) or not isinstance(scene.gradient, Formula):
@@ -142,12 +156,6 @@ def _verify(scene: Mechanical) -> None:
             continue
         if scene.has_momentum_law:
             _symmetry(scene, q)
-    reach = REACH * (np.abs(start).max() or 1.0)
-    around = start[:, None] + rng.uniform(-reach, reach, (len(start), PLACES // len(start) + 1))
-    if scene.clock is not None:
-        around = np.vstack([around, rng.uniform(scene.t, scene.t + scene.t_end, around.shape[1])])
-    if isinstance(scene.gradient, Formula):
-        _compare(scene, around)
     _damping(scene, scene.s + SPREAD * rng.uniform(-1, 1))
 
 

@@ -181,6 +181,10 @@ class Driven(Mechanical):
     def may_gain_energy(self) -> bool:
         return True
 
+    @property
+    def bounds_energy(self) -> bool:
+        return False
+
     def rate_at(self, t: Any) -> Any:
         """γ(t)."""
         return self.gamma if self.rate is None else self.rate(t, **self.parameters)

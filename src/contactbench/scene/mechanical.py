@@ -309,6 +309,14 @@ class Mechanical(Scene):
     def may_gain_energy(self) -> bool:
         return self.nonlinear_damping or self.gamma <= 0
 
+    @property
+    def bounds_energy(self) -> bool:
+        return not self.nonlinear_damping and self.gamma >= 0
+
+    def energy_terms(self, x: State) -> Any:
+        """T + |V|."""
+        return self.kinetic(x.p) + abs(self.potential_at(x))
+
     def contact_form(self, x: State, dx: State) -> Any:
         """η(dx) = ds − p·dq at x."""
         return dx.s - dot(x.p, dx.q)
