@@ -242,7 +242,7 @@ def branching(q):
     return (q[0] if q[0] > 0 else 2 * q[0],)
 
 
-@peers
+@pytest.mark.parametrize(("method", "engine"), [*PEERS, ("heyoka-taylor", "llvm")])
 def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
     scene = cb.Mechanical(
         name="kink", potential=lambda q: q[0] * q[0] / 2, gradient=branching, gamma=0.1, q=(1.0,), p=(0.0,),

@@ -29,16 +29,17 @@ from contactbench.truth import reference
 if TYPE_CHECKING:
     import pandas as pd
 
-LAWS = Registry("law")
+LAWS = Registry("law", Law)
 
 
 def law(
     definition: str, label: str, **properties: Any
 ) -> Callable[[Callable[[Solution], Deviation | float]], Law]:
-    """Decorator that registers a measure under its function's name; `properties` are fields of `Law`."""
+    """Decorator that registers a measure under the name of its function, or class; `properties` are fields of `Law`."""
 
     def register(measure: Callable[[Solution], Deviation | float]) -> Law:
-        return LAWS.add(Law(measure.__name__, definition, label, measure, **properties))
+        name = getattr(measure, "__name__", type(measure).__name__)
+        return LAWS.add(Law(name, definition, label, measure, **properties))
 
     return register
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -14,6 +14,10 @@ from contactbench.scene.algebra import Vector, shifted
 
 #: what a scene may ask to be run by
 EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
+#: what the functions of scenes, and step maps, are called with besides the parameters
+ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
+#: the step over which a user's function is tried at the start, in parts of the scene's end time
+TRIED = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +172,15 @@ class Scene(System):
             )
         if self.exact is not None:
             function("exact", self.exact)
+
+    def _check_names(self, parameters: Iterable[str]) -> None:
+        """Raise `BadInput` for a parameter that would hide what bears its name already."""
+        taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
+        for name in parameters:
+            if name in taken:
+                raise BadInput(
+                    f"parameter {name!r}: must have a name of its own, none of {', '.join(sorted(taken))}"
+                )
 
     def is_in(self, experiment: str) -> bool:
         """Whether an experiment runs it."""
