@@ -40,7 +40,7 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
         "--version", action="store_true", help="print the versions, those of the peers too, and exit"
     )
     top.set_defaults(run=None)
-    commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Intermixed)
+    commands: Any = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Intermixed)
 
     def command(name: str, run: Callable[[argparse.Namespace], int], about: str, examples: str = "") -> Any:
         made = commands.add_parser(
