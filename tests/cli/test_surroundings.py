@@ -59,6 +59,7 @@ cases = {
     "cvode-adams": {"rtol": 1e-3}, "scipy-dop853": {"rtol": 1e-3}, "cyrk-dop853": {"rtol": 1e-3},
 }
 runs = {name: cb.solve("particle", name, **given) for name, given in cases.items()}
+runs["contact-exact"] = cb.solve("rigid_body", "contact-exact", engine="numba")
 runs["numba"] = cb.solve("particle", "rk4", step=0.1, engine="numba")
 runs["c"] = cb.solve("particle", "cvode-adams", rtol=1e-3, engine="c")
 print(json.dumps({name: (run.engine, run.status, "NUMBA_DISABLE_JIT" in run.message) for name, run in runs.items()}))
@@ -72,6 +73,7 @@ def test_where_numba_does_not_compile_python_computes():
         "rk4": ["python", "ok", False], "contact-strang": ["python", "ok", False],
         "contact-adaptive": ["python", "ok", False], "cvode-adams": ["c+python", "ok", False],
         "scipy-dop853": ["python", "ok", False], "cyrk-dop853": ["c++", "unsupported", True],
+        "contact-exact": ["numba", "unsupported", True],
         "numba": ["numba", "unsupported", True], "c": ["c", "unsupported", True],
     }  # fmt: skip
 
