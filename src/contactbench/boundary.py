@@ -142,7 +142,7 @@ def their_code(what: str) -> Iterator[None]:
 
 
 def limit() -> float:
-    """Seconds that a first evaluation may take."""
+    """Seconds that a first evaluation may take, 0 for any time."""
     try:
         seconds = float(os.environ.get(VARIABLE, 0.0))
     except ValueError:
