@@ -102,7 +102,9 @@ RUNS = [
 
 
 def oscillator(potential, gradient, **more):
-    return Mechanical(name="mine", potential=potential, gradient=gradient, q=(1.0,), p=(0.0,), t_end=5.0, **more)
+    return Mechanical(
+        name="mine", potential=potential, gradient=gradient, q=(1.0,), p=(0.0,), t_end=5.0, **more
+    )
 
 
 def truth(k):
@@ -110,7 +112,9 @@ def truth(k):
 
 
 @pytest.mark.parametrize("source", SOURCES)
-@pytest.mark.parametrize(("method", "options"), RUNS, ids=lambda x: x if isinstance(x, str) else x.get("engine"))
+@pytest.mark.parametrize(
+    ("method", "options"), RUNS, ids=lambda x: x if isinstance(x, str) else x.get("engine")
+)
 def test_a_function_that_changes_is_another_problem(source, method, options):
     potential, gradient, change = source()
     scene = oscillator(potential, gradient)
@@ -186,7 +190,9 @@ class Own(Mechanical):
 
 @pytest.mark.parametrize("method", ["contact-rkn6", "cvode-adams", "heyoka-taylor"])
 def test_so_are_the_equations_of_a_kind_of_ones_own(method, monkeypatch):
-    scene = Own(name="own", potential=lambda q: 0.0, gradient=lambda q: (q[0],), q=(1.0,), p=(0.0,), t_end=5.0)
+    scene = Own(
+        name="own", potential=lambda q: 0.0, gradient=lambda q: (q[0],), q=(1.0,), p=(0.0,), t_end=5.0
+    )
     options = {"step": 0.01} if method == "contact-rkn6" else {"rtol": 1e-10}
     for k in (1.0, 2.0):
         monkeypatch.setattr(Own, "strength", k)
@@ -308,7 +314,9 @@ def test_a_scene_needs_its_potential_only(method):
     if chosen.refuses(written) is not None:
         assert cb.solve(scene, method).status == "unsupported"
         return
-    options = {"rtol": 1e-8} if chosen.adaptive else {"step": 0.02 if chosen.order and chosen.order > 1 else 0.002}
+    options = (
+        {"rtol": 1e-8} if chosen.adaptive else {"step": 0.02 if chosen.order and chosen.order > 1 else 0.002}
+    )
     expected, found = (cb.solve(s, method, save_at=[3.0], **options) for s in (written, scene))
     assert found.ok
     tolerance = 1e-10 if not chosen.adaptive else 1e-6

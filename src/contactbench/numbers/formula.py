@@ -163,7 +163,10 @@ class Formula:
         Raises `CannotRecord` for a function whose derivative is not known.
         """
         tape = self.replayed()
-        return self.derived(tape, tuple(recorded(lambda: Adjoints(tape, self.parameters).along(self.results, self.components))))
+        return self.derived(
+            tape,
+            tuple(recorded(lambda: Adjoints(tape, self.parameters).along(self.results, self.components))),
+        )
 
     def jacobian(self, symmetric: bool = False) -> Formula:
         """The derivative of a tuple of results, a row for each; zeros are constants.
@@ -395,7 +398,9 @@ class Adjoints:
             return 1.0, (operand,)
         (a, left), (b, right) = map(self.product, operands)
         if len(left) + len(right) > LONGEST:
-            return 1.0, (operand,) if form == "{0} * {1}" else tuple(o for o in operands if isinstance(o, int))
+            return 1.0, (operand,) if form == "{0} * {1}" else tuple(
+                o for o in operands if isinstance(o, int)
+            )
         return a * b, tuple(sorted(left + right))
 
     def times(self, adjoint: Sum, coefficient: float, factors: Product) -> Sum:

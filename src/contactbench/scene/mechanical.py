@@ -96,6 +96,7 @@ class Mechanical(Scene):
         names = self.parameters if isinstance(self.parameters, Mapping) else [None]
         if not all(isinstance(name, str) and name.isidentifier() for name in names):
             raise BadInput(f"parameters = {shown(self.parameters)}: must be a dict of numbers by name")
+        self._check_names(self.parameters)
 
     def _check_force(self) -> None:
         """Whether the gradient at the initial position is n finite numbers."""

@@ -76,7 +76,9 @@ def reference(
         return Reference(scene, carry, t, y, decimals, digits, source)
 
     known = scene.exact is None or is_ours(scene.exact)
-    return _cache.get(key(scene.identity if known else None, digest(scene), scene.exact, carry, t.tobytes()), make)
+    return _cache.get(
+        key(scene.identity if known else None, digest(scene), scene.exact, carry, t.tobytes()), make
+    )
 
 
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
