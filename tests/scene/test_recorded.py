@@ -8,6 +8,7 @@ import pickle
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from multiprocessing import get_context
 
 import numpy as np
@@ -159,7 +160,8 @@ def test_a_step_map_that_changes_is_another_method():
     try:
         for engine in ("numba", "jax", "python"):
             ends = []
-            for weight in (0.5, 0.0, 0.5):
+            for value in (0.5, 0.0, 0.5):
+                weight = value
                 ends.append(cb.solve("oscillator", "mine", step=0.1, engine=engine).y[-1])
             np.testing.assert_array_equal(ends[0], ends[2])
             assert np.abs(ends[0] - ends[1]).max() > 1e-2
@@ -353,7 +355,7 @@ def test_programs_of_peers_grow_with_the_couplings_not_with_their_square(method)
     from contactbench.methods.c_functions import source
 
     sizes = [len(source(chain(n).recorded(), ()).splitlines()) for n in (8, 16, 32, 64)]
-    assert max(b / a for a, b in zip(sizes, sizes[1:], strict=False)) < 2.6
+    assert max(b / a for a, b in pairwise(sizes)) < 2.6
 
 
 def test_integrators_of_heyoka_are_bounded():
@@ -401,7 +403,7 @@ def test_ensembles_are_pickled():
 
 def test_a_scene_that_cannot_be_pickled_says_so_in_a_line():
     scene = oscillator(lambda q: float(q[0]) ** 2 / 2, lambda q: (float(q[0]),))
-    with pytest.raises(cb.BadInput, match="its potential .* cannot be pickled"):
+    with pytest.raises(cb.BadInput, match=r"its potential .* cannot be pickled"):
         pickle.dumps(scene)
 
 

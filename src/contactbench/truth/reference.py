@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours
+from contactbench.boundary import is_ours, plain_function
 from contactbench.boundary import place as place_of
-from contactbench.boundary import plain_function
 from contactbench.errors import BadInput, is_real, one_line, shown
 from contactbench.scene import Scene, verify
 from contactbench.scene.cache import Cache, key
