@@ -25,8 +25,8 @@ LARGE = "particle and not long and not limit and (strang or cvode-adams)"
 SMALL = f"{LARGE} and not weak and not jax and not numba"
 LARGE_TIMED = 5  # contact-strang on its three engines, cvode-adams on its two
 TIMED = 3
-#: convergence of one, decay and laws of both; errors, and times at two visits
-CELLS = 5 + 3 * TIMED
+#: convergence of one, decay and laws of both; errors and times
+CELLS = 5 + 2 * TIMED
 
 
 def row(method="rk4", setting="step=0.1", **more):
