@@ -19,7 +19,7 @@ from c_loops import KERNELS, SHAPES
 from cells import cells, controlled
 from clock import usable_cores
 from contactbench.ensembles import ENGINES
-from contactbench.measure.clock import Part
+from contactbench.measure.clock import Call, Part
 from contactbench.results.tables import ENSEMBLE_TABLE
 from ensemble_peers import prepared
 
@@ -120,7 +120,7 @@ def member_deviation(scene, method, control, value, start, y):
 
 
 def prepared_row(cell, exact):
-    """The row of a cell without its times, what is to be timed, if it can be run, and a part of it.
+    """The row of a cell without its times, and what is to be timed, if it can be run.
 
     exact : the true final states of the first few trajectories, None for a row without errors.
     """
@@ -133,7 +133,7 @@ def prepared_row(cell, exact):
     }  # fmt: skip
     made = prepared(scene, method, engine, variant, value, initial(scene, n))
     if isinstance(made, str):
-        return row | {"status": "unsupported", "message": made}, None, None
+        return row | {"status": "unsupported", "message": made}, None
     run, costs = made
     start = perf_counter()
     y = run()
@@ -151,9 +151,9 @@ def prepared_row(cell, exact):
         row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
     row |= {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
     if question not in ("error", "size"):
-        return row, run, None
+        return row, Call(run)
     fewer, _ = prepared(scene, method, engine, variant, value, initial(scene, round(n * FEWER)))
-    return row, run, Part(fewer, FEWER, n)
+    return row, Call(run, Part(fewer, FEWER, n))
 
 
 @cells(ladder)

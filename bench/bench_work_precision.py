@@ -18,7 +18,7 @@ import pytest
 import contactbench as cb
 from c_loops import KERNELS, kernel
 from cells import RTOLS, cells, controlled, engines, outcome, step_budget, work_ladder
-from contactbench.measure.clock import LONG, Part, seconds
+from contactbench.measure.clock import Call, Part, seconds
 from contactbench.measure.ladder import ENDS, LOOSEST, carried
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
@@ -116,7 +116,7 @@ def errors(cell, profile):
 
 
 def runs(scene, method, given):
-    """What is timed: the bare run, and the one to the earliest end; in the row what the public call adds to it."""
+    """What the public call adds, for the row; and what is timed: the bare run, and the one to the earliest end."""
     end = cb.SCENES[scene].t_end
     run, shorter = (cb.prepare(scene, method, save_at=[t], **given) for t in (end, end / ENDS))
     start, earlier = (
@@ -127,11 +127,10 @@ def runs(scene, method, given):
     def bare():
         return run.bare(start)
 
-    once = seconds(bare, 1)
-    if once < LONG:  # the first call is no measure of the others, but of a long run
-        once = seconds(bare, 1)
-    row = {"call_s": added(run, bare, once)} if once < SHORT else {}
-    return row, bare, Part(lambda: shorter.bare(earlier), 1 / ENDS, end)
+    call = Call(bare, Part(lambda: shorter.bare(earlier), 1 / ENDS, end))
+    call.warm_up()
+    once = call.once[0]
+    return {"call_s": added(run, bare, once)} if once < SHORT else {}, call
 
 
 #: changes of the initial data, relative: a few roundings
@@ -188,7 +187,7 @@ def prepared_limit(cell):
     }  # fmt: skip
     made = kernel(method, scene, step)
     if isinstance(made, str):
-        return row | {"status": "unsupported", "message": made}, None, None
+        return row | {"status": "unsupported", "message": made}, None
     run, evaluations = made
     start = perf_counter()
     end = run()
@@ -198,7 +197,7 @@ def prepared_limit(cell):
         "status": "ok", "message": "", "steps": round(scene.t_end / step), "evaluations": evaluations,
         "rhs_equivalents": float(evaluations), "compile_s": 0.0, "first_call_s": first,
         "solution_error": float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p])),
-    }, run, None  # fmt: skip
+    }, Call(run)  # fmt: skip
 
 
 @pytest.mark.timed

@@ -19,7 +19,6 @@ from tqdm import tqdm
 
 from contactbench.measure.clock import (
     ROUNDS,
-    Call,
     Part,
     Race,
     Timed,
@@ -29,8 +28,9 @@ from contactbench.measure.clock import (
     time_columns,
 )
 
-#: cells of an experiment that a second process times too
-SAMPLE, SEED = 48, 20
+#: cells of an experiment that a second process times too: one in so many, and so many at most
+ONE_IN, SAMPLE = 4, 48
+SEED = 20
 
 
 class Process:
@@ -44,7 +44,7 @@ class Process:
         self.prepared = 0
 
     def prepare(self, function: Callable[..., Any], *arguments: Any) -> Remote:
-        """Let it call a function of an experiment that returns (row, run, part); do not wait for it."""
+        """Let it call a function of an experiment that returns (row, call); do not wait for it."""
         self.tell("prepare", function.__module__.rpartition(".")[2], function.__name__, *arguments)
         self.prepared += 1
         return Remote(self, self.prepared - 1)
@@ -86,11 +86,14 @@ class Remote:
 
 @dataclass(frozen=True)
 class Entry:
-    """A cell to be timed: its call, the same call of a second process, and who takes its time columns."""
+    """A cell to be timed: its call, the same call in a second process, and who takes its time columns.
+
+    part : of the run, with a length of its own.
+    """
 
     call: Timed
     part: Part | None
-    again: Remote | None
+    again: Timed | None
     record: Callable[[dict[str, Any]], None]
 
 
@@ -102,7 +105,8 @@ class Timetable:
 
     def __init__(self, cells: Collection[Any], visits: int) -> None:
         self.visits = visits
-        self.sample = set(random.Random(SEED).sample(list(cells), min(SAMPLE, len(cells))))
+        size = min(SAMPLE, -(-len(cells) // ONE_IN))
+        self.sample = set(random.Random(SEED).sample(list(cells), size))
         #: cells that are yet to be prepared
         self.ahead = set(cells)
         self.entries: list[Entry] = []
@@ -175,21 +179,20 @@ class Clock:
     later: Callable[..., Callable[[dict[str, Any]], None]]
 
     def time(self, table: Any, row: dict[str, Any], prepare: Callable[..., Any], *arguments: Any) -> None:
-        """Time a cell; `prepare` gives what its row says beside `row`, its run (None: there is none) and a part of it.
+        """Time a cell; `prepare` gives what its row says beside `row`, and its call, None where it cannot be run.
 
         Its arguments go to a second process as JSON.
         """
-        more, run, part = prepare(*arguments)
+        more, call = prepare(*arguments)
         row = row | more
-        if run is None or self.timetable is None:
+        if call is None or self.timetable is None:
             self.record(table, **row)
             return
-        call = Call(run, part)
         call.warm_up()
         again = None
         if self.cell in self.timetable.sample:
             again = self.timetable.second().prepare(prepare, *arguments)
-        self.timetable.entries.append(Entry(call, part, again, self.later(table, row)))
+        self.timetable.entries.append(Entry(call, call.part, again, self.later(table, row)))
 
     def time_on(self, cores: list[int], table: Any, prepare: Callable[..., Any], *arguments: Any) -> None:
         """Time a cell in a process of its own on several cores."""

@@ -16,8 +16,6 @@ if CORES:
 
 from importlib import import_module
 
-from contactbench.measure.clock import Call
-
 
 def pin(cores):
     """Every thread of this process on these cores."""
@@ -32,8 +30,8 @@ def main():
     for line in sys.stdin:
         match json.loads(line):
             case ["prepare", module, function, *arguments]:
-                row, run, part = getattr(import_module(module), function)(*arguments)
-                calls.append(Call(run, part))
+                row, call = getattr(import_module(module), function)(*arguments)
+                calls.append(call)
                 rows.append(row)
                 continue
             case ["row", n]:

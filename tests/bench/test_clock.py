@@ -51,7 +51,7 @@ def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_l
 def test_a_sample_of_the_cells_is_timed_in_a_second_process():
     many, few = Timetable(range(1000), 8), Timetable(range(5), 8)
     assert len(many.sample) == SAMPLE
-    assert few.sample == set(range(5))
+    assert len(few.sample) == 2
     assert Timetable(range(1000), 8).sample == many.sample
 
 
@@ -80,8 +80,8 @@ def test_without_times_the_row_is_recorded_at_once_and_so_is_what_cannot_be_run(
         rows.append((table, row))
 
     def refuse(cell):
-        return {"status": "unsupported"}, None, None
+        return {"status": "unsupported"}, None
 
-    Clock(None, "cell", record, None).time("table", {"a": 1}, lambda: ({"b": 2}, print, None))
+    Clock(None, "cell", record, None).time("table", {"a": 1}, lambda: ({"b": 2}, print))
     Clock(Timetable(["cell"], 8), "cell", record, None).time("table", {"a": 1}, refuse, "cell")
     assert rows == [("table", {"a": 1, "b": 2}), ("table", {"a": 1, "status": "unsupported"})]

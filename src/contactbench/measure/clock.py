@@ -23,7 +23,7 @@ VISITS, MOST_VISITS = 8, 24
 ROUNDS, ROUND_SECONDS = 3, 3e-4
 #: seconds from which a call has one round a visit, the next would meet the same phase of the machine, and no warm-up:
 #: cold caches cost it hardly anything
-LONG = 0.01
+LONG = 5e-3
 SEED = 20
 
 
@@ -62,6 +62,7 @@ class Call:
     """A function without arguments that is timed in this process, and its part."""
 
     def __init__(self, run: Callable[[], Any], part: Part | None = None) -> None:
+        self.part = part
         self.runs = [run] if part is None else [run, part.run]
         self.once: list[float] = []
 
@@ -74,11 +75,17 @@ class Call:
         return sum(max(ROUND_SECONDS, once) for once in self.once)
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
-        """Time some rounds; how many calls fill one follows from the fastest so far."""
+        """Time some rounds, no garbage collected; how many calls fill one follows from the fastest so far."""
         calls = [calls_a_round(once) for once in self.once]
         if self.once[0] > LONG:
             rounds = 1
-        turns = [[seconds(*each) for each in zip(self.runs, calls, strict=True)] for _ in range(rounds)]
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            turns = [[seconds(*each) for each in zip(self.runs, calls, strict=True)] for _ in range(rounds)]
+        finally:
+            if collects:
+                gc.enable()
         self.once = [min(times) for times in zip(self.once, *turns, strict=True)]
         whole, *part = zip(*turns, strict=True)
         return Visit(whole, part[0] if part else (), calls[0])
@@ -111,13 +118,7 @@ class Race:
     def sweep(self, rounds: Sequence[int] | None = None) -> Iterator[int]:
         """Visit every call; yield the number of each that was visited."""
         for i in self.shuffle.sample(range(len(self.calls)), len(self.calls)):
-            collects = gc.isenabled()
-            gc.disable()
-            try:
-                self.visits[i].append(self.calls[i].visit(rounds[i] if rounds else ROUNDS))
-            finally:
-                if collects:
-                    gc.enable()
+            self.visits[i].append(self.calls[i].visit(rounds[i] if rounds else ROUNDS))
             yield i
 
     def go(self, budget: float) -> None:
