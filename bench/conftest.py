@@ -72,6 +72,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("contactbench")
     group.addoption("--profile", choices=list(PROFILES), default="standard", help="how much to run")
     group.addoption("--results", type=Path, default=REPOSITORY / "results", help="where the tables go")
+    group.addoption("--untimed", action="store_true", help="errors, counts and laws alone: no times")
     group.addoption("--resume", action="store_true", help="keep the rows of a run that was killed")
     group.addoption("--report", action="store_true", help="write documents and figures at the end")
 
@@ -111,14 +112,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
-    """The cells of a test by their names; none for a test of times alone where there is no clock."""
-    if test.times and not has_clock(config):
+    """The cells of a test by their names; none for a test of times alone in a run without times."""
+    if test.times and config.getoption("untimed"):
         return {}
     return {"-".join(map(word, cell)): cell for cell in test.cells(config.profile)}
-
-
-def has_clock(config: pytest.Config) -> bool:
-    return config.pluginmanager.hasplugin("benchmark") and not config.getoption("benchmark_disable")
 
 
 def word(part: Any) -> str:
@@ -304,7 +301,7 @@ def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
 @pytest.fixture(scope="module")
 def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
     """The timed cells of an experiment, which are timed after the last of them was prepared."""
-    if not has_clock(request.config):
+    if request.config.getoption("untimed"):
         yield None
         return
     items = [

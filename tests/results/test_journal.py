@@ -161,7 +161,7 @@ def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
 @pytest.mark.slow
 def test_workers_resume_what_is_left(tmp_path):
     """The same with the cells handed out to worker processes, as in the untimed phase of a run."""
-    workers = ("-m", "not timed", "-n", "2", "-p", "no:benchmark")
+    workers = ("-m", "not timed", "-n", "2")
     finished(bench(tmp_path, f"{SMALL} and strang", *workers))
     resumed = finished(bench(tmp_path, SMALL, "--resume", *workers))
     assert "4 passed" in resumed  # decay and laws of the other method, errors of its two engines
