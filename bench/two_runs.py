@@ -49,9 +49,9 @@ def main(folders):
                         f"{kind.title}, {name}: margins ×{half:.3f} (half of the pairs), ×{most:.3f} (95 %)"
                     )
             ratios, margins = within(first, second, kind, max(field.processes for field in fields))
-            print(
-                f"{kind.title}: {np.mean(ratios <= margins):.1%} of {len(ratios)} cells within their margins"
-            )
+            if len(ratios):
+                inside = np.mean(ratios <= margins)
+                print(f"{kind.title}: {inside:.1%} of {len(ratios)} cells within their margins")
     print(f"verdicts that turned round: {turned}")
     return int(turned > 0)
 

@@ -405,7 +405,7 @@ def standing(field: Field) -> tuple[str, str] | None:
     against = ", ".join(f"{method} {n}" for method, n in camps(contests.values()).items())
     sentence = (
         f"A contact method is cheapest in {counted.wins} of {counted.judged} pairs of scene and error, "
-        f"{counted.ties} are ties, another method is cheapest in {counted.losses}"
+        f"{counted.ties} are ties ({ties(field)}), another method is cheapest in {counted.losses}"
         + (f" ({against})" if against else "")
         + (f", {counted.undecided} are too noisy to judge." if counted.undecided else ".")
     )
@@ -420,22 +420,19 @@ def standing(field: Field) -> tuple[str, str] | None:
         sentence += f" A contact method is cheapest at every error on {names(won)}."
     if field.kind.caveat:
         sentence += f" {field.kind.caveat}"
-    covers = (
-        f"{len(field.contested)} scenes, errors {', '.join(power(t) for t in TARGETS)}; a tie: {ties(field)}"
-    )
+    covers = f"{len(field.contested)} scenes, errors {', '.join(power(t) for t in TARGETS)}"
     if counted.open:
         covers += f"; not counted: {many(counted.open, 'pair')} that no method reaches"
     return sentence, covers
 
 
 def ties(field: Field) -> str:
-    """within 15 %; of times, within 4 to 8 % (half of the pairs within 5 %)."""
-    if not field.kind.timed:
-        return f"within {percent(COUNTED)}"
-    known = [m for m in field.margins if m <= WIDEST]
-    if not known:
-        return f"within no more than {percent(WIDEST)}"
-    return f"within {percent(known[0])} to {percent(known[-1])}, half of the pairs within {percent(median(known))}"
+    """within 15 %; of times, within 4 % to 8 %, half of the pairs within 5 %."""
+    known = [m for m in field.margins if m <= WIDEST] or [WIDEST]
+    low, high = percent(known[0]), percent(known[-1])
+    if low == high:
+        return f"within {low}"
+    return f"within {low} to {high}, half of the pairs within {percent(median(known))}"
 
 
 def families(frames: Frames) -> dict[str, str]:
