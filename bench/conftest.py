@@ -113,9 +113,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
     """The cells of a test by their names; none for a test of times alone in a run without times."""
-    if test.times and config.getoption("untimed"):
+    if test.times and not has_clock(config):
         return {}
     return {"-".join(map(word, cell)): cell for cell in test.cells(config.profile)}
+
+
+def has_clock(config: pytest.Config) -> bool:
+    """Whether cells are timed: not beside other processes of the same run."""
+    shared = hasattr(config, "workerinput") or config.getoption("numprocesses", None)
+    return not (shared or config.getoption("untimed"))
 
 
 def word(part: Any) -> str:
@@ -301,7 +307,7 @@ def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
 @pytest.fixture(scope="module")
 def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
     """The timed cells of an experiment, which are timed after the last of them was prepared."""
-    if request.config.getoption("untimed"):
+    if not has_clock(request.config):
         yield None
         return
     items = [
