@@ -78,9 +78,14 @@ def test_a_margin_is_of_both_cells_and_of_processes_and_has_a_floor():
 
 def test_processes_differ_by_what_covers_95_of_100_cells():
     sample = [1.0] * 94 + [1 / 1.05] * 2 + [3.0] * 4
-    assert process_spread(sample) == pytest.approx(1.05)
-    assert process_spread([math.nan, 1 / 1.5]) == pytest.approx(1.5)
-    assert process_spread([math.nan]) == PROCESSES
+    assert process_spread(sample, [1.0] * 100) == pytest.approx(1.05)
+    assert process_spread([math.nan, 1 / 1.5], [1.0, math.nan]) == pytest.approx(1.5)
+    assert process_spread([math.nan], [1.0]) == PROCESSES
+
+
+def test_a_noisy_cell_says_nothing_of_processes():
+    assert process_spread([1.02, 1.5, 1.4], [1.0, 1.3, 1 / 1.3]) == pytest.approx(1.02)
+    assert process_spread([1.2, 1.5], [1.1, 1.3]) == pytest.approx(1.5)  # there are no others
 
 
 @pytest.mark.parametrize(

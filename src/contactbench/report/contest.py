@@ -84,7 +84,9 @@ class Kind:
 
     def process_spread(self, rows: pd.DataFrame) -> float:
         """Return by what factor two processes differ on these rows."""
-        return process_spread(rows[self.processes].astype(float)) if self.timed else COUNTED
+        if not self.timed:
+            return COUNTED
+        return process_spread(*(rows[name].astype(float) for name in (self.processes, self.halves)))
 
 
 EVALUATIONS = Kind(

@@ -118,14 +118,15 @@ def clock_text(work: pd.DataFrame, fields: Iterable[Field]) -> Text:
     visits = work["visits"].dropna()
     if not len(visits):
         return Text("No cell was visited twice in these tables: how well the times repeat is not known.")
-    sample = work["time_process_ratio"].dropna()
+    sample = work[work["time_process_ratio"].notna()]
     said = [
         f"Every timed cell is visited {visits.min():.0f} times or more, in shuffled order; its time is the least round."
     ]
     if len(sample):
+        spread = process_spread(sample["time_process_ratio"], sample["time_halves_ratio"])
         said.append(
             f"A second process timed {len(sample)} of the cells: 95 % are within "
-            f"{percent(process_spread(sample))} of the first."
+            f"{percent(spread)} of the first, but for those whose own halves differ."
         )
     for field in fields:
         if field.kind.timed and (known := field.margins):

@@ -100,15 +100,19 @@ class Verdict(StrEnum):
     undecided = "undecided"  #: the clock does not tell: within a margin that is wider than `WIDEST`
 
 
-def process_spread(ratios: Iterable[float]) -> float:
+def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
     """Return by what factor two processes differ on one and the same cell, in 95 of 100 cells.
 
-    ratios : of a sample of cells, the time in a second process over that in the first.
+    ratios : of a sample of cells, the time in a second process over that in the first.  halves : of the same cells,
+        those of their visits: where they differ by more than `FLOOR` it is the cell that is noisy, not the process,
+        and its margins know that already.
     The empirical quantile of max(r, 1/r); `PROCESSES` where there is no sample.
     """
-    known = np.array([ratio for ratio in ratios if ratio > 0 and math.isfinite(ratio)])
-    if not len(known):
+    pairs = [(r, h) for r, h in zip(ratios, halves, strict=True) if r > 0 and math.isfinite(r)]
+    if not pairs:
         return PROCESSES
+    quiet = [r for r, h in pairs if 1 / FLOOR <= h <= FLOOR]
+    known = np.array(quiet or [r for r, _ in pairs])
     # the smallest measured factor that covers the share: no interpolation towards quieter cells
     return float(np.quantile(np.maximum(known, 1 / known), COVERED, method="higher"))
 
