@@ -142,13 +142,9 @@ def prepared_row(cell, exact):
     steps, evaluations, kind = costs()
     if exact is not None:
         row["solution_error"] = error(y, np.asarray(exact))
-    if (
-        exact is not None
-        and question == "error"
-        and method in cb.METHODS
-        and 0 < (evaluations or steps or 0) * n < SINGLE_WORK
-    ):
-        row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
+        short = 0 < (evaluations or steps or 0) * n < SINGLE_WORK
+        if question == "error" and method in cb.METHODS and short:
+            row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
     row |= {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
     if question not in ("error", "size"):
         return row, Call(run)

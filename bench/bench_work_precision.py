@@ -119,10 +119,8 @@ def runs(scene, method, given):
     """What the public call adds, for the row; and what is timed: the bare run, and the one to the earliest end."""
     end = cb.SCENES[scene].t_end
     run, shorter = (cb.prepare(scene, method, save_at=[t], **given) for t in (end, end / ENDS))
-    start, earlier = (
-        run.start,
-        shorter.start,
-    )  # arrays that an engine has moved to its device ahead of the call
+    # arrays that an engine has moved to its device ahead of the call
+    start, earlier = run.start, shorter.start
 
     def bare():
         return run.bare(start)

@@ -119,7 +119,7 @@ def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
 
 
 def has_clock(config: pytest.Config) -> bool:
-    """Whether cells are timed: not beside other processes of the same run."""
+    """Return whether cells are timed: not beside other processes of the same run."""
     shared = hasattr(config, "workerinput") or config.getoption("numprocesses", None)
     return not (shared or config.getoption("untimed"))
 
