@@ -77,7 +77,7 @@ def add(command: Command) -> None:
         """examples:
   contactbench compare particle
   contactbench compare double-well --plugin my.py --error 1e-4,1e-8 --html out.html
-  contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq .margins
+  contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq '.rows[].margin'
 
 Nothing is written but the files named.  Ctrl-C ends it with what there is.
 Exit status: 0 done, 1 nothing could be timed, 2 bad input or no reference, 130 interrupted.""",
