@@ -336,9 +336,13 @@ def clock(request: pytest.FixtureRequest, timetable: Timetable | None, record: C
         journal, made = item.config.journal, complete(which, row, profile)
         return lambda columns: journal.append([(which, made | columns)], _identity(item))
 
+    benchmark = None
     if timetable is not None:
         timetable.ahead.discard(_identity(item))
-    return Clock(timetable, _identity(item), record, later)
+        if item.config.pluginmanager.hasplugin("benchmark"):
+            benchmark = request.getfixturevalue("benchmark")
+            benchmark.group = item.path.stem
+    return Clock(timetable, _identity(item), record, later, benchmark)
 
 
 @pytest.fixture
