@@ -115,7 +115,7 @@ def changed_rules(tree: Path, root: Path) -> Verdict:
     own = revisions.JUDGED not in os.environ
     words = "inconclusive" if own else "rule changed, the base's judges"
     lines = [
-        Line(f"rule {name}" if kind == "rules" else f"code of {name}", old, new, "", words, False)
+        Line(f"rule {name}" if kind == "rules" else f"code of {name}", old[:40], new[:40], "", words, False)
         for kind in before
         for name, old in before[kind].items()
         if (new := after[kind].get(name, "none")) != old

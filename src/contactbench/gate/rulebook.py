@@ -11,7 +11,6 @@ import hashlib
 import inspect
 import json
 from importlib import import_module
-from types import ModuleType
 
 MODULES = (
     "gate.accuracy", "gate.committed", "gate.rules", "gate.speed", "gate.speed_worker", "gate.workload",
@@ -19,27 +18,30 @@ MODULES = (
 )  # fmt: skip
 
 
-def code(module: ModuleType) -> str:
-    """A digest of the functions and classes of a module, without comments and docstrings."""
-    tree = ast.parse(inspect.getsource(module))
+def read(source: str) -> tuple[dict[str, str], str]:
+    """The constants of a module as written, and a digest of its functions and classes without their docstrings."""
+    constants, definitions = {}, ""
+    tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node) is not None:
             node.body[:1] = []
-    kept = [ast.dump(node) for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
-    return hashlib.sha256("".join(kept).encode()).hexdigest()[:8]
+    for node in tree.body:
+        match node:
+            case ast.FunctionDef() | ast.ClassDef():
+                definitions += ast.dump(node)
+            case ast.Assign(targets=[ast.Name(name)]) | ast.AnnAssign(target=ast.Name(name)):
+                constants[name] = ast.unparse(node.value) if node.value else ""
+    return constants, hashlib.sha256(definitions.encode()).hexdigest()[:8]
 
 
 def main() -> None:
     from contactbench.results.schema import TABLES
 
-    rules, codes = {}, {}
+    rules, codes = dict[str, str](), dict[str, str]()
     for name in MODULES:
         with contextlib.suppress(ModuleNotFoundError):  # of an older or newer revision
-            module = import_module(f"contactbench.{name}")
-            codes[name] = code(module)
-            for constant, value in vars(module).items():
-                if constant.isupper() and isinstance(value, int | float | str | tuple):
-                    rules[f"{name}.{constant}"] = str(value)
+            constants, codes[name] = read(inspect.getsource(import_module(f"contactbench.{name}")))
+            rules |= {f"{name}.{constant}": value for constant, value in constants.items()}
     for table in TABLES.values():
         rules |= {f"{table.name}.{column}": rule.name for column, rule in table.rules.items()}
     print(json.dumps({"rules": rules, "code": codes}))
