@@ -245,7 +245,7 @@ LAXER = {
     "results/columns.py": (
         '/ max ‖y*‖", Rule.error)',
         '/ max ‖y*‖", ungated="")',
-        "rule work_precision.solution_error",
+        "rule convergence.solution_error",
     ),
     "results/round_off.py": ("eps * np.max", "eps * 1e9 * np.max", "code of results.round_off"),
     "gate/verdict.py": ("return 1 if self.red else 2", "return 0 if self.red else 2", ""),
