@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -198,12 +199,13 @@ def slower(root: Path, cells: Sequence[Cell], revision: str | None, budget: floa
 
 
 def kinds_first(cells: Sequence[Cell], seed: str) -> list[Cell]:
-    """Shuffled, and the first of every method and engine before the second of any: time may end early."""
-    seen: Counter[tuple[str, str]] = Counter()
+    """Shuffled, the first of every kind in front, then those of its engines, before any second: time may end early."""
+    seen: Counter[Any] = Counter()
     ranked = []
     for cell in random.Random(seed).sample(cells, len(cells)):
-        ranked.append((seen[cell.kind, cell.engine], cell))
-        seen[cell.kind, cell.engine] += 1
+        both = cell.kind, cell.engine
+        ranked.append((1 + seen[both] if seen[cell.kind] else 0, cell))
+        seen.update((cell.kind, both))
     return [cell for _, cell in sorted(ranked, key=lambda pair: pair[0])]
 
 

@@ -51,11 +51,14 @@ class Cell:
         return asdict(self)
 
 
-#: what a user calls, on a standard scene
+#: what a user calls, on standard scenes; references on those where they take little
 PUBLIC = tuple(
-    Cell("particle", "contact-rkn6", "numba", "step", 0.1, (), call=call)
-    for call in ("solve", "run(q=…)", "ensemble", "reference", "import")
-)
+    Cell(scene, "contact-rkn6", "numba", "step", 0.1, (), call=call)
+    for scene, call in (
+        ("particle", "solve"), ("particle", "run(q=…)"), ("particle", "ensemble"), ("oscillator", "reference"),
+        ("saddle_edge", "live reference"), ("particle", "import"),
+    )
+)  # fmt: skip
 
 
 def workload(work: pd.DataFrame) -> list[Cell]:
