@@ -222,6 +222,9 @@ def test_what_shows_the_same_is_not_drawn_again(tmp_path, monkeypatch):
     assert not draw.current(changed, tmp_path)
     draw.save(figure, tmp_path)
     assert (vector.read_bytes(), picture.read_bytes()) == before  # no dates, no chance
+    vector.write_text(vector.read_text().replace("0", "1"))
+    assert not draw.current(figure, tmp_path)
+    draw.save(figure, tmp_path)
     picture.unlink()
     assert not draw.current(figure, tmp_path)
 
