@@ -306,7 +306,7 @@ def test_a_step_map_that_makes_no_state_is_refused(name, engine):
 
 
 def test_an_error_later_in_a_run_is_told_as_theirs():
-    left = [3]
+    left = [9]
 
     def step(scene, x, h, xp):
         left[0] -= 1

@@ -31,6 +31,7 @@ from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
+from contactbench.scene.cache import Cache
 from contactbench.splitting import flows, modified
 from contactbench.splitting.tables import ABC, COMPOSITIONS
 
@@ -74,11 +75,11 @@ def ledger(tmp_path_factory):
 @pytest.fixture
 def fresh(monkeypatch):
     """No truth and no compiled program from before a mutation, and none left after it."""
-    monkeypatch.setattr(import_module("contactbench.truth.reference"), "_cache", {})
-    monkeypatch.setattr(compiled, "_programs", {})
+    monkeypatch.setattr(import_module("contactbench.truth.reference"), "_cache", Cache(64))
+    monkeypatch.setattr(compiled, "_programs", Cache(64))
     for module in (numba_engine, contact_adaptive):
-        monkeypatch.setattr(module, "_loops", {})
-    monkeypatch.setattr(c_functions, "_compiled", {})
+        monkeypatch.setattr(module, "_loops", Cache(64))
+    monkeypatch.setattr(c_functions, "_compiled", Cache(64))
 
 
 # -- the rows --------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from contactbench.ensembles import cores
 from contactbench.ensembles.cores import AHEAD, LANES, equal_share, on_cores
 from contactbench.ensembles.measures import ENERGY
 from contactbench.methods import numba_engine
+from contactbench.scene.cache import Cache
 
 SCENE = cb.SCENES["particle"]
 
@@ -104,7 +105,7 @@ def test_a_loop_is_recorded_once_for_all_calls(monkeypatch):
 
     recorded, record = [], numba_engine.record
     monkeypatch.setattr(numba_engine, "record", lambda *args: recorded.append(1) or record(*args))
-    monkeypatch.setattr(numba_engine, "_loops", {})
+    monkeypatch.setattr(numba_engine, "_loops", Cache(64))
     given = SCENE.unpack(tuple(states(3)), ())
     for scene, step in ((SCENE, 1.0), (SCENE.with_(gamma=0.2), 0.5), (SCENE, 0.5)):
         cb.ensemble(scene, "contact-bm4", given, step=step, carry=(), progress=False)

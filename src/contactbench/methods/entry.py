@@ -15,6 +15,7 @@ from contactbench.methods.first_step import try_step
 from contactbench.methods.grid import default_times, long_enough, saved_times
 from contactbench.methods.step_map import StepMap
 from contactbench.scene import Scene, verify
+from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
 from contactbench.solution import Solution
 
@@ -124,8 +125,14 @@ def _given(step: Any, rtol: Any, atol: Any) -> str:
 
 
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
-    """Solve a scene once; takes the keywords of `prepare`."""
-    return prepare(scene, method, **options)()
+    """Solve a scene once; takes the keywords of `prepare`.
+
+    Raises `BadInput` as it does, and where a gradient is not that of the potential at a saved state.
+    """
+    solution = prepare(scene, method, **options)()
+    if solution.ok:
+        verify_at(solution.scene, solution.y)
+    return solution
 
 
 def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[float, float]:

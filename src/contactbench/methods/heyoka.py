@@ -20,6 +20,7 @@ from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Requ
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.series import NO_SERIES, SeriesNumbers, equations
 from contactbench.scene import Scene
+from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
 
 
@@ -45,8 +46,9 @@ def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
 UNROLLED = 20
 
-#: one program per structure, numbers and tolerance; a run has a copy of its own, with a state of its own
-_integrators: dict[Any, tuple[Any, float]] = {}
+#: one program per identity, numbers and tolerance, a megabyte or two each; a run has a copy of its own, with a
+#: state of its own
+_integrators: Cache[tuple[Any, float]] = Cache(32)
 
 
 @dataclass
@@ -58,15 +60,17 @@ class TaylorRun(Prepared):
 
         super().__post_init__()
         r = self.request
-        key = (r.scene.structure, tuple(r.scene.numbers()), r.carry, r.rtol)
-        if key not in _integrators:
+
+        def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             integrator = heyoka.taylor_adaptive(
                 taylor_system(r.scene, r.carry, heyoka), self._own_start, tol=r.rtol,
                 compact_mode=len(self._own_start) > UNROLLED,
             )  # fmt: skip
-            _integrators[key] = integrator, elapsed()
-        program, self.compile_s = _integrators[key]
+            return integrator, elapsed()
+
+        numbers = tuple(r.scene.numbers())
+        program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)
         self.integrator = copy(program)
         self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes = heyoka.taylor_outcome

@@ -47,6 +47,11 @@ class Driven(Mechanical):
     span: Callable[..., tuple[Any, Any]] | None = None
 
     kind: ClassVar[str] = "driven"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {
+        **dict.fromkeys(("potential", "gradient"), ("q", "t", "**")),
+        "rate": ("t", "**"),
+        "span": ("t", "h", "xp", "**"),
+    }
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
 
     def __post_init__(self) -> None:
@@ -117,7 +122,8 @@ class Driven(Mechanical):
         return self.potential(q, self.t if t is None else t, **self.parameters)
 
     def dV(self, q: Vector, t: Any = None) -> Vector:
-        return self.gradient(q, self.t if t is None else t, **self.parameters)
+        gradient: Any = self.gradient or self.recorded().gradient
+        return gradient(q, self.t if t is None else t, **self.parameters)
 
     def potential_at(self, x: Any) -> Any:
         return self.V(x.q, x.t)
@@ -174,6 +180,10 @@ class Driven(Mechanical):
     @property
     def may_gain_energy(self) -> bool:
         return True
+
+    @property
+    def bounds_energy(self) -> bool:
+        return False
 
     def rate_at(self, t: Any) -> Any:
         """γ(t)."""

@@ -31,6 +31,9 @@ class GeneralDamping(Mechanical):
     damping_flow: Callable[[Any, Any, Any], Any] | None = None
 
     kind: ClassVar[str] = "general damping"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {
+        **Mechanical.functions, "damping": ("s",), "damping_slope": ("s",), "damping_flow": ("s", "h", "xp"),
+    }  # fmt: skip
 
     def _check_kinds(self) -> None:
         super()._check_kinds()
