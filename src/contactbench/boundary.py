@@ -17,10 +17,8 @@ from types import FunctionType
 from typing import Any
 
 from contactbench.errors import BadInput, one_line
+from contactbench.start import VARIABLE
 
-#: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time
-VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
-DEFAULT_SECONDS = 60.0
 #: characters of another's message that are repeated
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
@@ -158,9 +156,9 @@ def their_code(what: str) -> Iterator[None]:
 
 
 def limit() -> float:
-    """Seconds that a first evaluation may take."""
+    """Seconds that a first evaluation may take, 0 for any time."""
     try:
-        seconds = float(os.environ.get(VARIABLE, DEFAULT_SECONDS))
+        seconds = float(os.environ.get(VARIABLE, 0.0))
     except ValueError:
         seconds = -1.0
     if not 0 <= seconds < 1e9:

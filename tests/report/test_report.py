@@ -42,10 +42,13 @@ def test_a_partial_run_fills_its_part_of_every_table(results):
     assert (work["status"] == "ok").all()
     needed = [
         "solution_error", "steps", "evaluations", "compile_s", "first_call_s", "time_min_s", "time_median_s",
-        "time_iqr_s", "rounds",
+        "time_iqr_s", "time_halves_ratio", "rounds",
     ]  # fmt: skip
     assert work[needed].notna().all().all()
-    assert (work["rounds"] >= 5).all()
+    assert work["time_process_ratio"].notna().any()
+    assert (work["visits"] >= 8).all()
+    assert (work["rounds"] >= work["visits"]).all()
+    assert (work["time_min_s"] <= work["time_median_s"]).all()
     assert (work["time_min_s"] > 0).all()
     assert {"contact-strang", "rk4"} == set(read(CONVERGENCE, results)["method"])
     assert (results / "environment.json").exists()

@@ -28,7 +28,7 @@ def fresh_run(root: Path, results: Path) -> list[Line]:
         raise BadInput(f"{root}: no benchmark there; run the gate where bench/ is, or give --fresh DIR")
     command = [
         sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results),
-        "-v", "-n", "auto", "--benchmark-disable", "-p", "no:cacheprovider",
+        "-v", "-n", "auto", "--untimed", "-p", "no:cacheprovider",
     ]  # fmt: skip
     lines, status = followed(command, root)
     last = next(filter(None, (line.strip() for line in reversed(lines))), "no output")

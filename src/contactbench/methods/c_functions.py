@@ -24,7 +24,7 @@ from contactbench.methods.llvm import imported, version
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.recording import Block, CannotRecord, Tape, is_constant, recorded, text_of
 from contactbench.numbers.source import PREAMBLE
-from contactbench.scene import Scene, System
+from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 
 #: places in data: the two counters, then the constants
@@ -55,7 +55,7 @@ class CFunctions:
 _compiled: Cache[CFunctions] = Cache(256)
 
 
-def c_functions(scene: System, carry: tuple[str, ...]) -> CFunctions:
+def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
     """The C functions of a scene, compiled once for its identity and the fields carried.
 
     Raises `CannotRecord` where the right-hand side branches on values.

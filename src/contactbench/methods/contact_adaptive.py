@@ -46,8 +46,8 @@ from contactbench.methods.llvm import compiled
 from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.recording import CannotRecord, recorded
 from contactbench.numbers.source import executed_on_lists
-from contactbench.scene.cache import Cache, key
 from contactbench.scene import Mechanical, Scene
+from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
 from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of

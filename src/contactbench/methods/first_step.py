@@ -6,13 +6,11 @@ import math
 from typing import Any
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, is_real, shown
+from contactbench.errors import BadInput, is_number, shown
 from contactbench.methods.step_map import StepMap, identity
 from contactbench.scene import Scene
+from contactbench.scene.base import TRIED
 from contactbench.scene.cache import Cache
-
-#: the step that is tried, in parts of the scene's end time, unless the one asked for is shorter
-TRIED = 1e-3
 
 _tried: Cache[bool] = Cache(1024)
 
@@ -57,4 +55,4 @@ def _alike(old: Any, new: Any) -> bool:
         return old is new
     if isinstance(old, tuple):
         return isinstance(new, tuple) and len(new) == len(old) and all(map(_alike, old, new))
-    return is_real(new) and hasattr(new, "__float__")
+    return is_number(new)

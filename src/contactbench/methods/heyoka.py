@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, stopwatch
+from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
 from contactbench.methods.variational import SOURCE, integrated, variational_request
+from contactbench.numbers.recording import CannotRecord, advised
 from contactbench.numbers.series import NO_SERIES, SeriesNumbers, equations
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
@@ -135,7 +136,10 @@ class TaylorMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        return TaylorRun(self.name, request)
+        try:
+            return TaylorRun(self.name, request)
+        except CannotRecord as why:
+            return Refused(self.name, request, str(advised(why)))
 
 
 METHODS.add(TaylorMethod())

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
-from itertools import product
 from typing import Any
 
 from contactbench.errors import BadInput
@@ -163,7 +162,10 @@ class Formula:
         Raises `CannotRecord` for a function whose derivative is not known.
         """
         tape = self.replayed()
-        return self.derived(tape, tuple(recorded(lambda: Adjoints(tape, self.parameters).along(self.results, self.components))))
+        return self.derived(
+            tape,
+            tuple(recorded(lambda: Adjoints(tape, self.parameters).along(self.results, self.components))),
+        )
 
     def jacobian(self, symmetric: bool = False) -> Formula:
         """The derivative of a tuple of results, a row for each; zeros are constants.
@@ -180,8 +182,8 @@ class Formula:
 
         rows = [recorded(lambda out=out: row(out)) for out in self.results]  # type: ignore[misc]
         if symmetric:
-            for i, j in product(range(n), repeat=2):
-                rows[i][j] = rows[max(i, j)][min(i, j)]
+            for i in range(n):
+                rows[i][i + 1 :] = [rows[j][i] for j in range(i + 1, n)]
         return self.derived(tape, tuple(map(tuple, rows)))
 
     @property
@@ -395,7 +397,9 @@ class Adjoints:
             return 1.0, (operand,)
         (a, left), (b, right) = map(self.product, operands)
         if len(left) + len(right) > LONGEST:
-            return 1.0, (operand,) if form == "{0} * {1}" else tuple(o for o in operands if isinstance(o, int))
+            return 1.0, (operand,) if form == "{0} * {1}" else tuple(
+                o for o in operands if isinstance(o, int)
+            )
         return a * b, tuple(sorted(left + right))
 
     def times(self, adjoint: Sum, coefficient: float, factors: Product) -> Sum:
@@ -434,7 +438,7 @@ class Adjoints:
         return {tuple(sorted([*shared, int(total.name[1:])])): size}
 
     def number(self, adjoint: Sum) -> Any:
-        """The value of a sum; constants and parameters are multiplied first, ahead of a run, then what many may share."""
+        """The value of a sum; constants and parameters are multiplied first: that is done ahead of a run."""
         if len(adjoint) > 1:
             adjoint = self.collected(adjoint)
         for product, coefficient in adjoint.items():

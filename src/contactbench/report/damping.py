@@ -12,7 +12,7 @@ import pandas as pd
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import NAMED
 from contactbench.report.figures import stability as figures
-from contactbench.report.numbers import count, names, scientific, upper
+from contactbench.report.numbers import count, names, scientific, times, upper
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Frames, Part, Room, Section
 from contactbench.results.round_off import STRUCTURE
@@ -152,7 +152,7 @@ def alike_cell(errors: pd.Series) -> Cell:
         return Cell(DASH)
     first = [str(m) for m in errors.index[errors <= max(STRUCTURE, ALIKE * errors.iloc[0])]]
     tied = len(first) > 1
-    text = f"tie: {names(first, NAMED)}" if tied else first[0]
+    text = f"tie ({times(ALIKE)}): {names(first, NAMED)}" if tied else first[0]
     least = float(errors.iloc[0])
     return Cell(f"{text} {scientific(least)}", least, marks(Mark.tie if tied else Mark.best))
 

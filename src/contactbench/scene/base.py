@@ -6,7 +6,7 @@ import dataclasses
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -21,6 +21,10 @@ from contactbench.scene.algebra import Vector, shifted
 SAME = 1e-6
 #: what a scene may ask to be run by
 EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
+#: what the functions of scenes, and step maps, are called with besides the parameters
+ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
+#: the step over which a user's function is tried at the start, in parts of the scene's end time
+TRIED = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +157,7 @@ class System(ABC):
         if function is None or isinstance(function, Formula) or is_ours(function):
             return None
         parameters = dict(getattr(self, "parameters", {})) if "**" in wanted else {}
-        values = {"xp": math, "h": 1e-3 * self.t_end}
+        values = {"xp": math, "h": TRIED * self.t_end}
         plain = [values[w] if w in values else getattr(self, w) for w in wanted if w != "**"]
         shape = tuple("xp" if v is math else len(v) if isinstance(v, tuple) else 0 for v in plain)
         with their_code(f"scene {self.name!r}"):
@@ -263,6 +267,15 @@ class Scene(System):
             )
         if self.exact is not None:
             function("exact", self.exact)
+
+    def _check_names(self, parameters: Iterable[str]) -> None:
+        """Raise `BadInput` for a parameter that would hide what bears its name already."""
+        taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
+        for name in parameters:
+            if name in taken:
+                raise BadInput(
+                    f"parameter {name!r}: must have a name of its own, none of {', '.join(sorted(taken))}"
+                )
 
     def is_in(self, experiment: str) -> bool:
         """Whether an experiment runs it."""

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import Any, Generic, TypeVar
-
-Made = TypeVar("Made")
+from typing import Any
 
 
-class Cache(Generic[Made]):
+class Cache[Made]:
     """The latest `size` things made, by key; None is no key: what has none is made anew every time."""
 
     def __init__(self, size: int) -> None:

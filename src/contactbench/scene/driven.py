@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
-from contactbench.errors import BadInput, finite, function
+from contactbench.boundary import their_code
+from contactbench.errors import BadInput, finite, function, is_number, returned, shown
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import State, Vector
-from contactbench.scene.base import System
+from contactbench.scene.base import TRIED, System
 from contactbench.scene.mechanical import Mechanical
 
 
@@ -61,6 +63,16 @@ class Driven(Mechanical):
             raise BadInput(
                 f"scene {self.name!r}: kappa, hessian and rotation_invariant are for scenes without time"
             )
+        self._check_rate()
+
+    def _check_rate(self) -> None:
+        """Whether rate and span give a number and a pair of them at the start."""
+        with their_code(f"scene {self.name!r}"):
+            rate = self.rate_at(self.t)
+            span = (0.0, 0.0) if self.span is None else self.spent(self.t, TRIED * self.t_end, math)
+        returned("rate", rate)
+        if not (isinstance(span, tuple | list) and len(span) == 2 and all(map(is_number, span))):
+            raise BadInput(f"span: must return a pair of real numbers; it returns {shown(span)}")
 
     def _check_kinds(self) -> None:
         super()._check_kinds()

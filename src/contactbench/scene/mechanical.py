@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import user_error
+from contactbench.boundary import is_ours, user_error
 from contactbench.errors import BadInput, finite, function, is_real, positive, shown, switch, vector
 from contactbench.numbers.formula import Formula, formula
 from contactbench.numbers.recording import CannotRecord
@@ -96,6 +96,7 @@ class Mechanical(Scene):
         names = self.parameters if isinstance(self.parameters, Mapping) else [None]
         if not all(isinstance(name, str) and name.isidentifier() for name in names):
             raise BadInput(f"parameters = {shown(self.parameters)}: must be a dict of numbers by name")
+        self._check_names(self.parameters)
 
     def _check_force(self) -> None:
         """Whether the gradient at the initial position is n finite numbers."""
@@ -182,11 +183,11 @@ class Mechanical(Scene):
         scene = super().recorded()
         if scene.gradient is None:
             scene = scene._replaced(gradient=derived_gradient(scene._potential_formula()))
-        small = len(scene.q) <= LARGEST_HESSIAN
-        if "hessian" in self.functions and scene.hessian is None and small:
-            if isinstance(scene.gradient, Formula):
-                with suppress(CannotRecord):
-                    scene = scene._replaced(hessian=derived_hessian(scene.gradient))
+        if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
+            return scene
+        if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
+            with suppress(CannotRecord):
+                scene = scene._replaced(hessian=derived_hessian(scene.gradient))
         return scene
 
     def _potential_formula(self) -> Formula:

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours
+from contactbench.boundary import is_ours, plain_function
 from contactbench.boundary import place as place_of
-from contactbench.boundary import plain_function
 from contactbench.errors import BadInput, is_real, one_line, shown
 from contactbench.scene import Scene, verify
 from contactbench.scene.cache import Cache, key
@@ -76,7 +75,9 @@ def reference(
         return Reference(scene, carry, t, y, decimals, digits, source)
 
     known = scene.exact is None or is_ours(scene.exact)
-    return _cache.get(key(scene.identity if known else None, digest(scene), scene.exact, carry, t.tobytes()), make)
+    return _cache.get(
+        key(scene.identity if known else None, digest(scene), scene.exact, carry, t.tobytes()), make
+    )
 
 
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
