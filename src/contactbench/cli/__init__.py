@@ -1,4 +1,4 @@
-"""The command line: ``contactbench list | solve | compare | claim | report | gate | references``."""
+"""The command line: ``contactbench list | solve | compare | check | claim | report | gate | references``."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from importlib import metadata
 from typing import Any
 
 from contactbench.boundary import VARIABLE, limit
-from contactbench.cli import claim, compare, gate, listing, references, report, solve
+from contactbench.cli import check, claim, compare, gate, listing, references, report, solve
 from contactbench.cli.parsing import PLUGIN, Intermixed, Parser
 from contactbench.errors import BadInput, one_line
 
 #: in the order of --help
-COMMANDS = (listing, solve, compare, claim, report, gate, references)
+COMMANDS = (listing, solve, compare, check, claim, report, gate, references)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -30,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
   contactbench solve particle contact-strang --step 0.01
   contactbench solve particle my-method --step 0.01 --plugin my.py
   contactbench compare particle
+  contactbench check my-method --plugin my.py
   contactbench claim C25
   contactbench report --results results
 

@@ -105,7 +105,8 @@ class TaylorRun(Prepared):
             outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
             y = y[: len(grid)] if start else y[1:]
         counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
-        if outcome == self.outcomes.time_limit:
+        # of a grid that takes exactly so many steps heyoka says that they are spent
+        if outcome == self.outcomes.time_limit or len(y) == len(r.save_at):
             return self.finished(y0, y, counts)
         stopped = (float(ta.time), ta.state.copy())
         if outcome == self.outcomes.step_limit:
