@@ -103,7 +103,8 @@ def test_contact_drift_is_that_of_the_derivative():
     form = np.array([-p0[0], -p0[1], 0, 0, 1])
     expected = np.linalg.norm(pulled * math.exp(0.2) - form) / np.linalg.norm(form)
     assert cb.LAWS["contact_drift"](solution) == pytest.approx(expected, rel=1e-6)
-    assert 0 < cb.LAWS["distribution_drift"](solution) <= cb.LAWS["contact_drift"](solution) * 1.01
+    cosine = pulled @ form / np.linalg.norm(pulled) / np.linalg.norm(form)
+    assert cb.LAWS["distribution_drift"](solution) == pytest.approx(math.sqrt(1 - cosine**2), rel=1e-6)
 
 
 def test_rk4_contact_drift_falls_with_the_fourth_power_of_the_step():

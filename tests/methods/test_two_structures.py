@@ -97,7 +97,7 @@ SOLVES = [
     if cb.METHODS[name].refuses(scenes[k][0]) is None
 ]  # fmt: skip
 #: compiled by XLA for seconds
-QUICK_ON_JAX = [("order of the inertias", "contact-strang"), ("sign of kappa", "contact-strang")]
+QUICK_ON_JAX = [(what, "contact-strang") for what in ("order of the inertias", "sign of kappa", "fields")]
 
 
 def is_quick(what, name, engine):

@@ -91,6 +91,18 @@ def test_frozen_solves_the_scene_as_it_is_now(name):
     assert truth.agreeing_digits([y], [rows[101]], 60) >= 30
 
 
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "weak_damping_particle")) for n in ENTRIES]
+)
+def test_every_stored_number_is_computed_again(name):
+    """A changed number whose digest is put right, anywhere in a file; by one precision of one engine."""
+    scene = SCENES[name]
+    _, times, rows = stored(name)
+    gaps = truth.disagreement(truth.taylor(scene, times, scene.carry(), 160), rows)
+    worst = max(gap / scale for gap, scale in zip(gaps, truth.scales(rows), strict=True))
+    assert truth.matching_digits(worst, 60) >= 30
+
+
 @pytest.mark.parametrize(("name", "fields"), [("oscillator", "qps"), ("rigid_body", "Ms")])
 def test_frozen_equals_closed_form(name, fields):
     scene = SCENES[name]
