@@ -97,7 +97,9 @@ SOLVES = [
     if cb.METHODS[name].refuses(scenes[k][0]) is None
 ]  # fmt: skip
 #: compiled by XLA for seconds
-QUICK_ON_JAX = [(what, "contact-strang") for what in ("order of the inertias", "sign of kappa", "fields")]
+QUICK_ON_JAX = [
+    ("order of the inertias", "contact-strang"), ("sign of kappa", "contact-strang"), ("fields", "diffrax-tsit5"),
+]  # fmt: skip
 
 
 def is_quick(what, name, engine):
