@@ -191,6 +191,18 @@ def test_parameters_of_its_own_for_every_trajectory(name):
         assert out.measures["hamiltonian_law"][i] == pytest.approx(law, rel=1e-6, abs=ROUND_OFF)
 
 
+def test_no_ensemble_on_jax_gets_the_program_of_another():
+    """Another parameter that varies, and the same scene without one of its laws."""
+    values, step = [0.2, 0.9], {"step": 0.25, "engine": "jax"}
+    for name in ("gamma", "stiffness"):
+        out = cb.ensemble(CENTRAL, "contact-strang", {}, parameters={name: values}, **step)
+        ends = [cb.solve(CENTRAL.with_(**{name: v}), "contact-strang", step=0.25).y[-1] for v in values]
+        np.testing.assert_allclose(packed(out).T, ends, rtol=0, atol=ROUND_OFF)
+    fewer = CENTRAL.with_(rotation_invariant=False)
+    out = cb.ensemble(fewer, "contact-strang", {}, parameters={"stiffness": values}, **step)
+    assert [*out.measures] == ["energy_change", "hamiltonian_law"]
+
+
 # -- ways to end -----------------------------------------------------------------------------------
 def test_a_diverged_member_is_counted_and_leaves_the_others_alone():
     """Beyond the saddle of the particle and heading out: to infinity in finite time."""
