@@ -97,6 +97,8 @@ class Method(ABC):
     contact: bool = False
     symmetric: bool = False
     rtol_range: tuple[float, float] = (1e-13, 1e-1)
+    #: whether it takes an absolute tolerance beside rtol
+    takes_atol: bool = True
     #: what rtol and atol bound
     tolerance: str
 
@@ -301,6 +303,12 @@ class Prepared(ABC):
     @cached_property
     def _own_energy(self) -> tuple[float, float]:
         return self._energy(self._own_start)
+
+    @property
+    def atol(self) -> float | None:
+        """The absolute tolerance of the run, where its method takes one."""
+        takes = self.method not in METHODS or METHODS[self.method].takes_atol
+        return self.request.atol if takes else None
 
     def __reduce__(self) -> Any:
         """Pickled as what it was prepared from."""

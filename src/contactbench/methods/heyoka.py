@@ -129,6 +129,7 @@ class TaylorMethod(Adaptive):
     order: int | None = None
     engines: tuple[str, ...] = ("llvm",)
     rtol_range: tuple[float, float] = (2.3e-16, 1e-1)
+    takes_atol: bool = False
 
     def refuses(self, scene: Scene) -> str | None:
         if importlib.util.find_spec("heyoka") is None:
