@@ -280,6 +280,16 @@ class Prepared(ABC):
         self.later = r.save_at[1:] if self.saves_start else r.save_at
         self._set = (r.control, r.value)
 
+    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
+        """The time at which a packed state begins, 0 where it has none, and the components less the time."""
+        clock = self.request.scene.clock
+        return (0.0, y0) if clock is None else (float(y0[clock]), np.delete(y0, clock))
+
+    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
+        """Packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
+        clock = self.request.scene.clock
+        return y if clock is None else np.insert(y, clock, start + times, axis=-1)
+
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """The saved states, of those at `later` times: the initial one before them where it is saved."""
         return np.concatenate([y0[None], y]) if self.saves_start else y
