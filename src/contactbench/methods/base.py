@@ -38,6 +38,10 @@ from contactbench.solution import (
 FAMILIES = ("contact", "variational", "established")
 #: Python's way to say inf or nan
 NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+#: the tightest rtol of a library without a limit of its own, and of CVODE, which refuses less than a rounding
+ROUNDING = 2.3e-16
+#: the tightest of SciPy and CyRK, which raise any below 100 ε to that
+CLAMPED = 2.3e-14
 #: a step this small against the span hardly moves the clock: a singularity is ahead
 SHORTEST = 1e-15
 

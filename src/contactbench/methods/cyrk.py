@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
+from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Outcome, Prepared, Refused, Request
 from contactbench.methods.c_functions import c_functions, clock_of, derivative
 from contactbench.methods.cyrk_interface import KNOWN, why_not
 from contactbench.methods.variational import SOURCE, integrated, variational_request
@@ -134,7 +134,7 @@ class CyrkMethod(Adaptive):
     about: str
     stages: int | None = None
     engines: tuple[str, ...] = ("c++",)
-    rtol_range: tuple[float, float] = (1e-13, 1e-1)  # CyRK clamps anything below 100 ε
+    rtol_range: tuple[float, float] = (CLAMPED, 1e-1)
 
     def refuses(self, scene: Scene) -> str | None:
         if importlib.util.find_spec("CyRK") is None:

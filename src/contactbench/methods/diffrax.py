@@ -12,7 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Outcome, Prepared, Refused, Request
+from contactbench.methods.base import (
+    METHODS,
+    ROUNDING,
+    SHORTEST,
+    Adaptive,
+    Outcome,
+    Prepared,
+    Refused,
+    Request,
+)
 from contactbench.methods.compiled import CompiledRun
 from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
@@ -157,7 +166,7 @@ class DiffraxMethod(Adaptive):
     about: str
     stiff: bool = False
     engines: tuple[str, ...] = ("jax",)
-    rtol_range: tuple[float, float] = (1e-14, 1e-1)
+    rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
 
     def solver(self, rtol: Any, atol: Any) -> Any:
         import diffrax

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Request, stopwatch
+from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Outcome, Prepared, Request, stopwatch
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.scene import Scene
@@ -129,7 +129,7 @@ class TaylorMethod(Adaptive):
     about: str = "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)"
     order: int | None = None
     engines: tuple[str, ...] = ("llvm",)
-    rtol_range: tuple[float, float] = (2.3e-16, 1e-1)
+    rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
 
     def refuses(self, scene: Scene) -> str | None:
         if importlib.util.find_spec("heyoka") is None:

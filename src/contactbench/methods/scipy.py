@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, NO_NUMBER, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import CLAMPED, METHODS, NO_NUMBER, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
 from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
@@ -155,7 +155,7 @@ class ScipyMethod(Adaptive):
     stages: int | None = None
     about: str = ""
     engines: tuple[str, ...] = ("python",)
-    rtol_range: tuple[float, float] = (1e-13, 1e-1)  # SciPy clamps anything below 100 ε
+    rtol_range: tuple[float, float] = (CLAMPED, 1e-1)
     evaluations_per_step: int = 13
 
     def prepare(self, request: Request) -> Prepared:

@@ -18,6 +18,7 @@ import numpy as np
 from contactbench.methods.base import (
     METHODS,
     NO_NUMBER,
+    ROUNDING,
     SHORTEST,
     Adaptive,
     Outcome,
@@ -235,7 +236,7 @@ class CvodeMethod(Adaptive):
     about: str
     order: int | None = None
     engines: tuple[str, ...] = ("c", "c+python")
-    rtol_range: tuple[float, float] = (1e-14, 1e-1)
+    rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
     evaluations_per_step: int = 2
 
     def prepare(self, request: Request) -> Prepared:
