@@ -20,7 +20,7 @@ from c_loops import KERNELS, kernel
 from cells import cells, controlled, engines, outcome, step_budget, work_ladder
 from clock import VISITS, Part
 from contactbench.measure.clock import seconds
-from contactbench.measure.ladder import ENDS, LOOSEST, carried, tolerances
+from contactbench.measure.ladder import ENDS, LOOSEST, carried, fields, tolerances
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
@@ -100,9 +100,7 @@ def errors(cell, profile):
     start = perf_counter()
     solution = run()
     row = {
-        "carried": " ".join(
-            [*scene.initial_fields[: 1 if "M" in scene.initial_fields else 2], *carried(scene)]
-        ),
+        "carried": " ".join(fields(scene, method, run.request.carry)),
         "compile_s": run.compile_s,
         "first_call_s": perf_counter() - start,
     }

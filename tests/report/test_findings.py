@@ -31,6 +31,7 @@ from contactbench.report.contest import (
     MARGINAL,
     TARGETS,
     Field,
+    camps,
     reasons,
     standing,
     tally,
@@ -449,6 +450,20 @@ def costs(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
         )  # fmt: skip
         error /= 10
     return rows
+
+
+def test_dop853_is_one_contestant_where_engines_do_not_matter():
+    """In the cheaper of its two shapes, and two where times are compared."""
+    shapes = [*costs("scipy-dop853", 2.0, engine="python"), *costs("cyrk-dop853", 3.0, engine="c++")]
+    work = table("work_precision", [*costs("contact-a", 4.0), *shapes])
+    field = Field(work, EVALUATIONS)
+    assert field.methods == ["contact-a", "dop853"]
+    assert camps(field.contests().values()) == {"dop853": 4}
+    alone = Field(table("work_precision", shapes[: len(shapes) // 2]), EVALUATIONS)
+    at = ("s", 1e-6)
+    assert field.leads[at].costs["dop853"].value == alone.leads[at].costs["dop853"].value
+    assert Field(work, COMPILED).methods == ["contact-a", "cyrk-dop853"]
+    assert Field(work, CALLED_BACK).methods == ["scipy-dop853"]
 
 
 @pytest.mark.parametrize(

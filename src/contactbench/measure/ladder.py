@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.methods.base import Method
 from contactbench.scene import Scene
 from contactbench.solution import keywords
 
@@ -61,6 +62,12 @@ def setting(method: Any, value: float) -> dict[str, float]:
 def stepping(method: Any) -> str:
     """How a method gets from one time to another: by fixed steps, by adaptive ones, or exact: without any."""
     return "exact" if method.exact else "adaptive" if method.adaptive else "fixed"
+
+
+def fields(scene: Scene, method: Method, carry: tuple[str, ...]) -> list[str]:
+    """What a method integrates on a scene, field by field."""
+    kept = (name for name, part in scene.initial(carry)._asdict().items() if part is not None)
+    return [name for name in kept if not (name == "t" and method.own_time)]
 
 
 def carried(scene: Scene) -> tuple[str, ...]:

@@ -97,6 +97,8 @@ class Method(ABC):
     rtol_range: tuple[float, float] = (1e-13, 1e-1)
     #: what rtol and atol bound
     tolerance: str
+    #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
+    own_time: bool = False
 
     @property
     def control(self) -> str:

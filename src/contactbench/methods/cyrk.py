@@ -134,6 +134,7 @@ class CyrkMethod(Adaptive):
     about: str
     stages: int | None = None
     engines: tuple[str, ...] = ("c++",)
+    own_time: bool = True
     rtol_range: tuple[float, float] = (CLAMPED, 1e-1)
 
     def refuses(self, scene: Scene) -> str | None:

@@ -166,6 +166,7 @@ class DiffraxMethod(Adaptive):
     about: str
     stiff: bool = False
     engines: tuple[str, ...] = ("jax",)
+    own_time: bool = True
     rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
 
     def solver(self, rtol: Any, atol: Any) -> Any:

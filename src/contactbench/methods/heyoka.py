@@ -129,6 +129,7 @@ class TaylorMethod(Adaptive):
     about: str = "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)"
     order: int | None = None
     engines: tuple[str, ...] = ("llvm",)
+    own_time: bool = True
     rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
 
     def refuses(self, scene: Scene) -> str | None:

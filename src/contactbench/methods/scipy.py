@@ -155,6 +155,7 @@ class ScipyMethod(Adaptive):
     stages: int | None = None
     about: str = ""
     engines: tuple[str, ...] = ("python",)
+    own_time: bool = True
     rtol_range: tuple[float, float] = (CLAMPED, 1e-1)
     evaluations_per_step: int = 13
 

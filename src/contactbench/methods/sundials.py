@@ -236,6 +236,7 @@ class CvodeMethod(Adaptive):
     about: str
     order: int | None = None
     engines: tuple[str, ...] = ("c", "c+python")
+    own_time: bool = True
     rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
     evaluations_per_step: int = 2
 
