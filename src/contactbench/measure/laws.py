@@ -12,7 +12,7 @@ second as `…_frozen`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,9 +22,11 @@ from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, co
 from contactbench.measure.law import Gate, Law, Measured
 from contactbench.measure.pairing import pairing_deviation
 from contactbench.measure.pullback import Pullback, growth, pullback
+from contactbench.measure.round_off import judge, structural_bound
+from contactbench.methods.base import METHODS
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.solution import Differential, Solution
-from contactbench.truth import reference
+from contactbench.truth import condition_number, reference
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,6 +168,27 @@ def modified_hamiltonian(solution: Solution) -> Deviation | float:
     return conformal(value[:, None], np.array([start]), solution.t, decay_rate(solution), terms)
 
 
+def of_contact_flows(solution: Solution) -> bool:
+    """Whether the method declares its runs to be composed of exact contact flows, by whatever steps."""
+    method = METHODS.get(solution.method)
+    return method is not None and method.family == "contact"
+
+
+def factor_known(solution: Solution) -> bool:
+    """Whether ∫Γ' is known without the motion: where Γ' follows s, a run has the factor of its own s."""
+    return solution.scene.damped_by(solution.start(), solution.t, np) is not None
+
+
+def contact_map(solution: Solution) -> bool:
+    """Whether the method declares its runs to be contact maps with the factor of the exact flow, and it is known."""
+    return of_contact_flows(solution) and METHODS[solution.method].contact and factor_known(solution)
+
+
+def composed(solution: Solution) -> bool:
+    """Whether the run is a composition of contact maps, of whatever factors."""
+    return solution.log_factor() is not None
+
+
 def momentum_deviation(solution: Solution) -> Deviation:
     """That of J from J(y₀) e^{−∫Γ'}, whether or not the scene has that law."""
     scene, states = solution.scene, solution.states()
@@ -178,6 +201,7 @@ def momentum_deviation(solution: Solution) -> Deviation:
     f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}", "J law",
     needs=("R",), applies=lambda scene: scene.is_contact and scene.has_momentum_law,
     gate=Gate.structure, shown=("laws", "stability"),
+    claimed=lambda solution: of_contact_flows(solution) and factor_known(solution),
 )  # fmt: skip
 def momentum_law(solution: Solution) -> Deviation:
     return momentum_deviation(solution)
@@ -231,13 +255,13 @@ def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
 
 @law(
     f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}", "contact drift",
-    shown=("laws", "stability"), **CONTACT,
+    shown=("laws", "stability"), claimed=contact_map, **CONTACT,
 )  # fmt: skip
 def contact_drift(solution: Solution) -> Deviation | float:
     return contact_deviation(solution, pullback(solution, solution.differential))
 
 
-@law("sine of the angle between Φ*η and η", "ker η drift", **CONTACT)
+@law("sine of the angle between Φ*η and η", "ker η drift", claimed=composed, **CONTACT)
 def distribution_drift(solution: Solution) -> Deviation | float:
     return distribution_deviation(pullback(solution, solution.differential))
 
@@ -259,7 +283,7 @@ def distribution_drift_frozen(solution: Solution) -> Deviation | float:
     "‖Φ*η − cη‖ / |c|‖η‖, c the product of the conformal factors of the contact maps applied, each taken "
     "from its formula at the numerical state; blank for a method that is no composition of such maps, and where "
     "a factor is negative",
-    "drift from its own factor", **CONTACT,
+    "drift from its own factor", claimed=composed, **CONTACT,
 )  # fmt: skip
 def own_factor_drift(solution: Solution) -> Deviation | float:
     log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
@@ -278,7 +302,8 @@ PAIRS: dict[str, Any] = {
 
 @law(
     "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p), "
-    "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖", "pairing drift", **PAIRS,
+    "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖", "pairing drift",
+    claimed=contact_map, **PAIRS,
 )  # fmt: skip
 def pairing_drift(solution: Solution) -> Deviation | float:
     return pairing_deviation(solution, solution.differential, decay_rate(solution))
@@ -290,8 +315,9 @@ def pairing_drift_frozen(solution: Solution) -> Deviation | float:
 
 
 @law(
-    "max ‖RᵀR − 1‖_F", "attitude drift", needs=("R",), applies=lambda scene: "R" in scene.optional,
-    gate=Gate.structure,
+    "max ‖RᵀR − 1‖_F; R of degree two in a quaternion whose length is free", "attitude drift",
+    needs=("R",), applies=lambda scene: "R" in scene.optional,
+    gate=Gate.structure, claimed=of_contact_flows,
 )  # fmt: skip
 def attitude_drift(solution: Solution) -> float:
     R = solution.R
@@ -333,6 +359,16 @@ def kept_by(solution: Solution) -> pd.DataFrame:
 
 
 # -- all of them, as a row -------------------------------------------------------------------------
+#: laws of the state alone: the sensitivity of the motion does not magnify their round-off
+OF_THE_STATE = ("momentum_law", "attitude_drift")
+#: what a row has of each structural law beside its value, with its meaning
+JUDGEMENT = {
+    "claimed": "whether the method promises on this scene to keep it at every setting",
+    "kept": "whether the run keeps it to round-off",
+    "undecided": "whether the run cannot tell",
+    "bound": "up to what its deviation is round-off; blank where the run is not judged, its solution being off by "
+    "more than a tenth",
+}
 #: what a row has beside the laws, with its meaning
 DRIFT_COLUMNS = {
     "contact_drift_uncertainty": "error bar of contact_drift where the derivative is by differences; a "
@@ -365,14 +401,34 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
             columns[f"{name}_clamped"] = measured.clamped
         if measured.uncertainty is not None and f"{name}_uncertainty" in DRIFT_COLUMNS:
             columns[f"{name}_uncertainty"] = measured.uncertainty
-    if not scene.is_contact:
-        return columns
-    if without:
-        return columns | {"derivative": f"not taken: {without}"}
-    if solution.differential.taken:
-        columns["map_growth"] = growth(solution.differential)
-    bounds = [name for name, measured in found.items() if measured.bound]
-    return columns | {"derivative": said(solution.differential, solution.frozen_differential, bounds)}
+    if scene.is_contact and without:
+        columns["derivative"] = f"not taken: {without}"
+    elif scene.is_contact:
+        if solution.differential.taken:
+            columns["map_growth"] = growth(solution.differential)
+        bounds = [name for name, measured in found.items() if measured.bound]
+        columns["derivative"] = said(solution.differential, solution.frozen_differential, bounds)
+    return columns | judgements(solution, found, columns)
+
+
+def judgements(
+    solution: Solution, found: Mapping[str, Measured], columns: Mapping[str, Any]
+) -> dict[str, Any]:
+    """`JUDGEMENT` of every structural law that was measured, by its name; no bound where a run is not judged."""
+    row: dict[str, Any] = {}
+    of_map = columns.get("map_growth") or condition_number(solution.scene) or 1.0
+    for name, measured in found.items():
+        if not LAWS[name].structural or math.isnan(measured.value):
+            continue
+        growth = 1.0 if name in OF_THE_STATE else of_map
+        bound = float(structural_bound(growth, solution.counts.evaluations or 0))
+        judged, kept, undecided = judge(
+            measured.value, bound, measured.uncertainty or 0.0,
+            measured.clamped is not None and measured.clamped >= len(solution.t), columns["solution_error"],
+        )  # fmt: skip
+        values = LAWS[name].claimed(solution), bool(kept), bool(undecided), bound if judged else math.nan
+        row |= {f"{name}_{what}": value for what, value in zip(JUDGEMENT, values, strict=True)}
+    return row
 
 
 def said(true: Differential, frozen: Differential, bounds: list[str]) -> str:
