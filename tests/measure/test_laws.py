@@ -12,7 +12,8 @@ import contactbench as cb
 from cases import USER, by_name
 from contactbench.measure.deviation import conformal_deviation, relative_deviation
 from contactbench.measure.ladder import save_times
-from contactbench.measure.laws import JUDGEMENT, LAWS, laws_of, momentum_deviation, row
+from contactbench.measure.laws import LAWS, laws_of, momentum_deviation, row
+from contactbench.measure.round_off import JUDGEMENT
 from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)

@@ -22,7 +22,7 @@ from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, co
 from contactbench.measure.law import Gate, Law, Measured
 from contactbench.measure.pairing import pairing_deviation
 from contactbench.measure.pullback import Pullback, growth, pullback
-from contactbench.measure.round_off import judge, structural_bound
+from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, judge, structural_bound
 from contactbench.methods.base import METHODS
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.solution import Differential, Solution
@@ -359,16 +359,6 @@ def kept_by(solution: Solution) -> pd.DataFrame:
 
 
 # -- all of them, as a row -------------------------------------------------------------------------
-#: laws of the state alone: the sensitivity of the motion does not magnify their round-off
-OF_THE_STATE = ("momentum_law", "attitude_drift")
-#: what a row has of each structural law beside its value, with its meaning
-JUDGEMENT = {
-    "claimed": "whether the method promises on this scene to keep it at every setting",
-    "kept": "whether the run keeps it to round-off",
-    "undecided": "whether the run cannot tell",
-    "bound": "up to what its deviation is round-off; blank where the run is not judged, its solution being off by "
-    "more than a tenth",
-}
 #: what a row has beside the laws, with its meaning
 DRIFT_COLUMNS = {
     "contact_drift_uncertainty": "error bar of contact_drift where the derivative is by differences; a "

@@ -23,6 +23,16 @@ DECIDABLE = 1e-6
 STRUCTURE = 1e-12
 #: up to so many error bars a deviation by differences is no more than an upper bound
 UNSURE = 2.0
+#: laws of the state alone: the sensitivity of the motion does not magnify their round-off
+OF_THE_STATE = ("momentum_law", "attitude_drift")
+#: what a row has of each structural law beside its value, with its meaning
+JUDGEMENT = {
+    "claimed": "whether the method promises on this scene to keep it at every setting",
+    "kept": "whether the run keeps it to round-off",
+    "undecided": "whether the run cannot tell",
+    "bound": "up to what its deviation is round-off; blank where the run is not judged, its solution being off by "
+    "more than a tenth",
+}
 #: a run whose solution error is larger does not follow the motion
 WRECKED = 0.1
 

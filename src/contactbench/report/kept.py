@@ -8,8 +8,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.laws import JUDGEMENT, OF_THE_STATE
-from contactbench.measure.round_off import DECIDABLE, UNSURE, decided, judge, structural_bound
+from contactbench.measure.round_off import (
+    DECIDABLE,
+    JUDGEMENT,
+    OF_THE_STATE,
+    UNSURE,
+    decided,
+    judge,
+    structural_bound,
+)
 from contactbench.report.cells import DASH, Cell, Mark, marks
 from contactbench.report.contest import CONTACT, LIMIT
 from contactbench.report.numbers import scientific

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.laws import OF_THE_STATE
-from contactbench.measure.round_off import DECIDABLE, decided
+from contactbench.measure.round_off import DECIDABLE, OF_THE_STATE, decided
 from contactbench.report.contest import CONTACT, ESTABLISHED, families
 from contactbench.report.kept import called, keepers, measured, structural
 from contactbench.report.numbers import many, names, rounded, scientific, upper

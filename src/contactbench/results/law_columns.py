@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from contactbench.measure.law import Law
-from contactbench.measure.laws import JUDGEMENT, LAWS
+from contactbench.measure.laws import LAWS
+from contactbench.measure.round_off import JUDGEMENT
 from contactbench.results.schema import Column, Rule
 
 
