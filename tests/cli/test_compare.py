@@ -41,6 +41,18 @@ def test_json_is_one_object_with_the_rows(capsys):
     assert all(row["time_s"] > 0 for row in found["rows"])
 
 
+def test_methods_may_follow_an_option(capsys):
+    line = ["compare", "particle", "--error", "1e-2", "rk4", "--budget", "60s", "contact-strang", "--json"]
+    assert main(line) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["method"] for row in rows] == ["rk4", "contact-strang"]
+
+
+def test_a_race_that_measures_nothing_is_no_success(capsys):
+    assert main(["compare", "particle", "contact-exact", "--error", "1e-2", "--json"]) == 1
+    assert [row["status"] for row in json.loads(capsys.readouterr().out)["rows"]] == ["unsupported"]
+
+
 @pytest.mark.parametrize(
     ("line", "says"),
     [

@@ -40,7 +40,7 @@ def called(scene, x, carry):
     """What the C functions make of a state, and how often they say they were called."""
     functions = c_functions.c_functions(scene, carry)
     y = np.array(scene.without_clock(scene.pack(x)))
-    data, slopes, matrix = functions.data(scene.numbers()), np.empty(len(y)), np.empty((len(y), len(y)))
+    data, slopes, matrix = functions.data(scene.numbers()), np.empty(len(y)), np.zeros((len(y), len(y)))
     for address, out in ((functions.rhs, slopes), (functions.jacobian, matrix)):
         C_FUNCTION(address)(out.ctypes.data, getattr(x, "t", 0.0), y.ctypes.data, data.ctypes.data)
     return slopes, matrix.T, data[:2].tolist()
@@ -243,7 +243,7 @@ def branching(q):
     return (q[0] if q[0] > 0 else 2 * q[0],)
 
 
-@peers
+@pytest.mark.parametrize(("method", "engine"), [*PEERS, ("heyoka-taylor", "llvm")])
 def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
     scene = cb.Mechanical(
         name="kink", potential=lambda q: q[0] * q[0] / 2, gradient=branching, gamma=0.1, q=(1.0,), p=(0.0,),

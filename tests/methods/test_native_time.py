@@ -24,17 +24,30 @@ every = pytest.mark.parametrize(
     ],
 )
 STILL = {"q": (1.0,), "p": (0.3,), "gamma": 0.1, "t_end": 7.0}
+
+
+class WithoutJacobian(Mechanical):
+    """As a driven scene: solvers difference, or take dual numbers."""
+
+    @property
+    def has_jacobian(self):
+        return False
+
+    def jacobian(self, x):
+        return None
+
+
+def V(q, t=None):
+    return -cb.math.cos(q[0])
+
+
+def dV(q, t=None):
+    return (cb.math.sin(q[0]),)
+
+
 #: one and the same motion, without and with the time in its state
-WITHOUT = Mechanical(
-    name="pendulum", potential=lambda q: -cb.math.cos(q[0]), gradient=lambda q: (cb.math.sin(q[0]),), **STILL
-)
-WITH = Driven(
-    name="timed",
-    potential=lambda q, t: -cb.math.cos(q[0]),
-    gradient=lambda q, t: (cb.math.sin(q[0]),),
-    t=0.5,
-    **STILL,
-)
+WITHOUT = WithoutJacobian(name="pendulum", potential=V, gradient=dV, **STILL)
+WITH = Driven(name="timed", potential=V, gradient=dV, t=0.5, **STILL)
 
 
 @every

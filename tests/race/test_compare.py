@@ -242,7 +242,7 @@ def test_xla_compiles_an_adaptive_solver_once():
     found = cb.compare(scene, ["diffrax-tsit5"], (1e-3, 1e-6), budget=300.0)
     assert list(found["status"]) == ["ok", "ok"]
     assert len(found.attrs["runs"]) > 5
-    of_the_motion = [key for key in _programs if key[:3] == ("run", scene.structure, ())]
+    of_the_motion = [key for key in _programs.items if key[:3] == (scene.recorded().identity, "run", ())]
     assert len(of_the_motion) == 1
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from contactbench.boundary import VARIABLE, limit
 from contactbench.cli import claim, compare, gate, listing, references, report, solve
-from contactbench.cli.parsing import PLUGIN, Parser
+from contactbench.cli.parsing import PLUGIN, Intermixed, Parser
 from contactbench.errors import BadInput, one_line
 
 #: in the order of --help
@@ -40,7 +40,7 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
         "--version", action="store_true", help="print the versions, those of the peers too, and exit"
     )
     top.set_defaults(run=None)
-    commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
+    commands: Any = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Intermixed)
 
     def command(name: str, run: Callable[[argparse.Namespace], int], about: str, examples: str = "") -> Any:
         made = commands.add_parser(
@@ -81,8 +81,19 @@ def overview(top: argparse.ArgumentParser, arguments: argparse.Namespace) -> int
     return 0
 
 
+def open_streams() -> None:
+    """Make both streams take any text: what was closed is the null device, what has no code becomes "?"."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif getattr(stream, "errors", None) == "strict":
+            stream.reconfigure(errors="replace")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Entry point; whatever goes wrong is one line on stderr and exit status 2."""
+    open_streams()
     plugins, _ = PLUGIN.parse_known_args(argv)
     arguments = (top := parser()).parse_args(argv)
     try:

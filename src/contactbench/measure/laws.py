@@ -25,22 +25,24 @@ from contactbench.measure.pullback import Pullback, growth, pullback
 from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, judge, structural_bound
 from contactbench.methods.base import METHODS
 from contactbench.scene import Scene, rotation_matrix
+from contactbench.scene.definition import verify_along
 from contactbench.solution import Differential, Solution
 from contactbench.truth import condition_number, reference
 
 if TYPE_CHECKING:
     import pandas as pd
 
-LAWS = Registry("law")
+LAWS = Registry("law", Law)
 
 
 def law(
     definition: str, label: str, **properties: Any
 ) -> Callable[[Callable[[Solution], Deviation | float]], Law]:
-    """Decorator that registers a measure under its function's name; `properties` are fields of `Law`."""
+    """Decorator that registers a measure under the name of its function, or class; `properties` are fields of `Law`."""
 
     def register(measure: Callable[[Solution], Deviation | float]) -> Law:
-        return LAWS.add(Law(measure.__name__, definition, label, measure, **properties))
+        name = getattr(measure, "__name__", type(measure).__name__)
+        return LAWS.add(Law(name, definition, label, measure, **properties))
 
     return register
 
@@ -342,9 +344,11 @@ def kept_by(solution: Solution) -> pd.DataFrame:
 
     Indexed by the law's name; columns: deviation (the maximum over the saved times), upper_bound (it is no
     more than that: a derivative by differences did not resolve it), note (why there is no number), definition.
+    Raises `BadInput` for a scene whose gradient is not that of its potential along the motion.
     """
     import pandas as pd
 
+    verify_along(solution.scene)
     rows = {}
     for item in laws_of(solution.scene):
         if set(item.needs_on(solution.scene)) <= set(solution.carry):

@@ -16,10 +16,21 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Outcome, Prepared, Request, stopwatch
+from contactbench.methods.base import (
+    METHODS,
+    ROUNDING,
+    Adaptive,
+    Outcome,
+    Prepared,
+    Refused,
+    Request,
+    stopwatch,
+)
 from contactbench.methods.variational import SOURCE, integrated, variational_request
+from contactbench.numbers.recording import CannotRecord, advised
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.scene import Scene
+from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
 
 
@@ -51,8 +62,9 @@ def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
 UNROLLED = 20
 
-#: one program per structure, numbers and tolerance; a run has a copy of its own, with a state of its own
-_integrators: dict[Any, tuple[Any, float]] = {}
+#: one program per identity, numbers and tolerance, a megabyte or two each; a run has a copy of its own, with a
+#: state of its own
+_integrators: Cache[tuple[Any, float]] = Cache(32)
 
 
 @dataclass
@@ -64,15 +76,17 @@ class TaylorRun(Prepared):
 
         super().__post_init__()
         r = self.request
-        key = (r.scene.structure, tuple(r.scene.numbers()), r.carry, r.rtol)
-        if key not in _integrators:
+
+        def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             integrator = heyoka.taylor_adaptive(
                 taylor_system(r.scene, r.carry, heyoka), self.split_clock(self._own_start)[1], tol=r.rtol,
                 compact_mode=len(self._own_start) > UNROLLED,
             )  # fmt: skip
-            _integrators[key] = integrator, elapsed()
-        program, self.compile_s = _integrators[key]
+            return integrator, elapsed()
+
+        numbers = tuple(r.scene.numbers())
+        program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)
         self.integrator = copy(program)
         self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes = heyoka.taylor_outcome
@@ -138,7 +152,10 @@ class TaylorMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        return TaylorRun(self.name, request)
+        try:
+            return TaylorRun(self.name, request)
+        except CannotRecord as why:
+            return Refused(self.name, request, str(advised(why)))
 
 
 METHODS.add(TaylorMethod())

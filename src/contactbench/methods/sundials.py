@@ -253,6 +253,16 @@ class CvodeMethod(Adaptive):
 
 
 METHODS.add(
-    CvodeMethod("cvode-adams", "Adams", "variable-order Adams–Moulton, Newton with analytic Jacobian")
+    CvodeMethod(
+        "cvode-adams",
+        "Adams",
+        "variable-order Adams–Moulton, Newton with analytic Jacobian (differences beyond 64 components)",
+    )
 )
-METHODS.add(CvodeMethod("cvode-bdf", "BDF", "variable-order BDF, Newton with analytic Jacobian"))
+METHODS.add(
+    CvodeMethod(
+        "cvode-bdf",
+        "BDF",
+        "variable-order BDF, Newton with analytic Jacobian (differences beyond 64 components)",
+    )
+)

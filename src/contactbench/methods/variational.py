@@ -14,7 +14,7 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -22,6 +22,7 @@ import numpy as np
 
 from contactbench.methods.base import Prepared, Request
 from contactbench.scene import Scene, System, dot
+from contactbench.scene.cache import key
 
 #: ``(scene, x) -> rows``: ∂(rhs)/∂(state) in packed order
 Derivative = Callable[[Scene, Any], Any]
@@ -80,6 +81,10 @@ class Variational(System):
     @property
     def structure(self) -> tuple[Any, ...]:
         return (Variational, self.count, *self.base.structure)
+
+    @property
+    def identity(self) -> Hashable | None:
+        return key(self.base.identity, Variational, self.count)
 
     def rhs(self, z: Bundle) -> Bundle:
         carry = tuple(name for name in self.base.optional if getattr(z.x, name) is not None)

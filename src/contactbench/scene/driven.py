@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
-from contactbench.errors import BadInput, finite, function
+from contactbench.boundary import their_code
+from contactbench.errors import BadInput, finite, function, is_number, returned, shown
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import State, Vector
-from contactbench.scene.base import System
+from contactbench.scene.base import TRIED, System
 from contactbench.scene.mechanical import Mechanical
 
 
@@ -49,6 +51,11 @@ class Driven(Mechanical):
     span: Callable[..., tuple[Any, Any]] | None = None
 
     kind: ClassVar[str] = "driven"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {
+        **dict.fromkeys(("potential", "gradient"), ("q", "t", "**")),
+        "rate": ("t", "**"),
+        "span": ("t", "h", "xp", "**"),
+    }
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
 
     def __post_init__(self) -> None:
@@ -58,6 +65,16 @@ class Driven(Mechanical):
             raise BadInput(
                 f"scene {self.name!r}: kappa, hessian and rotation_invariant are for scenes without time"
             )
+        self._check_rate()
+
+    def _check_rate(self) -> None:
+        """Whether rate and span give a number and a pair of them at the start."""
+        with their_code(f"scene {self.name!r}"):
+            rate = self.rate_at(self.t)
+            span = (0.0, 0.0) if self.span is None else self.spent(self.t, TRIED * self.t_end, math)
+        returned("rate", rate)
+        if not (isinstance(span, tuple | list) and len(span) == 2 and all(map(is_number, span))):
+            raise BadInput(f"span: must return a pair of real numbers; it returns {shown(span)}")
 
     def _check_kinds(self) -> None:
         super()._check_kinds()
@@ -119,7 +136,8 @@ class Driven(Mechanical):
         return self.potential(q, self.t if t is None else t, **self.parameters)
 
     def dV(self, q: Vector, t: Any = None) -> Vector:
-        return self.gradient(q, self.t if t is None else t, **self.parameters)
+        gradient: Any = self.gradient or self.recorded().gradient
+        return gradient(q, self.t if t is None else t, **self.parameters)
 
     def potential_at(self, x: Any) -> Any:
         return self.V(x.q, x.t)
@@ -176,6 +194,10 @@ class Driven(Mechanical):
     @property
     def may_gain_energy(self) -> bool:
         return True
+
+    @property
+    def bounds_energy(self) -> bool:
+        return False
 
     def rate_at(self, t: Any) -> Any:
         """γ(t)."""
