@@ -38,6 +38,10 @@ from contactbench.solution import (
 FAMILIES = ("contact", "variational", "established")
 #: Python's way to say inf or nan
 NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+#: the tightest rtol of a library without a limit of its own, and of CVODE, which refuses less than a rounding
+ROUNDING = 2.3e-16
+#: the tightest of SciPy and CyRK, which raise any below 100 ε to that
+CLAMPED = 2.3e-14
 #: a step this small against the span hardly moves the clock: a singularity is ahead
 SHORTEST = 1e-15
 
@@ -101,6 +105,8 @@ class Method(ABC):
     takes_atol: bool = True
     #: what rtol and atol bound
     tolerance: str
+    #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
+    own_time: bool = False
 
     @property
     def control(self) -> str:
@@ -335,6 +341,16 @@ class Prepared(ABC):
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
         self._set = (r.control, r.value)
+
+    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
+        """The time at which a packed state begins, 0 where it has none, and the components less the time."""
+        clock = self.request.scene.clock
+        return (0.0, y0) if clock is None else (float(y0[clock]), np.delete(y0, clock))
+
+    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
+        """Packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
+        clock = self.request.scene.clock
+        return y if clock is None else np.insert(y, clock, start + times, axis=-1)
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """The saved states, of those at `later` times: the initial one before them where it is saved."""

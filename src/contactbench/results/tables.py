@@ -336,6 +336,8 @@ DAMPING_RATES = table(
             "measured over true", ungated="rate_error is the same number, and counts its round-off"
         ),
         "rate_error": number("|measured/true − 1|", Rule.error),
+        "q_error": number("|q/q* − 1| at the end, overdamped", Rule.error),
+        "p_error": number("|p/p* − 1| at the end, overdamped: what is kicked last is not damped", Rule.error),
     },
     key=("experiment", "scene", "method", "setting", "t_end"),
     whole=("experiment", "scene", "method", "t_end"),
