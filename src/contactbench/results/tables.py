@@ -132,6 +132,7 @@ WORK_PRECISION = table(
         ),
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
     },
+    version=4,
 )
 
 ENSEMBLE_TABLE = table(
@@ -163,6 +164,7 @@ ENSEMBLE_TABLE = table(
         ),
     },
     key=(*KEY, "question", "trajectories", "cores"),
+    version=4,
 )  # fmt: skip
 
 DEFINITIONS = table(
