@@ -333,7 +333,7 @@ class Prepared(ABC):
     def __post_init__(self) -> None:
         r = self.request
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
-        self._motion, self._end = r.scene.motion, float(r.save_at[-1])
+        self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._bounded = isinstance(r.scene, Scene) and r.scene.bounds_energy
         self._own_bound = divergence_bound(self._own_start[: self._motion])
         self._saves = len(r.save_at)
@@ -344,13 +344,24 @@ class Prepared(ABC):
 
     def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
         """The time at which a packed state begins, 0 where it has none, and the components less the time."""
-        clock = self.request.scene.clock
-        return (0.0, y0) if clock is None else (float(y0[clock]), np.delete(y0, clock))
+        clock = self._clock
+        if clock is None:
+            return 0.0, y0
+        y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
+        return float(y0[clock]), y
 
     def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
         """Packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
-        clock = self.request.scene.clock
-        return y if clock is None else np.insert(y, clock, start + times, axis=-1)
+        clock = self._clock
+        if clock is None:
+            return y
+        packed = np.empty((*y.shape[:-1], y.shape[-1] + 1))  # a tenth of the time of np.insert
+        packed[..., :clock], packed[..., clock], packed[..., clock + 1 :] = (
+            y[..., :clock],
+            start + times,
+            y[..., clock:],
+        )
+        return packed
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """The saved states, of those at `later` times: the initial one before them where it is saved."""

@@ -88,16 +88,27 @@ class TaylorRun(Prepared):
         numbers = tuple(r.scene.numbers())
         program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)
         self.integrator = copy(program)
+        #: where a packed state has what is integrated: all of it, but the time
+        size, clock = len(self._own_start), self._clock
+        self.motion: Any = slice(clock) if clock == size - 1 else [i for i in range(size) if i != clock]
         self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes = heyoka.taylor_outcome
         self.end, self.per_step = float(r.save_at[-1]), program.order + 1
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        ta = self.integrator
-        ta.time, ta.state[:] = self.split_clock(y0)
-        start = ta.time
-        ta.propagate_until(start + self.end, max_steps=self.request.max_steps)
-        return self.insert_clock(ta.state, start, self.end).copy()
+        """The time in a packed state is set and read in place: `split_clock` takes a third of a short run."""
+        ta, c, steps = self.integrator, self._clock, self.request.max_steps
+        if c is None:
+            ta.time = 0.0
+            ta.state[:] = y0
+            ta.propagate_until(self.end, max_steps=steps)
+            return ta.state.copy()
+        y, state, start = y0.copy(), ta.state, y0.item(c)
+        ta.time = start
+        state[:] = y0[self.motion]
+        ta.propagate_until(start + self.end, max_steps=steps)
+        y[self.motion], y[c] = state, start + self.end
+        return y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         with self.alone:
