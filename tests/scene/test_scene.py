@@ -144,3 +144,12 @@ def test_user_scene_has_what_named_ones_have():
     with mp.workdps(30):
         exact, x = in_mp(USER, random_state(USER))
         assert isinstance(exact.hamiltonian(x), mp.mpf)
+
+
+@pytest.mark.parametrize(
+    ("changes", "may"),
+    [({"gamma": 0.1}, False), ({"gamma": 0.0}, True), ({"gamma": -0.1}, True), ({"kappa": 0.1}, True)],
+)
+def test_energy_is_bound_to_fall_only_under_a_constant_damping_above_zero(changes, may):
+    """At γ = 0 the truth keeps H0, and half of a method's round-off raises it."""
+    assert cb.SCENES["particle"].with_(**changes).may_gain_energy is may

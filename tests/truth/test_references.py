@@ -22,6 +22,7 @@ from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 from contactbench.truth import digest, reference
+from contactbench.truth.closed_form import closed_form
 
 FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
@@ -284,6 +285,20 @@ def test_errors_are_one_line(scene, times, says):
         reference(scene, times)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 0.125])
+@pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
+def test_digits_are_relative_to_the_state(size, gamma):
+    """Both live engines against the closed form of a state far below and far above one."""
+    scene = SCENES["oscillator"].with_(q=(size,), p=(0.0,), gamma=gamma)
+    t = np.array([2.5])
+    exact, _, _ = closed_form(scene, t, ())
+    context = truth.decimal_context(60)
+    by_taylor, digits, _ = truth.live(scene, t, ())
+    for rows, claimed in ((truth.extrapolation(scene, ["2.5"], (), 18), 16), (by_taylor, digits)):
+        numbers = [[[context.mpf(x) for x in row] for row in found] for found in (rows, exact)]
+        assert truth.agreeing_digits(*numbers, 40) >= claimed >= 16
 
 
 def test_blow_up_is_seen_without_heyoka():
