@@ -100,6 +100,15 @@ def test_nominal_orders_at_fifty_digits(name):
     assert abs(fit.order - method.order) < fit.uncertainty < 0.1
 
 
+@pytest.mark.parametrize(("slopes", "factor"), [((3.0, 3.01, 3.031), 9), ((3.0, 3.01, 3.031, 3.074), 3)])
+def test_the_uncertainty_is_three_times_the_spread_of_the_extrapolations_and_nine_unchecked(slopes, factor):
+    """Steps halved, k = 1: the limits 2 s₀ − s₁ are 2.99, 2.989 and 2.988, the last 0.001 a quarter at the finest."""
+    errors = np.cumprod([1e-9, *(2**slope for slope in slopes)])
+    fit = fit_order(H[: len(errors)], errors[::-1])
+    assert fit.order == pytest.approx(2.99, abs=1e-12)
+    assert fit.uncertainty == pytest.approx(factor * 1e-3, rel=1e-6)
+
+
 def test_a_wrong_order_is_noticed():
     """Errors that fall by half a power less than claimed are outside the uncertainty."""
     errors = [h**3.5 * (1 + h) for h in H]
