@@ -104,6 +104,13 @@ def test_the_order_in_which_rows_are_made_does_not_show(tmp_path):
         assert path.read_bytes() == (tmp_path / "other" / path.name).read_bytes()
 
 
+def test_infinity_is_kept_where_it_is_a_value_and_blank_elsewhere(tmp_path):
+    limits = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "limit": math.inf}
+    assert merge(STABILITY_LIMITS, [limits], tmp_path)["limit"].tolist() == [math.inf]
+    assert read(STABILITY_LIMITS, tmp_path)["limit"].tolist() == [math.inf]
+    assert merge(CONVERGENCE, [row(order=math.inf)], tmp_path)["order"].isna().all()
+
+
 def test_a_partial_run_replaces_its_rows_and_leaves_the_rest(tmp_path):
     merge(CONVERGENCE, [row("rk4"), row("contact-abc")], tmp_path)
     before = CONVERGENCE.path(tmp_path).read_text().splitlines()
