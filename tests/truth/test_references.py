@@ -301,6 +301,27 @@ def test_digits_are_relative_to_the_state(size, gamma):
         assert truth.agreeing_digits(*numbers, 40) >= claimed >= 16
 
 
+def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
+    """At 1/q with energy 31 the steps shrink a thousandfold; 34 attempts where they grow again, else 1935."""
+    bounce = Mechanical(
+        name="bounce", potential=lambda q: 1 / q[0], gradient=lambda q: (-1 / (q[0] * q[0]),),
+        q=(4.0,), p=(-7.9,), t_end=8.0,
+    )  # fmt: skip
+    module, steps = importlib.import_module("contactbench.truth.extrapolation"), []
+    attempt = module.extrapolated
+
+    def count(slope, y, step, *more):
+        steps.append(step)
+        return attempt(slope, y, step, *more)
+
+    monkeypatch.setattr(module, "extrapolated", count)
+    ((q, p),) = truth.extrapolation(bounce, ["8.0"], (), 8)
+    assert bounce.energy(bounce.unpack([q, p], ())) == pytest.approx(
+        bounce.energy(bounce.initial(())), rel=1e-6
+    )
+    assert len(steps) < 60
+
+
 def test_blow_up_is_seen_without_heyoka():
     scene = SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0))
     with pytest.raises(BadInput, match=r"blows up at t = 3\.409"):
