@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from contactbench.measure import clock
 from contactbench.measure.clock import MOST_ROUNDS, WARM, Race, calls_a_round, length_columns, time_columns
 
 
@@ -38,6 +39,19 @@ def test_every_run_has_three_rounds_a_visit_where_there_is_no_time_for_more():
     race = Race([lambda: time.sleep(5 * WARM), lambda: None])
     race.go(0.0)
     assert [[len(samples) for samples in visits] for visits in race.measured] == [[3, 3], [3, 3]]
+
+
+def test_a_run_that_grows_slower_has_three_rounds_a_visit_and_no_more(monkeypatch):
+    """A clock by script: an eighth of a second for the warm call, eight for the others, in a race of two."""
+    now, lengths = [0.0], iter([0.125])
+    monkeypatch.setattr(clock, "perf_counter", lambda: now[0])
+
+    def run():
+        now[0] += next(lengths, 8.0)
+
+    race = Race([run])
+    race.go(2.0)
+    assert race.measured == [[[8.0] * 3, [8.0] * 3]]
 
 
 def test_an_interrupted_race_keeps_the_rounds_it_has():

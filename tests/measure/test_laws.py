@@ -199,6 +199,15 @@ def test_laws_apply_to_a_users_scene():
     assert cb.LAWS["solution_error"](solution) < 1e-3
 
 
+def test_without_a_derivative_the_laws_that_need_one_are_left_out():
+    solution = cb.solve("particle", "rk4", step=0.5)
+    known, found = row(solution), row(solution, without="not wanted")
+    missing = {name for name in cb.LAWS if name in known} - set(found)
+    assert missing == {name for name in cb.LAWS if "drift" in name and name in known}
+    assert len(missing) == 7
+    assert found["derivative"] == "not taken: not wanted"
+
+
 @pytest.mark.parametrize("law", cb.LAWS.values(), ids=lambda law: law.name)
 def test_a_law_says_how_it_is_shown_and_compared(law):
     from matplotlib.mathtext import MathTextParser

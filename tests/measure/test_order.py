@@ -100,13 +100,24 @@ def test_nominal_orders_at_fifty_digits(name):
     assert abs(fit.order - method.order) < fit.uncertainty < 0.1
 
 
-@pytest.mark.parametrize(("slopes", "factor"), [((3.0, 3.01, 3.031), 9), ((3.0, 3.01, 3.031, 3.074), 3)])
-def test_the_uncertainty_is_three_times_the_spread_of_the_extrapolations_and_nine_unchecked(slopes, factor):
-    """Steps halved, k = 1: the limits 2 s₀ − s₁ are 2.99, 2.989 and 2.988, the last 0.001 a quarter at the finest."""
-    errors = np.cumprod([1e-9, *(2**slope for slope in slopes)])
-    fit = fit_order(H[: len(errors)], errors[::-1])
+@pytest.mark.parametrize(
+    ("ratio", "slopes", "uncertainty"),
+    [
+        (2, (3.0, 3.01, 3.031), 9e-3),
+        (2, (3.0, 3.01, 3.031, 3.074), 3e-3),
+        (1.2, (3.0, 3.002, 3.0042), 9e-3 / (1.2**2 - 1)),  # falling like h² the rest is more than the last
+    ],
+)
+def test_the_uncertainty_is_three_times_the_spread_of_the_extrapolations_and_nine_unchecked(
+    ratio, slopes, uncertainty
+):
+    """k = 1: the limits s₀ − (s₁ − s₀)/(r − 1) differ by 0.001; the third differs from the second by as much, a quarter
+    of that at the finest step."""
+    steps = 0.1 * ratio ** np.arange(len(slopes) + 1)
+    errors = np.cumprod([1e-9, *(ratio**slope for slope in slopes)])
+    fit = fit_order(steps, errors)
     assert fit.order == pytest.approx(2.99, abs=1e-12)
-    assert fit.uncertainty == pytest.approx(factor * 1e-3, rel=1e-6)
+    assert fit.uncertainty == pytest.approx(uncertainty, rel=1e-6)
 
 
 def test_a_wrong_order_is_noticed():

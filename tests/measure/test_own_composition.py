@@ -100,6 +100,7 @@ BAD = {
         "symmetric = False: the stages read",
     ),
     "order": ({"kick": [0.5, 0.5], "drift": [1], "order": 2.5}, "order = 2.5: must be a whole number"),
+    "order zero": ({"kick": [0.5, 0.5], "drift": [1], "order": 0}, "order = 0: must be a whole number ≥ 1"),
     "taken": ({"kick": [0.5, 0.5], "drift": [1], "name": "rk4"}, "method 'rk4' is already registered"),
 }
 

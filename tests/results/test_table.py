@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import random
+import re
 
 import pandas as pd
 import pytest
@@ -241,6 +242,7 @@ def test_environment_says_where_a_run_was_made():
     record = provenance.environment("smoke", 1)
     assert {"packages", "cpu", "cores", "threads", "commit", "dirty", "utc", "references"} <= set(record)
     assert record["packages"]["jax"]
+    assert re.fullmatch(r"\S+ [0-9a-f]{12}", record["isa"])
 
 
 def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_path):
@@ -260,7 +262,7 @@ def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_pat
     assert set(ran("six", ["laws", "convergence"], ["laws", "convergence"])) == {"six"}
 
 
-@pytest.mark.parametrize("content", ["[1]", "nothing", '{"runs": [{"cpu": 1}]}'])
+@pytest.mark.parametrize("content", ["[1]", "[]", "{}", "nothing", '{"runs": [{"cpu": 1}]}'])
 def test_an_odd_environment_is_refused(tmp_path, content):
     (tmp_path / "environment.json").write_text(content)
     with pytest.raises(cb.BadInput, match="not the record of a benchmark run"):

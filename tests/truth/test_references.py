@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import hashlib
 import importlib.util
 import json
@@ -23,6 +24,7 @@ from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 from contactbench.truth import digest, reference
 from contactbench.truth.closed_form import closed_form
+from contactbench.truth.reference import confirmed
 
 FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
@@ -247,6 +249,23 @@ def test_decay_out_of_sight_keeps_relative_digits(times):
 def test_same_question_is_answered_from_memory():
     scene = SCENES["particle"].with_(gamma=0.25)
     assert reference(scene, [1.0]) is reference(scene.with_(name="other"), 1.0)
+
+
+def test_a_reference_which_all_share_cannot_be_changed():
+    found = reference(SCENES["oscillator"], [1.0])
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        found.digits = 99
+    with pytest.raises(ValueError, match="read-only"):
+        found.y[0, 0] = 0.0
+
+
+def test_a_reference_is_confirmed_by_another_engine_than_its_own(monkeypatch):
+    frozen, live = SCENES["oscillator"], SCENES["oscillator"].with_(kappa=0.5)
+    found = [reference(scene, [1.0]) for scene in (frozen, live)]
+    assert min(confirmed(each) for each in found) >= 19
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert confirmed(found[0]) >= 19
+    assert confirmed(found[1]) is None
 
 
 def test_functions_of_one_name_are_told_apart():
