@@ -54,6 +54,16 @@ def test_pre_asymptotic_points_and_the_round_off_plateau_are_left_out():
     assert fit.used.sum() == 4
 
 
+@pytest.mark.parametrize("below", range(1, 7))
+def test_no_order_rests_on_a_point_below_the_floor(below):
+    """Of nine points; three above it are too few."""
+    errors = np.array([h**4 * (1 + 0.3 * h**2) for h in H])
+    floor = errors[-below]
+    fit = fit_order(H, errors, floor)
+    assert fit.used.sum() == (4 if below <= 5 else 0)
+    assert not fit.used[errors <= floor].any()
+
+
 def test_the_answer_does_not_depend_on_the_order_of_the_points():
     errors = [h**2 * (1 + h) for h in H]
     one, other = fit_order(H, errors), fit_order(H[::-1], errors[::-1])

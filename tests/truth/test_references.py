@@ -320,6 +320,18 @@ def test_digits_are_relative_to_the_state(size, gamma):
         assert truth.agreeing_digits(*numbers, 40) >= claimed >= 16
 
 
+def test_a_short_span_of_a_fast_motion_is_no_blow_up():
+    fast = SCENES["oscillator"].with_(omega=1e8, q=(1.0,), p=(0.0,), gamma=0.0)
+    ((q, _),) = truth.taylor(fast, ["2e-6"], (), 140)
+    assert float(q) == pytest.approx(np.cos(200.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("seconds", ["soon", None, float("nan"), 1j, np.ones(2)], ids=str)
+def test_the_time_allowed_is_a_number(seconds):
+    with pytest.raises(BadInput, match="seconds = "):
+        reference(SCENES["oscillator"], [1.0], seconds=seconds)
+
+
 def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
     """At 1/q with energy 31 the steps shrink a thousandfold; 34 attempts where they grow again, else 1935."""
     bounce = Mechanical(
