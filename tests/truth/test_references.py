@@ -359,6 +359,16 @@ def test_blow_up_is_seen_without_heyoka():
         truth.extrapolation(scene, ["20.0"], (), 12)
 
 
+@pytest.mark.parametrize("sees", [200, 260])
+def test_a_blow_up_that_one_precision_alone_sees_is_none(sees, monkeypatch):
+    module, time = (
+        importlib.import_module("contactbench.truth.reference"),
+        truth.decimal_context(60).mpf("3.4"),
+    )
+    monkeypatch.setattr(module, "taylor_blow_up", lambda scene, bits: time if bits == sees else None)
+    assert module.blow_up_time(SCENES["particle"].with_(q=(8.0, -6.0))) is None
+
+
 @pytest.mark.parametrize(
     "path", [*sorted(Path(truth.__file__).parent.glob("*.py")), FOLDER / "generate.py"], ids=lambda p: p.name
 )
