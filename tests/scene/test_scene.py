@@ -121,6 +121,16 @@ def test_bad_parameters_give_one_clear_line(name, changes, says):
     assert "\n" not in str(caught.value)
 
 
+def test_ctrl_c_in_a_force_is_no_bad_input():
+    def interrupt(q):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cb.Mechanical(
+            name="slow", potential=lambda q: q[0], gradient=interrupt, q=(1.0,), p=(0.0,), t_end=1.0
+        )
+
+
 def test_with_changes_any_parameter_and_nothing_else():
     scene = cb.SCENES["particle"].with_(gamma=0.3, coupling=0.2, q=(1.0, 0.5), t_end=5.0)
     assert (scene.gamma, scene.parameters["coupling"], scene.t_end) == (0.3, 0.2, 5.0)
