@@ -7,6 +7,7 @@ import os
 import random
 import re
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -21,6 +22,7 @@ from contactbench.results.tables import (
     DAMPING_RATES,
     LAWS_TABLE,
     STABILITY_LIMITS,
+    STRONG_DAMPING,
     WORK_PRECISION,
 )
 
@@ -109,6 +111,11 @@ def test_infinity_is_kept_where_it_is_a_value_and_blank_elsewhere(tmp_path):
     limits = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "limit": math.inf}
     assert merge(STABILITY_LIMITS, [limits], tmp_path)["limit"].tolist() == [math.inf]
     assert read(STABILITY_LIMITS, tmp_path)["limit"].tolist() == [math.inf]
+    errors = dict.fromkeys(["error", "error_saved", "radius"], math.inf)
+    merge(
+        STRONG_DAMPING, [{"method": "rk4", "gamma": 1.0, "damping_per_evaluation": 0.1, **errors}], tmp_path
+    )
+    assert np.isinf(read(STRONG_DAMPING, tmp_path)[list(errors)].to_numpy()).all()
     assert merge(CONVERGENCE, [row(order=math.inf)], tmp_path)["order"].isna().all()
 
 
