@@ -11,6 +11,7 @@ import pytest
 import contactbench as cb
 from cases import USER, few_slow, pairs
 from contactbench.methods import diffrax
+from contactbench.methods.entry import _tolerances as tolerances_of
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.grid import steps_in
 from contactbench.solution import Status
@@ -103,6 +104,22 @@ def test_tolerances_are_relative_to_the_state_where_atol_is(method, gamma):
         run = cb.solve(scaled, method.name, rtol=1e-7, atol=1e-7 * scale, carry=(), save_at=[2.0])
         assert run.ok
         assert 1e-13 < cb.LAWS["solution_error"](run) < 1e-5
+
+
+@every
+def test_the_first_engine_is_the_default(method):
+    scene = PARTICLE if method.refuses(PARTICLE) is None else BODY
+    assert cb.prepare(scene, method.name, **setting(method)).request.engine == method.engines[0]
+
+
+@adaptive
+def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
+    low, high = method.rtol_range
+    for rtol in (low, high):
+        assert tolerances_of(method, rtol, None) == (rtol, rtol)
+    for rtol in (low * 0.99, high * 1.01):
+        with pytest.raises(cb.BadInput, match="rtol"):
+            tolerances_of(method, rtol, None)
 
 
 # -- prepared solvers ------------------------------------------------------------------------------

@@ -1,0 +1,42 @@
+"""Which revision the gate compares with."""
+
+from __future__ import annotations
+
+import pytest
+
+import contactbench as cb
+from contactbench.gate import revisions
+from contactbench.gate.revisions import git
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A repository of two commits."""
+    (tmp_path / "src" / "contactbench").mkdir(parents=True)
+    (tmp_path / "src" / "contactbench" / "a.py").write_text("one\n")
+    git(tmp_path, "init", "-q")
+    own = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false")
+    for text in ("first", "second"):
+        git(tmp_path, "add", ".")
+        git(tmp_path, *own, "commit", "-q", "--allow-empty", "-m", text)
+    return tmp_path
+
+
+def test_speed_is_compared_with_head_where_the_sources_have_changes_and_else_with_its_parent(project):
+    head, parent = git(project, "rev-parse", "HEAD", "HEAD~1").split()
+    assert revisions.repository(project / "src") == project
+    assert revisions.resolved(project, None) == parent
+    (project / "note").write_text("no source")
+    assert not revisions.dirty(project)
+    assert revisions.dirty(project, "note")
+    assert revisions.resolved(project, None) == parent
+    (project / "src" / "contactbench" / "a.py").write_text("two\n")
+    assert revisions.resolved(project, None) == head
+    assert revisions.resolved(project, "HEAD~1") == parent
+
+
+def test_a_revision_that_is_not_there_is_named(project):
+    with pytest.raises(cb.BadInput, match="--base nowhere: no such revision"):
+        revisions.resolved(project, "nowhere")
+    with pytest.raises(cb.BadInput, match="git log in "):
+        git(project, "log", "nowhere", "--")
