@@ -1,11 +1,14 @@
-"""Which revision the gate compares with."""
+"""Which revision the gate compares with, and the programs it runs for that."""
 
 from __future__ import annotations
+
+import sys
 
 import pytest
 
 import contactbench as cb
 from contactbench.gate import revisions
+from contactbench.gate.fresh import followed
 from contactbench.gate.revisions import git
 
 
@@ -38,5 +41,20 @@ def test_speed_is_compared_with_head_where_the_sources_have_changes_and_else_wit
 def test_a_revision_that_is_not_there_is_named(project):
     with pytest.raises(cb.BadInput, match="--base nowhere: no such revision"):
         revisions.resolved(project, "nowhere")
-    with pytest.raises(cb.BadInput, match="git log in "):
-        git(project, "log", "nowhere", "--")
+    with pytest.raises(cb.BadInput, match=r"git log in .*: 'git <command>"):  # the last of three lines
+        git(project, "log", "nowhere")
+
+
+def test_trees_of_the_same_pins_share_our_python(project):
+    for name in ("one", "other"):
+        (project / name).mkdir()
+        (project / name / "pyproject.toml").write_text("[project]\ndependencies = ['numpy']\n")
+    assert revisions.interpreter(project / "one", project / "other") == sys.executable
+
+
+def test_what_a_run_printed_is_kept_with_its_exit_status(project):
+    program = "print('[gw0] [ 40%] PASSED a'); print('FAILED b'); raise SystemExit(3)"
+    assert followed([sys.executable, "-c", program], project) == (
+        ["[gw0] [ 40%] PASSED a\n", "FAILED b\n"],
+        3,
+    )

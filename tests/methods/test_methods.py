@@ -106,6 +106,12 @@ def test_tolerances_are_relative_to_the_state_where_atol_is(method, gamma):
         assert 1e-13 < cb.LAWS["solution_error"](run) < 1e-5
 
 
+@pytest.mark.parametrize("times", [[0.5, 0.5], [0.5, 0.25], [-0.5, 0.5]])
+def test_saved_times_increase_from_zero_on(times):
+    with pytest.raises(cb.BadInput, match="save_at"):
+        cb.prepare(PARTICLE, "rk4", step=0.1, save_at=times)
+
+
 @every
 def test_the_first_engine_is_the_default(method):
     scene = PARTICLE if method.refuses(PARTICLE) is None else BODY
