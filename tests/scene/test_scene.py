@@ -9,7 +9,7 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
-from contactbench.scene import rotation_matrix
+from contactbench.scene import rotation_matrix, verify
 from contactbench.xla import jax, jnp
 
 MECHANICAL = [s for s in ALL_SCENES if isinstance(s, cb.Mechanical)]
@@ -119,6 +119,16 @@ def test_bad_parameters_give_one_clear_line(name, changes, says):
         cb.SCENES[name].with_(**changes)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("size", "wrong"), [(n, i) for n in range(1, 5) for i in range(n)])
+def test_a_gradient_wrong_in_any_one_component_is_refused(size, wrong):
+    scene = cb.Mechanical(
+        name="springs", potential=lambda q: sum(x * x for x in q) / 2, q=(1.0,) * size, p=(0.0,) * size, t_end=1.0,
+        gradient=lambda q: tuple(1.01 * x if i == wrong else x for i, x in enumerate(q)),
+    )  # fmt: skip
+    with pytest.raises(cb.BadInput, match=f"component {wrong + 1} is"):
+        verify(scene)
 
 
 def test_ctrl_c_in_a_force_is_no_bad_input():
