@@ -8,12 +8,7 @@ More than one core takes a process of its own, because this one is bound to one.
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from functools import cache
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -22,8 +17,9 @@ import pytest
 import contactbench as cb
 from c_loops import KERNELS, SHAPES
 from cells import cells, controlled
-from clock import VISITS, Part
+from clock import usable_cores
 from contactbench.ensembles import ENGINES
+from contactbench.measure.clock import Call, Part
 from contactbench.results.tables import ENSEMBLE_TABLE
 from ensemble_peers import prepared
 
@@ -58,16 +54,6 @@ SMOKE = {
     ("limit-c", f"{OURS} plain", 0.1),
     ("heyoka-taylor", "batch", 1e-6),
 }
-
-
-def usable_cores():
-    """The cores the machine lets us use; this process is bound to one of them."""
-    bound = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    try:
-        return sorted(os.sched_getaffinity(0))
-    finally:
-        os.sched_setaffinity(0, bound)
 
 
 def core_counts():
@@ -136,7 +122,7 @@ def member_deviation(scene, method, control, value, start, y):
 def prepared_row(cell, exact):
     """The row of a cell without its times, and what is to be timed, if it can be run.
 
-    exact : the true final states of the first few trajectories, None for a row without error.
+    exact : the true final states of the first few trajectories, None for a row without errors.
     """
     question, name, method, engine, variant, control, value, n, cores = cell
     scene = cb.SCENES[name]
@@ -153,37 +139,23 @@ def prepared_row(cell, exact):
     y = run()
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
     y = np.asarray(y)
-    if exact is not None:
-        row["solution_error"] = error(y, exact)
     steps, evaluations, kind = costs()
-    if question == "error" and method in cb.METHODS and 0 < (evaluations or steps or 0) * n < SINGLE_WORK:
-        row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
+    if exact is not None:
+        row["solution_error"] = error(y, np.asarray(exact))
+        short = 0 < (evaluations or steps or 0) * n < SINGLE_WORK
+        if question == "error" and method in cb.METHODS and short:
+            row["member_deviation"] = member_deviation(scene, method, control, value, initial(scene, n), y)
     row |= {"steps": steps, "evaluations": evaluations, "evaluation_kind": kind}
     if question not in ("error", "size"):
-        return row, (run, None)
+        return row, Call(run)
     fewer, _ = prepared(scene, method, engine, variant, value, initial(scene, round(n * FEWER)))
-    return row, (run, Part(fewer, FEWER, n))
+    return row, Call(run, Part(fewer, FEWER, n))
 
 
-def on_cores(cell, exact):
-    """The same in a process of its own on several cores, and seconds per call, one number a round."""
-    cores = usable_cores()[-cell[-1] :]
-    done = subprocess.run(
-        [sys.executable, Path(__file__).with_name("ensemble_on_cores.py"), json.dumps([cores, cell, exact.tolist()])],
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-@cells(ladder, visits=VISITS)
-def test_ensemble(cell, record, clock):
-    exact = None if cell[0] == "arithmetic" else truth(cell[1])
+@cells(ladder)
+def test_ensemble(cell, clock):
+    exact = None if cell[0] == "arithmetic" else truth(cell[1]).tolist()
     if cell[-1] == 1:
-        row, runs = clock.prepared(lambda: prepared_row(cell, exact))
-        run, part = runs or (None, None)
-        record(ENSEMBLE_TABLE, **row, **clock.columns(run, cell[1], part=part))
+        clock.time(ENSEMBLE_TABLE, {}, prepared_row, cell, exact)
     else:
-        row, samples = on_cores(cell, exact)
-        first = clock.prepared(lambda: row)
-        record(ENSEMBLE_TABLE, **first, **clock.add(samples, iterations=1))
+        clock.time_on(usable_cores()[-cell[-1] :], ENSEMBLE_TABLE, prepared_row, cell, exact)

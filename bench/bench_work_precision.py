@@ -1,7 +1,7 @@
 """What does accuracy cost?  One cell: a method on an engine, on a scene, at one setting.
 
-Timed by pytest-benchmark: compiled and warmed up before, garbage collection off, cells in shuffled
-order, results on the host before the clock stops.  What is timed is the solver's own call, by its fastest
+Compiled and warmed up before, garbage collection off, results on the host before the clock stops, visited again and
+again in shuffled order (`contactbench.measure.clock`).  What is timed is the solver's own call, by its fastest
 documented way: packed initial state in, packed final state out, none of our bookkeeping; what the public
 call adds is a column of its own.  The error is the largest over five end times, each the end of a run of
 its own or, of slow fixed steps, a step boundary: interpolation between steps, of lower order than the method
@@ -17,16 +17,17 @@ import pytest
 
 import contactbench as cb
 from c_loops import KERNELS, kernel
-from cells import RTOLS, cells, controlled, engines, outcome, step_budget, work_ladder
-from clock import VISITS, Part
-from contactbench.measure.clock import seconds
-from contactbench.measure.ladder import ENDS, LOOSEST, carried
+from cells import cells, controlled, engines, outcome, step_budget, work_ladder
+from contactbench.measure.clock import Call, Part, seconds
+from contactbench.measure.ladder import ENDS, LOOSEST, carried, fields, tolerances
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, keywords
 
+#: of tolerances down to this a profile chooses some; tighter ones are all run
+TIGHT = 1e-13
 #: a fixed-step method that is also run to tolerances, its pilots counted and timed
 CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"), [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -40,9 +41,10 @@ def ladder(profile):
             if method.control == EXACT:
                 values = [0.0]
             elif method.adaptive:
-                values = profile.choose([rtol for rtol in RTOLS if rtol >= method.rtol_range[0]])
-                if profile.points > 1 and method.rtol_range[1] >= LOOSEST:
-                    values = [LOOSEST, *values]
+                rungs = tolerances(method)
+                values = profile.choose([rtol for rtol in rungs if TIGHT <= rtol < LOOSEST])
+                if profile.points > 1:  # both ends of the range, whatever the profile
+                    values = [r for r in rungs if r >= LOOSEST or r in values or r < TIGHT]
             else:
                 values = profile.choose(work_ladder(scene, method.order))
             rows += [(scene.name, name, engine, method.control, value) for value in values]
@@ -78,28 +80,27 @@ def passes_through(method, engine, control):
 
 
 def options(cell, profile):
-    """The scene and method of a cell, and what `prepare` is given but the times to be saved."""
-    scene, method, engine, control, value = cell
-    scene, method = cb.SCENES[scene], cb.METHODS[method]
-    return scene, method, {
+    """The names of scene and method of a cell, and what `prepare` is given but the times to be saved."""
+    name, method, engine, control, value = cell
+    scene = cb.SCENES[name]
+    return name, method, {
         **keywords(control, value),
         "engine": engine,
         "carry": carried(scene),
-        "max_steps": step_budget(profile, scene, method, engine),
+        "max_steps": step_budget(profile, scene, cb.METHODS[method], engine),
     }  # fmt: skip
 
 
 def errors(cell, profile):
     """The row of a cell but for what is timed: how its run ends, what it costs, its error at several ends."""
-    scene, method, given = options(cell, profile)
+    name, _, given = options(cell, profile)
+    scene, method = cb.SCENES[name], cb.METHODS[cell[1]]
     engine, control = cell[2:4]
     run = cb.prepare(scene, method.name, save_at=[scene.t_end], **given)
     start = perf_counter()
     solution = run()
     row = {
-        "carried": " ".join(
-            [*scene.initial_fields[: 1 if "M" in scene.initial_fields else 2], *carried(scene)]
-        ),
+        "carried": " ".join(fields(scene, method, run.request.carry)),
         "compile_s": run.compile_s,
         "first_call_s": perf_counter() - start,
     }
@@ -115,10 +116,20 @@ def errors(cell, profile):
     return outcome(solution, run.count(solution.counts), variant) | row
 
 
-def runs(cell, profile):
-    """What is timed: the run, and the one to the earliest end."""
-    scene, method, given = options(cell, profile)
-    return [cb.prepare(scene, method.name, save_at=[t], **given) for t in (scene.t_end, scene.t_end / ENDS)]
+def runs(scene, method, given):
+    """What the public call adds, for the row; and what is timed: the bare run, and the one to the earliest end."""
+    end = cb.SCENES[scene].t_end
+    run, shorter = (cb.prepare(scene, method, save_at=[t], **given) for t in (end, end / ENDS))
+    # arrays that an engine has moved to its device ahead of the call
+    start, earlier = run.start, shorter.start
+
+    def bare():
+        return run.bare(start)
+
+    call = Call(bare, Part(lambda: shorter.bare(earlier), 1 / ENDS, end))
+    call.warm_up()
+    once = call.once[0]
+    return {"call_s": added(run, bare, once)} if once < SHORT else {}, call
 
 
 #: changes of the initial data, relative: a few roundings
@@ -141,38 +152,28 @@ def test_work_precision_errors(cell, profile, record):
 
 
 @pytest.mark.timed
-@cells(ladder, visits=VISITS, times=test_work_precision_errors)
+@cells(ladder, times=test_work_precision_errors)
 def test_work_precision(cell, profile, record, clock, untimed):
-    def prepared():
-        row = untimed or errors(cell, profile)
-        return row, runs(cell, profile) if row["status"] == "ok" else None
-
-    row, made = clock.prepared(prepared)
-    if made is None:
-        record(WORK_PRECISION, **row, **clock.columns(None, cell[0]))
-        return
-    run, shorter = made
-    start = run.start
-    its_own = shorter.start  # the array an engine has moved to its device ahead of the call
-    part = Part(lambda: shorter.bare(its_own), 1 / ENDS, cb.SCENES[cell[0]].t_end)
-    columns = clock.columns(lambda: run.bare(start), cell[0], part)
-    if clock.last and columns["time_median_s"] < SHORT:
-        columns["call_s"] = added(run, start, columns["time_median_s"])
-    record(WORK_PRECISION, **{**row, **columns})
+    row = untimed or errors(cell, profile)
+    if row["status"] == "ok":
+        clock.time(WORK_PRECISION, row, runs, *options(cell, profile))
+    else:
+        record(WORK_PRECISION, **row)
 
 
 #: blocks of calls of each kind that `added` compares, of runs shorter than this: in longer ones it is lost
 PAIRS, BLOCK_SECONDS, SHORT = 15, 1e-4, 5e-4
 
 
-def added(run, start, once):
+def added(run, bare, once):
     """Seconds the public call takes more than the bare one, which takes `once`; 0 where it is lost in noise.
 
-    Median over blocks of calls in turns, as warm as the rounds of the bare call are.
+    From the least of blocks of calls in turns.
     """
     calls = max(1, round(BLOCK_SECONDS / once))
-    gaps = [seconds(run, calls) - seconds(lambda: run.bare(start), calls) for _ in range(PAIRS)]
-    return max(0.0, float(np.median(gaps)))
+    blocks = [(seconds(run, calls), seconds(bare, calls)) for _ in range(PAIRS)]
+    public, own = map(min, zip(*blocks, strict=True))
+    return max(0.0, public - own)
 
 
 def prepared_limit(cell):
@@ -195,12 +196,11 @@ def prepared_limit(cell):
         "status": "ok", "message": "", "steps": round(scene.t_end / step), "evaluations": evaluations,
         "rhs_equivalents": float(evaluations), "compile_s": 0.0, "first_call_s": first,
         "solution_error": float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p])),
-    }, run  # fmt: skip
+    }, Call(run)  # fmt: skip
 
 
 @pytest.mark.timed
-@cells(limits, visits=VISITS)
-def test_limit(cell, record, clock):
+@cells(limits)
+def test_limit(cell, clock):
     """The same arithmetic as a C loop: what a compiled kernel is compared with."""
-    row, run = clock.prepared(lambda: prepared_limit(cell))
-    record(WORK_PRECISION, **row, **clock.columns(run, cell[0]))
+    clock.time(WORK_PRECISION, {}, prepared_limit, cell)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 from zlib import crc32
 
-from contactbench.measure.ladder import RTOLS as RTOLS
 from contactbench.measure.ladder import SAVES as SAVES
 from contactbench.measure.ladder import save_times as save_times
 from contactbench.measure.ladder import setting as setting
@@ -23,10 +22,9 @@ from contactbench.solution import Counts, Solution, printed_setting
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 
 
-def cells(ladder: Any, visits: int = 1, times: Any = None) -> Callable[..., Any]:
+def cells(ladder: Any, times: Any = None) -> Callable[..., Any]:
     """Attach to a test the function that lists its cells for a profile.
 
-    visits : how often a run that is timed comes to a cell, at places of its own in the shuffled order.
     times : the untimed test of the same cells to whose rows this one adds times; a run without a clock
     leaves this one out.
     The tables a test writes are written by no other file: when all cells of a file are done, rows of its
@@ -34,7 +32,7 @@ def cells(ladder: Any, visits: int = 1, times: Any = None) -> Callable[..., Any]
     """
 
     def attach(test: Any) -> Any:
-        test.cells, test.visits, test.times = ladder, visits, times
+        test.cells, test.times = ladder, times
         return test
 
     return attach

@@ -1,120 +1,215 @@
-"""Timed rounds, and every timed cell twice: what two measurements of one cell differ by is the noise.
+"""The timed part of an experiment: all cells are prepared first, then visited in turns.
 
-A run comes to a timed cell at two places of its shuffled order.  The first visit prepares the solver and
-times it; the second times the same prepared solver again.
+A sample of them is prepared in a second process too and visited in the same turns: what processes differ by.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import json
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from contactbench.measure.clock import (
-    VISITS,
-    WARM,
-    Samples,
-    calls_a_round,
+    ROUNDS,
+    Part,
+    Race,
+    Timed,
+    Visit,
     length_columns,
-    rounds_within,
-    seconds,
+    process_columns,
     time_columns,
-    warm_call,
 )
 
-#: rounds of the first visit and of the second, however long they take: five in all (after a kill between them three)
-FEWEST = (3, 2)
+#: cells of an experiment that a second process times too: one in so many, and so many at most
+ONE_IN, SAMPLE = 4, 48
+SEED = 20
 
 
-@dataclass
-class Cell:
-    """What the first visit leaves to the second: what the cell prepared, and what the clock said.
+class Process:
+    """Another process, which prepares cells on some cores when told, and times them on others when asked."""
 
-    once : seconds a call takes, about; nan while nobody knows.
+    def __init__(self, cores: list[int], timed_on: list[int]) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, Path(__file__).with_name("other_process.py"), json.dumps([cores, timed_on])],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
+        )  # fmt: skip
+        self.prepared = 0
+
+    def prepare(self, function: Callable[..., Any], *arguments: Any) -> Remote:
+        """Let it call a function of an experiment that returns (row, call); do not wait for it."""
+        self.tell("prepare", function.__module__.rpartition(".")[2], function.__name__, *arguments)
+        self.prepared += 1
+        return Remote(self, self.prepared - 1)
+
+    def tell(self, *command: Any) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(command) + "\n")
+
+    def ask(self, *command: Any) -> Any:
+        self.tell(*command)
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"a process that times cells ended with status {self.process.wait()}")
+        return json.loads(line)
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@dataclass(frozen=True)
+class Remote:
+    """A call that another process times."""
+
+    process: Process
+    number: int
+
+    def row(self) -> dict[str, Any]:
+        """Return what its preparation says of it, as soon as it is prepared."""
+        return self.process.ask("row", self.number)
+
+    def warm_up(self) -> float:
+        return self.process.ask("warm", self.number)
+
+    def visit(self, rounds: int = ROUNDS) -> Visit:
+        return Visit(*self.process.ask("visit", self.number, rounds))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A cell to be timed: its call, the same call in a second process, and who takes its time columns.
+
+    part : of the run, with a length of its own.  benchmark : the fixture of pytest-benchmark, which has the rounds.
     """
 
-    made: Any
-    once: float = math.nan
-    measured: list[Samples] = field(default_factory=list)
-    iterations: int = 1
-    #: of the same run over a part of its length, in turns with `measured`
-    shorter: list[Samples] = field(default_factory=list)
+    call: Timed
+    part: Part | None
+    again: Timed | None
+    record: Callable[[dict[str, Any]], None]
+    benchmark: Any = None
+
+    def finish(self, columns: dict[str, Any], visits: list[Visit]) -> None:
+        """Record the times; pytest-benchmark has no public way to be given rounds that it has not timed itself."""
+        if self.benchmark is not None:
+            stats = self.benchmark._make_stats(visits[-1].iterations)
+            for visit in visits:
+                for once in visit.whole:
+                    stats.update(once * stats.iterations)
+        self.record(columns)
 
 
-@dataclass
-class Part:
-    """The same run over a share of its span: what it takes tells fixed from marginal cost."""
+class Timetable:
+    """The timed cells of an experiment, in the order in which they were prepared.
 
-    run: Callable[[], Any]
-    share: float
-    span: float
-
-
-@dataclass
-class Clock:
-    """The clock of one visit.
-
-    cells : what is left of the cells visited once.  benchmark : the fixture of pytest-benchmark; with
-    --benchmark-disable a run is for accuracy alone, on all cores, and has no times.
-    last : whether the run comes to the cell no more; the first visit may have been of a run that was killed.
+    cells : all there will be; a sample of them is timed in a second process too.  visits : to each.
     """
 
-    cells: dict[Any, Cell]
-    key: Any
-    profile: Any
-    benchmark: Any
-    last: bool = True
+    def __init__(self, cells: Collection[Any], visits: int) -> None:
+        self.visits = visits
+        size = min(SAMPLE, -(-len(cells) // ONE_IN))
+        self.sample = set(random.Random(SEED).sample(list(cells), size))
+        #: cells that are yet to be prepared
+        self.ahead = set(cells)
+        self.entries: list[Entry] = []
+        self.processes: dict[str, Process] = {}
 
-    def prepared(self, make: Callable[[], Any]) -> Any:
-        """What `make` gives, made by the first visit; anew where that was in a run that was killed."""
-        if self.key not in self.cells:
-            self.cells[self.key] = Cell(make())
-        return self.cells[self.key].made
+    def process(self, name: str, cores: list[int], timed_on: list[int]) -> Process:
+        """Return the process of this name, started when it is first asked for."""
+        if name not in self.processes:
+            self.processes[name] = Process(cores, timed_on)
+        return self.processes[name]
 
-    def columns(self, run: Callable[[], Any] | None, group: str, part: Part | None = None) -> dict[str, Any]:
-        """The time columns, from all visits so far; none where there is nothing to run.
+    def second(self) -> Process:
+        """Return the second process: it prepares cells on another core than this one's, and times on the same."""
+        if not hasattr(os, "sched_getaffinity"):
+            return self.process("second", [], [])
+        mine = sorted(os.sched_getaffinity(0))
+        return self.process("second", [core for core in usable_cores() if core not in mine][:1] or mine, mine)
 
-        part : timed in turns with it.
-        """
-        if run is None or self.benchmark.disabled:
-            self.cells.pop(self.key)
-            return {}
-        cell = self.cells[self.key]
-        columns = self.add(*self.rounds(run, group, part))
-        if part is not None:
-            columns |= length_columns(cell.measured, cell.shorter, part.share, part.span)
+    def go(self) -> None:
+        """Visit all cells, and record each with its last visit."""
+        calls: list[Timed] = []
+        cells: list[Entry] = []
+        for entry in self.entries:
+            for call in filter(None, (entry.call, entry.again)):
+                call.warm_up()
+                calls.append(call)
+                cells.append(entry)
+        race = Race(calls)
+        visits = {id(call): made for call, made in zip(calls, race.visits, strict=True)}
+        for _ in tqdm(range(self.visits), "timing", unit="sweep", disable=None):
+            for i in race.sweep():
+                entry, own = cells[i], visits[id(cells[i].call)]
+                again = visits[id(entry.again)] if entry.again else own
+                if min(len(own), len(again)) == self.visits:
+                    entry.finish(self.columns(entry, own, again), own)
+
+    def columns(self, entry: Entry, own: list[Visit], again: list[Visit]) -> dict[str, Any]:
+        columns = time_columns(own)
+        if entry.part is not None:
+            columns |= length_columns(own, entry.part)
+        if entry.again is not None:
+            columns |= process_columns(own, again, entry.part)
         return columns
 
-    def add(self, samples: Samples, iterations: int) -> dict[str, Any]:
-        """The time columns, with the samples of this visit."""
-        cell = self.cells[self.key]
-        cell.measured.append(samples)
-        cell.iterations = iterations
-        if len(cell.measured) == VISITS:
-            del self.cells[self.key]
-        return time_columns(cell.measured, cell.iterations)
+    def end(self) -> None:
+        for process in self.processes.values():
+            process.end()
 
-    def rounds(self, run: Callable[[], Any], group: str, part: Part | None = None) -> tuple[Samples, int]:
-        """Rounds of about half a millisecond, as many as the profile fills, after a warm-up.
 
-        A run whose part is long is warm once that has been called, a second visit to it finds it warm.
+def usable_cores() -> list[int]:
+    """The cores the machine lets us use; this process is bound to one of them."""
+    bound = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    try:
+        return sorted(os.sched_getaffinity(0))
+    finally:
+        os.sched_setaffinity(0, bound)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The clock of one cell.
+
+    timetable : None in a run without times.  record : a row of a table, now; later : the same with the time columns.
+    """
+
+    timetable: Timetable | None
+    cell: Any
+    record: Callable[..., None]
+    later: Callable[..., Callable[[dict[str, Any]], None]]
+    benchmark: Any = None
+
+    def time(self, table: Any, row: dict[str, Any], prepare: Callable[..., Any], *arguments: Any) -> None:
+        """Time a cell; `prepare` gives what its row says beside `row`, and its call, None where it cannot be run.
+
+        Its arguments go to a second process as JSON.
         """
-        cell = self.cells[self.key]
-        if math.isnan(cell.once) and part is not None:
-            cell.once = warm_call(part.run) / part.share
-        if not cell.once > WARM:
-            cell.once = warm_call(run)
-        iterations = cell.iterations if cell.measured else calls_a_round(cell.once)
-        fewest = FEWEST[len(cell.measured)]
-        rounds = rounds_within(self.profile.seconds / VISITS, iterations * cell.once, fewest)
-        self.benchmark.group = group
-        shorter: Samples = []
+        more, call = prepare(*arguments)
+        row = row | more
+        if call is None or self.timetable is None:
+            self.record(table, **row)
+            return
+        call.warm_up()
+        again = None
+        if self.cell in self.timetable.sample:
+            again = self.timetable.second().prepare(prepare, *arguments)
+        self.timetable.entries.append(Entry(call, call.part, again, self.later(table, row), self.benchmark))
 
-        def between() -> None:
-            if part is not None and len(shorter) < rounds:
-                shorter.append(seconds(part.run, iterations))
-
-        self.benchmark.pedantic(run, rounds=rounds, iterations=iterations, teardown=between)
-        cell.shorter.append(shorter)
-        return list(self.benchmark.stats.stats.data), iterations
+    def time_on(self, cores: list[int], table: Any, prepare: Callable[..., Any], *arguments: Any) -> None:
+        """Time a cell in a process of its own on several cores."""
+        if self.timetable is None:
+            self.record(table, **prepare(*arguments)[0])
+            return
+        process = self.timetable.process(f"on {cores}", cores, cores)
+        call = process.prepare(prepare, *arguments)
+        self.timetable.entries.append(Entry(call, None, None, self.later(table, call.row()), self.benchmark))

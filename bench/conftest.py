@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,8 +19,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import pytest
 
 from cells import family, takes_long
-from clock import Cell, Clock
+from clock import Clock, Timetable
 from contactbench.errors import BadInput
+from contactbench.measure.clock import MOST_VISITS, VISITS
 from contactbench.methods import METHODS
 from contactbench.results import journal, provenance
 from contactbench.results.schema import PROFILES as NAMES
@@ -30,15 +30,9 @@ from contactbench.results.store import OldTable, read
 from contactbench.results.tables import WORK_PRECISION
 
 SHUFFLE_SEED = 20
-#: after the name of a cell: its second visit
-AGAIN = "-again"
 #: what this process may use before it is bound to one of them
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 REPOSITORY = Path(__file__).resolve().parents[1]
-#: what the first visits to timed cells leave to the second
-VISITED = pytest.StashKey[dict[Any, Cell]]()
-#: how many visits to each cell are to come
-AHEAD = pytest.StashKey[Counter[tuple[str, Any]]]()
 #: what the untimed cells of this run that have one row have made, by their identity
 MADE = pytest.StashKey[dict[journal.Cell, dict[str, Any]]]()
 
@@ -47,13 +41,13 @@ MADE = pytest.StashKey[dict[journal.Cell, dict[str, Any]]]()
 class Profile:
     """How much of each experiment is run.
 
-    points : settings per method; seconds : what the timed rounds of a cell fill, about;
+    points : settings per method; visits : to every timed cell;
     callback_evaluations : budget of one run of a solver that calls back into Python.
     """
 
     name: str
     points: int
-    seconds: float
+    visits: int
     callback_evaluations: int
 
     def choose(self, ladder: list[Any]) -> list[Any]:
@@ -68,9 +62,9 @@ class Profile:
 
 
 PROFILES = {
-    "smoke": Profile("smoke", 1, 0.0, 40_000),  # the budget of standard: the same rows, the same ends
-    "standard": Profile("standard", 6, 0.01, 40_000),
-    "full": Profile("full", 99, 0.3, 1_000_000),
+    "smoke": Profile("smoke", 1, VISITS, 40_000),  # the budget of standard: the same rows, the same ends
+    "standard": Profile("standard", 6, VISITS, 40_000),
+    "full": Profile("full", 99, MOST_VISITS, 1_000_000),
 }
 
 
@@ -78,6 +72,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("contactbench")
     group.addoption("--profile", choices=list(PROFILES), default="standard", help="how much to run")
     group.addoption("--results", type=Path, default=REPOSITORY / "results", help="where the tables go")
+    group.addoption("--untimed", action="store_true", help="errors, counts and laws alone: no times")
     group.addoption("--resume", action="store_true", help="keep the rows of a run that was killed")
     group.addoption("--report", action="store_true", help="write documents and figures at the end")
 
@@ -86,7 +81,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.profile = PROFILES[config.getoption("--profile")]
     worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
     config.controls = worker is None
-    config.stash[VISITED], config.stash[MADE], config.stash[AHEAD] = {}, {}, Counter()
+    config.stash[MADE] = {}
     if worker or not config.getoption("numprocesses", None):
         pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
     run_id = worker["run_id"] if worker else provenance.new_run_id()
@@ -112,19 +107,21 @@ def pin_to_one_core(which: int) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """An experiment declares its cells as a function ``cells(profile)`` beside the test."""
     if "cell" in metafunc.fixturenames:
-        cells = visits(metafunc.function, metafunc.config)
+        cells = named(metafunc.function, metafunc.config)
         metafunc.parametrize("cell", list(cells.values()), ids=list(cells))
 
 
-def visits(test: Any, config: pytest.Config) -> dict[str, tuple]:
-    """The cells of a test by the names of their visits: a second visit only where there is a clock, none for
-    a test of times alone where there is none."""
-    clock = config.pluginmanager.hasplugin("benchmark") and not config.getoption("benchmark_disable")
-    if test.times and not clock:
+def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
+    """The cells of a test by their names; none for a test of times alone in a run without times."""
+    if test.times and not has_clock(config):
         return {}
-    again = [AGAIN] if test.visits > 1 and clock else []
-    named = {"-".join(map(word, cell)): cell for cell in test.cells(config.profile)}
-    return {name + suffix: cell for suffix in ("", *again) for name, cell in named.items()}
+    return {"-".join(map(word, cell)): cell for cell in test.cells(config.profile)}
+
+
+def has_clock(config: pytest.Config) -> bool:
+    """Return whether cells are timed: not beside other processes of the same run."""
+    shared = hasattr(config, "workerinput") or config.getoption("numprocesses", None)
+    return not (shared or config.getoption("untimed"))
 
 
 def word(part: Any) -> str:
@@ -133,9 +130,9 @@ def word(part: Any) -> str:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Timed cells run in shuffled order, so that slow drifts of the machine hit all methods alike.
+    """Timed cells come after the others, file by file: the last of them prepared, all of a file are timed.
 
-    The others come before them, file by file.  Several processes share them by `ByProgram`, and begin with
+    Several processes share them by `ByProgram`, and begin with
     what takes long, so that they end together.
     """
     random.Random(SHUFFLE_SEED).shuffle(items)
@@ -168,7 +165,7 @@ def programs_of(module: str, config: pytest.Config) -> dict[str, Any]:
     return {
         f"{test.__name__}[{name}]": family(cell)
         for test in tests
-        for name, cell in visits(test, config).items()
+        for name, cell in named(test, config).items()
     }
 
 
@@ -204,7 +201,7 @@ def all_of(module: Any, config: pytest.Config) -> list[journal.Cell]:
     """The identities of all cells of an experiment, as pytest names them."""
     tests = [test for test in vars(module).values() if hasattr(test, "cells")]
     file = Path(module.__file__).name
-    return [(file, f"{test.__name__}[{name}]") for test in tests for name in visits(test, config)]
+    return [(file, f"{test.__name__}[{name}]") for test in tests for name in named(test, config)]
 
 
 def selection(config: pytest.Config) -> str:
@@ -242,7 +239,7 @@ def readable(table: Any, config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Any:
-    item.rows, finished = [], False
+    item.rows, item.later, finished = [], False, False
     try:
         result = yield
         finished = True
@@ -251,7 +248,8 @@ def pytest_runtest_call(item: pytest.Item) -> Any:
         if finished and len(item.rows) == 1:
             item.config.stash[MADE][_identity(item)] = item.rows[0][1]
         with full_disk():
-            item.config.journal.append(item.rows, _identity(item) if finished else None)
+            if item.rows or not item.later:
+                item.config.journal.append(item.rows, _identity(item) if finished else None)
 
 
 @contextmanager
@@ -282,13 +280,15 @@ def cells_of(test: Any, profile: str) -> frozenset[tuple]:
 def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
     """``record_all(table, rows)`` adds many rows at once."""
     profile = smallest_profile(request)
+    return lambda which, rows: request.node.rows.extend(
+        (which, complete(which, row, profile)) for row in rows
+    )
 
-    def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
-        if "family" in which.columns and row["method"] in METHODS:
-            row = {"family": METHODS[row["method"]].family, **row}
-        return {**row, "profile": profile}
 
-    return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
+def complete(which: Any, row: dict[str, Any], profile: str) -> dict[str, Any]:
+    if "family" in which.columns and row["method"] in METHODS:
+        row = {"family": METHODS[row["method"]].family, **row}
+    return {**row, "profile": profile}
 
 
 @pytest.fixture
@@ -300,22 +300,49 @@ def record(record_all: Callable[..., None]) -> Callable[..., None]:
 @pytest.fixture
 def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
     """The row that the untimed test of a timed cell has made in this run; None where it was left out."""
-    name = f"{request.function.times.__name__}[{request.node.callspec.id.removesuffix(AGAIN)}]"
+    name = f"{request.function.times.__name__}[{request.node.callspec.id}]"
     return request.config.stash[MADE].get((request.node.path.name, name))
 
 
+@pytest.fixture(scope="module")
+def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
+    """The timed cells of an experiment, which are timed after the last of them was prepared."""
+    if not has_clock(request.config):
+        yield None
+        return
+    items = [
+        each
+        for each in request.session.items
+        if each.module is request.module and "clock" in each.fixturenames
+    ]
+    table = Timetable([_identity(item) for item in items], request.config.profile.visits)
+    try:
+        yield table
+        if not table.ahead:  # else the run was interrupted
+            with full_disk():
+                table.go()
+    finally:
+        table.end()
+
+
 @pytest.fixture
-def clock(request: pytest.FixtureRequest, profile: Profile, benchmark: Any) -> Clock:
-    """The clock of a timed cell, at one of its visits."""
-    key, ahead = _cell(request.node), request.config.stash[AHEAD]
-    if not ahead:
-        ahead.update(_cell(item) for item in request.session.items if "clock" in item.fixturenames)
-    ahead[key] -= 1
-    return Clock(request.config.stash[VISITED], key, profile, benchmark, last=not ahead[key])
+def clock(request: pytest.FixtureRequest, timetable: Timetable | None, record: Callable[..., None]) -> Clock:
+    """The clock of a timed cell."""
+    item, profile = request.node, smallest_profile(request)
 
+    def later(which: Any, row: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
+        """Record the row of this cell when its times are known: it is done then."""
+        item.later = True
+        journal, made = item.config.journal, complete(which, row, profile)
+        return lambda columns: journal.append([(which, made | columns)], _identity(item))
 
-def _cell(item: Any) -> tuple[str, Any]:
-    return item.originalname, item.callspec.params["cell"]
+    benchmark = None
+    if timetable is not None:
+        timetable.ahead.discard(_identity(item))
+        if item.config.pluginmanager.hasplugin("benchmark"):
+            benchmark = request.getfixturevalue("benchmark")
+            benchmark.group = item.path.stem
+    return Clock(timetable, _identity(item), record, later, benchmark)
 
 
 @pytest.fixture

@@ -53,7 +53,7 @@ def benchmark(results: Path, keyword: str, call: str = "", workers: tuple[str, .
     """A part of the smoke profile, with the fault that a call plants."""
     command = [
         sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
-        "--benchmark-disable", "-p", "no:cacheprovider", *workers, "-k", keyword,
+        "--untimed", "-p", "no:cacheprovider", *workers, "-k", keyword,
         *(["--plugin", str(plugin(results.with_suffix(".py"), call))] if call else []),
     ]  # fmt: skip
     done = subprocess.run(command, cwd=ROOT, env=variables(ROOT), capture_output=True, text=True)

@@ -103,8 +103,7 @@ def bench(results, keyword, *more):
     """A smoke run of the experiments in a process of its own."""
     command = [
         sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
-        "-p", "no:cacheprovider", *FOREIGN, "-k", keyword,
-        *(more if "no:benchmark" in more else ("--benchmark-quiet", *more)),
+        "-p", "no:cacheprovider", *FOREIGN, "-k", keyword, *more,
     ]  # fmt: skip
     # a benchmark is a run of its own, not a worker of the tests': workers are not timed
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}

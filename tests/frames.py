@@ -15,12 +15,20 @@ FAMILIES = {"contact": "contact", "herglotz": "variational", "limit": "limit"}
 
 
 def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
-    """A row that ended ok: a method with a step, or with a tolerance if it is `control="rtol"`."""
+    """A row that ended ok: a method with a step, or with a tolerance if it is `control="rtol"`.
+
+    Where it has times both halves of the visits agree.
+    """
     control = more.pop("control", "step")
+    halves = {
+        f"{what}_halves_ratio": 1.0
+        for what in ("time", "marginal")
+        if {f"{what}_min_s", f"{what}_s"} & {*more}
+    }
     family = next((f for start, f in FAMILIES.items() if method.startswith(start)), "established")
     return {
         "scene": scene, "method": method, "family": family, "engine": "jax", "control": control, "value": value,
-        "variant": "", "setting": f"{control}={value:g}", "status": "ok", "message": "", **more,
+        "variant": "", "setting": f"{control}={value:g}", "status": "ok", "message": "", **halves, **more,
     }  # fmt: skip
 
 

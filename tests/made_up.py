@@ -104,7 +104,8 @@ def repository(root, **more):
     (root / "src" / "contactbench" / "__init__.py").write_text("")
     git(root, "init", "-q", "-b", "main")
     folder(root / "results", **more)
-    return commit(root, "tables")
+    commit(root, "tables")
+    return commit(root, "nothing more")
 
 
 def commit(root, message):

@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from contactbench import start  # first
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve

@@ -13,13 +13,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
+from types import FunctionType
 from typing import Any
 
 from contactbench.errors import BadInput, one_line
+from contactbench.start import VARIABLE
 
-#: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time
-VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
-DEFAULT_SECONDS = 60.0
 #: characters of another's message that are repeated
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
@@ -46,11 +45,24 @@ class Overrun(BaseException):
 
 
 def is_ours(function: Any) -> bool:
-    """Whether a function, or the class of an object, was written in this package."""
-    where = getattr(function, "__module__", None)
-    if not isinstance(where, str):  # functools.partial and the like
-        where = type(function).__module__
-    return where == "contactbench" or where.startswith("contactbench.")
+    """Whether a function, or a class, was written in this package: it computes the same tomorrow.
+
+    A function that wraps another may carry its name; where it was written is told by its globals.
+    """
+    if isinstance(function, FunctionType):
+        where = function.__globals__.get("__name__")
+        closed = function.__closure__ or ()
+        return _is_package(where) and all(_is_ours_too(cell.cell_contents) for cell in closed)
+    return isinstance(function, type) and _is_package(function.__module__)
+
+
+def _is_ours_too(captured: Any) -> bool:
+    """Whether what a function has captured changes no more than it does: a function or object of this package."""
+    return is_ours(captured) or is_ours(type(captured)) or isinstance(captured, int | float | str)
+
+
+def _is_package(module: object) -> bool:
+    return isinstance(module, str) and (module == "contactbench" or module.startswith("contactbench."))
 
 
 def frame_of(error: BaseException) -> traceback.FrameSummary | None:
@@ -144,9 +156,9 @@ def their_code(what: str) -> Iterator[None]:
 
 
 def limit() -> float:
-    """Seconds that a first evaluation may take."""
+    """Seconds that a first evaluation may take, 0 for any time."""
     try:
-        seconds = float(os.environ.get(VARIABLE, DEFAULT_SECONDS))
+        seconds = float(os.environ.get(VARIABLE, 0.0))
     except ValueError:
         seconds = -1.0
     if not 0 <= seconds < 1e9:

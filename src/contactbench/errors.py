@@ -67,6 +67,9 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName
 #: a name is also a key in tables, a part of file names and a word on the command line
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 
+#: line breaks, other control characters, halves of characters
+CONTROL = re.compile("[\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ud800-\\udfff]")
+
 
 class Registry(dict):
     """A dict in table order whose missing keys raise `UnknownName` with a suggestion.
@@ -97,14 +100,21 @@ class Registry(dict):
         Raises `BadInput` for a name that is taken or not a word, and for what is no such item.
         """
         name = getattr(item, "name", None)
-        if not isinstance(item, self.of) or name is None:
-            raise BadInput(f"{shown(item)} cannot be registered: it is no {self.kind}")
-        if not isinstance(name, str) or not NAME.fullmatch(name):
-            raise BadInput(f"{self.kind} name {shown(name)}: must be letters, digits, '_', '.', '+', '-'")
-        if item.name in self:
-            raise BadInput(f"{self.kind} {item.name!r} is already registered")
-        self[item.name] = item
+        if isinstance(name, str) and name in self:
+            raise BadInput(f"{self.kind} {name!r} is already registered")
+        self[name] = item
         return item
+
+    def __setitem__(self, name: Any, item: Any) -> None:
+        """Register `item` under its own name, in place of what had it; raises `BadInput` as `add` does."""
+        own = getattr(item, "name", None)
+        if not isinstance(item, self.of) or own is None:
+            raise BadInput(f"{shown(item)} cannot be registered: it is no {self.kind}")
+        if not isinstance(own, str) or not NAME.fullmatch(own):
+            raise BadInput(f"{self.kind} name {shown(own)}: must be letters, digits, '_', '.', '+', '-'")
+        if name != own:
+            raise BadInput(f"{self.kind} name {shown(name)}: must be the item's own, {own!r}")
+        super().__setitem__(name, item)
 
 
 def finite(name: str, value: Any) -> float:
@@ -123,6 +133,17 @@ def is_real(value: Any) -> bool:
     if isinstance(value, np.ndarray | np.generic):
         return value.ndim == 0 and value.dtype.kind in "fiubO"
     return not isinstance(value, str | bytes | bytearray | complex)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is one real number that a float can be made of."""
+    return is_real(value) and hasattr(value, "__float__")
+
+
+def returned(name: str, value: Any) -> None:
+    """Raise `BadInput` unless what a user's function returned is a real number."""
+    if not is_number(value):
+        raise BadInput(f"{name}: must return a real number; it returns {shown(value)}")
 
 
 def positive(name: str, value: Any) -> float:
@@ -184,9 +205,9 @@ def function(name: str, value: Any) -> None:
 
 
 def text(name: str, value: Any) -> None:
-    """Raise `BadInput` unless `value` is a string."""
-    if not isinstance(value, str):
-        raise BadInput(f"{name} = {shown(value)}: must be a string")
+    """Raise `BadInput` unless `value` is a string without line breaks and other control characters."""
+    if not isinstance(value, str) or CONTROL.search(value):
+        raise BadInput(f"{name} = {shown(value)}: must be a string of one line, without control characters")
 
 
 def switch(name: str, value: Any) -> None:

@@ -162,9 +162,16 @@ class Solution:
         cost = "" if n is None else f", {n} evaluations ({kind})"
         why = f": {self.message}" if self.message else ""
         return (
-            f"<Solution of {self.scene.name} by {self.method} ({self.engine}, {self.setting}{self._steps}): "
+            f"<Solution of {self.scene.name} by {self.method} "
+            f"({self.engine}, {self.setting}{self._tolerance}{self._steps}): "
             f"{self.status}{why}, {len(self.t)} states to t = {self.end_time:g}{cost}>"
         )
+
+    @property
+    def _tolerance(self) -> str:
+        """The absolute tolerance, where the run had one."""
+        atol = getattr(self.run, "atol", None)
+        return "" if atol is None else f", atol={atol:.6g}"
 
     @property
     def _steps(self) -> str:

@@ -15,6 +15,8 @@ import os
 from functools import cache
 from typing import Any
 
+from contactbench.errors import BadInput
+
 
 @cache
 def configured() -> Any:
@@ -30,6 +32,13 @@ def configured() -> Any:
         with contextlib.suppress(RuntimeError):  # JAX is running already
             affinity = getattr(os, "sched_getaffinity", None)
             jax.config.update("jax_num_cpu_devices", len(affinity(0)) if affinity else os.cpu_count() or 1)
+    try:
+        jax.devices()
+    except Exception as error:  # an AssertionError too
+        asked = jax.config.jax_platforms
+        raise BadInput(
+            f"JAX_PLATFORMS = {asked}: must be what JAX can run on here, as cpu ({error!r})"
+        ) from error
     return jax
 
 

@@ -1,56 +1,87 @@
-"""How often a timed cell calls its run: five rounds at least, however long a round is."""
+"""The timed part of an experiment: every cell visited, a sample in a second process too, each recorded at the end."""
 
 from __future__ import annotations
 
-import time
-from types import SimpleNamespace
-
 import pytest
 
-from clock import VISITS, Clock, Part
-from contactbench.measure.clock import WARM
-
-SHARE = 0.2
+from clock import SAMPLE, Clock, Entry, Process, Timetable
+from contactbench.measure.clock import Part, Visit
 
 
-class Fixture:
-    """What the clock uses of the fixture of pytest-benchmark."""
+class Scripted:
+    """A call whose visits take so long, one after the other; `order` says when it was visited."""
 
-    disabled, group = False, ""
+    def __init__(self, name, order, *times):
+        self.name, self.order, self.times = name, order, iter(times)
 
-    def pedantic(self, run, rounds, iterations, teardown):
-        self.stats = SimpleNamespace(stats=SimpleNamespace(data=[]))
-        for _ in range(rounds):
-            for _ in range(iterations):
-                run()
-            self.stats.stats.data.append(1.0)
-            teardown()
+    def warm_up(self):
+        return 1.0
 
-
-def visited(part_s, visits=VISITS):
-    """Calls of a run whose part takes so long, of the part, and the columns after all visits."""
-    calls, cells = {"run": 0, "part": 0}, {}
-
-    def called(name):
-        calls[name] += 1
-
-    for _ in range(visits):
-        clock = Clock(cells, "cell", SimpleNamespace(seconds=0.02), Fixture())
-        clock.prepared(lambda: "made")
-        part = Part(lambda: (called("part"), time.sleep(part_s)), SHARE, 10.0)
-        columns = clock.columns(lambda: called("run"), "group", part)
-    return calls, columns
+    def visit(self, rounds=3):
+        self.order.append(self.name)
+        t = next(self.times)
+        return Visit([2 * t, t, 3 * t], [t / 2] * 3)
 
 
-@pytest.mark.parametrize(("part_s", "warm"), [(0.2, 1), (1.1 * SHARE * WARM, 2)])
-def test_a_long_run_is_warm_by_its_part_and_has_five_rounds(part_s, warm):
-    calls, columns = visited(part_s)
-    assert calls == {"run": 5, "part": warm + 5}
-    assert columns["rounds"] == 5
-    assert columns["time_repeat_ratio"] == 1
+def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_last():
+    order, recorded, cells = [], {}, "abcdef"
+    table = Timetable(cells, visits=8)
+    for name in cells:
+        call = Scripted(name, order, *[4.0, 2.0] * 4)
+        part = Part(lambda: None, share=0.25, span=1.0)
+        again = Scripted(f"{name} again", order, *[3.0] * 8) if name == "a" else None
+        table.entries.append(
+            Entry(call, part, again, lambda c, name=name: recorded.update({name: (c, len(order))}))
+        )
+    table.go()
+    size = len(cells) + 1
+    sweeps = [order[k : k + size] for k in range(0, len(order), size)]
+    assert len(sweeps) == 8
+    assert all(sorted(sweep) == ["a", "a again", *"bcdef"] for sweep in sweeps)
+    assert len({tuple(sweep) for sweep in sweeps}) == 8
+    for name, (columns, visited) in recorded.items():
+        assert (columns["visits"], columns["rounds"]) == (8, 24)
+        assert columns["time_min_s"] == 2.0
+        assert columns["time_halves_ratio"] == 0.5
+        assert columns["marginal_s"] == pytest.approx((2.0 - 1.0) / 0.75)
+        assert columns.get("time_process_ratio") == (1.5 if name == "a" else None)
+        assert visited > 7 * size
 
 
-def test_a_short_run_is_warmed_up_and_has_more_rounds():
-    calls, columns = visited(0.0)
-    assert columns["rounds"] > 5
-    assert calls["run"] > columns["rounds"] * columns["iterations"]
+def test_a_sample_of_the_cells_is_timed_in_a_second_process():
+    many, few = Timetable(range(1000), 8), Timetable(range(5), 8)
+    assert len(many.sample) == SAMPLE
+    assert len(few.sample) == 2
+    assert Timetable(range(1000), 8).sample == many.sample
+
+
+def test_another_process_prepares_and_times_what_it_is_told():
+    """The C loop of the particle, timed in a process of its own."""
+    from bench_work_precision import prepared_limit
+
+    process = Process([], [])
+    try:
+        call = process.prepare(prepared_limit, ("particle", "contact-strang", 0.1))
+        row = call.row()
+        assert row["status"] == "ok"
+        assert row["solution_error"] < 0.1
+        call.warm_up()
+        visit = call.visit(2)
+        assert len(visit.whole) == 2
+        assert min(visit.whole) * visit.iterations > 1e-5
+    finally:
+        process.end()
+
+
+def test_without_times_the_row_is_recorded_at_once_and_so_is_what_cannot_be_run():
+    rows = []
+
+    def record(table, **row):
+        rows.append((table, row))
+
+    def refuse(cell):
+        return {"status": "unsupported"}, None
+
+    Clock(None, "cell", record, None).time("table", {"a": 1}, lambda: ({"b": 2}, print))
+    Clock(Timetable(["cell"], 8), "cell", record, None).time("table", {"a": 1}, refuse, "cell")
+    assert rows == [("table", {"a": 1, "b": 2}), ("table", {"a": 1, "status": "unsupported"})]

@@ -14,7 +14,7 @@ from cells import family, takes_long
 @pytest.mark.slow
 def test_cells_whose_programs_are_the_same_are_in_one_process(tmp_path):
     words = "(convergence or laws) and rk4 and (particle or central or quadratic)"
-    workers = ("-vv", "-m", "not timed", "-n", "2", "-p", "no:benchmark")
+    workers = ("-vv", "-m", "not timed", "-n", "2")
     output = finished(bench(tmp_path, words, *workers))
     cells = re.findall(r"\[(gw\d)\].* PASSED .*::test_(?:convergence|laws)\[(\w+)-rk4\]", output)
     assert len(cells) == 8, output  # two experiments on four scenes

@@ -36,9 +36,21 @@ def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monk
 def test_json_is_one_object_with_the_rows(capsys):
     assert main([*RACE, "--json", "--set", "gamma=0.3"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {"reference", "margins", "rows"} <= found.keys()
+    assert {"reference", "rows"} <= found.keys()
     assert [row["error_asked"] for row in found["rows"]] == [1e-2, 1e-3] * 2
     assert all(row["time_s"] > 0 for row in found["rows"])
+
+
+def test_methods_may_follow_an_option(capsys):
+    line = ["compare", "particle", "--error", "1e-2", "rk4", "--budget", "60s", "contact-strang", "--json"]
+    assert main(line) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["method"] for row in rows] == ["rk4", "contact-strang"]
+
+
+def test_a_race_that_measures_nothing_is_no_success(capsys):
+    assert main(["compare", "particle", "contact-exact", "--error", "1e-2", "--json"]) == 1
+    assert [row["status"] for row in json.loads(capsys.readouterr().out)["rows"]] == ["unsupported"]
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import contactbench as cb
 from contactbench.ensembles.lyapunov import kaplan_yorke, orthonormal
@@ -72,6 +73,55 @@ def test_a_body_loses_volume_of_momenta_at_three_times_its_damping():
     found = cb.lyapunov("rigid_body", "contact-strang", step=0.1, every=1.0, intervals=32)
     assert len(found.exponents.value) == 3
     assert found.total.value == pytest.approx(-3 * cb.SCENES["rigid_body"].gamma, rel=1e-12)
+
+
+# -- the cost ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("method", ["rk4", "contact-strang", "contact-rkn6"])
+def test_evaluations_of_steps_are_those_of_an_interval_over_its_length(method):
+    """The settling is not in it, nor is the number of trajectories."""
+    given = {"step": 0.05, "every": 0.4, "carry": ()}
+    once = cb.solve(OSCILLATOR, method, step=0.05, save_at=[0.4], carry=()).counts.evaluations
+    for intervals, settle, n in ((1, 1, 1), (7, 5, 1), (16, 2, 3)):
+        found = cb.lyapunov(
+            OSCILLATOR,
+            method,
+            intervals=intervals,
+            settle=settle,
+            initial_conditions=starts_of_one(n),
+            **given,
+        )
+        assert found.evaluations == pytest.approx(once / 0.4, rel=1e-14)
+    if method == "rk4":
+        assert once == 4 * 8
+
+
+def starts_of_one(n):
+    return {"q": (np.linspace(0.5, 1.5, n),), "p": (np.linspace(-0.3, 0.3, n),)}
+
+
+def test_evaluations_of_cyrk_are_those_of_scipys_variational_equations():
+    """SciPy's DOP853 with the same tolerances, afresh in every interval, the tangents made orthonormal by NumPy."""
+    gamma, every, settle, intervals, n = OSCILLATOR.gamma, 1.5, 3, 6, 2
+    matrix, initial = np.array([[0.0, 1.0], [-1.0, -gamma]]), starts_of_one(n)
+    spent = 0
+    for q, p in zip(initial["q"][0], initial["p"][0], strict=True):
+        y = np.concatenate([[q, p], np.eye(2).ravel()])  # the state, and the tangents one after the other
+        for k in range(-settle, intervals):
+            run = solve_ivp(
+                lambda t, y: (y.reshape(3, 2) @ matrix.T).ravel(),
+                (0, every),
+                y,
+                "DOP853",
+                rtol=1e-7,
+                atol=1e-7,
+            )
+            y = np.concatenate([run.y[:2, -1], np.linalg.qr(run.y[2:, -1].reshape(2, 2).T)[0].T.ravel()])
+            spent += run.nfev * (k >= 0)
+    found = cb.lyapunov(
+        OSCILLATOR, "cyrk-dop853", every=every, intervals=intervals, settle=settle, rtol=1e-7,
+        initial_conditions=initial,
+    )  # fmt: skip
+    assert found.evaluations == pytest.approx(spent / (n * every * intervals), rel=1e-14)
 
 
 # -- the sum -----------------------------------------------------------------------------------------

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from contactbench.cli import main
 from contactbench.errors import BadInput
-from contactbench.gate import committed, judge
+from contactbench.gate import committed, judge, revisions
+from contactbench.gate.fresh import environment
 from contactbench.gate.judge import Question
 from contactbench.results.store import merge
 from contactbench.results.tables import LAWS_TABLE, ONE_STEP, WORK_PRECISION
@@ -101,8 +105,8 @@ def test_the_baseline_cannot_be_moved_from_the_tree_that_is_judged(attack, how, 
 def test_an_untouched_tree_is_green_and_says_what_it_was_compared_with(root, tmp_path):
     verdict = judged(root, tmp_path)
     assert not verdict.lines
-    head = git(root, "rev-parse", "--short=12", "HEAD")
-    assert f"compared with the tables of {head}" in verdict.as_markdown()
+    base = git(root, "rev-parse", "--short=12", "HEAD~1")
+    assert f"compared with the tables of {base}" in verdict.as_markdown()
     assert "tables changed" not in verdict.as_markdown()
 
 
@@ -184,6 +188,118 @@ def test_the_base_is_where_the_main_branch_was_left_or_what_is_asked_for(root, t
     assert not judged(root, tmp_path / "a").red
     run = fresh(root, tmp_path / "b")
     assert judge.gate(Question(root, fresh=run, base="main", parts=("accuracy",))).red
+
+
+def thousandfold(which, row):
+    return {**row, "solution_error": 1e3 * row["solution_error"]} if "solution_error" in row else row
+
+
+WHERE = {
+    "on main": [],
+    "detached": [["checkout", "-q", "--detach"], ["branch", "-q", "-D", "main"]],
+    "its parent replaced": [["replace", "HEAD~1", "HEAD"]],
+}
+
+
+@pytest.mark.parametrize("where", WHERE)
+def test_what_is_committed_on_the_main_branch_is_compared_with_its_parent(where, tmp_path):
+    root = repository(tmp_path / "project")
+    remade(thousandfold)(root)
+    commit(root, "harmless")
+    for arguments in WHERE[where]:
+        git(root, *arguments)
+    assert "committed solution_error" in red(judged(root, tmp_path, thousandfold))
+
+
+@pytest.mark.parametrize("part", ["accuracy", "speed"])
+def test_a_clone_without_the_base_is_inconclusive_and_says_what_to_fetch(part, tmp_path, monkeypatch, capsys):
+    origin = repository(tmp_path / "project")
+    clone = tmp_path / "clone"
+    git(origin, "clone", "-q", "--depth", "1", origin.as_uri(), str(clone))
+    run = fresh(clone, tmp_path / "fresh")
+    monkeypatch.chdir(clone)
+    arguments = ("--only", part, *(("--fresh", run) if part == "accuracy" else ()))
+    status, text = outcome(capsys, *arguments)
+    assert (status, text.count("\n")) == (2, 1)
+    assert "inconclusive: HEAD's parent is not in this clone; fetch it (git fetch --unshallow)" in text
+    git(clone, "fetch", "-q", "--unshallow")
+    assert "not in this clone" not in outcome(capsys, *arguments)[1]
+
+
+def test_a_clone_too_shallow_for_where_main_was_left_is_inconclusive(tmp_path):
+    origin = repository(tmp_path / "project")
+    git(origin, "switch", "-q", "-c", "change")
+    commit(origin, "one")
+    commit(origin, "two")
+    clone = tmp_path / "clone"
+    git(origin, "clone", "-q", "--depth", "2", "--no-single-branch", origin.as_uri(), str(clone))
+    git(clone, "remote", "set-head", "origin", "main")
+    with pytest.raises(BadInput, match="inconclusive: the commit at which HEAD left origin/HEAD"):
+        revisions.base(clone, None)
+
+
+# -- the rules -------------------------------------------------------------------------------------
+#: what is made laxer in the tree that is judged, and the line that says so
+LAXER = {
+    "gate/rules.py": ("DECADES = 0.3", "DECADES = 9.0", "rule gate.rules.DECADES"),
+    "results/columns.py": (
+        '/ max ‖y*‖", Rule.error)',
+        '/ max ‖y*‖", ungated="")',
+        "rule convergence.solution_error",
+    ),
+    "results/round_off.py": ("eps * np.max", "eps * 1e9 * np.max", "code of results.round_off"),
+    "gate/verdict.py": ("return 1 if self.red else 2", "return 0 if self.red else 2", ""),
+}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A repository with the sources of this one, and made-up tables."""
+    made = tmp_path_factory.mktemp("whole").resolve()
+    shutil.copytree(REPOSITORY / "src", made / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(REPOSITORY / name, made)
+    git(made, "init", "-q", "-b", "main")
+    folder(made / "results")
+    return commit(made, "tables")
+
+
+@pytest.mark.parametrize("file", LAXER)
+@pytest.mark.share(2)
+def test_a_rule_made_laxer_in_the_tree_that_is_judged_turns_nothing_green(file, whole, tmp_path):
+    root = tmp_path / "project"
+    git(whole, "clone", "-q", str(whole), str(root))
+    old, new, line = LAXER[file]
+    edit(root / "src" / "contactbench" / file, old, new)
+    remade(thousandfold)(root)
+    commit(root, "harmless")
+    command = [sys.executable, "-P", "-m", "contactbench.cli", "gate", "--only", "accuracy", "--json"]
+    run = fresh(root, tmp_path / "fresh", thousandfold)
+    done = subprocess.run(
+        [*command, "--fresh", run], cwd=root, env=environment(root), capture_output=True, text=True
+    )
+    assert done.returncode == 1, done.stderr
+    found = json.loads(done.stdout)["lines"]
+    assert {"committed solution_error", "solution_error"} <= {
+        each["measure"] for each in found if each["red"]
+    }
+    assert [each["verdict"] for each in found if each["measure"] == line] == [
+        "rule changed, the base's judges"
+    ] * bool(line)
+
+
+def test_a_base_too_old_to_judge_leaves_a_changed_rule_open(whole, tmp_path, monkeypatch):
+    root = tmp_path / "project"
+    git(whole, "clone", "-q", str(whole), str(root))
+    file = root / "src" / "contactbench" / "gate" / "revisions.py"
+    edit(file, revisions.JUDGED, "NOT_YET")
+    commit(root, "old")
+    monkeypatch.chdir(root)
+    run = fresh(root, tmp_path / "fresh")
+    arguments = ["gate", "--only", "accuracy", "--base", "HEAD", "--fresh", str(run)]
+    assert main(arguments) == 0
+    edit(root / "src" / "contactbench" / "gate" / "rules.py", "DECADES = 0.3", "DECADES = 9.0")
+    assert main(arguments) == 2
 
 
 # -- the command line ------------------------------------------------------------------------------

@@ -25,22 +25,19 @@ def project(tmp_path):
     return tmp_path
 
 
-def test_speed_is_compared_with_head_where_the_sources_have_changes_and_else_with_its_parent(project):
-    head, parent = git(project, "rev-parse", "HEAD", "HEAD~1").split()
+def test_sources_with_changes_are_dirty_and_other_files_only_where_they_are_named(project):
     assert revisions.repository(project / "src") == project
-    assert revisions.resolved(project, None) == parent
+    assert revisions.base(project, "HEAD~1") == git(project, "rev-parse", "HEAD~1")
     (project / "note").write_text("no source")
     assert not revisions.dirty(project)
     assert revisions.dirty(project, "note")
-    assert revisions.resolved(project, None) == parent
     (project / "src" / "contactbench" / "a.py").write_text("two\n")
-    assert revisions.resolved(project, None) == head
-    assert revisions.resolved(project, "HEAD~1") == parent
+    assert revisions.dirty(project)
 
 
 def test_a_revision_that_is_not_there_is_named(project):
     with pytest.raises(cb.BadInput, match="--base nowhere: no such revision"):
-        revisions.resolved(project, "nowhere")
+        revisions.base(project, "nowhere")
     with pytest.raises(cb.BadInput, match=r"git log in .*: 'git <command>"):  # the last of three lines
         git(project, "log", "nowhere")
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -14,14 +16,15 @@ import pytest
 
 import selfcheck_speed
 from cases import counts_memory, most_slow
+from contactbench.cli import main
 from contactbench.errors import BadInput
-from contactbench.gate import judge, revisions, speed, speed_worker
-from contactbench.gate.workload import MANY, Cell, workload
+from contactbench.gate import judge, speed, speed_worker
+from contactbench.gate.workload import MANY, PUBLIC, Cell, workload
 from contactbench.plugins import VARIABLE
 from contactbench.results.statistics import PairedRatio
 from contactbench.results.store import merge, read
 from contactbench.results.tables import WORK_PRECISION
-from made_up import committed, folder, row
+from made_up import commit, committed, folder, git, row
 from planted_faults import plugin
 from selfcheck_faults import SPENT
 
@@ -81,7 +84,9 @@ def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
         baseline,
     )
     cells = workload(read(WORK_PRECISION, baseline))
-    assert [(c.scene, c.method, c.setting, c.carry) for c in cells if c.saves == 1] == [
+    assert [
+        (c.scene, c.method, c.setting, c.carry) for c in cells if c.saves == 1 and c.call == "prepared"
+    ] == [
         ("particle", "rk4", "step=0.1", ()),
         ("particle", "cvode-adams", "rtol=1e-06", ()),
         ("central", "rk4", "step=0.2", ()),
@@ -90,6 +95,8 @@ def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
     assert [(c.scene, c.method, c.saves) for c in cells if c.saves > 1] == [
         ("particle", "rk4", MANY), ("particle", "cvode-adams", MANY),
     ]  # fmt: skip
+    assert cells[-len(PUBLIC) :] == list(PUBLIC)
+    assert {cell.call for cell in PUBLIC} == {*speed_worker.CALLS} - {"prepared"}
 
 
 def test_many_saved_times_are_timed_on_the_first_engine_of_a_method_and_every_planted_fault_has_its_cell(
@@ -119,8 +126,8 @@ def patched(file, old, new):
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
-    """A clone of the project with its sources as they are now, committed."""
-    path = tmp_path_factory.mktemp("copy").resolve()
+    """A clone of the project with its sources as they are now, and made-up tables, committed."""
+    path = folder(tmp_path_factory.mktemp("copy").resolve() / "results").parent
     shutil.copytree(REPOSITORY / "src", path / "src", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("bench", "references"):
         shutil.copytree(REPOSITORY / name, path / name)
@@ -146,43 +153,11 @@ def test_the_same_code_is_not_slower_and_twice_the_work_is(copy):
         path for path in (copy / "src" / "contactbench" / "methods").rglob("*.py") if once in path.read_text()
     )
     with patched(file, once, once + once):
-        slower = judge.slower(copy, CELLS, None)  # local changes: compared with HEAD
+        slower = judge.slower(copy, CELLS, "HEAD")
     assert "with local changes" in slower.compared[0]
     (line,) = lines(slower)
     assert line.verdict == "slower"
     assert float(line.after.removeprefix("×")) == pytest.approx(2, rel=0.15)
-    assert not subprocess.run(
-        ["git", "-C", str(copy), "worktree", "list", "--porcelain"], capture_output=True, text=True
-    ).stdout.count("contactbench-base")  # nothing is left behind
-
-
-HOLDER = """
-import sys, time
-from pathlib import Path
-from contactbench.gate import revisions
-
-with revisions.checkout(Path(sys.argv[1]), revisions.resolved(Path(sys.argv[1]), "HEAD")) as tree:
-    print(tree, flush=True)
-    time.sleep(60)
-"""
-
-
-def test_the_working_tree_of_a_killed_gate_is_removed_by_the_next_and_a_living_one_is_not(copy):
-    command = [sys.executable, "-c", HOLDER, str(copy)]
-    holders = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    killed, living = (Path(holder.stdout.readline().strip()) for holder in holders)
-    holders[0].kill()
-    holders[0].wait()
-    assert killed.exists()
-    with revisions.checkout(copy, revisions.resolved(copy, "HEAD")) as tree:
-        assert tree.exists()
-        assert not killed.parent.exists()
-        assert living.exists()
-        assert str(killed) not in revisions.git(copy, "worktree", "list")
-    holders[1].terminate()
-    holders[1].wait()
-    with revisions.checkout(copy, revisions.resolved(copy, "HEAD")):
-        assert not living.parent.exists()
 
 
 def test_a_cell_one_side_cannot_run_is_reported_and_a_broken_tree_is_not_compared(copy, tmp_path):
@@ -277,6 +252,53 @@ def test_what_there_is_no_time_for_is_said_to_be_inconclusive(clocked):
     assert said[1] == "speed: inconclusive beyond that, the time was up after 3 rounds of 15 or more"
 
 
+@pytest.mark.parametrize(
+    ("timed", "reasons"),
+    [(range(6), []), (range(3), []), (range(2), ["only 2 of 6"]), ([1, 2, 4], ["no cell timed of solve"]),
+     ([], ["only 0 of 6", "no cell timed of rk4, solve"])],
+)  # fmt: skip
+def test_too_few_cells_are_no_verdict(timed, reasons):
+    solve, rk4 = (replace(CELLS[0], method="rk4", call=call) for call in ("solve", "prepared"))
+    few = judge.too_few([solve, *[rk4] * 5], timed)
+    assert len(few) == len(reasons)
+    assert all(map(str.startswith, few, reasons))
+    verdict = judge.Verdict(incomplete=few)
+    assert verdict.status == (2 if reasons else 0)
+    red = judge.Line("time", "×1", "×2", "", "slower", True)
+    assert (verdict + judge.Verdict((red,))).status == 1
+
+
+def test_a_gate_without_time_is_inconclusive(copy, tmp_path, monkeypatch, capsys):
+    """From the command line, of a whole workload."""
+    root = tmp_path / "project"
+    git(copy, "clone", "-q", str(copy), str(root))
+    commit(root, "nothing more")
+    monkeypatch.chdir(root)
+    assert main(["gate", "--only", "speed", "--budget", "1", "--json"]) == 2
+    assert "only " in json.loads(capsys.readouterr().out)["incomplete"][0]
+
+
+class Scripted(speed.Side):
+    """A process whose clock is a script: a call takes 1 ms, but for one repeat that something interrupts."""
+
+    def __init__(self, interrupted):
+        self.interrupted = interrupted
+
+    def _say(self, what):
+        ends = np.cumsum([1e-3, 1e-3 + self.interrupted, 1e-3])
+        clock = iter([t for start, end in zip([0.0, *ends[:-1]], ends, strict=True) for t in (start, end)])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(speed_worker, "perf_counter", lambda: next(clock))
+            self.answer = speed_worker.seconds(lambda: None, 1e-3)
+
+    def _answer(self):
+        return self.answer
+
+
+def test_the_estimate_is_the_repeat_that_nothing_interrupted():
+    assert Scripted(0.0).time(0) == Scripted(5e-3).time(0) == pytest.approx(1e-3)
+
+
 def test_a_verdict_says_inconclusive_in_words():
     line = judge.Line("time", "×1", "×1.3", "", "inconclusive", False, "particle", "rk4")
     verdict = judge.Verdict((line,), ("speed: …",))
@@ -318,6 +340,7 @@ def test_with_little_time_every_method_and_engine_comes_first():
     ordered = judge.kinds_first(cells, "seed")
     assert sorted(map(repr, ordered)) == sorted(map(repr, cells))
     assert [len({(c.method, c.engine) for c in ordered[k : k + 4]}) for k in (0, 4, 8)] == [4, 4, 4]
+    assert len({c.method for c in ordered[:2]}) == 2
     assert ordered == judge.kinds_first(cells, "seed") != judge.kinds_first(cells, "another")
 
 
@@ -423,7 +446,7 @@ def test_what_runs_leave_behind_is_counted_but_not_what_is_allocated_once(size):
         if size:
             kept.append(np.ones(size // 8))
 
-    found = speed_worker.left_behind(run, calls=5)
+    found = speed_worker.left_behind(run, once=2e-4)
     assert found == pytest.approx(speed_worker.RUNS * size, rel=0.1, abs=5e4)
 
 
@@ -435,6 +458,41 @@ def test_compilation_and_memory_are_planted_in_one_of_two_trees(fault, copy, tmp
     cells = [Cell("particle", "contact-strang", "numba", "step", 0.4, ())]
     verdict = judge.slower(copy, cells, "HEAD")
     assert fault in {line.measure for line in verdict.lines if line.red}
+
+
+#: at the end of the package's own module: what every public call does beside its work
+DELAYS = """
+import time
+from contactbench.ensembles import ensemble
+from contactbench.methods.base import Prepared
+
+def late(function, seconds, when=""):
+    def other(*given, **more):
+        if when in {"", *more}:
+            time.sleep(seconds)
+        return function(*given, **more)
+    return other
+
+time.sleep(1)
+solve, ensemble, reference = late(solve, 0.01), late(ensemble, 0.5), late(reference, 0.2)
+Prepared.__call__ = late(Prepared.__call__, 0.002, "q")
+"""
+
+
+@pytest.mark.parametrize(
+    "calls",
+    [["solve", "run(q=…)"], pytest.param(["ensemble", "reference", "import"], marks=pytest.mark.slow)],
+    ids=" ".join,
+)
+def test_a_delay_of_every_public_call_is_found(calls, copy, monkeypatch):
+    """All of them planted in the sources of the head; a live reference takes longer, and shares its call."""
+    monkeypatch.setattr(speed, "ROUNDS", 7)
+    cells = [cell for cell in PUBLIC if cell.call in calls]
+    assert not judge.slower(copy, cells[:1], "HEAD").red
+    with patched(copy / "src/contactbench/__init__.py", "load_installed()\n", "load_installed()\n" + DELAYS):
+        verdict = judge.slower(copy, cells, "HEAD")
+    slower = [line.setting for line in lines(verdict) if line.verdict == "slower"]
+    assert slower == [cell.setting for cell in cells]
 
 
 def test_a_slowdown_is_planted_in_one_of_two_trees(copy, tmp_path, monkeypatch):

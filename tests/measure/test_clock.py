@@ -1,102 +1,179 @@
-"""Timing in turns: every run twice, neither first nor last always, three times each at least."""
+"""How calls are timed, with calls whose times are scripted: no test waits for a clock."""
 
 from __future__ import annotations
 
-import time
+import gc
+import itertools
+from collections import Counter
 
-import numpy as np
 import pytest
 
 from contactbench.measure import clock
-from contactbench.measure.clock import MOST_ROUNDS, WARM, Race, calls_a_round, length_columns, time_columns
+from contactbench.measure.clock import (
+    LONG,
+    MOST_VISITS,
+    ROUND_SECONDS,
+    ROUNDS,
+    VISITS,
+    Call,
+    Part,
+    Race,
+    Visit,
+    length_columns,
+    process_columns,
+    time_columns,
+)
+from contactbench.results.statistics import Verdict, margin, verdict
 
 
-def test_runs_take_turns_in_changing_order_and_are_measured_twice(monkeypatch):
-    calls = []
-    race = Race([lambda i=i: (calls.append(i), time.sleep(2e-3)) for i in range(3)])
-    monkeypatch.setattr(
-        race, "warm_up", lambda warm_up=race.warm_up: [min(warm_up())] * 3
-    )  # all of one length
-    race.go(0.2)
-    for i in range(3):
-        assert [len(samples) for samples in race.measured[i]] == [
-            len(samples) for samples in race.measured[0]
-        ]
-        assert min(map(len, race.measured[i])) >= 3
-        columns = race.columns(i)
-        taken = [t for samples in race.measured[i] for t in samples]
-        assert min(taken) >= 2e-3  # asleep at least as long as asked for, however busy the machine
-        assert columns["time_median_s"] == np.median(taken)
-        assert columns["rounds"] == sum(map(len, race.measured[i]))
-        assert columns["time_repeat_ratio"] > 0
-    after = calls[6:]  # two each to warm up; one call fills a round
-    rounds = [after[k : k + 3] for k in range(0, len(after), 3)]
-    assert all(sorted(turn) == [0, 1, 2] for turn in rounds)
-    assert len({tuple(turn) for turn in rounds}) > 1
-
-
-def test_every_run_has_three_rounds_a_visit_where_there_is_no_time_for_more():
-    race = Race([lambda: time.sleep(5 * WARM), lambda: None])
-    race.go(0.0)
-    assert [[len(samples) for samples in visits] for visits in race.measured] == [[3, 3], [3, 3]]
-
-
-def test_a_run_that_grows_slower_has_three_rounds_a_visit_and_no_more(monkeypatch):
-    """A clock by script: an eighth of a second for the warm call, eight for the others, in a race of two."""
-    now, lengths = [0.0], iter([0.125])
+@pytest.fixture
+def machine(monkeypatch):
+    """A clock that stands still but for what calls add to it."""
+    now = [0.0]
     monkeypatch.setattr(clock, "perf_counter", lambda: now[0])
 
-    def run():
-        now[0] += next(lengths, 8.0)
+    def call(*durations):
+        """A function that takes so long, one duration after the other and again."""
+        taken = itertools.cycle(durations)
+        return lambda: now.__setitem__(0, now[0] + next(taken))
 
-    race = Race([run])
-    race.go(2.0)
-    assert race.measured == [[[8.0] * 3, [8.0] * 3]]
+    call.now = now
+    return call
 
 
-def test_an_interrupted_race_keeps_the_rounds_it_has():
-    count = [0]
+class Scripted:
+    """A call of a race whose rounds are given visit by visit."""
 
-    def run():
-        count[0] += 1
-        time.sleep(2e-3)
-        if count[0] == 5:
-            raise KeyboardInterrupt
+    def __init__(self, *visits):
+        self.visits, self.rounds = iter(visits), []
 
-    race = Race([run])
+    def warm_up(self):
+        return 1.0
+
+    def visit(self, rounds=ROUNDS):
+        self.rounds.append(rounds)
+        return Visit(next(self.visits))
+
+
+def test_the_least_round_is_the_estimate_and_median_and_spread_stay():
+    columns = time_columns([Visit([3.0, 2.0, 4.0], iterations=7), Visit([6.0, 1.0, 5.0], iterations=9)])
+    assert columns == {
+        "time_min_s": 1.0, "time_median_s": 3.5, "time_iqr_s": 2.5, "time_halves_ratio": 0.5, "visits": 2, "rounds": 6,
+        "iterations": 9,
+    }  # fmt: skip
+
+
+def test_the_halves_are_odd_and_even_visits():
+    assert time_columns([Visit([t]) for t in (4.0, 9.0, 9.0, 6.0)])["time_halves_ratio"] == 1.5
+    assert "time_halves_ratio" not in time_columns([Visit([1.0])])
+
+
+def test_fixed_and_marginal_cost_are_those_of_the_line_through_the_least_rounds():
+    part = Part(lambda: None, share=0.2, span=40.0)
+
+    def visit(drift):
+        return Visit([drift * (3e-6 + 2e-7 * 40)], [(3 - drift) * (3e-6 + 2e-7 * 8)])  # slow in turns
+
+    columns = length_columns([visit(d) for d in (1.0, 1.0, 2.0, 2.0)], part)
+    assert columns["fixed_s"] == pytest.approx(3e-6)
+    assert columns["marginal_s"] == pytest.approx(2e-7)
+    assert columns["marginal_halves_ratio"] == pytest.approx(1.0)
+    lost = [Visit([2.0], [1.0]), Visit([2.0], [3.0])]
+    assert "marginal_halves_ratio" not in length_columns(
+        lost, part
+    )  # one half says it takes less than no time
+
+
+def test_a_second_process_is_compared_by_its_least_round():
+    part = Part(lambda: None, share=0.5, span=1.0)
+    first, second = [Visit([4.0], [1.0]), Visit([2.0], [1.5])], [Visit([9.0], [2.0]), Visit([3.0], [7.0])]
+    columns = process_columns(first, second, part)
+    assert columns == {"time_process_ratio": 1.5, "marginal_process_ratio": 1.0}
+    assert process_columns(first, second) == {"time_process_ratio": 1.5}
+
+
+def test_a_round_takes_as_long_as_it_should_however_slow_the_first_calls_were(machine):
+    durations = [10 * ROUND_SECONDS] * 2 + [ROUND_SECONDS / 10] * 500
+    call = Call(machine(*durations))
+    call.warm_up()
+    assert call.visit().iterations == 1  # as the warm-up had it
+    assert call.visit().iterations in (10, 11)  # the clock's own rounding
+    part = Part(machine(ROUND_SECONDS / 100), share=0.1, span=1.0)
+    both = Call(machine(ROUND_SECONDS / 10), part)
+    both.warm_up()
+    visit = both.visit(2)
+    assert len(visit.whole) == len(visit.part) == 2
+    assert visit.part == pytest.approx([ROUND_SECONDS / 100] * 2)
+
+
+def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
+    calls = Counter()
+    slow = machine(2 * LONG)
+    call = Call(lambda: (calls.update(["run"]), slow()))
+    call.warm_up()
+    assert len(call.visit().whole) == 1
+    assert calls["run"] == 2
+
+
+def test_no_garbage_is_collected_in_a_round(machine):
+    seen = []
+    call = Call(lambda: (seen.append(gc.isenabled()), machine(LONG)()))
+    call.warm_up()
+    call.visit()
+    assert seen[-1] is False
+    assert gc.isenabled()
+
+
+def test_every_sweep_visits_all_in_an_order_of_its_own():
+    race = Race([Scripted(*[[1.0]] * 4) for _ in range(6)])
+    orders = [tuple(race.sweep()) for _ in range(4)]
+    assert all(sorted(order) == list(range(6)) for order in orders)
+    assert len(set(orders)) == 4
+    assert [len(visits) for visits in race.visits] == [4] * 6
+
+
+@pytest.mark.parametrize(
+    ("budget", "visits", "rounds"),
+    [(0.0, VISITS, 1), (2.2 * VISITS * 2, VISITS, 2), (1e9, MOST_VISITS, ROUNDS)],
+)
+def test_where_time_is_short_there_are_fewer_rounds_and_never_fewer_visits(machine, budget, visits, rounds):
+    class Second(Scripted):
+        def visit(self, rounds=ROUNDS):
+            machine.now[0] += rounds
+            return super().visit(rounds)
+
+    race = Race([Second(*[[1.0]] * MOST_VISITS) for _ in range(2)])
+    race.go(budget)
+    assert [call.rounds for call in race.calls] == [[rounds] * visits] * 2
+
+
+def test_an_interrupted_race_keeps_the_visits_it_finished():
+    def interrupted():
+        yield [1.0, 3.0]
+        yield [2.0, 2.0]
+        raise KeyboardInterrupt
+
+    calls = [Scripted(), Scripted(*[[2.0]] * 3)]
+    calls[0].visits = interrupted()
+    race = Race(calls)
     with pytest.raises(KeyboardInterrupt):
-        race.go(1.0)
-    assert len(race.measured[0][0]) == 2
-    assert "time_repeat_ratio" not in race.columns(0)
-    assert race.columns(0)["time_median_s"] > 0
+        race.go(0.0)
+    assert time_columns(race.visits[0])["time_min_s"] == 1.0
 
 
-def test_a_round_is_half_a_millisecond_of_calls():
-    assert calls_a_round(1e-5) == 50
-    assert calls_a_round(1.0) == 1
-    assert MOST_ROUNDS >= 3
+@pytest.mark.parametrize("slow", [(0,), (0, 1, 2), (1, 3, 5, 7), (0, 2, 3, 5, 6, 7)])
+def test_a_slow_phase_changes_no_verdict(slow):
+    """The machine takes half as long again in some visits, in which only one of the two calls is met."""
+    times = {"a": 1.00, "b": 1.10, "c": 1.02}
+    met = {name: [Visit([t * (1.5 if v in slow and name == "a" else 1.0)]) for v in range(VISITS)] for name, t in
+           times.items()}  # fmt: skip
+    columns = {name: time_columns(visits) for name, visits in met.items()}
 
+    def judged(a, b):
+        halves = (columns[a]["time_halves_ratio"], columns[b]["time_halves_ratio"])
+        return verdict(columns[a]["time_min_s"] / columns[b]["time_min_s"], margin(halves, 1.04))
 
-def test_the_columns_are_order_statistics():
-    columns = time_columns([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], 7)
-    assert (columns["time_min_s"], columns["time_median_s"], columns["rounds"], columns["iterations"]) == (
-        1,
-        3.5,
-        6,
-        7,
-    )
-    assert columns["time_repeat_ratio"] == 2.5
-
-
-def test_fixed_and_marginal_cost_are_those_of_the_line_through_two_lengths():
-    fixed, per_time, span, share = 3e-6, 2e-7, 40.0, 0.2
-    drift = [1.0, 1.2, 0.9, 1.1]  # of the machine, in turns: it scales both lengths of a round
-    whole = [[d * (fixed + per_time * span) for d in drift], [fixed + per_time * span] * 3]
-    part = [[d * (fixed + per_time * span * share) for d in drift], [fixed + per_time * span * share] * 3]
-    columns = length_columns(whole, part, share, span)
-    assert columns["fixed_s"] == pytest.approx(fixed, rel=1e-9)
-    assert columns["marginal_s"] == pytest.approx(per_time, rel=1e-9)
-    assert columns["marginal_repeat_ratio"] == pytest.approx(1 / 1.05, rel=1e-9)
-    assert columns["marginal_iqr_s"] > 0
-    only = length_columns(whole[:1], part[:1], share, span)
-    assert "marginal_repeat_ratio" not in only
+    whole_half = len({v % 2 for v in set(range(VISITS)) - set(slow)}) == 1
+    # where one half met nothing but the slow phase the cell knows that it is too noisy: no verdict turns round
+    assert judged("a", "b") is (Verdict.undecided if whole_half else Verdict.win)
+    assert judged("c", "a") is (Verdict.undecided if whole_half else Verdict.tie)

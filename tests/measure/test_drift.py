@@ -352,8 +352,9 @@ def test_matrix_product_and_plain_components_push_the_same_tangents(name):
     larger = variational(cb.prepare(name, "scipy-radau", rtol=1e-6).request)
     scene, carry = larger.scene, larger.carry
     y = np.random.default_rng(41).normal(size=len(scene.labels(carry))).tolist()
-    by_components = scene.pack(scene.rhs(scene.unpack(y, carry)))
-    np.testing.assert_allclose(list(flat_rhs(scene, carry)(y)), by_components, rtol=1e-14, atol=1e-14)
+    t, y = (0.0, y) if scene.clock is None else (y[scene.clock], scene.without_clock(y))
+    by_components = scene.slopes(t, y, carry)
+    np.testing.assert_allclose(list(flat_rhs(scene, carry)(t, y)), by_components, rtol=1e-14, atol=1e-14)
 
 
 # -- round-off -------------------------------------------------------------------------------------

@@ -11,7 +11,9 @@ import pytest
 import contactbench as cb
 from cases import USER, by_name
 from contactbench.measure.deviation import conformal_deviation, relative_deviation
-from contactbench.measure.laws import laws_of, momentum_deviation, row
+from contactbench.measure.ladder import save_times
+from contactbench.measure.laws import LAWS, laws_of, momentum_deviation, row
+from contactbench.measure.round_off import JUDGEMENT
 from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)
@@ -225,3 +227,57 @@ def test_entries_taken_against_their_terms_are_counted():
     assert (
         mild["contact_drift_clamped"] == mild["hamiltonian_law_clamped"] == mild["momentum_law_clamped"] == 0
     )
+
+
+# -- judgements ------------------------------------------------------------------------------------
+STATE, MAP = {"momentum_law", "attitude_drift"}, {"contact_drift", "pairing_drift"}
+OWN = {"distribution_drift", "own_factor_drift"}
+
+
+def judged(scene, method, **setting):
+    solution = cb.solve(scene, method, save_at=save_times(cb.SCENES[scene]), **setting)
+    columns = row(solution)
+    by_law = {
+        name: {what: columns.get(f"{name}_{what}") for what in JUDGEMENT}
+        for name, law in LAWS.items()
+        if law.structural and f"{name}_claimed" in columns
+    }
+    assert solution.ok
+    assert by_law
+    return columns, by_law
+
+
+@pytest.mark.parametrize(
+    ("scene", "method", "setting", "claimed"),
+    [
+        ("central", "contact-rkn4", {"step": 0.2}, {"momentum_law"} | MAP | OWN),
+        ("rigid_body", "contact-strang", {"step": 0.2}, STATE | OWN | {"contact_drift"}),
+        ("lane_emden_5", "contact-rkn4", {"step": 0.2}, MAP | OWN),
+        ("quadratic_damping", "contact-rkn4", {"step": 0.2}, OWN),
+        ("central", "herglotz2", {"step": 0.05}, OWN),
+        ("central", "contact-adaptive", {"rtol": 1e-6}, {"momentum_law"}),
+        ("central", "rk4", {"step": 0.05}, set()),
+        ("central", "cyrk-vern8", {"rtol": 1e-8}, set()),
+    ],
+)
+def test_a_law_that_is_claimed_is_kept(scene, method, setting, claimed):
+    """What a method promises on a scene, and no more; the truth's factor where Γ' follows s is nobody's to promise."""
+    _, by_law = judged(scene, method, **setting)
+    assert {name for name, found in by_law.items() if found["claimed"]} == claimed
+    for name in claimed:
+        assert by_law[name]["kept"] is True, name
+        assert by_law[name]["undecided"] is False
+        assert 1e-12 <= by_law[name]["bound"] < 1e-9
+    if not claimed:
+        assert not by_law["contact_drift"]["kept"]
+
+
+@pytest.mark.parametrize("step", [1.0, 0.1])
+def test_a_run_that_does_not_follow_the_motion_is_not_judged(step):
+    columns, by_law = judged("central", "contact-strang", step=step)
+    follows = columns["solution_error"] <= 0.1
+    assert follows == (step < 1)
+    for found in by_law.values():
+        assert math.isfinite(found["bound"]) == found["kept"] == follows
+        assert found["claimed"]
+        assert not found["undecided"]

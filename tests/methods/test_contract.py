@@ -12,7 +12,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.python_engine import PythonLoop
 from contactbench.plugins import OWN
 from contactbench.testing import METHOD_RULES, MethodCase, Violation, check_method, method_cases
-from contactbench.testing.method import CASES, check_case
+from contactbench.testing.method import CASES, case_findings
 
 RK4 = cb.METHODS["rk4"]
 
@@ -40,12 +40,14 @@ def product():
             turn = quick_scene(method, case.engine, k, taken)
             name = f"{method.name}-{case.engine}-{case.scene.name}"
             quick = case.scene is turn or case.scene not in taken or method.name not in OWN
+            if method.name not in OWN:  # whichever engine of theirs is chosen: all rules
+                case = replace(case, first=True)
             yield pytest.param(case, id=name, marks=[] if quick else pytest.mark.slow)
 
 
 @pytest.mark.parametrize("case", list(product()))
 def test_a_method_keeps_its_contract(case):
-    check_case(case)
+    assert [found.rule for found in case_findings(case)] == list(METHOD_RULES)
 
 
 # -- a violation of each rule ----------------------------------------------------------------------
@@ -80,6 +82,11 @@ class DerivesWrongly(PythonLoop):
         return 1.001 * super().sensitivity(y0)
 
 
+class OtherSteps(PythonLoop):
+    def intervals(self, y0, h, n):
+        return super().intervals(y0, h * (1 + 1e-9), n)
+
+
 @dataclass(frozen=True)
 class Broken(FixedStep):
     """RK4 on plain floats, run by a class that breaks a rule."""
@@ -110,7 +117,7 @@ class CostsNothing(Broken):
 
 def by_engine(scene, x, h, xp):
     """Other steps in compiled code."""
-    return RK4.step(scene, x, h if xp is math else h * (1 + 1e-9), xp)
+    return RK4.step(scene, x, h if xp is math or hasattr(xp, "mpf") else h * (1 + 1e-9), xp)
 
 
 BROKEN = [
@@ -138,7 +145,7 @@ BROKEN = [
 )
 def test_a_broken_rule_is_named(rule, method):
     with pytest.raises(Violation) as caught:
-        check_case(MethodCase(method, method.engines[-1 if rule == 9 else 0], CASES[0]))
+        list(case_findings(MethodCase(method, method.engines[-1 if rule == 9 else 0], CASES[0])))
     assert caught.value.rule == rule, caught.value
     assert "broken" in str(caught.value)
 
@@ -148,7 +155,51 @@ def test_every_rule_has_a_method_that_breaks_it():
 
 
 def test_a_method_that_breaks_none_passes():
-    check_case(MethodCase(Broken(), "python", CASES[0]))
+    found = {each.rule: each for each in case_findings(MethodCase(Broken(), "python", CASES[0]))}
+    assert list(found) == list(METHOD_RULES)
+    assert found[6].measured["order"] == pytest.approx(4, abs=0.02)
+    assert found[10].measured["steps back"] > 1e-10
+
+
+ENGINES = ("numba", "jax", "python")
+
+
+@pytest.mark.parametrize("engines", [["python"], ["numba"], ["python", "numba"]], ids=str)
+@pytest.mark.parametrize(
+    ("rule", "wrong"),
+    [(6, {"order": 5}), (6, {"order": 3}), (8, {"evaluations": 3}), (10, {"symmetric": True})],
+)
+def test_no_rule_is_left_out_with_an_engine(engines, rule, wrong):
+    with pytest.raises(Violation) as caught:
+        check_method(Broken(engines=ENGINES, **wrong), engines=engines, scenes=CASES[:1])
+    assert caught.value.rule == rule
+
+
+@pytest.mark.parametrize(("engine", "other"), [("python", "numba"), ("numba", "python")])
+def test_one_engine_alone_is_compared_with_another(engine, other):
+    with pytest.raises(Violation, match=f"rule 9: .* {engine} is .* off {other}"):
+        check_method(Broken(engines=ENGINES, run=OtherSteps), engines=[engine], scenes=CASES[:1])
+
+
+def test_what_a_check_returns_says_which_rules_where_and_what_was_measured():
+    found = check_method(Broken(engines=ENGINES), engines=["python", "numba"], scenes=CASES[::2])
+    assert [(f.engine, f.scene, f.rule) for f in found] == [
+        (engine, scene.name, rule)
+        for engine in ("python", "numba") for scene in CASES[::2] for rule in METHOD_RULES
+    ]  # fmt: skip
+    orders = {(f.engine, f.scene): f.measured["order"] for f in found if "order" in f.measured}
+    assert orders == {("python", scene.name): pytest.approx(4, abs=0.02) for scene in CASES[::2]}
+
+
+def test_a_check_that_runs_nothing_is_refused():
+    for nothing in ({"engines": []}, {"engines": ["c++"]}, {"scenes": []}):
+        with pytest.raises(cb.BadInput, match="must be one or more"):
+            check_method(Broken(), **nothing)
+    refused = cb.METHODS["contact-exact"]
+    found = list(case_findings(MethodCase(refused, "python", CASES[0])))
+    assert [f.rule for f in found if f.not_here] == list(range(3, 12))
+    with pytest.raises(cb.BadInput, match="refuses all"):
+        check_method(refused, engines=["python"], scenes=CASES[:1])
 
 
 def test_engines_and_scenes_can_be_chosen():

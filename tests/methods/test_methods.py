@@ -248,6 +248,25 @@ def test_divergence_is_located_to_the_step(method):
     assert 3 < times[0] < 4
 
 
+@fixed
+@pytest.mark.share(3)
+def test_the_step_that_diverges_is_the_last_one_counted(method):
+    """Against steps taken one by one until a component is 10⁶ times the size of the initial (q, p)."""
+    scene, step = cb.SCENES["escape"], cb.step_map("escape", method.name)
+    y, motion, n = step.start, len(step.start) - 1, 0
+    bound = 1e6 * np.linalg.norm(y[:motion])
+    while max(map(abs, y[:motion])) <= bound:
+        y, n = step(y, 0.01), n + 1
+    for engine in ("numba", "python"):
+        for save in ([10.0], [0.0, 1.0, 2.0, 10.0]):
+            solution = cb.solve(scene, method.name, step=0.01, save_at=save, engine=engine)
+            assert solution.counts.steps == n
+            assert solution.end_time == pytest.approx(0.01 * n, rel=1e-9)
+            begun = 1 + sum(0 < t < 0.01 * n for t in save)  # intervals, each with a first step
+            expected = begun * method.counts(scene, 1) + (n - begun) * method.per_step(scene)
+            assert solution.counts.evaluations == expected
+
+
 def test_what_a_nystrom_composition_cannot_do_is_unsupported_with_the_reason():
     solution = cb.solve("rigid_body", "contact-rkn6", step=0.1)
     assert solution.status is Status.unsupported

@@ -4,6 +4,7 @@ import heyoka
 import numpy as np
 import pytest
 
+from contactbench.numbers.recording import CannotRecord
 from contactbench.numbers.series import Series, SeriesNumbers
 
 
@@ -32,3 +33,12 @@ def test_arithmetic_from_both_sides_and_of_numpy_s_scalars():
     y = np.float64(2.0) * (3.0 - x) / (1.0 + x) - (-x) + x / 4.0 + 2.0**x
     assert value(y, 0.5) == pytest.approx(2 * 2.5 / 1.5 + 0.5 + 0.125 + 2**0.5, rel=1e-14)
     assert value(SeriesNumbers().atan2(x, 2.0), 0.5) == pytest.approx(np.arctan2(0.5, 2.0), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [bool, float, int, lambda x: x == 0, lambda x: x != 0, lambda x: x < 0, lambda x: x >= 0, lambda x: [*x]],
+)
+def test_its_value_cannot_be_asked_for(ask):
+    with pytest.raises(CannotRecord, match="known only when the program runs"):
+        ask(Series(heyoka.expression("x")))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
 
 from contactbench.cli import main
@@ -22,8 +24,8 @@ def rows(method, family, order):
             "value": h, "step": h, "setting": f"step={h}", "status": "ok", "solution_error": h**order / 10,
             "energy_law": h**order, "contact_drift": 1e-15 if family == "contact" else h**order,
             "evaluations": round(20 / h), "rhs_equivalents": 20 / h, "steps": round(20 / h),
-            "time_median_s": 1e-5 / h, "time_repeat_ratio": 1.02, "order": order, "last_slope": order,
-            "in_fit": True, "order_nominal": order, "profile": "smoke",
+            "time_min_s": 1e-5 / h, "time_median_s": 1e-5 / h, "time_halves_ratio": 1.02, "order": order,
+            "last_slope": order, "in_fit": True, "order_nominal": order, "profile": "smoke",
         }
         for h in (0.1, 0.01, 0.001)
     ]  # fmt: skip
@@ -75,6 +77,48 @@ def test_each_file_that_differs_is_named(change, results, capsys):
         assert checked(results, capsys) == (1, [f"{path}: {why}"])
     finally:
         path.unlink() if before is None else path.write_bytes(before)
+
+
+@pytest.fixture
+def vector(results):
+    """One of the figures, to be changed; whole again after the test."""
+    path = results / "figures" / "convergence.svg"
+    before = path.read_text()
+    yield path
+    path.write_text(before)
+
+
+def test_points_that_are_moved_are_seen_and_drawn_anew(vector, results, capsys):
+    before = vector.read_text()
+    points = re.compile(r'(<use xlink:href="#\w+" x="[\d.]+" y=")([\d.]+)')
+    vector.write_text(points.sub(lambda found: f"{found[1]}{0.8 * float(found[2]):.6f}", before))
+    assert vector.read_text() != before
+    assert checked(results, capsys) == (1, [f"{vector}: not what the tables say"])
+    assert main(["report", "--results", str(results)]) == 0
+    assert vector.read_text() == before
+
+
+def test_a_picture_that_is_changed_is_seen(results, capsys):
+    path = results / "figures" / "convergence.png"
+    before = path.read_bytes()
+    pixels = plt.imread(path)
+    pixels[100:106, 100:106, :3] = 0.0 if pixels[100:106, 100:106, :3].mean() > 0.5 else 1.0
+    plt.imsave(path, pixels)
+    try:
+        assert checked(results, capsys) == (1, [f"{path}: not what the tables say"])
+    finally:
+        path.write_bytes(before)
+
+
+def test_names_dates_and_last_digits_are_no_difference(vector, results, capsys):
+    text = re.sub(r"\b([a-z])[0-9a-f]{10}\b", lambda name: name[1] + name[0][:0:-1], vector.read_text())
+    text = re.sub(r"(\d+\.\d{6})(?=[\" ])", lambda place: f"{float(place[1]) + 2e-6:.6f}", text)
+    text = text.replace("<metadata>", "<metadata><!-- 2026-01-01 -->")
+    assert set(text.splitlines()).isdisjoint(
+        {line for line in vector.read_text().splitlines() if "<use" in line}
+    )
+    vector.write_text(text)
+    assert checked(results, capsys)[0] == 0
 
 
 @pytest.mark.parametrize("name", ["laws.md", "figures/convergence.png"])

@@ -25,8 +25,8 @@ LARGE = "particle and not long and not limit and (strang or cvode-adams)"
 SMALL = f"{LARGE} and not weak and not jax and not numba"
 LARGE_TIMED = 5  # contact-strang on its three engines, cvode-adams on its two
 TIMED = 3
-#: convergence of one, decay and laws of both; errors, and times at two visits
-CELLS = 5 + 3 * TIMED
+#: convergence of one, decay and laws of both; errors and times
+CELLS = 5 + 2 * TIMED
 
 
 def row(method="rk4", setting="step=0.1", **more):
@@ -161,7 +161,7 @@ def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
 @pytest.mark.slow
 def test_workers_resume_what_is_left(tmp_path):
     """The same with the cells handed out to worker processes, as in the untimed phase of a run."""
-    workers = ("-m", "not timed", "-n", "2", "-p", "no:benchmark")
+    workers = ("-m", "not timed", "-n", "2")
     finished(bench(tmp_path, f"{SMALL} and strang", *workers))
     resumed = finished(bench(tmp_path, SMALL, "--resume", *workers))
     assert "4 passed" in resumed  # decay and laws of the other method, errors of its two engines

@@ -7,7 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from contactbench.results.statistics import cost_to_reach, paired_ratio
+from contactbench.errors import BadInput
+from contactbench.results.statistics import (
+    FLOOR,
+    PROCESSES,
+    WIDEST,
+    Verdict,
+    cost_to_reach,
+    margin,
+    paired_ratio,
+    process_spread,
+    verdict,
+)
 
 
 def test_a_cost_is_interpolated_inside_and_refused_beyond_the_most_accurate():
@@ -52,3 +63,45 @@ def test_a_ratio_does_not_mind_single_interruptions_and_is_exact_without_noise()
     head[[2, 7, 11]] *= 100
     found = paired_ratio(base, head)
     assert found.ratio == found.low == pytest.approx(1.5, rel=1e-12)
+
+
+# -- margins ---------------------------------------------------------------------------------------
+def test_a_margin_is_of_both_cells_and_of_processes_and_has_a_floor():
+    assert margin((1.0, 1.0), 1.0) == FLOOR == 1.03
+    assert margin((1.1, 1.0), 1.0) == margin((1.0, 1 / 1.1), 1.0) == pytest.approx(1.1)
+    assert margin((1.0, 1.0), 1.1) == pytest.approx(1.1)
+    assert margin((1.06, 1 / 1.08), 1.04) == pytest.approx(
+        np.exp(np.sqrt(np.sum(np.log([1.06, 1.08, 1.04]) ** 2)))
+    )
+    assert margin((1.0, math.nan), 1.0) == math.inf  # of a cell that was visited once nothing is known
+
+
+def test_processes_differ_by_what_covers_95_of_100_cells():
+    sample = [1.0] * 94 + [1 / 1.05] * 2 + [3.0] * 4
+    assert process_spread(sample, [1.0] * 100) == pytest.approx(1.05)
+    assert process_spread([math.nan, 1 / 1.5], [1.0, math.nan]) == pytest.approx(1.5)
+    assert process_spread([math.nan], [1.0]) == PROCESSES
+
+
+def test_a_noisy_cell_says_nothing_of_processes():
+    assert process_spread([1.02, 1.5, 1.4], [1.0, 1.3, 1 / 1.3]) == pytest.approx(1.02)
+    assert process_spread([1.2, 1.5], [1.1, 1.3]) == pytest.approx(1.5)  # there are no others
+
+
+@pytest.mark.parametrize(
+    ("ratio", "within", "expected"),
+    [
+        (1.06, 1.05, Verdict.loss), (1 / 1.06, 1.05, Verdict.win), (1.04, 1.05, Verdict.tie),
+        (1 / 1.04, 1.05, Verdict.tie),
+        (1.04, 2 * WIDEST, Verdict.undecided), (46.0, 56.0, Verdict.undecided), (60.0, 56.0, Verdict.loss),
+        (1e9, math.inf, Verdict.undecided),
+    ],
+)  # fmt: skip
+def test_a_verdict_is_a_tie_only_where_the_clock_can_tell(ratio, within, expected):
+    assert verdict(ratio, within) is expected
+
+
+@pytest.mark.parametrize("ratio", [0.0, -1.0, math.nan])
+def test_what_is_no_ratio_of_costs_is_refused(ratio):
+    with pytest.raises(BadInput, match="must be a ratio of two costs"):
+        verdict(ratio, 1.05)

@@ -194,7 +194,7 @@ def test_steps_of_two_sizes_have_no_modified_hamiltonian():
 
 def test_a_potential_that_takes_no_dual_numbers_has_the_law_blank():
     scene = cb.Mechanical(
-        name="by NumPy", potential=lambda q: -np.cos(q[0]), gradient=lambda q: (np.sin(q[0]),),
+        name="by math", potential=lambda q: -math.cos(q[0]), gradient=lambda q: (math.sin(q[0]),),
         q=(1.0,), p=(0.0,), gamma=0.1, t_end=2.0,
     )  # fmt: skip
     assert np.isnan(LAW(cb.solve(scene, "contact-strang", step=0.1, engine="python")))

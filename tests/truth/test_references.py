@@ -7,6 +7,7 @@ import dataclasses
 import hashlib
 import importlib.util
 import json
+import math
 import shutil
 from pathlib import Path
 
@@ -291,7 +292,7 @@ def test_functions_of_one_name_are_told_apart():
         (SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0)), [20.0], "blows up at t = 3.409"),
         (
             Mechanical(
-                name="numpy", potential=lambda q: np.sin(q[0]), gradient=lambda q: (np.cos(q[0]),),
+                name="numpy", potential=lambda q: math.sin(q[0]), gradient=lambda q: (math.cos(q[0]),),
                 q=(1.0,), p=(0.0,), t_end=1.0,
             ),
             [1.0],

@@ -1,4 +1,4 @@
-"""The command line: ``contactbench list | solve | compare | claim | report | gate | references``."""
+"""The command line: ``contactbench list | solve | compare | check | claim | report | gate | references``."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from importlib import metadata
 from typing import Any
 
 from contactbench.boundary import VARIABLE, limit
-from contactbench.cli import claim, compare, gate, listing, references, report, solve
-from contactbench.cli.parsing import PLUGIN, Parser
+from contactbench.cli import check, claim, compare, gate, listing, references, report, solve
+from contactbench.cli.parsing import PLUGIN, Intermixed, Parser
 from contactbench.errors import BadInput, one_line
 
 #: in the order of --help
-COMMANDS = (listing, solve, compare, claim, report, gate, references)
+COMMANDS = (listing, solve, compare, check, claim, report, gate, references)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -30,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
   contactbench solve particle contact-strang --step 0.01
   contactbench solve particle my-method --step 0.01 --plugin my.py
   contactbench compare particle
+  contactbench check my-method --plugin my.py
   contactbench claim C25
   contactbench report --results results
 
@@ -40,7 +41,7 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
         "--version", action="store_true", help="print the versions, those of the peers too, and exit"
     )
     top.set_defaults(run=None)
-    commands = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
+    commands: Any = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Intermixed)
 
     def command(name: str, run: Callable[[argparse.Namespace], int], about: str, examples: str = "") -> Any:
         made = commands.add_parser(
@@ -81,8 +82,19 @@ def overview(top: argparse.ArgumentParser, arguments: argparse.Namespace) -> int
     return 0
 
 
+def open_streams() -> None:
+    """Make both streams take any text: what was closed is the null device, what has no code becomes "?"."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif getattr(stream, "errors", None) == "strict":
+            stream.reconfigure(errors="replace")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Entry point; whatever goes wrong is one line on stderr and exit status 2."""
+    open_streams()
     plugins, _ = PLUGIN.parse_known_args(argv)
     arguments = (top := parser()).parse_args(argv)
     try:

@@ -14,7 +14,7 @@ def claim(arguments: argparse.Namespace) -> int:
     from contactbench.claims import CLAIMS
 
     row = CLAIMS[arguments.id.upper()].row()
-    print(json.dumps(row, allow_nan=False, ensure_ascii=False) if arguments.json else readable(row))
+    print(json.dumps(row, allow_nan=False) if arguments.json else readable(row))
     return 0 if row["status"] == "ok" else 1
 
 

@@ -54,7 +54,7 @@ def compare(arguments: argparse.Namespace) -> int:
 
         drawn(figure).savefig(arguments.plot)
     print(as_json(frame) if arguments.json else show.text(frame))
-    return 130 if frame.attrs["interrupted"] else 0
+    return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
 
 
 def as_json(frame: Any) -> str:
@@ -77,10 +77,10 @@ def add(command: Command) -> None:
         """examples:
   contactbench compare particle
   contactbench compare double-well --plugin my.py --error 1e-4,1e-8 --html out.html
-  contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq .margins
+  contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq '.rows[].margin'
 
 Nothing is written but the files named.  Ctrl-C ends it with what there is.
-Exit status: 0 done, 2 bad input or no reference, 130 interrupted.""",
+Exit status: 0 done, 1 nothing could be timed, 2 bad input or no reference, 130 interrupted.""",
     )  # fmt: skip
     race.add_argument("scene", help="its name (contactbench list scenes)")
     race.add_argument(

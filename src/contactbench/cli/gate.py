@@ -22,25 +22,27 @@ def seconds(text: str) -> float:
 def gate(arguments: argparse.Namespace) -> int:
     """Compare with the committed tables and time against another revision; 1 if something regressed."""
     from contactbench.gate.accuracy import accuracy
-    from contactbench.gate.judge import PARTS, Question
+    from contactbench.gate.judge import PARTS, Question, by_base
     from contactbench.gate.judge import gate as judge
 
     signal.signal(
         signal.SIGTERM, lambda *_: sys.exit(143)
-    )  # a cancelled job removes its worktree on the way out
+    )  # a cancelled job removes its folders on the way out
     if arguments.baseline is not None:
         if arguments.fresh is None or arguments.only == "speed":
             raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
         verdict = accuracy(arguments.baseline, arguments.fresh)
     else:
-        verdict = judge(
-            Question(
-                Path.cwd(), arguments.results, arguments.fresh, arguments.base,
-                (arguments.only,) if arguments.only else PARTS, arguments.tables_changed, arguments.budget,
-            )
+        question = Question(
+            Path.cwd(), arguments.results, arguments.fresh, arguments.base,
+            (arguments.only,) if arguments.only else PARTS, arguments.tables_changed, arguments.budget,
         )  # fmt: skip
+        status = by_base(question, arguments.json)
+        if status is not None:
+            return status
+        verdict = judge(question)
     print(verdict.as_json() if arguments.json else verdict.as_markdown())
-    return 1 if verdict.red else 0
+    return verdict.status
 
 
 def add(command: Command) -> None:
@@ -54,9 +56,10 @@ def add(command: Command) -> None:
 
 Accuracy: a fresh smoke run of the benchmark (about two minutes), and the tables of the working tree, against
 the tables of another revision.  Speed: the working tree against another revision, in turns on one core (a few
-minutes).  Prints one table of what moved.  A change that means to change tables names them, in a line
-"Tables-changed: laws, claims" of a commit's message or with --tables-changed.
-Exit status: 0 green, or inconclusive as it says; 1 red; 2 could not run.""",
+minutes).  The gate of that revision judges, by its own rules.  Prints one table of what moved.  A change that
+means to change tables names them, in a line "Tables-changed: laws, claims" of a commit's message or with
+--tables-changed.
+Exit status: 0 green, cells that stay open named; 1 red; 2 inconclusive as a whole, or could not run.""",
     )  # fmt: skip
     check.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")
     check.add_argument(
@@ -72,8 +75,7 @@ Exit status: 0 green, or inconclusive as it says; 1 red; 2 could not run.""",
     )  # fmt: skip
     check.add_argument(
         "--base", metavar="REV",
-        help="revision to compare with (default: of accuracy where the main branch was left, on it HEAD; of speed "
-        "HEAD if sources have local changes, else its parent)",
+        help="revision to compare with (default: where the main branch was left, on it HEAD's parent)",
     )  # fmt: skip
     check.add_argument(
         "--tables-changed", action="append", default=[], metavar="TABLE",
@@ -81,6 +83,6 @@ Exit status: 0 green, or inconclusive as it says; 1 red; 2 could not run.""",
     )  # fmt: skip
     check.add_argument(
         "--budget", type=seconds, metavar="SECONDS",
-        help="time for the speed part; what is not decided by then is said to be inconclusive",
+        help="time for the speed part; what is not decided by then is inconclusive, all of it below half of the cells",
     )  # fmt: skip
     check.add_argument("--json", action="store_true", help="print one JSON object")

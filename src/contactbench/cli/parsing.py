@@ -23,6 +23,22 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)\n")
 
 
+class Intermixed(Parser):
+    """Takes positional arguments among the options."""
+
+    _within = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse by `parse_known_intermixed_args`, which calls this method in its turn."""
+        if self._within:
+            return super().parse_known_args(args, namespace)
+        self._within = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._within = False
+
+
 def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
     """Raise `BadInput` unless a file can be written there, before anything is computed for it.
 

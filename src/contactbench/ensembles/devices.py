@@ -12,6 +12,8 @@ from contactbench.measure.deviation import conformal_deviation
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
+from contactbench.methods.step_map import identity
+from contactbench.scene.cache import Cache, key
 
 #: trajectories a core integrates at a time: half a kilobyte per component
 TILE = 64
@@ -21,7 +23,7 @@ AXIS = "trajectories"
 
 #: final states (d, m), measures (·, m) and end times (m,)
 Result = tuple[np.ndarray, np.ndarray, np.ndarray]
-_programs: dict[Any, Callable[..., Any]] = {}
+_programs: Cache[Callable[..., Any]] = Cache(256)
 
 
 def on_devices(
@@ -42,15 +44,18 @@ def on_devices(
     tile = min(TILE, share) if platform == "cpu" else share
     size = mesh.size * tile * -(-share // tile)
     r, places = run.request, tuple(own)
-    key = (r.scene.structure, r.carry, run.method_, tuple(names), places, tile, mesh)
-    if key not in _programs:
+
+    def make() -> Callable[..., Any]:
         cut, whole = PartitionSpec(None, AXIS), PartitionSpec()
-        _programs[key] = jax.jit(
+        return jax.jit(
             jax.shard_map(
                 share_of(run, names, places, tile), mesh=mesh, in_specs=(cut, cut, whole, whole),
                 out_specs=(cut, cut, PartitionSpec(AXIS)), check_vma=False,
             )
         )  # fmt: skip
+
+    own_key = key(identity(run.method_, r.scene, r.carry), tuple(names), places, tile, mesh)
+    program = _programs.get(own_key, make)
     sharding = NamedSharding(mesh, PartitionSpec(None, AXIS))
     individual = np.array([*own.values()]).reshape(len(own), n)
     numbers = np.array(r.scene.numbers())
@@ -58,7 +63,7 @@ def on_devices(
     def begun(part: slice) -> Any:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
         arrays = (np.pad(a[:, part], filled, mode="edge") for a in (y0, individual))
-        return _programs[key](*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.later))
+        return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.later))
 
     parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
     ahead = begun(parts[0])

@@ -133,11 +133,13 @@ def accuracy(baseline: Path, fresh: Path) -> Verdict:
 
     Raises `BadInput` for folders that hold no finished run, and for foreign or damaged tables.
     """
-    return against(tables(baseline), runs(baseline), fresh, str(baseline))
+    return against(tables(baseline), runs(baseline), tables(fresh), fresh, str(baseline))
 
 
-def against(before: Frames, made_before: list[dict[str, Any]], fresh: Path, name: str) -> Verdict:
-    """The same with the older tables and the runs behind them at hand; `name` : what they are called."""
+def against(
+    before: Frames, made_before: list[dict[str, Any]], now: Frames, fresh: Path, name: str
+) -> Verdict:
+    """The same with both sides' tables and the runs behind the older at hand; `name` : what those are called."""
     made_now = runs(fresh)
     rank = max(PROFILES.index(run["profile"]) for run in made_now)
     alike = surely_alike(made_before, made_now)
@@ -147,7 +149,7 @@ def against(before: Frames, made_before: list[dict[str, Any]], fresh: Path, name
     for table in TABLES.values():
         if not table.benchmarked:
             continue
-        after = read(table, fresh)
+        after = now[table.name]
         if before[table.name].empty and after.empty:
             continue
         # a row that does not say which profile makes it is expected of every one

@@ -34,22 +34,23 @@ ALL = "all"
 SAID = ("cpu", "python", "packages", "references", "commit", "utc", "tables")
 
 
-def listed(messages: str, option: Iterable[str] = ()) -> set[str]:
-    """The tables that a change says it changes.  Raises `BadInput` for a name that is no table."""
+def listed(messages: str, option: Iterable[str] = (), results: Path | None = None) -> set[str]:
+    """The tables that a change says it changes; `results` may have new ones.  Raises `BadInput` for other names."""
     named = {
         name
         for part in (*TRAILER.findall(messages), *option)
         for name in re.split(r"[\s,]+", part.strip())
         if name
     }
-    unknown = sorted(named - {ALL, *TABLES})
+    new = {path.stem for path in results.glob("*.csv")} if results else set()
+    unknown = sorted(named - {ALL, *TABLES} - new)
     if unknown:
         raise BadInput(f"tables changed: {', '.join(unknown)}: no such table; {', '.join(TABLES)} or {ALL}")
     return set(TABLES) if ALL in named else named
 
 
-def old_tables(folder: Path, changed: set[str]) -> tuple[dict[str, pd.DataFrame], list[Line]]:
-    """The tables of the base, and a line for each whose columns meant something else then.
+def readable(folder: Path, changed: set[str]) -> tuple[dict[str, pd.DataFrame], list[Line]]:
+    """The tables of a folder, and a line for each whose columns mean something else than here.
 
     Those of a listed table may be of another version: they are not compared.
     """
@@ -60,10 +61,8 @@ def old_tables(folder: Path, changed: set[str]) -> tuple[dict[str, pd.DataFrame]
         except OldTable:
             frames[name] = read(table, folder / "none")
             if name not in changed:
-                what = Line(
-                    f"version of {name}", "older", str(table.version), "", "not listed", red=True, table=name
-                )
-                lines.append(what)
+                words = (f"version of {name}", "another", str(table.version), "", "not listed")
+                lines.append(Line(*words, red=True, table=name))
     return frames, lines
 
 

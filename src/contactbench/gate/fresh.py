@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from contactbench.errors import BadInput
+from contactbench.gate.revisions import JUDGED
 from contactbench.gate.verdict import Line
 
 
@@ -27,8 +28,8 @@ def fresh_run(root: Path, results: Path) -> list[Line]:
     if not (root / "bench" / "conftest.py").exists():
         raise BadInput(f"{root}: no benchmark there; run the gate where bench/ is, or give --fresh DIR")
     command = [
-        sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results),
-        "-v", "-n", "auto", "--benchmark-disable", "-p", "no:cacheprovider",
+        os.environ.get(JUDGED, sys.executable), "-m", "pytest", "bench", "--profile", "smoke",
+        "--results", str(results), "-v", "-n", "auto", "--untimed", "-p", "no:cacheprovider",
     ]  # fmt: skip
     lines, status = followed(command, root)
     last = next(filter(None, (line.strip() for line in reversed(lines))), "no output")

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import os
 import random
 import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.gate import committed, revisions, speed
-from contactbench.gate.accuracy import against, runs, tables
-from contactbench.gate.fresh import fresh_run
+from contactbench.gate.accuracy import against, runs
+from contactbench.gate.fresh import environment, fresh_run
 from contactbench.gate.verdict import Line, Verdict
 from contactbench.gate.workload import Cell, workload
 from contactbench.results.provenance import MADE
@@ -49,21 +52,84 @@ class Question:
 def gate(question: Question) -> Verdict:
     """Run the parts asked for; see the command line's help."""
     root = revisions.repository(question.root)
-    if "speed" in question.parts:  # what cannot run is said before minutes are spent
-        revisions.resolved(root, question.base)
-    base = revisions.base_of_tables(root, question.base)
+    base = revisions.base(root, question.base)
     folder = question.results if not question.results.is_absolute() else question.results.relative_to(root)
-    verdict = Verdict()
-    with tempfile.TemporaryDirectory(prefix="contactbench-gate-") as scratch:
-        old = revisions.export(root, base, folder.as_posix(), Path(scratch) / "base")
+    with (
+        tempfile.TemporaryDirectory(prefix="contactbench-gate-") as scratch,
+        revisions.checkout(root, base) as tree,
+    ):
+        old = tree / folder
+        if not any(old.glob("*.csv")):
+            raise BadInput(f"--base {base[:12]}: no tables in {folder}/ at that revision")
+        verdict = changed_rules(tree, root)
         if "accuracy" in question.parts:
-            verdict += tables_against(question, root, base, root / folder, old, Path(scratch) / "fresh")
+            verdict += tables_against(question, root, base, root / folder, old, Path(scratch))
         if "speed" in question.parts:
             work = read(TABLES["work_precision"], old)
             if work.empty:
                 raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {folder}/")
-            verdict += slower(root, workload(work), question.base, question.budget)
+            verdict += slower(root, workload(work), base, question.budget)
     return verdict
+
+
+# -- rules -----------------------------------------------------------------------------------------
+def by_base(question: Question, as_json: bool = False) -> int | None:
+    """Have the gate of the base revision judge this tree: its exit status, its verdict is printed.
+
+    A tree whose own gate judged it could move its own goal.  None where this process is that gate, or the base is too
+    old to have one.
+    """
+    if revisions.JUDGED in os.environ:
+        return None
+    root = revisions.repository(question.root)
+    base = revisions.base(root, question.base)
+    with revisions.checkout(root, base) as tree:
+        if not revisions.judges(tree):
+            return None
+        given = {
+            "only": question.parts[0] if len(question.parts) == 1 else None, "results": question.results,
+            "fresh": question.fresh, "budget": question.budget,
+        }  # fmt: skip
+        options = [f"--{name}={value}" for name, value in given.items() if value is not None]
+        options += [f"--tables-changed={name}" for name in question.changed] + ["--json"] * as_json
+        command = [revisions.interpreter(tree, root), "-P", "-m", "contactbench.cli", "gate", "--base", base]
+        variables = environment(tree) | {revisions.JUDGED: sys.executable}
+        with subprocess.Popen(
+            [*command, *options], cwd=question.root, env=variables, stdout=subprocess.PIPE, text=True
+        ) as run:
+            try:
+                print(run.communicate()[0], end="")
+            except BaseException:
+                run.terminate()  # it removes what it has made, and ends
+                raise
+        return run.returncode
+
+
+def changed_rules(tree: Path, root: Path) -> Verdict:
+    """A line for each rule of the base that is another one in the tree that is judged.
+
+    Where it is not the base's gate that judges, they leave open what it would have said.
+    """
+    before, after = rulebook(tree), rulebook(root)
+    if not before or not after:
+        return Verdict(notes=("inconclusive: the rules of the base and of this tree could not be compared",))
+    own = revisions.JUDGED not in os.environ
+    words = "inconclusive" if own else "rule changed, the base's judges"
+    lines = [
+        Line(f"rule {name}" if kind == "rules" else f"code of {name}", old[:40], new[:40], "", words, False)
+        for kind in before
+        for name, old in before[kind].items()
+        if (new := after[kind].get(name, "none")) != old
+    ]
+    moved = own and any(line.measure.startswith("rule ") for line in lines)
+    return Verdict(tuple(lines), incomplete=("the base is too old to judge by its own rules",) * moved)
+
+
+def rulebook(tree: Path) -> dict[str, dict[str, str]]:
+    """The rules of a tree, and digests of their code; none where it is too old, or broken."""
+    command = [sys.executable, "-P", str(Path(__file__).with_name("rulebook.py"))]
+    done = subprocess.run(command, cwd=tree, env=environment(tree), capture_output=True, text=True)
+    return json.loads(done.stdout) if done.returncode == 0 else {}
 
 
 # -- accuracy --------------------------------------------------------------------------------------
@@ -71,11 +137,11 @@ def tables_against(
     question: Question, root: Path, base: str, results: Path, old: Path, scratch: Path
 ) -> Verdict:
     """A fresh run, and the tables of the tree, against those of the base revision."""
-    changed = committed.listed(revisions.messages(root, base), question.changed)
+    changed = committed.listed(revisions.messages(root, base), question.changed, results)
     made_before = runs(old)
-    before, lines = committed.old_tables(old, changed)
-    head = tables(results)
-    lines += committed.record_lines(results, head)
+    before, lines = committed.readable(old, changed)
+    head, other_version = committed.readable(results, changed)
+    lines += other_version + committed.record_lines(results, head)
     told: list[str] = []
     for name, table in TABLES.items():
         lines += committed.differences(table, before[name], head[name], name in changed)
@@ -88,9 +154,9 @@ def tables_against(
         fresh = scratch
         verdict += Verdict(tuple(fresh_run(root, fresh)))
     reference = {name: head[name] if name in changed else before[name] for name in TABLES}
-    compared = against(reference, made_before, fresh, f"the tables of {base[:12]}")
+    fresh_tables, _ = committed.readable(fresh, changed)
+    compared = against(reference, made_before, fresh_tables, fresh, f"the tables of {base[:12]}")
     clean = not revisions.dirty(root, ".", *(f":!{made}" for made in MADE))
-    fresh_tables = tables(fresh)
     more = [
         *committed.record_lines(fresh, fresh_tables),
         *committed.commit_lines(fresh, revisions.commit_of(root, "HEAD"), clean),
@@ -117,13 +183,15 @@ def slower(root: Path, cells: Sequence[Cell], revision: str | None, budget: floa
     if not cells:
         raise BadInput("no timed rows to choose from; run the benchmark first (tox -e bench)")
     root = revisions.repository(root)
-    commit = revisions.resolved(root, revision)
+    commit = revisions.base(root, revision)
     head = revisions.git(root, "rev-parse", "--short=12", "HEAD")
     head += " with local changes" if revisions.dirty(root) else ""
     until = None if budget is None else perf_counter() + budget
     cells = cells if budget is None else kinds_first(cells, commit)
     with revisions.checkout(root, commit) as tree:
-        pythons, trees = (revisions.interpreter(tree, root), sys.executable), (tree, root)
+        head_python = os.environ.get(revisions.JUDGED, "")  # set: this process is the base's own
+        base_python = sys.executable if head_python else revisions.interpreter(tree, root)
+        pythons, trees = (base_python, head_python or sys.executable), (tree, root)
         # neither has to compile modules it imports late
         for python, sources in zip(pythons, trees, strict=True):
             subprocess.run([python, "-m", "compileall", "-q", str(sources / "src")], capture_output=True)
@@ -131,12 +199,13 @@ def slower(root: Path, cells: Sequence[Cell], revision: str | None, budget: floa
 
 
 def kinds_first(cells: Sequence[Cell], seed: str) -> list[Cell]:
-    """Shuffled, and the first of every method and engine before the second of any: time may end early."""
-    seen: Counter[tuple[str, str]] = Counter()
+    """Shuffled, the first of every kind in front, then those of its engines, before any second: time may end early."""
+    seen: Counter[Any] = Counter()
     ranked = []
     for cell in random.Random(seed).sample(cells, len(cells)):
-        ranked.append((seen[cell.method, cell.engine], cell))
-        seen[cell.method, cell.engine] += 1
+        both = cell.kind, cell.engine
+        ranked.append((1 + seen[both] if seen[cell.kind] else 0, cell))
+        seen.update((cell.kind, both))
     return [cell for _, cell in sorted(ranked, key=lambda pair: pair[0])]
 
 
@@ -148,9 +217,6 @@ def timed(
     first = speed.paired_times(
         pythons, trees, cells, speed.ROUNDS, seed=1, until=until and until - reserve(until)
     )
-    if not first.ratios:
-        i, why = next(iter(first.refused.items()), (0, "no time left"))
-        raise BadInput(f"no cell could be timed; {cells[i].method}: {why}")
     again: dict[int, speed.PairedRatio] = {}
     suspects = [i for i, ratio in first.ratios.items() if ratio.low > speed.LIMIT]
     if suspects:
@@ -167,7 +233,17 @@ def timed(
         if (said := speed.verdict(ratio, again.get(i))) != "pass"
     ]  # fmt: skip
     lines += once_a_process(pythons, trees, cells, first.costs, until)
-    return Verdict(tuple(lines), sentences(first, lines, names), refusals(cells, first), len(first.ratios))
+    notes, few = refusals(cells, first), too_few(cells, first.ratios)
+    return Verdict(tuple(lines), sentences(first, lines, names), notes, len(first.ratios), few)
+
+
+def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
+    """Why the cells that were timed are no sample of all: below half of them, or none of a method or public call."""
+    left_out = sorted({cell.kind for cell in cells} - {cells[i].kind for i in timed})
+    return (
+        *[f"only {len(timed)} of {len(cells)} cells timed"] * (2 * len(timed) < len(cells)),
+        *[f"no cell timed of {', '.join(left_out)}"] * bool(left_out),
+    )
 
 
 def reserve(until: float) -> float:
@@ -176,6 +252,8 @@ def reserve(until: float) -> float:
 
 
 def sentences(first: speed.Measured, lines: Sequence[Line], names: tuple[str, str]) -> tuple[str, ...]:
+    if not first.ratios:
+        return (f"speed: {names[1]} against {names[0]}: no cell timed",)
     middle = float(np.median([ratio.ratio for ratio in first.ratios.values()]))
     red = sum(line.red for line in lines)
     open_ = sum(line.verdict == "inconclusive" for line in lines)

@@ -1,30 +1,37 @@
-"""Revisions of the project in git: which one is the base, its working tree, its tables, its Python."""
+"""Revisions of the project in git: which one is the base, its files, its Python."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
-
-from filelock import FileLock, Timeout
 
 from contactbench.errors import BadInput
 
 #: what the main branch may be called, the first there is
 MAIN = ("origin/HEAD", "origin/main", "main", "master")
+#: in the environment of the gate of a base revision, the Python of the tree that it judges
+JUDGED = "CONTACTBENCH_JUDGED_PYTHON"
 
 
 def git(root: Path, *arguments: str, text: bool = True) -> Any:
-    """The output of git, stripped, or its bytes.  Raises `BadInput` with git's own last line."""
+    """The output of git, stripped, or its bytes.  Raises `BadInput` with git's own last line.
+
+    History is what the commits say: neither `git replace` nor a file of grafts stands in for one.
+    """
     if shutil.which("git") is None:
         raise BadInput("git: not installed; the gate compares with a revision, which takes git")
-    done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True)
+    command = ["git", "--no-replace-objects", "-C", str(root), *arguments]
+    done = subprocess.run(command, capture_output=True, env={**os.environ, "GIT_GRAFT_FILE": os.devnull})
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip() or f"exit {done.returncode}"
         raise BadInput(f"git {arguments[0]} in {root}: {said.splitlines()[-1]}")
@@ -44,30 +51,50 @@ def dirty(root: Path, *paths: str) -> bool:
     return bool(git(root, "status", "--porcelain", "--", *(paths or ("src",))))
 
 
-def commit_of(root: Path, revision: str) -> str:
-    """The commit a revision names.  Raises `BadInput`."""
+def named(root: Path, revision: str) -> str:
+    """The commit a revision names, or ""."""
     try:
         return git(root, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}")
     except BadInput:
-        why = "no such revision (in a shallow clone fetch more history)"
-        raise BadInput(f"--base {revision}: {why}") from None
+        return ""
 
 
-def resolved(root: Path, revision: str | None) -> str:
-    """The commit that speed is compared with: by default HEAD if the sources have local changes, else its parent."""
-    return commit_of(root, revision or ("HEAD" if dirty(root) else "HEAD~1"))
+def commit_of(root: Path, revision: str) -> str:
+    """The commit a revision names.  Raises `BadInput`."""
+    found = named(root, revision)
+    if not found:
+        raise BadInput(f"--base {revision}: no such revision (in a shallow clone fetch more history)")
+    return found
 
 
-def base_of_tables(root: Path, revision: str | None) -> str:
-    """The commit that accuracy is compared with: by default where the main branch was left, on it HEAD itself."""
+def base(root: Path, revision: str | None) -> str:
+    """The commit that a tree is compared with: by default where the main branch was left, on it HEAD's parent.
+
+    Raises `BadInput` where this clone does not have it.
+    """
     if revision is not None:
         return commit_of(root, revision)
-    for branch in MAIN:
-        try:
-            return git(root, "merge-base", "HEAD", branch)
-        except BadInput:
-            continue
-    return commit_of(root, "HEAD")
+    main = next((branch for branch in MAIN if named(root, branch)), None)
+    wanted, found = "HEAD's parent", named(root, "HEAD~1")
+    if main is not None:
+        left = common(root, main)
+        if left != commit_of(root, "HEAD"):
+            wanted, found = f"the commit at which HEAD left {main}", left
+    if not found:
+        shallow = git(root, "rev-parse", "--is-shallow-repository") == "true"
+        raise BadInput(
+            f"inconclusive: {wanted} is not in this clone; "
+            + ("fetch it (git fetch --unshallow)" if shallow else "fetch it, or name a revision with --base")
+        )
+    return found
+
+
+def common(root: Path, branch: str) -> str:
+    """The last commit that HEAD has in common with a branch, or ""."""
+    try:
+        return git(root, "merge-base", "HEAD", branch)
+    except BadInput:
+        return ""
 
 
 def messages(root: Path, base: str) -> str:
@@ -75,53 +102,16 @@ def messages(root: Path, base: str) -> str:
     return git(root, "log", "--format=%B", f"{base}..HEAD")
 
 
-def export(root: Path, commit: str, folder: str, target: Path) -> Path:
-    """The tables and the record of their runs as a commit has them, as files in `target`.
-
-    Raises `BadInput` where the commit has none.
-    """
-    listed = git(root, "ls-tree", "--name-only", commit, "--", f"{folder}/").splitlines()
-    names = [name for name in listed if name.endswith((".csv", "/environment.json"))]
-    if not names:
-        raise BadInput(f"--base {commit[:12]}: no tables in {folder}/ at that revision")
-    target.mkdir(parents=True, exist_ok=True)
-    for name in names:
-        (target / Path(name).name).write_bytes(git(root, "show", f"{commit}:{name}", text=False))
-    return target
-
-
-# -- working trees ---------------------------------------------------------------------------------
-CHECKOUT = "contactbench-base-"
-
-
 @contextmanager
 def checkout(root: Path, commit: str) -> Iterator[Path]:
-    """A working tree of a commit, for as long as the block lasts."""
-    drop_dead_checkouts(root)
-    with tempfile.TemporaryDirectory(prefix=CHECKOUT) as scratch, FileLock(Path(scratch) / "alive"):
+    """The files of a commit in a folder of their own, for as long as the block lasts."""
+    with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
         tree = Path(scratch).resolve() / "base"
-        git(root, "worktree", "add", "--detach", "--force", str(tree), commit)
-        try:
-            if not (tree / "src" / "contactbench").is_dir():
-                raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")
-            yield tree
-        finally:
-            git(root, "worktree", "remove", "--force", str(tree))
-
-
-def drop_dead_checkouts(root: Path) -> None:
-    """Remove the working trees of processes that were killed: nobody holds their lock any more."""
-    for line in git(root, "worktree", "list", "--porcelain").splitlines():
-        tree = Path(line.removeprefix("worktree "))
-        if not line.startswith("worktree ") or not tree.parent.name.startswith(CHECKOUT):
-            continue
-        if tree.parent.exists():
-            try:
-                FileLock(tree.parent / "alive").acquire(blocking=False).lock.release()
-            except Timeout:
-                continue  # it lives
-            shutil.rmtree(tree.parent, ignore_errors=True)
-        git(root, "worktree", "prune")
+        with tarfile.open(fileobj=BytesIO(git(root, "archive", commit, text=False))) as files:
+            files.extractall(tree, filter="data")
+        if not (tree / "src" / "contactbench").is_dir():
+            raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")
+        yield tree
 
 
 def interpreter(tree: Path, root: Path) -> str:
@@ -143,3 +133,9 @@ def pins(tree: Path) -> tuple[Any, ...]:
     project = tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     constraints = tree / "constraints.txt"
     return project["dependencies"], constraints.read_text(encoding="utf-8") if constraints.exists() else ""
+
+
+def judges(tree: Path) -> bool:
+    """Whether the gate of a tree can judge another one."""
+    file = tree / "src" / "contactbench" / "gate" / "revisions.py"
+    return file.exists() and JUDGED in file.read_text(encoding="utf-8")

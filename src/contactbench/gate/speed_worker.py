@@ -1,6 +1,6 @@
 """A process that times cells on request, for speed.py: run by path, with the revision to be timed on PYTHONPATH.
 
-It asks nothing of the revision but ``contactbench.prepare``.  In come lines of JSON: first
+It asks nothing of the revision but the public calls (`CALLS`).  In come lines of JSON: first
 ``{"core": c, "later": d, "cells": [...], "seconds": s}``, then an index of a cell at a time, or "costs"; out
 go the file of the code that is timed with the cells it refused, then lists of seconds per call, and for
 "costs" seconds of compilation and bytes left behind of each cell, and the peak of the process.
@@ -14,20 +14,22 @@ import gc
 import json
 import os
 import resource
+import subprocess
 import sys
 from collections.abc import Callable
+from itertools import count
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 #: calls are repeated to fill this, so that the clock's resolution plays no part
 FILL = 1e-3
 REPEATS = 3
 #: what is left behind is measured over so many runs, or over as many as this takes at most, in seconds, in three goes
 RUNS, RUNS_SECONDS, GOES = 300, 0.1, 3
+#: a call that takes longer, in seconds, is not repeated
+LONG = 0.05
 #: a scene that is not timed, so that its programs are no other's
 WARM = "critical"
-
-Ready = tuple[Callable[[], Any], int, float]
 
 
 def pin(core: int | None) -> None:
@@ -43,31 +45,89 @@ def used() -> float:
     return mine.ru_utime + mine.ru_stime + theirs.ru_utime + theirs.ru_stime
 
 
-def prepared(cell: dict[str, Any]) -> Ready:
-    """A warm prepared call, how many of it fill a repeat, and the processor time of its first with its compilation."""
+def prepared(cell: dict[str, Any], **start: Any) -> Callable[[], Any]:
     import contactbench as cb
 
-    scene = cb.SCENES[cell["scene"]]
+    scene, n = cb.SCENES[cell["scene"]], cell["saves"]
     options = {cell["control"]: cell["value"]} if cell["control"] in ("step", "rtol") else {}
-    n = cell["saves"]
     save_at = [scene.t_end * k / n for k in range(1, n + 1)]
-    start = used()
     run = cb.prepare(
         scene, cell["method"], engine=cell["engine"], carry=cell["carry"], save_at=save_at, **options
     )
+    return lambda: run(**start)
+
+
+def from_elsewhere(cell: dict[str, Any]) -> Callable[[], Any]:
+    import contactbench as cb
+
+    return prepared(cell, q=tuple(0.9 * float(x) for x in cb.SCENES[cell["scene"]].q))
+
+
+def solved(cell: dict[str, Any]) -> Callable[[], Any]:
+    import contactbench as cb
+
+    return lambda: cb.solve(cell["scene"], cell["method"], engine=cell["engine"], step=cell["value"])
+
+
+def many_solved(cell: dict[str, Any]) -> Callable[[], Any]:
+    """Eight trajectories."""
+    import contactbench as cb
+
+    q = cb.SCENES[cell["scene"]].q
+    start = {"q": ([q[0] * (0.9 + 0.02 * k) for k in range(8)], *q[1:])}
+    options = {"step": cell["value"], "engine": cell["engine"], "progress": False}
+    return lambda: cb.ensemble(cell["scene"], cell["method"], start, **options)
+
+
+def referred(cell: dict[str, Any]) -> Callable[[], Any]:
+    """A reference that is neither frozen nor kept, of other numbers with every call: a closed form, or live."""
+    import contactbench as cb
+
+    scene, k = cb.SCENES[cell["scene"]], count(1)
+    return lambda: cb.reference(scene.with_(gamma=scene.gamma * (1 + 1e-6 * next(k))), [0.01])
+
+
+def imported(cell: dict[str, Any]) -> Callable[[], Any]:
+    """The package, by a process of its own."""
+    command = [sys.executable, "-P", "-c", "import contactbench"]
+    return lambda: subprocess.run(command, check=True)
+
+
+CALLS: dict[str, Callable[[dict[str, Any]], Callable[[], Any]]] = {
+    "prepared": prepared,
+    "solve": solved,
+    "run(q=…)": from_elsewhere,
+    "ensemble": many_solved,
+    "reference": referred,
+    "live reference": referred,
+    "import": imported,
+}
+
+
+class Ready(NamedTuple):
+    """A warm call, seconds it takes, and the processor time of its first with its compilation."""
+
+    run: Callable[[], Any]
+    once: float
+    compiled: float
+
+
+def ready(cell: dict[str, Any]) -> Ready:
+    start = used()
+    run = CALLS[cell["call"]](cell)
     solution = run()
     compiled = used() - start
-    if not solution.ok:
+    if hasattr(solution, "message") and not solution.ok:
         raise RuntimeError(f"{solution.status} {solution.message}")
-    start = perf_counter()
+    begun = perf_counter()
     run()
-    return run, max(1, round(FILL / (perf_counter() - start))), compiled
+    return Ready(run, perf_counter() - begun, compiled)
 
 
-def seconds(run: Callable[[], Any], calls: int) -> list[float]:
-    """Seconds per call, repeat by repeat."""
-    found = []
-    for _ in range(REPEATS):
+def seconds(run: Callable[[], Any], once: float) -> list[float]:
+    """Seconds per call, repeat by repeat; `once` : what one takes, roughly."""
+    calls, found = max(1, round(FILL / once)), []
+    for _ in range(REPEATS if once < LONG else 1):
         start = perf_counter()
         for _ in range(calls):
             run()
@@ -102,16 +162,16 @@ def handed_out() -> int:
     return info.uordblks + info.hblkhd
 
 
-def left_behind(run: Callable[[], Any], calls: int) -> float:
-    """Bytes that `RUNS` runs leave behind; of longer ones from fewer of them.
+def left_behind(run: Callable[[], Any], once: float) -> float:
+    """Bytes that `RUNS` runs leave behind; of longer ones, of `once` seconds, from fewer of them.
 
     The middle one of three goes: what is allocated once plays no part.  Of each the larger of two: what the process
     has grown by, which holes in its memory may have taken in, and what the C library has handed out, which is not
     where Python keeps its small objects.
     """
-    if not os.path.exists("/proc/self/statm"):
+    runs = min(RUNS, int(RUNS_SECONDS / once)) // GOES
+    if not runs or not os.path.exists("/proc/self/statm"):
         return 0.0
-    runs = min(RUNS, int(RUNS_SECONDS / FILL * calls)) // GOES
     grown = []
     gc.collect()
     for _ in range(GOES):
@@ -130,8 +190,8 @@ def costs(runs: dict[int, Ready]) -> dict[str, Any]:
     them, and would twice a cell.
     """
     return {
-        "compile": {i: compiled for i, (_, _, compiled) in runs.items()},
-        "leaked": {i: left_behind(run, calls) for i, (run, calls, _) in runs.items()},
+        "compile": {i: each.compiled for i, each in runs.items()},
+        "leaked": {i: left_behind(each.run, each.once) for i, each in runs.items()},
         "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0,
     }
 
@@ -150,9 +210,9 @@ def main() -> None:
         if cell["engine"] not in warm:  # what an engine imports and sets up once is no compilation
             warm.add(cell["engine"])
             with contextlib.suppress(Exception):
-                prepared({**cell, "scene": WARM, "carry": [], "saves": 1})
+                ready({**cell, "scene": WARM, "carry": [], "saves": 1, "call": "prepared"})
         try:
-            runs[i] = prepared(cell)
+            runs[i] = ready(cell)
         except Exception as error:  # one cell that fails stops no other
             refused[i] = f"{type(error).__name__}: {error}"
     pin(request["later"])
@@ -166,7 +226,7 @@ def main() -> None:
             pin(request["core"])  # no times are taken any more, and the other process does the same
             print(json.dumps(costs(runs)), flush=True)
         else:
-            print(json.dumps(seconds(*runs[asked][:2])), flush=True)
+            print(json.dumps(seconds(runs[asked].run, runs[asked].once)), flush=True)
 
 
 if __name__ == "__main__":

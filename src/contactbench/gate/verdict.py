@@ -44,13 +44,19 @@ class Line:
 class Verdict:
     """What the gate found: the lines, what was compared (one sentence a part), and what to know beside.
 
-    judged : how many calls were timed.
+    judged : how many calls were timed.  incomplete : why what was looked at is too little for a verdict.
     """
 
     lines: tuple[Line, ...] = ()
     compared: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     judged: int = 0
+    incomplete: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> int:
+        """The exit status: 1 red, 2 inconclusive as a whole, 0 green."""
+        return 1 if self.red else 2 if self.incomplete else 0
 
     @property
     def red(self) -> bool:
@@ -64,17 +70,22 @@ class Verdict:
     def __add__(self, other: Verdict) -> Verdict:
         notes = dict.fromkeys((*self.notes, *other.notes))
         compared = self.compared + other.compared
-        return Verdict(self.lines + other.lines, compared, tuple(notes), self.judged + other.judged)
+        incomplete = self.incomplete + other.incomplete
+        return Verdict(
+            self.lines + other.lines, compared, tuple(notes), self.judged + other.judged, incomplete
+        )
 
     def as_json(self) -> str:
         found = {"red": self.red, "inconclusive": self.undecided, **asdict(self)}
         return json.dumps(found, allow_nan=False, ensure_ascii=False)
 
     def title(self) -> str:
-        """Red, green, or green but for what could not be decided."""
+        """Red, inconclusive as a whole, green, or green but for what could not be decided."""
         red = sum(line.red for line in self.lines)
         if red:
             return f"red, {red} found" + (f", {self.undecided} inconclusive" if self.undecided else "")
+        if self.incomplete:
+            return f"inconclusive: {'; '.join(self.incomplete)}"
         return f"green, but {self.undecided} inconclusive" if self.undecided else "green"
 
     def as_markdown(self) -> str:

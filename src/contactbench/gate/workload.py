@@ -1,4 +1,4 @@
-"""Which calls the speed part times: every method and engine, every scene, many saved times."""
+"""Which calls the speed part times: every method and engine, every scene, many saved times, the public calls."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ LONGEST = 3e-3
 
 @dataclass(frozen=True)
 class Cell:
-    """One prepared call that is timed.
+    """One call that is timed.
 
-    saves : how many equidistant times are saved, the end among them.
+    saves : how many equidistant times are saved, the end among them.  call : a key of `speed_worker.CALLS`.
     """
 
     scene: str
@@ -34,20 +34,38 @@ class Cell:
     value: float
     carry: tuple[str, ...]
     saves: int = 1
+    call: str = "prepared"
+
+    @property
+    def kind(self) -> str:
+        """Its method, or the public call that it is."""
+        return self.method if self.call == "prepared" else self.call
 
     @property
     def setting(self) -> str:
         many = f", {self.saves} saved times" if self.saves > 1 else ""
-        return f"{printed_setting(self.control, self.value)}{many}"
+        call = f", {self.call}" if self.call != "prepared" else ""
+        return f"{printed_setting(self.control, self.value)}{many}{call}"
 
     def request(self) -> dict[str, Any]:
         return asdict(self)
 
 
+#: what a user calls, on standard scenes; references on those where they take little
+PUBLIC = tuple(
+    Cell(scene, "contact-rkn6", "numba", "step", 0.1, (), call=call)
+    for scene, call in (
+        ("particle", "solve"), ("particle", "run(q=…)"), ("particle", "ensemble"), ("oscillator", "reference"),
+        ("saddle_edge", "live reference"), ("particle", "import"),
+    )
+)  # fmt: skip
+
+
 def workload(work: pd.DataFrame) -> list[Cell]:
     """Cells for every method and engine of the work–precision table, at settings that are worth timing.
 
-    On every scene but those named `EVERYWHERE` alone; with many saved times the first engine of each method.
+    On every scene but those named `EVERYWHERE` alone; with many saved times the first engine of each method; and
+    the public calls.
     """
     timed = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= LONGEST)]
     slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
@@ -61,7 +79,7 @@ def workload(work: pd.DataFrame) -> list[Cell]:
         if row["scene"] == MANY_ON:
             cell = Cell(*words, saves=MANY)
             many[cell.method] = min(many.get(cell.method, cell), cell, key=preference)
-    return [*cells, *many.values()]
+    return [*cells, *many.values(), *PUBLIC] if cells else []
 
 
 def preference(cell: Cell) -> int:

@@ -1,144 +1,190 @@
-"""How calls are timed: rounds of about half a millisecond, and every run measured twice.
+"""How calls are timed: every call is visited again and again, in shuffled order, and its least round counts.
 
-What two measurements of one and the same run differ by (A/A) is the noise of the machine.
+A processor changes its speed in phases of seconds and other work interrupts a call; both only ever make it slower.
+So the least of rounds at many times says how long a call takes when nothing else runs, where a median says which
+phases were met.
 """
 
 from __future__ import annotations
 
 import gc
+import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-VISITS = 2
-#: seconds a round takes at least, so that the clock's resolution plays no part
-ROUND_SECONDS = 5e-4
-#: rounds of one visit of a race, however long they take
-FEWEST_ROUNDS, MOST_ROUNDS = 3, 20
-#: seconds from which a run that has been called before needs no warm-up: cold caches cost it less than a percent
-WARM = 0.02
+#: visits to every call, however long it takes, and as many as a race makes where there is time
+VISITS, MOST_VISITS = 8, 24
+#: rounds of a visit, and the seconds a round takes at least, so that the clock's resolution plays no part
+ROUNDS, ROUND_SECONDS = 3, 3e-4
+#: seconds from which a call has one round a visit, the next would meet the same phase of the machine, and no warm-up:
+#: cold caches cost it hardly anything
+LONG = 5e-3
 SEED = 20
 
-Samples = list[float]  #: seconds per call, one number a round
 
+@dataclass(frozen=True)
+class Visit:
+    """Seconds per call of each round, and of the same run over a part of its length, taken in turns with it.
 
-def time_columns(measured: Sequence[Samples], iterations: int) -> dict[str, Any]:
-    """The time columns from the samples of one or two visits."""
-    together = np.concatenate(measured)
-    low, median, high = np.percentile(together, (25, 50, 75)).tolist()
-    times = {
-        "time_min_s": float(together.min()), "time_median_s": median, "time_iqr_s": high - low,
-        "rounds": len(together), "iterations": iterations,
-    }  # fmt: skip
-    if len(measured) == VISITS:
-        first, second = map(np.median, measured)
-        times["time_repeat_ratio"] = float(second / first)
-    return times
-
-
-def length_columns(
-    whole: Sequence[Samples], part: Sequence[Samples], share: float, span: float
-) -> dict[str, float]:
-    """Fixed and marginal cost: time = fixed + marginal · T, from two lengths of one run, round by round.
-
-    whole, part : samples of each visit, of the run over `span` and of one over `share` of it, taken in turns.
-    The part of a run whose steps grow costs more than its share, which counts as fixed; where they shrink
-    fixed_s may be negative.
-    """
-    long, short = np.concatenate(whole), np.concatenate(part)
-    columns: dict[str, float] = {}
-    per_time = (long - short) / ((1 - share) * span)
-    for name, values in (("fixed", long - per_time * span), ("marginal", per_time)):
-        low, median, high = np.percentile(values, (25, 50, 75)).tolist()
-        columns |= {f"{name}_s": median, f"{name}_iqr_s": high - low}
-    if len(whole) == VISITS:
-        first, second = (np.median(a) - np.median(b) for a, b in zip(whole, part, strict=True))
-        if min(first, second) > 0:
-            columns["marginal_repeat_ratio"] = float(second / first)
-    return columns
-
-
-def calls_a_round(once: float) -> int:
-    """How many calls fill a round, where one takes so many seconds."""
-    return max(1, round(ROUND_SECONDS / once))
-
-
-def rounds_within(seconds: float, round_seconds: float, fewest: int = FEWEST_ROUNDS) -> int:
-    """How many rounds of one visit fit, within what is sensible."""
-    return min(MOST_ROUNDS, max(fewest, round(seconds / round_seconds)))
-
-
-class Race:
-    """Runs timed in turns: in each round every run once, in shuffled order, so that a slow drift of the
-    machine hits all alike; the rounds of the second visit come after all of the first.
-
-    runs : functions without arguments, called until they are warm before.  `columns` can be asked for at any
-    moment: an interrupted race has the rounds that it finished.
+    iterations : calls of a round of the whole run.
     """
 
-    def __init__(self, runs: Sequence[Callable[[], Any]]) -> None:
-        self.runs = list(runs)
-        self.iterations = [1] * len(self.runs)
-        self.measured: list[list[Samples]] = [[] for _ in self.runs]
+    whole: Sequence[float]
+    part: Sequence[float] = ()
+    iterations: int = 1
 
-    def warm_up(self) -> list[float]:
-        """Seconds that a round of each run takes; a long call is warm after one."""
-        rounds = []
-        for i, run in enumerate(self.runs):
-            once = warm_call(run)
-            self.iterations[i] = calls_a_round(once)
-            rounds.append(once * self.iterations[i])
-        return rounds
 
-    def go(self, seconds: float) -> None:
-        """Both visits, within about so many seconds.
+@dataclass(frozen=True)
+class Part:
+    """The same run over a share of its span: what it takes tells fixed from marginal cost."""
 
-        A run that takes longer than its share has fewer rounds than the others, no fewer than `FEWEST_ROUNDS` a visit.
-        """
-        start, lengths = perf_counter(), self.warm_up()
-        if not lengths:
-            return
-        share = max(0.0, seconds - perf_counter() + start) / VISITS / len(lengths)
-        rounds = [rounds_within(share, length) for length in lengths]
-        shuffle, order, collects = random.Random(SEED), list(range(len(self.runs))), gc.isenabled()
+    run: Callable[[], Any]
+    share: float
+    span: float
+
+
+class Timed(Protocol):
+    """What a race visits."""
+
+    def warm_up(self) -> float:
+        """Return the seconds of one round."""
+
+    def visit(self, rounds: int = ROUNDS) -> Visit:
+        """Time some rounds."""
+
+
+class Call:
+    """A function without arguments that is timed in this process, and its part."""
+
+    def __init__(self, run: Callable[[], Any], part: Part | None = None) -> None:
+        self.part = part
+        self.runs = [run] if part is None else [run, part.run]
+        self.once: list[float] = []
+
+    def warm_up(self) -> float:
+        """Call each run until it is warm: a long one once, a short one for a round more."""
+        if not self.once:
+            for run in self.runs:
+                once = seconds(run, 1)
+                self.once.append(once if once > LONG else min(once, seconds(run, calls_a_round(once))))
+        return sum(max(ROUND_SECONDS, once) for once in self.once)
+
+    def visit(self, rounds: int = ROUNDS) -> Visit:
+        """Time some rounds, no garbage collected; how many calls fill one follows from the fastest so far."""
+        calls = [calls_a_round(once) for once in self.once]
+        if self.once[0] > LONG:
+            rounds = 1
+        collects = gc.isenabled()
         gc.disable()
         try:
-            for visit in range(VISITS):
-                until = perf_counter() + max(0.0, start + seconds - perf_counter()) / (VISITS - visit)
-                for turn in range(max(rounds)):
-                    if turn >= FEWEST_ROUNDS and perf_counter() > until:
-                        break
-                    shuffle.shuffle(order)
-                    for i in order:
-                        if turn < rounds[i]:
-                            self._round(i, visit)
+            turns = [[seconds(*each) for each in zip(self.runs, calls, strict=True)] for _ in range(rounds)]
         finally:
             if collects:
                 gc.enable()
-
-    def _round(self, i: int, visit: int) -> None:
-        sample = seconds(self.runs[i], self.iterations[i])
-        if len(self.measured[i]) == visit:
-            self.measured[i].append([])
-        self.measured[i][visit].append(sample)
-
-    def columns(self, i: int) -> dict[str, Any]:
-        """The time columns of run i, empty where it was not timed."""
-        return time_columns(self.measured[i], self.iterations[i]) if self.measured[i] else {}
+        self.once = [min(times) for times in zip(self.once, *turns, strict=True)]
+        whole, *part = zip(*turns, strict=True)
+        return Visit(whole, part[0] if part else (), calls[0])
 
 
-def warm_call(run: Callable[[], Any]) -> float:
-    """Seconds that a call takes: not the first of a run, which is no measure of the others, unless it is long."""
-    once = seconds(run, 1)
-    return min(once, seconds(run, 1)) if once < WARM else once
+def calls_a_round(once: float) -> int:
+    """Return how many calls fill a round, where one takes so many seconds."""
+    return math.ceil(ROUND_SECONDS / once)
 
 
 def seconds(run: Callable[[], Any], iterations: int) -> float:
-    """Seconds a call, over so many calls."""
+    """Return the seconds a call takes, over so many calls."""
     start = perf_counter()
     for _ in range(iterations):
         run()
     return (perf_counter() - start) / iterations
+
+
+class Race:
+    """Calls timed side by side: every sweep visits each of them once, in an order of its own.
+
+    visits : of each call, as far as they have been made; an interrupted race keeps those it finished.
+    """
+
+    def __init__(self, calls: Sequence[Timed]) -> None:
+        self.calls = list(calls)
+        self.visits: list[list[Visit]] = [[] for _ in self.calls]
+        self.shuffle = random.Random(SEED)
+
+    def sweep(self, rounds: Sequence[int] | None = None) -> Iterator[int]:
+        """Visit every call; yield the number of each that was visited."""
+        for i in self.shuffle.sample(range(len(self.calls)), len(self.calls)):
+            self.visits[i].append(self.calls[i].visit(rounds[i] if rounds else ROUNDS))
+            yield i
+
+    def go(self, budget: float) -> None:
+        """Make `VISITS` visits, and more of them within so many seconds.
+
+        Where time is short a call has fewer rounds a visit, not fewer visits.
+        """
+        start = perf_counter()
+        lengths = [call.warm_up() for call in self.calls]
+        if not lengths:
+            return
+        share = max(0.0, start + budget - perf_counter()) / VISITS / len(lengths)
+        rounds = [min(ROUNDS, max(1, int(share / length))) for length in lengths]
+        sweep = sum(n * length for n, length in zip(rounds, lengths, strict=True))
+        for visit in range(MOST_VISITS):
+            if visit >= VISITS and perf_counter() + sweep > start + budget:
+                break
+            for _ in self.sweep(rounds):
+                pass
+
+
+# -- what the visits say ---------------------------------------------------------------------------------
+def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
+    """Return the time columns of one call: the estimate is the least round, the rest says how it came about."""
+    rounds = np.concatenate([visit.whole for visit in visits])
+    low, median, high = np.percentile(rounds, (25, 50, 75)).tolist()
+    columns = {
+        "time_min_s": least(visits), "time_median_s": median, "time_iqr_s": high - low,
+        "visits": len(visits), "rounds": len(rounds), "iterations": visits[-1].iterations,
+    }  # fmt: skip
+    if len(visits) > 1:
+        columns["time_halves_ratio"] = least(visits[1::2]) / least(visits[::2])
+    return columns
+
+
+def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
+    """Return fixed and marginal cost: time = fixed + marginal · T, from the least rounds of both lengths.
+
+    The part of a run whose steps grow costs more than its share, which counts as fixed; where they shrink
+    fixed_s may be negative.
+    """
+    slope = marginal(visits, part)
+    columns = {"fixed_s": least(visits) - slope * part.span, "marginal_s": slope}
+    if len(visits) > 1:
+        odd, even = marginal(visits[::2], part), marginal(visits[1::2], part)
+        if min(odd, even) > 0:
+            columns["marginal_halves_ratio"] = even / odd
+    return columns
+
+
+def process_columns(
+    visits: Sequence[Visit], again: Sequence[Visit], part: Part | None = None
+) -> dict[str, float]:
+    """Return the columns of a call that a second process has timed too: what it says over what the first said."""
+    columns = {"time_process_ratio": least(again) / least(visits)}
+    if part is not None:
+        first, second = marginal(visits, part), marginal(again, part)
+        if min(first, second) > 0:
+            columns["marginal_process_ratio"] = second / first
+    return columns
+
+
+def least(visits: Sequence[Visit]) -> float:
+    return float(min(min(visit.whole) for visit in visits))
+
+
+def marginal(visits: Sequence[Visit], part: Part) -> float:
+    short = min(min(visit.part) for visit in visits)
+    return float((least(visits) - short) / ((1 - part.share) * part.span))

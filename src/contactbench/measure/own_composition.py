@@ -7,10 +7,11 @@ from fractions import Fraction
 from itertools import zip_longest
 from typing import Any
 
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, listed, shown, switch, text, whole
 from contactbench.measure.precision import local_order
 from contactbench.methods.base import METHODS
 from contactbench.methods.contact import ContactMethod, contact_method
+from contactbench.methods.fixed_step import MOST
 from contactbench.scenes import SCENES
 from contactbench.splitting.composition import Composition, Stage
 
@@ -49,6 +50,9 @@ def composition(
     >>> import contactbench as cb
     >>> leapfrog = cb.composition("my-leapfrog", order=2, kick=[0.5, 0.5], drift=[1])
     """
+    switch("nystrom", nystrom)
+    text("about", about)
+    order = whole("order", order, MOST)
     made = Composition(name, order, stages(exact("kick", kick), exact("drift", drift)), about, nystrom)
     if symmetric is not None and symmetric != made.palindromic:
         raise BadInput(
@@ -63,13 +67,15 @@ def composition(
 def exact(part: str, coefficients: Sequence[Any]) -> list[Fraction]:
     """As the decimals they are printed as, their sum made one; a palindrome stays one."""
     found: list[Fraction] = []
-    for i, coefficient in enumerate(coefficients):
+    for i, coefficient in enumerate(listed(part, coefficients, "a list of coefficients")):
         try:
             found.append(coefficient if isinstance(coefficient, Fraction) else Fraction(str(coefficient)))
         except (ValueError, ZeroDivisionError):
-            raise BadInput(f"{part}[{i}] = {coefficient!r}: must be a number, as 0.25 or '1/4'") from None
+            raise BadInput(
+                f"{part}[{i}] = {shown(coefficient)}: must be a number, as 0.25 or '1/4'"
+            ) from None
     if not found:
-        raise BadInput(f"{part} = {list(coefficients)!r}: must have at least one coefficient")
+        raise BadInput(f"{part} = {shown(coefficients)}: must have at least one coefficient")
     rest, n = 1 - sum(found, Fraction(0)), len(found)
     if abs(rest) > ROUNDED * n:
         raise BadInput(f"{part}: coefficients add up to {float(1 - rest)!r}, must be 1")
@@ -94,8 +100,6 @@ def stages(kick: Sequence[Fraction], drift: Sequence[Fraction]) -> tuple[Stage, 
 
 def check_order(method: ContactMethod) -> None:
     """Raise `BadInput` unless the order is the one claimed wherever the method is not refused."""
-    if isinstance(method.order, bool) or not isinstance(method.order, int) or method.order < 1:
-        raise BadInput(f"order = {method.order!r}: must be a whole number ≥ 1")
     for scene in (SCENES["particle"], SCENES["rigid_body"]):
         if method.refuses(scene) is not None:
             continue

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import hypot
 from time import perf_counter
@@ -38,6 +38,10 @@ from contactbench.solution import (
 FAMILIES = ("contact", "variational", "established")
 #: Python's way to say inf or nan
 NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+#: the tightest rtol of a library without a limit of its own, and of CVODE, which refuses less than a rounding
+ROUNDING = 2.3e-16
+#: the tightest of SciPy and CyRK, which raise any below 100 ε to that
+CLAMPED = 2.3e-14
 #: a step this small against the span hardly moves the clock: a singularity is ahead
 SHORTEST = 1e-15
 
@@ -82,6 +86,12 @@ class Method(ABC):
     about: str
     family: str = "established"
     engines: tuple[str, ...]
+
+    def __init_subclass__(cls) -> None:
+        """Methods are told apart by identity, whatever `dataclass` would compare: a step need not be hashable."""
+        super().__init_subclass__()
+        cls.__eq__, cls.__hash__ = object.__eq__, object.__hash__  # type: ignore[method-assign]
+
     #: of convergence; None where it varies
     order: int | None
     #: whether it takes rtol and chooses its own steps
@@ -91,8 +101,12 @@ class Method(ABC):
     contact: bool = False
     symmetric: bool = False
     rtol_range: tuple[float, float] = (1e-13, 1e-1)
+    #: whether it takes an absolute tolerance beside rtol
+    takes_atol: bool = True
     #: what rtol and atol bound
     tolerance: str
+    #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
+    own_time: bool = False
 
     @property
     def control(self) -> str:
@@ -163,6 +177,9 @@ class Prepared(ABC):
     A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; `count` where
     a run does not tell its cost; and, where its map can be differentiated, `sensitivity` (or `linearised`)
     together with `sensitivity_source`.
+
+    It belongs to what the scene's functions computed when it was prepared.  A function that cannot be recorded is
+    called as it is; where that is so, and something has changed since, a call computes with the change.
     """
 
     method: str
@@ -254,10 +271,54 @@ class Prepared(ABC):
             raise reported(f"{self.method} on scene {r.scene.name!r}", error) from error.__cause__
         if not out.checked:
             out = audited(out, self._end)
+        if out.status is Status.ok and self._bounded:
+            out = self._risen(y0, out)
         return Solution(
             *self._asked, out.y, out.status, out.message, out.counts, out.end_time, y0, self, *self._set,
             *(out.steps or self.steps_taken),
         )  # fmt: skip
+
+    def _risen(self, y0: np.ndarray, out: Outcome) -> Outcome:
+        """The outcome, an `ok` taken back where H0 ends above its start by more than all its terms there.
+
+        No motion of a scene that `bounds_energy` does so: the steps are far too long for it.  An error that is
+        small beside the terms at the end, after a start next to an equilibrium, is no such rise.
+        """
+        r = self.request
+        start, most = self._own_energy if y0 is self._own_start else self._energy(y0)
+        x = r.scene.unpack(out.y[-1].tolist(), r.carry)
+        end = r.scene.energy(x)
+        if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
+            return out
+        energies = r.scene.energy(r.scene.unpack(tuple(out.y.T), r.carry))
+        first = int(np.argmax(energies > most))
+        y = out.y.copy()
+        y[first:] = math.nan
+        message = f"H0 rose from {start:.6g} to {end:.6g}, above all that the scene allows: a smaller step is needed"
+        return replace(
+            out, y=y, status=Status.diverged, message=message, end_time=float(r.save_at[first]), checked=True
+        )
+
+    def _energy(self, y0: np.ndarray) -> tuple[float, float]:
+        """H0 at a start, and what it cannot reach on any motion from there."""
+        scene = self.request.scene
+        x = scene.unpack(y0.tolist(), self.request.carry)
+        start = float(scene.energy(x))
+        return start, start + float(scene.energy_terms(x))
+
+    @cached_property
+    def _own_energy(self) -> tuple[float, float]:
+        return self._energy(self._own_start)
+
+    @property
+    def atol(self) -> float | None:
+        """The absolute tolerance of the run, where its method takes one."""
+        takes = self.method not in METHODS or METHODS[self.method].takes_atol
+        return self.request.atol if takes else None
+
+    def __reduce__(self) -> Any:
+        """Pickled as what it was prepared from."""
+        return Deferred, (self.method, self.request)
 
     @cached_property
     def _asked(self) -> tuple[Scene, str, str, str, tuple[str, ...], np.ndarray]:
@@ -273,12 +334,23 @@ class Prepared(ABC):
         r = self.request
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
         self._motion, self._end = r.scene.motion, float(r.save_at[-1])
+        self._bounded = isinstance(r.scene, Scene) and r.scene.bounds_energy
         self._own_bound = divergence_bound(self._own_start[: self._motion])
         self._saves = len(r.save_at)
         self.saves_start = r.save_at[0] == 0
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
         self._set = (r.control, r.value)
+
+    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
+        """The time at which a packed state begins, 0 where it has none, and the components less the time."""
+        clock = self.request.scene.clock
+        return (0.0, y0) if clock is None else (float(y0[clock]), np.delete(y0, clock))
+
+    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
+        """Packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
+        clock = self.request.scene.clock
+        return y if clock is None else np.insert(y, clock, start + times, axis=-1)
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """The saved states, of those at `later` times: the initial one before them where it is saved."""
@@ -340,6 +412,26 @@ class Prepared(ABC):
             if self.first_divergence(y0, stopped[1][None]) is not None:
                 status, message = Status.diverged, f"left the scene's scale by a factor 1e6 by t = {end:.10g}"
         return Outcome(y, counts, status, message, end)
+
+
+@dataclass
+class Deferred:
+    """A run that has come out of a pickle: it is prepared anew when something is asked of it."""
+
+    method: str
+    request: Request
+
+    @cached_property
+    def run(self) -> Prepared:
+        return METHODS[self.method].prepare(self.request)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.run, name)
+
+    def __call__(self, **data: Any) -> Solution:
+        return self.run(**data)
 
 
 class Refused(Prepared):

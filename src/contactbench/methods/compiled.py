@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -12,8 +12,9 @@ import numpy as np
 
 from contactbench.methods.base import Prepared, stopwatch
 from contactbench.numbers.recording import advised
+from contactbench.scene.cache import Cache, key
 
-_programs: dict[Any, tuple[Any, float]] = {}
+_programs: Cache[tuple[Any, float]] = Cache(1024)
 
 
 class XlaNumbers:
@@ -50,7 +51,12 @@ class CompiledRun(Prepared):
 
     @abstractmethod
     def key(self) -> tuple[Any, ...]:
-        """What the program depends on besides the scene's structure and the fields carried."""
+        """What the program depends on besides the identity and the fields carried."""
+
+    @property
+    def identity(self) -> Hashable | None:
+        """What the program depends on of the scene, and of a user's method."""
+        return self.request.scene.identity
 
     @abstractmethod
     def states(self, y0: Any, fixed: Any) -> Any:
@@ -108,15 +114,14 @@ class CompiledRun(Prepared):
         """
         from contactbench.xla import jax
 
-        r = self.request
-        key = (purpose, r.scene.structure, r.carry, *self.key())
-        if key not in _programs:
+        def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             try:
-                _programs[key] = jax.jit(function).lower(*arguments).compile(), elapsed()
+                return jax.jit(function).lower(*arguments).compile(), elapsed()
             except jax.errors.JAXTypeError as error:
                 raise advised(error) from error
-        return _programs[key]
+
+        return _programs.get(key(self.identity, purpose, self.request.carry, *self.key()), make)
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         return self.pushed(y0, self.states, "steps")

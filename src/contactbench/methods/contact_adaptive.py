@@ -47,6 +47,7 @@ from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.recording import CannotRecord, recorded
 from contactbench.numbers.source import executed_on_lists
 from contactbench.scene import Mechanical, Scene
+from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
 from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
@@ -179,7 +180,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         return self.ended(y0, y, steps, time, [float(c) for c in scene.pack(x)], density)
 
 
-_loops: dict[Any, tuple[Any, float]] = {}
+_loops: Cache[tuple[Any, float]] = Cache(256)
 
 
 class AdaptiveNumbaLoop(AdaptiveContactRun):
@@ -199,13 +200,14 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
     def loop(self, tangent: bool = False, moving: bool = False) -> tuple[Any, float]:
         """The compiled loop, and the seconds it took."""
         r = self.request
-        key = (r.scene.structure, r.carry, tangent, moving)
-        if key not in _loops:
+
+        def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             scene: Any = r.scene
             text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
-            _loops[key] = compiled(text), elapsed()
-        return _loops[key]
+            return compiled(text), elapsed()
+
+        return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 
     def solved(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States at the saved times, and the facts about the end of the sequence."""
@@ -311,6 +313,7 @@ class AdaptiveContactMethod(Adaptive):
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
     engines: tuple[str, ...] = ("numba", "jax", "python")
     evaluations_per_step: int = 12
+    takes_atol: bool = False
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:

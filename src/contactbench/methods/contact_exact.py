@@ -10,15 +10,16 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Request
+from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Refused, Request
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.numbers.control import Repeat
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
@@ -184,8 +185,10 @@ class ExactMethod(Method):
 
     def prepare(self, request: Request) -> Prepared:
         runs: dict[str, type[Any]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}
-        run: Prepared = runs[request.engine](self.name, request)
-        return run
+        try:
+            return cast("Prepared", runs[request.engine](self.name, request))
+        except CannotRecord as why:
+            return Refused(self.name, request, str(why))
 
 
 METHODS.add(ExactMethod())

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import reported
-from contactbench.errors import BadInput, positive, shown, whole
+from contactbench.errors import BadInput, positive, shown, text, whole
 from contactbench.methods.base import METHODS, Method, Prepared, Refused, Request, begins
+from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.first_step import try_step
 from contactbench.methods.grid import default_times, long_enough, saved_times
+from contactbench.methods.llvm import compiles
 from contactbench.methods.step_map import StepMap
 from contactbench.scene import Scene, verify
+from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
 from contactbench.solution import Solution
 
@@ -26,7 +29,9 @@ MOST_STEPS = 10**14
 
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
     """Scene and method, each itself or by name, `UnknownName` with a suggestion otherwise."""
-    return scene_of(scene), method if isinstance(method, Method) else METHODS[method]
+    chosen = method if isinstance(method, Method) else METHODS[method]
+    text("method name", chosen.name)
+    return scene_of(scene), chosen
 
 
 def prepare(
@@ -55,7 +60,7 @@ def prepare(
         method depend on them, since it starts afresh at each: with save_at=[t_end] it takes the fewest steps.
     carry : which of s and R to integrate; by default all the scene has.
     engine : "numba", "jax", "python", …; by default the method's first that can run this scene: a step map
-        or a force that branches on values cannot be compiled.
+        or a force that branches on values cannot be compiled.  Under NUMBA_DISABLE_JIT Python comes first.
     max_steps : budget; a run that needs more ends with status `budget`.
     Raises `BadInput` for anything it cannot work with.
     """
@@ -63,7 +68,7 @@ def prepare(
     request = asked(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
     if isinstance(request, Refused):
         return request
-    engines = chosen.engines if engine is None else (engine,)
+    engines = engines_of(chosen) if engine is None else (engine,)
     try:
         run = first = chosen.prepare(request)
         for other in engines[1:]:
@@ -90,6 +95,8 @@ def asked(
     elif chosen.adaptive:
         if step is not None:
             raise BadInput(f"step = {shown(step)}: {chosen.name} chooses its own steps; give rtol")
+        if atol is not None and not chosen.takes_atol:
+            raise BadInput(f"atol = {shown(atol)}: {chosen.name} takes rtol alone")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
     else:
         if step is not None and rtol is not None:
@@ -109,7 +116,8 @@ def asked(
             step = positive("step", step)
     budget = _budget(chosen, max_steps)
     times = long_enough(default_times(scene, step, budget)) if save_at is None else saved_times(save_at)
-    request = Request(scene, engine or chosen.engines[0], scene.carry(carry), times, step, rtol, atol, budget)
+    engine = engine or engines_of(chosen)[0]
+    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
     if (why := chosen.refuses(scene)) is not None:
         return Refused(chosen.name, request, why)
     verify(scene)
@@ -119,13 +127,24 @@ def asked(
     return request
 
 
+def engines_of(method: Method) -> tuple[str, ...]:
+    """Return a method's engines in the order to try them: Python first where numba is told not to compile."""
+    return method.engines if compiles() else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
+
+
 def _given(step: Any, rtol: Any, atol: Any) -> str:
     return f"step = {shown(step)}, rtol = {shown(rtol)}, atol = {shown(atol)}"
 
 
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
-    """Solve a scene once; takes the keywords of `prepare`."""
-    return prepare(scene, method, **options)()
+    """Solve a scene once; takes the keywords of `prepare`.
+
+    Raises `BadInput` as it does, and where a gradient is not that of the potential at a saved state.
+    """
+    solution = prepare(scene, method, **options)()
+    if solution.ok:
+        verify_at(solution.scene, solution.y)
+    return solution
 
 
 def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[float, float]:

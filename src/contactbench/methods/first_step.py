@@ -6,32 +6,34 @@ import math
 from typing import Any
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, is_real, shown
-from contactbench.methods.step_map import StepMap
+from contactbench.errors import BadInput, is_number, shown
+from contactbench.methods.step_map import StepMap, identity
 from contactbench.scene import Scene
+from contactbench.scene.base import TRIED
+from contactbench.scene.cache import Cache
 
-#: the step that is tried, in parts of the scene's end time, unless the one asked for is shorter
-TRIED = 1e-3
-
-_tried: set[Any] = set()
+_tried: Cache[bool] = Cache(1024)
 
 
 def try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float | None) -> None:
     """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields.
 
-    Once per method and kind of scene; what this package brings has tests of its own.
+    Once for what the method and the scene compute; what this package brings has tests of its own.
     """
     if is_ours(type(method)) and is_ours(method.step):
         return
-    key = (method, scene.structure, carry)
-    if key in _tried:
-        return
+    with their_code(f"method {method.name!r}"):
+        known = identity(method, scene, carry)
+    _tried.get(known, lambda: _try_step(method, scene, carry, step))
+
+
+def _try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float | None) -> bool:
     x, h, what = scene.initial(carry), TRIED * scene.t_end, f"method {method.name!r}"
     with their_code(what):
         try:
             after = method.advance(scene, x, min(h, step or h), 1, math)
         except ArithmeticError:  # Python's way to say inf; the run will end as diverged
-            return
+            return False
     if type(after) is not type(x):
         raise BadInput(f"{what}: its step map returns {shown(after)}: must be a {type(x).__name__}")
     for name, old, new in zip(x._fields, x, after, strict=True):
@@ -44,7 +46,7 @@ def try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float 
                 else "a number"
             )
             raise BadInput(f"{what}: its step map returns {name} = {shown(new)}: must be {wanted}")
-    _tried.add(key)
+    return True
 
 
 def _alike(old: Any, new: Any) -> bool:
@@ -53,4 +55,4 @@ def _alike(old: Any, new: Any) -> bool:
         return old is new
     if isinstance(old, tuple):
         return isinstance(new, tuple) and len(new) == len(old) and all(map(_alike, old, new))
-    return is_real(new) and hasattr(new, "__float__")
+    return is_number(new)

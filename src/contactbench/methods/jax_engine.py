@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from contactbench.methods.base import Outcome
 from contactbench.methods.compiled import CompiledRun, XlaNumbers
 from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.step_map import identity
 from contactbench.numbers.control import Repeat
 
 
@@ -52,7 +53,11 @@ class JaxSteps(FixedStepRun, CompiledRun):
             self.fixed = self.spans(self.h, self.n)
 
     def key(self) -> tuple[Any, ...]:
-        return (self.method_, self.capacity)
+        return (self.capacity,)
+
+    @cached_property
+    def identity(self) -> Hashable | None:  # type: ignore[override]
+        return identity(self.method_, self.request.scene, self.request.carry)
 
     def states(self, y0: Any, fixed: Any) -> Any:
         from contactbench.xla import jnp, lax

@@ -17,6 +17,7 @@ from types import ModuleType
 from typing import Any
 
 from contactbench.methods import lowering
+from contactbench.numbers.recording import CannotRecord
 
 #: folder for generated sources and compiled programs; by default the user's cache folder
 VARIABLE = "CONTACTBENCH_CACHE"
@@ -81,8 +82,18 @@ def compiled(text: str, lanes: int = 1, fused: bool = True) -> Any:
     return getattr(imported(source), name)
 
 
+def compiles() -> bool:
+    """Return whether numba compiles in this process."""
+    return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
+
+
 def imported(source: str) -> ModuleType:
-    """A module from a file of the cache folder, which is written unless it is there."""
+    """A module from a file of the cache folder, which is written unless it is there.
+
+    Raises `CannotRecord` where numba is told not to compile.
+    """
+    if not compiles():
+        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
     name = f"program_{hashlib.sha256(source.encode()).hexdigest()[:32]}"
     path = folder() / f"{name}.py"
     if not path.exists() or path.read_text() != source:

@@ -12,12 +12,12 @@ import numpy as np
 from contactbench.methods.base import NO_NUMBER, Outcome, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.llvm import compiled
-from contactbench.methods.step_map import StepMap
-from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.program import Program, record
+from contactbench.methods.step_map import StepMap, identity, program_of
+from contactbench.numbers.program import Program
 from contactbench.numbers.source import executed_on_lists
 from contactbench.scene import Scene
-from contactbench.solution import DIVERGENCE, Status
+from contactbench.scene.cache import Cache, key
+from contactbench.solution import Status
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22
@@ -69,35 +69,18 @@ class Loop:
         return w
 
 
-_loops: dict[Any, Loop] = {}
-
-
-def program_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
-    """The recorded loop of a method on a scene.
-
-    tangent : packed states are followed by a tangent vector, which is carried along.
-    Raises `CannotRecord` where the method or the scene branches on values.
-    """
-    d = len(scene.labels(carry))
-
-    def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
-        if tangent:
-            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
-        start = scene.unpack(y, carry)
-        end = scene.pack(method.advance(scene.with_numbers(numbers), start, h, n, xp, repeat))
-        return [*map(value, end), *map(slope, end)] if tangent else end
-
-    return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
+_loops: Cache[Loop] = Cache(1024)
 
 
 def loop_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
-    """The same, compiled; once for all scenes of one structure."""
-    key = (method, scene.structure, carry, tangent)
-    if key not in _loops:
+    """The recorded loop of a method on a scene, compiled; once for all scenes of one identity."""
+
+    def make() -> Loop:
         elapsed = stopwatch()
         program = program_of(method, scene, carry, tangent)
-        _loops[key] = Loop(program, compiled(program.run), elapsed())
-    return _loops[key]
+        return Loop(program, compiled(program.run), elapsed())
+
+    return _loops.get(key(identity(method, scene, carry), tangent), make)
 
 
 class NumbaLoop(FixedStepRun):

@@ -11,8 +11,8 @@ import numpy as np
 from contactbench.methods.base import NO_NUMBER, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxSteps
-from contactbench.methods.numba_engine import NumbaLoop, program_of
-from contactbench.methods.step_map import trajectory
+from contactbench.methods.numba_engine import NumbaLoop
+from contactbench.methods.step_map import program_of, trajectory
 from contactbench.numbers.program import Program
 from contactbench.numbers.recording import CannotRecord
 from contactbench.numbers.source import executed_on_lists

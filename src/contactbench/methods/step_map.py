@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from contactbench.boundary import is_ours
 from contactbench.methods.base import Method
 from contactbench.methods.engines import CALLBACKS
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.dual import Dual, DualNumbers, slope, value
+from contactbench.numbers.program import Program, record
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene import Scene
+from contactbench.solution import DIVERGENCE
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
@@ -84,6 +89,40 @@ class StepMap(Method):
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:
         return self.per_step(scene) if engine in CALLBACKS else None
+
+
+def program_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
+    """The recorded loop of a method on a scene.
+
+    tangent : packed states are followed by a tangent vector, which is carried along.
+    Raises `CannotRecord` where the method or the scene branches on values.
+    """
+    d = len(scene.labels(carry))
+
+    def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+        if tangent:
+            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
+        start = scene.unpack(y, carry)
+        end = scene.pack(method.advance(scene.with_numbers(numbers), start, h, n, xp, repeat))
+        return [*map(value, end), *map(slope, end)] if tangent else end
+
+    return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
+
+
+def identity(method: StepMap, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
+    """What a compiled loop of a method on a scene depends on besides the numbers; None where nobody can tell.
+
+    A user's step map counts by what it was recorded with, as the scene's functions do.
+    """
+    if (own := scene.identity) is None:
+        return None
+    if is_ours(type(method)) and is_ours(getattr(method, "step", type(method))):
+        return method, own, carry
+    try:
+        program = program_of(method, scene, carry)
+    except CannotRecord:
+        return None
+    return program.setup, program.run, program.data.tobytes(), program.shape.tobytes(), own, carry
 
 
 def trajectory(method: StepMap, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:

@@ -56,10 +56,10 @@ def namespace(x: Any) -> Any:
     return np
 
 
-def _function(name: str) -> Callable[[Any], Any]:
+def function(name: str) -> Callable[[Any], Any]:
     plain = getattr(math, name)
 
-    def function(x: Any) -> Any:
+    def apply(x: Any) -> Any:
         if isinstance(x, float):  # the common case, and the only one that raises
             try:
                 return plain(x)
@@ -69,24 +69,29 @@ def _function(name: str) -> Callable[[Any], Any]:
                 return math.copysign(math.inf, x) if name == "sinh" else math.inf
         return getattr(namespace(x), name)(x)
 
-    function.__name__ = function.__qualname__ = name
-    function.__doc__ = f"{name}(x) of any number a scene runs on."
-    return function
+    apply.__name__ = apply.__qualname__ = name
+    apply.__doc__ = f"{name}(x) of any number a scene runs on."
+    return apply
 
 
 # one by one, so that a type checker knows them
-exp, log, sqrt = map(_function, ("exp", "log", "sqrt"))
-sin, cos, tan = map(_function, ("sin", "cos", "tan"))
-asin, acos, atan = map(_function, ("asin", "acos", "atan"))
-sinh, cosh, tanh = map(_function, ("sinh", "cosh", "tanh"))
-asinh, acosh, atanh = map(_function, ("asinh", "acosh", "atanh"))
+exp, log, sqrt = map(function, ("exp", "log", "sqrt"))
+sin, cos, tan = map(function, ("sin", "cos", "tan"))
+asin, acos, atan = map(function, ("asin", "acos", "atan"))
+sinh, cosh, tanh = map(function, ("sinh", "cosh", "tanh"))
+asinh, acosh, atanh = map(function, ("asinh", "acosh", "atanh"))
 
 
-def _leading(*numbers: Any) -> Any:
+def leading(*numbers: Any) -> Any:
     """The number that decides which functions fit: the first that is no plain one."""
     return next((x for x in numbers if not isinstance(x, int | float)), numbers[0])
 
 
+def hypot(x: Any, y: Any) -> Any:
+    """√(x² + y²)."""
+    return namespace(leading(x, y)).hypot(x, y)
+
+
 def atan2(y: Any, x: Any) -> Any:
     """The angle of (x, y), in (−π, π]."""
-    return namespace(_leading(y, x)).atan2(y, x)
+    return namespace(leading(y, x)).atan2(y, x)

@@ -209,9 +209,11 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
         setup.lines += tape.root.lines
     setup.lines += columns.lines
 
-    bound = " + ".join(f"{x} * {x}" for x in state[:bounded])
+    # a sum of all of them in one expression would be too deep for Python's parser
+    squares = [f"size = {'size + ' if i else ''}{x} * {x}" for i, x in enumerate(state[:bounded])]
     run.add(*sizes, *(f"{x} = start[{i}]" for i, x in enumerate(state)))
-    run.add(f"size = sqrt({bound})", f"bound = {factor!r} * (size if size != 0.0 else 1.0)", "bad = -1")
+    begins = len(run.lines)
+    run.add(*squares, "size = sqrt(size)", f"bound = {factor!r} * (size if size != 0.0 else 1.0)", "bad = -1")
     known = len(tape.shape)
     run.add(f"for j in range(len(shape) - {known}):", f"    u = shape[{known} + j]")
     loads = {"f": "{} = w[u, {}]", "i": "{} = int(w[u, {}])", "b": "{} = w[u, {}] != 0.0"}
@@ -223,7 +225,7 @@ def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -
     run.add(f"    if bad < 0 and not ({' and '.join(healthy)}):", "        bad = j", "return bad")
     start = run.lines.index("    bad = -1") + 1
     many = [
-        *(line for line in run.lines[: start - 3] if "start[" not in line),
+        *(line for line in run.lines[:begins] if "start[" not in line),
         *(f"    {x} = starts[{i}]" for i, x in enumerate(state)),
         *(line.replace(f"after[{len(state)} * j + ", "ends[j, ") for line in run.lines[start:-3]),
     ]

@@ -10,7 +10,7 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from contactbench.numbers.recording import LARGEST_POWER
+from contactbench.numbers.recording import LARGEST_POWER, Recorded
 
 #: what a run says that has no step at all
 NO_SERIES = "heyoka has no series of the root and other fractional powers of x, nor of |x|, at x = 0"
@@ -68,6 +68,12 @@ for _name in ("add", "sub", "mul", "truediv"):
     _forward, _reflected = _arithmetic(getattr(operator, _name))
     setattr(Series, f"__{_name}__", _forward)
     setattr(Series, f"__r{_name}__", _reflected)
+
+#: what asks for a value, or for the truth of a comparison, is refused in the words of `Recorded`
+for _name in ("bool", "float", "int", "index", "complex", "iter"):
+    setattr(Series, f"__{_name}__", getattr(Recorded, f"__{_name}__"))
+for _name in ("eq", "ne", "lt", "le", "gt", "ge"):
+    setattr(Series, f"__{_name}__", Recorded.__bool__)
 
 
 class SeriesNumbers:

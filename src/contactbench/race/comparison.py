@@ -10,7 +10,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from contactbench.errors import BadInput, finite, listed, positive, shown, switch
-from contactbench.measure.clock import FEWEST_ROUNDS, VISITS, Race
+from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import lookup
 from contactbench.race.keeping import expected, laws_at
@@ -23,8 +23,8 @@ ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
 #: by when, in parts of the budget, the reference, its check, the scouting and the laws are over
 REFERENCE, CHECK, SCOUTING, LAWS = 0.4, 0.42, 0.6, 0.8
-#: calls of a run in the shortest race: to warm up, and the rounds of each visit
-FEWEST_CALLS = 1 + VISITS * FEWEST_ROUNDS
+#: calls of a run in the shortest race: to warm up, and a round of each visit
+FEWEST_CALLS = 1 + VISITS
 KINDS = ("compiled", "callbacks")
 #: seconds that compiling the first method of an engine takes on an idle core: without them it is not begun
 COMPILING = {"jax": 5.0, "c++": 1.5}
@@ -49,15 +49,15 @@ def compare(
 
     Each method is tried from its coarsest setting to the one that reaches the smallest error, on the first
     of its engines that can run the scene; the settings that reach the errors are then timed in turns, as bare
-    calls, each twice.  Times are compared within a kind of engine: compiled, or calling back into Python.
+    calls, each eight times or more.  Times are compared within a kind of engine: compiled, or calling back into Python.
 
     Returns one row for each method and error, columns: scene, method, family, engine, kind, error_asked,
-    setting, error_reached, time_s (median), evaluations (of the right-hand side, or what equals one), ratio (to
-    the least time of its kind at that error), verdict (cheapest, tie, or ×ratio), laws_kept, a column for each
-    law, status, reason (why a method got no further, or was not timed).  ``attrs``: "reference" (source, digits,
-    digits confirmed by a second engine, error: smaller ones are not claimed), "margins" (by kind: the ratio up to
-    which times are a tie, measured as A/A), "runs" (every setting tried), "unrefined" (methods without a last
-    search for a coarser setting), "interrupted", "seconds".
+    setting, error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio
+    (to the least time of its kind at that error), margin (the ratio up to which the two cannot be told apart), verdict
+    (cheapest, tie, undecided where the margin is too wide to judge, or ×ratio), laws_kept, a column for each law,
+    status, reason (why a method got no further, or was not timed).  ``attrs``: "reference" (source, digits, digits
+    confirmed by a second engine, error: smaller ones are not claimed), "runs" (every setting tried), "unrefined"
+    (methods without a last search for a coarser setting), "interrupted", "seconds".
     Ctrl-C ends it with what there is.  Raises `BadInput`, also where no reference can be computed.
     """
     scene, _ = lookup(scene, next(iter(METHODS)))
@@ -216,11 +216,11 @@ class Comparison:
                     self.untimed[key] = "too slow for the time that was left"
                 else:
                     fits[key] = attempt
-            race = Race([bare(a) for a in fits.values()])
+            race = Race([Call(bare(a)) for a in fits.values()])
             try:
                 race.go(0.0 if self.interrupted else given)
             finally:
-                self.times |= {key: race.columns(i) for i, key in enumerate(fits)}
+                self.times |= {key: time_columns(v) for key, v in zip(fits, race.visits, strict=True) if v}
 
     def measure_laws(self) -> None:
         """At the largest error first, so that there is something to say of every method; what is slow last."""

@@ -12,29 +12,36 @@ import pandas as pd
 
 from contactbench.measure.laws import LAWS
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
+from contactbench.report.contest import within
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
-from contactbench.report.numbers import count, duration, names, scientific
+from contactbench.report.numbers import count, duration, names, percent, scientific
 from contactbench.report.page import Said, page
 from contactbench.report.rooms import Part, Room, Text
+from contactbench.results.statistics import PROCESSES, WIDEST, Verdict
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: of those that tie, so many are named
 NAMED = 4
+ALIKE = {str(each): each for each in (Verdict.tie, Verdict.undecided)}
 
 
 def sentences(frame: pd.DataFrame) -> Iterator[str]:
     """Who is cheapest at each error, how the reference is known, what was not compared and why."""
     for kind, part in frame[frame["verdict"] != ""].groupby("kind", sort=False):
         for error, rows in part.groupby("error_asked", sort=False):
-            first = rows[rows["verdict"].isin(["cheapest", "tie"])].sort_values("time_s")
-            said = "tie: " if len(first) > 1 else ""
+            first = rows[rows["verdict"].isin(["cheapest", *ALIKE])].sort_values("time_s")
+            said = (
+                f"{within(ALIKE[first['verdict'].iloc[0]], first['margin'].max())}: "
+                if len(first) > 1
+                else ""
+            )
             yield (
                 f"{TITLES[str(kind)]}, error {error:g}: {said}{names(list(first['method']), NAMED)}, "
                 f"{duration(first['time_s'].min())}."
             )
-    reference, margins = frame.attrs["reference"], frame.attrs["margins"]
+    reference = frame.attrs["reference"]
     second = reference["confirmed"]
     checked = (
         "two precisions of one engine agree"
@@ -45,8 +52,10 @@ def sentences(frame: pd.DataFrame) -> Iterator[str]:
         f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
         f"{reference['error']:.1e} are not claimed."
     )
-    margin = ", ".join(f"×{m:.2f} ({kind})" for kind, m in margins.items())
-    yield f"Times within {margin} of the least are a tie: what two measurements of one run differ by here."
+    yield (
+        "Times are least rounds. Two within their margin tie: what the halves of their visits differ by here, and two "
+        f"processes elsewhere ({percent(PROCESSES)}); within a margin wider than {percent(WIDEST)} they are undecided."
+    )
     yield from cuts(frame)
     if unrefined := frame.attrs["unrefined"]:
         yield f"No time was left to look for a cheaper setting of {', '.join(unrefined)}."
@@ -81,7 +90,7 @@ def cell(row: Any) -> Cell:
         return word(row.status)
     if math.isnan(row.time_s):
         return Cell("not timed")
-    mark = {"cheapest": Mark.best, "tie": Mark.tie}.get(row.verdict)
+    mark = Mark.best if row.verdict == "cheapest" else Mark.tie if row.verdict in ALIKE else None
     hint = f"{row.setting}, error {row.error_reached:.1e}, {count(row.evaluations)} evaluations"
     return Cell(f"{duration(row.time_s)} {row.verdict}", row.time_s, marks(mark), hint=hint)
 
@@ -128,7 +137,7 @@ def view(frame: pd.DataFrame, kind: str) -> View:
         Head("laws kept to round-off", words=True),
     )
     meaning = (
-        "Median time of a bare call at the coarsest setting found to reach the error; ×: over the cheapest."
+        "Least time of a bare call at the coarsest setting found to reach the error; ×: over the cheapest."
     )
     return View(f"race_{kind}", TITLES[kind], meaning, heads, tuple(rows))
 

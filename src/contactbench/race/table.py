@@ -11,13 +11,13 @@ from contactbench.methods.base import METHODS
 from contactbench.race.keeping import kept, laws_shown
 from contactbench.race.scout import Attempt, Question, Scouted
 from contactbench.report.numbers import times as written
-from contactbench.results.statistics import TIE, noise
+from contactbench.results.statistics import PROCESSES, Verdict, margin, verdict
 
 #: types of the columns beside the laws
 COLUMNS = {
     "scene": "str", "method": "str", "family": "str", "engine": "str", "kind": "str", "error_asked": "float64",
     "setting": "str", "error_reached": "float64", "time_s": "float64", "evaluations": "float64", "ratio": "float64",
-    "verdict": "str", "laws_kept": "str", "status": "str", "reason": "str",
+    "margin": "float64", "verdict": "str", "laws_kept": "str", "status": "str", "reason": "str",
 }  # fmt: skip
 
 
@@ -29,30 +29,40 @@ def table(
     laws: dict[int, dict[str, float]],
     untimed: dict[int, str],
 ) -> pd.DataFrame:
-    """One row for each method and error asked; the margins and every run in ``attrs``."""
+    """One row for each method and error asked; every run in ``attrs``."""
     rows = []
     for each in scouted:
         for error in question.errors:
-            attempt = chosen.get((each.method, error))
+            attempt = cheapest(each.method, error, question.errors, chosen, times)
             timed, kept_at = (times.get(id(attempt), {}), laws.get(id(attempt), {})) if attempt else ({}, {})
             rows.append({
                 "scene": question.scene.name, "method": each.method, "family": METHODS[each.method].family,
                 "engine": each.engine, "kind": each.kind, "error_asked": error,
                 **(reached(question, attempt) if attempt else unreached(question, each, error)),
                 **({"reason": untimed[id(attempt)]} if id(attempt) in untimed else {}),
-                "time_s": timed.get("time_median_s", math.nan),
-                "time_repeat_ratio": timed.get("time_repeat_ratio", math.nan), **kept_at,
+                "time_s": timed.get("time_min_s", math.nan),
+                "time_halves_ratio": timed.get("time_halves_ratio", math.nan), **kept_at,
             })  # fmt: skip
     frame = pd.DataFrame(rows)
     names = [law.name for law in laws_shown(question.scene)]
     frame = frame.reindex(columns=[*frame.columns, *(name for name in names if name not in frame)])
-    margins = {kind: max(TIE, noise(part)) for kind, part in frame.groupby("kind")}
-    frame["ratio"] = frame["time_s"] / frame.groupby(["kind", "error_asked"])["time_s"].transform("min")
-    frame["verdict"] = verdicts(frame, margins)
+    frame = judged(frame)
     frame["laws_kept"] = kept(frame, question.scene)
-    frame = frame.reindex(columns=[*COLUMNS, *names, "map_growth", "time_repeat_ratio"]).astype(COLUMNS)
-    frame.attrs = {"margins": margins, "runs": runs(scouted)}
+    frame = frame.reindex(columns=[*COLUMNS, *names, "map_growth", "time_halves_ratio"]).astype(COLUMNS)
+    frame.attrs = {"runs": runs(scouted)}
     return frame
+
+
+def cheapest(
+    method: str,
+    error: float,
+    errors: tuple[float, ...],
+    chosen: dict[tuple[str, float], Attempt],
+    times: dict[int, dict[str, Any]],
+) -> Attempt | None:
+    """Of the settings timed that reach an error, that error's own or a smaller one's, the one that is soonest done."""
+    reach = [a for e in sorted(errors, reverse=True) if e <= error and (a := chosen.get((method, e)))]
+    return min(reach, key=lambda a: times.get(id(a), {}).get("time_median_s", math.inf), default=None)
 
 
 def reached(question: Question, attempt: Attempt) -> dict[str, Any]:
@@ -84,14 +94,26 @@ def unreached(question: Question, each: Scouted, error: float) -> dict[str, Any]
     return row | {"status": "unreached", "reason": f"no setting is as accurate, tried down to {last.setting}"}
 
 
-def verdicts(frame: pd.DataFrame, margins: dict[Any, float]) -> list[str]:
-    """cheapest, tie (with the cheapest, within the margin), or by how much slower; blank where nothing was timed."""
-    first = frame["ratio"] <= frame["kind"].map(margins)
-    alone = first.groupby([frame["kind"], frame["error_asked"]]).transform("sum") == 1
-    return [
-        "" if math.isnan(ratio) else ("cheapest" if single else "tie") if lead else written(ratio)
-        for ratio, lead, single in zip(frame["ratio"], first, alone, strict=True)
-    ]
+def judged(frame: pd.DataFrame) -> pd.DataFrame:
+    """Add what every time is beside the least of its kind at its error.
+
+    ratio, margin : to the least, and the ratio up to which the two cannot be told apart.
+    verdict : cheapest; tie or undecided (with the cheapest); by how much slower; blank where nothing was timed.
+    """
+    frame = frame.assign(ratio=math.nan, margin=math.nan, verdict="")
+    for _, part in frame[frame["time_s"].notna()].groupby(["kind", "error_asked"]):
+        least = part.loc[part["time_s"].idxmin()]
+        alike: set[Verdict] = set()
+        for i, row in part.drop(least.name).iterrows():
+            ratio = row["time_s"] / least["time_s"]
+            most = margin((row["time_halves_ratio"], least["time_halves_ratio"]), PROCESSES)
+            said = verdict(ratio, most)
+            alike |= {said} - {Verdict.loss}
+            text = written(ratio) if said is Verdict.loss else str(said)
+            frame.loc[i, ["ratio", "margin", "verdict"]] = ratio, most, text
+        text = str(min(alike, key=list(Verdict).index, default="cheapest"))
+        frame.loc[least.name, ["ratio", "verdict"]] = 1.0, text
+    return frame
 
 
 class Runs(tuple):

@@ -3,7 +3,7 @@
 Three kinds of comparison are made and never mixed: evaluations (the engine does not matter), time of
 compiled engines, and time of solvers that call back into Python.  A method belongs to the camp its rows
 declare (column `family`): contact methods, and all others.  Two costs whose ratio is within the margin
-are a tie.
+are a tie, each pair with a margin of its own.
 """
 
 from __future__ import annotations
@@ -12,14 +12,22 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import median
 
-import numpy as np
 import pandas as pd
 
 from contactbench.report.cells import DASH
-from contactbench.report.numbers import count, duration, many, names, power, times
+from contactbench.report.numbers import count, duration, many, names, percent, power, times
 from contactbench.report.rooms import Frames
-from contactbench.results.statistics import TIE, costs_to_reach, noise, verdict
+from contactbench.results.statistics import (
+    WIDEST,
+    Verdict,
+    envelope,
+    interpolate,
+    margin,
+    process_spread,
+    verdict,
+)
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -33,13 +41,19 @@ CALLBACKS = ("python", "c+python")
 #: what marks a cost that is mostly fixed
 FIXED = " °"
 #: costs of whole calls, their fixed part included: of a call, and of each of its trajectories
-WHOLE = ("time_median_s", "each")
+WHOLE = ("time_min_s", "each")
 #: of those that tie, so many are named
 NAMED = 3
 #: endings that are our doing: a finer setting might be more accurate
 CUT = ("budget", "timeout")
+#: one integrator in two shapes: where engines do not matter one contestant, in the cheaper of them
+ONE = {"scipy-dop853": "dop853", "cyrk-dop853": "dop853"}
 #: engines at extended precision, never timed
 UNTIMED = ("mpmath",)
+
+
+#: two numbers of evaluations are a tie up to this ratio: counts repeat, but between two settings they are interpolated
+COUNTED = 1.15
 
 
 @dataclass(frozen=True)
@@ -53,12 +67,13 @@ class Kind:
     show: Callable[[float], str]
     about: str
     timed: bool = True
-    #: column of the second measurement over the first
-    repeat: str = "time_repeat_ratio"
+    #: columns of the cell's own halves, and of a second process over the first
+    halves: str = "time_halves_ratio"
+    processes: str = "time_process_ratio"
     #: whether a closed form, which costs the same for any span, takes part
     exact: bool = True
-    #: column of the spread over rounds: a cost no larger is not resolved, and takes no part
-    spread: str = ""
+    #: whether a cost without halves is not resolved, and takes no part
+    resolved: bool = False
     #: what else than the methods differs
     caveat: str = ""
 
@@ -67,12 +82,13 @@ class Kind:
         chosen = self.engines(rows["engine"])
         if not self.exact:
             chosen &= rows["control"] != "exact"
-        return chosen & resolved(rows, self.cost, self.spread) if self.spread in rows else chosen
+        return chosen & rows[self.halves].notna() if self.resolved else chosen
 
-
-def resolved(rows: pd.DataFrame, cost: str, spread: str) -> pd.Series:
-    """Which costs are larger than their spread over rounds, as far as that is known."""
-    return ~(rows[cost].astype(float) <= rows[spread].astype(float))
+    def process_spread(self, rows: pd.DataFrame) -> float:
+        """Return by what factor two processes differ on these rows."""
+        if not self.timed:
+            return COUNTED
+        return process_spread(*(rows[name].astype(float) for name in (self.processes, self.halves)))
 
 
 EVALUATIONS = Kind(
@@ -80,17 +96,17 @@ EVALUATIONS = Kind(
     "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, "
     "two rotations of the body, which together apply its whole vector field, count as one; its free flow in closed "
     f"form counts as {FREE_COST} rotations, as {MOMENTUM_COST} where the attitude is not carried. Jacobians are not "
-    "counted.",
+    f"counted. {' and '.join(ONE)} are one contestant.",
     timed=False,
 )  # fmt: skip
 COMPILED = Kind(
-    "compiled", "Time, compiled", "time_median_s", lambda engine: ~engine.isin(CALLBACKS + UNTIMED), duration,
-    "Median time of a call that is compiled as a whole.",
+    "compiled", "Time, compiled", "time_min_s", lambda engine: ~engine.isin(CALLBACKS + UNTIMED), duration,
+    "Time of a call (least round) that is compiled as a whole.",
 )  # fmt: skip
 CALLED_BACK = Kind(
-    "callbacks", "Time, Python callbacks", "time_median_s", lambda engine: engine.isin(CALLBACKS), duration,
-    "Median time of a call whose right-hand side is evaluated in Python: SciPy and scikit-sundae call it back, the "
-    "methods of this suite run a Python loop it is written into, which favours them.",
+    "callbacks", "Time, Python callbacks", "time_min_s", lambda engine: engine.isin(CALLBACKS), duration,
+    "Time of a call (least round) whose right-hand side is evaluated in Python: SciPy and scikit-sundae call it back, "
+    "the methods of this suite run a Python loop it is written into, which favours them.",
     caveat="The engines differ: the right-hand side is written into the loops of this suite, SciPy and "
     "scikit-sundae call it back.",
 )  # fmt: skip
@@ -98,15 +114,10 @@ MARGINAL = Kind(
     "marginal", "Marginal time, compiled", "marginal_s", COMPILED.engines, duration,
     "What one more unit of the scene's time takes, without what a call takes however short the run: from compiled "
     "runs over a fifth of the span and all of it, at the same setting. A closed form costs the same for any span: it "
-    "has no marginal time and takes no part; nor does a time that is no larger than its spread over rounds.",
-    repeat="marginal_repeat_ratio", spread="marginal_iqr_s", exact=False,
+    "has no marginal time and takes no part; nor does a time that either half of the visits finds no larger than 0.",
+    halves="marginal_halves_ratio", processes="marginal_process_ratio", exact=False, resolved=True,
 )  # fmt: skip
 KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
-
-
-def margin(work: pd.DataFrame, kind: Kind) -> float:
-    """The ratio within which two costs are a tie."""
-    return max(TIE, noise(work, kind.repeat)) if kind.timed else TIE
 
 
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
@@ -133,12 +144,14 @@ class Cost:
 
     bound : every setting is more accurate than that; it is the cost of the cheapest.
     share : how much of it does not grow with the run, nan where that was not measured.
+    halves : by what factor the halves of its visits differ, 1 for a count, nan where that was not measured.
     """
 
     value: float
     bound: bool = False
     reason: str = DASH
     share: float = math.nan
+    halves: float = 1.0
 
     @property
     def fixed(self) -> bool:
@@ -155,22 +168,30 @@ class Cost:
         return f"{'≤ ' if self.bound else ''}{show(self.value)}{FIXED if self.fixed else ''}"
 
 
-def costs(rows: pd.DataFrame, column: str, targets: Sequence[float]) -> list[Cost]:
-    """Log–log interpolation between the settings of one method (on one engine, where times are asked)."""
-    ok = (rows["status"] == "ok").to_numpy()
-    errors, spent = (
-        rows[name].to_numpy(dtype=float, na_value=math.nan)[ok].tolist()
-        for name in ("solution_error", column)
-    )
-    loosest, reason = max(errors, default=math.nan), unreached(rows)
-    fixed = np.full(len(ok), math.nan)
+def costs(rows: pd.DataFrame, column: str, targets: Sequence[float], halves: str = "") -> list[Cost]:
+    """Log–log interpolation between the settings of one method (on one engine, where times are asked).
+
+    halves : the column of the halves of the visits; none for a count.
+    """
+    reason, rows = unreached(rows), rows[rows["status"] == "ok"]
+    errors, spent = (numbers(rows[name]) for name in ("solution_error", column))
+    loosest = max(errors, default=math.nan)
+    shares = [math.nan] * len(rows)
     if column in WHOLE and "fixed_s" in rows:
-        fixed = (rows["fixed_s"].astype(float) / rows["time_median_s"].astype(float)).to_numpy(dtype=float)
-    shares = fixed[ok].tolist()
+        shares = numbers(rows["fixed_s"] / rows["time_min_s"])
+    front = envelope(errors, spent)
+    values = interpolate(errors, spent, front, targets)
+    apart = [1.0] * len(targets)
+    if halves:
+        apart = interpolate(errors, [max(r, 1 / r) for r in numbers(rows[halves])], front, targets)
     return [
-        Cost(value, target > loosest, reason, _fixed(errors, spent, shares, target))
-        for target, value in zip(targets, costs_to_reach(errors, spent, targets), strict=True)
+        Cost(value, target > loosest, reason, _fixed(errors, spent, shares, target), h)
+        for target, value, h in zip(targets, values, apart, strict=True)
     ]
+
+
+def numbers(column: pd.Series) -> list[float]:
+    return column.to_numpy(dtype=float, na_value=math.nan).tolist()
 
 
 def _fixed(errors: list[float], spent: list[float], shares: list[float], target: float) -> float:
@@ -186,27 +207,47 @@ class Lead:
     """Who is cheapest at one error on one scene.
 
     costs : cost of every method that gets there, on its best engine, cheapest first.
-    family : of every method.  margin : the ratio up to which two costs are a tie.
+    family : of every method.  processes : by what factor two processes differ.
     """
 
     costs: dict[str, Cost]
     family: dict[str, str]
-    margin: float
+    processes: float
     missing: dict[str, Cost]
 
     @property
     def decided(self) -> bool:
         return bool(self.costs)
 
+    def margin(self, a: str, b: str) -> float:
+        """Return the ratio up to which two methods cannot be told apart."""
+        return margin((self.costs[a].halves, self.costs[b].halves), self.processes)
+
+    def verdict(self, a: str, b: str) -> Verdict:
+        """Return what a method's cost is beside another's."""
+        return verdict(self.costs[a].value / self.costs[b].value, self.margin(a, b))
+
+    @cached_property
+    def verdicts(self) -> dict[str, Verdict]:
+        """Every method beside the cheapest, which ties with itself."""
+        least = next(iter(self.costs))
+        return {m: Verdict.tie if m == least else self.verdict(m, least) for m in self.costs}
+
     @cached_property
     def first(self) -> list[str]:
-        """The cheapest, and those no dearer than the margin."""
-        least = min((c.value for c in self.costs.values()), default=math.nan)
-        return [m for m, c in self.costs.items() if c.value <= least * self.margin]
+        """The cheapest, and those that cannot be told from it."""
+        return [m for m in self.costs if self.verdicts[m] is not Verdict.loss]
+
+    @property
+    def alike(self) -> tuple[Verdict, float]:
+        """Whether those that stand first tie or are undecided, and the widest of their margins."""
+        least, *others = self.first
+        verdicts = {self.verdicts[m] for m in others}
+        return max(verdicts, key=list(Verdict).index), max(self.margin(least, m) for m in others)
 
     @property
     def tied(self) -> list[str]:
-        """Those that tie for the first place, the best of each camp before the others."""
+        """Those that stand first, the best of each camp before the others."""
         bests = [m for m in (self.best(True), self.best(False)) if m in self.first]
         return list(dict.fromkeys([*sorted(bests, key=self.first.index), *self.first]))
 
@@ -230,27 +271,35 @@ class Lead:
         return self.costs[theirs].value / self.costs[ours].value
 
     @property
-    def outcome(self) -> str:
-        """For the contact methods: win, tie, loss, or "" where nobody gets there."""
-        if math.isnan(self.ratio):
-            return ""
-        if math.isinf(self.ratio) or self.ratio == 0:
-            return "win" if self.ratio else "loss"
-        return verdict(1 / self.ratio, self.margin)
+    def outcome(self) -> Verdict | None:
+        """For the contact methods; None where nobody gets there."""
+        ours, theirs = self.best(True), self.best(False)
+        if ours is None or theirs is None:
+            return None if ours == theirs else Verdict.win if ours else Verdict.loss
+        return self.verdict(ours, theirs)
 
     def text(self, show: Callable[[float], str]) -> str:
-        """**a** 12 µs; next b ×1.3, or: tie: a, b 12 µs."""
+        """**a** 12 µs; next b ×1.3, or: tie (5 %): a, b 12 µs."""
         if not self.decided:
             reasons = {c.reason for c in self.missing.values()} - {DASH}
             return ", ".join(sorted(reasons)) or DASH
         least = self.costs[self.first[0]].text(show)
-        shown = f"tie: {names(self.tied, NAMED)}" if len(self.first) > 1 else f"**{self.first[0]}**"
+        shown = f"**{self.first[0]}**"
+        if len(self.first) > 1:
+            shown = f"{within(*self.alike)}: {names(self.tied, NAMED)}"
         after = (
             f"; {self.next} {times(self.costs[self.next].value / self.costs[self.first[0]].value)}"
             if self.next
             else ""
         )
         return f"{shown} {least}{after}"
+
+
+def within(verdict: Verdict, margin: float) -> str:
+    """tie (5 %), undecided (×1.60), undecided where nothing is known of the margin."""
+    if math.isinf(margin):
+        return str(verdict)
+    return f"{verdict} ({percent(margin) if margin <= WIDEST else times(margin)})"
 
 
 class Field:
@@ -260,11 +309,12 @@ class Field:
     """
 
     def __init__(self, work: pd.DataFrame, kind: Kind) -> None:
-        self.kind, self.margin = kind, margin(work, kind)
+        self.kind = kind
         part = contestants(work)
         part = part[kind.compares(part) & (part["status"] != "unsupported")]
-        told = ["scene", "method", "family", "engine", "value", "status", "solution_error", "fixed_s"]
-        part = part.reindex(columns=[*told, kind.cost])
+        self.processes = kind.process_spread(part)
+        if not kind.timed:
+            part = part.assign(method=part["method"].replace(ONE))
         family = dict(zip(part["method"], part["family"], strict=True))
         self.methods = list(family)
         self.scenes, self.contested = list(dict.fromkeys(part["scene"])), []
@@ -277,12 +327,13 @@ class Field:
                 reached = {str(m): c[i] for m, c in known.items() if c[i].reached}
                 missing = {str(m): c[i] for m, c in known.items() if not c[i].reached}
                 ordered = dict(sorted(reached.items(), key=lambda item: item[1].value))
-                self.leads[str(scene), target] = Lead(ordered, family, self.margin, missing)
+                self.leads[str(scene), target] = Lead(ordered, family, self.processes, missing)
 
     def cheapest(self, rows: pd.DataFrame) -> list[Cost]:
         """What every error costs a method on a scene, on its best engine where times are asked."""
         groups = [g for _, g in rows.groupby("engine", sort=False)] if self.kind.timed else [rows]
-        tried = zip(*(costs(g, self.kind.cost, DECADES) for g in groups), strict=True)
+        halves = self.kind.halves if self.kind.timed else ""
+        tried = zip(*(costs(g, self.kind.cost, DECADES, halves) for g in groups), strict=True)
         return [
             min(t, key=lambda c: (not c.reached, c.value if c.reached else c.reason == DASH)) for t in tried
         ]
@@ -291,31 +342,41 @@ class Field:
         """Those that count: both camps have a row, errors of TARGETS."""
         return {(s, t): self.leads[s, t] for s in self.contested for t in TARGETS}
 
+    @property
+    def margins(self) -> list[float]:
+        """Return the margins of the contests that both camps reach, in order."""
+        pairs = [(c, c.best(True), c.best(False)) for c in self.contests().values()]
+        return sorted(c.margin(a, b) for c, a, b in pairs if a is not None and b is not None)
+
 
 @dataclass(frozen=True)
 class Tally:
-    """Wins, ties and losses of the contact methods over some contests; open: nobody reaches the error."""
+    """Wins, ties and losses of the contact methods over some contests, and those too noisy to judge.
+
+    open : nobody reaches the error.
+    """
 
     wins: int
     ties: int
     losses: int
+    undecided: int
     open: int
 
     @property
-    def decided(self) -> int:
-        return self.wins + self.ties + self.losses
+    def judged(self) -> int:
+        return self.wins + self.ties + self.losses + self.undecided
 
 
 def tally(contests: Iterable[Lead]) -> Tally:
     outcomes = [contest.outcome for contest in contests]
-    return Tally(*(outcomes.count(name) for name in ("win", "tie", "loss", "")))
+    return Tally(*(outcomes.count(outcome) for outcome in (*Verdict, None)))
 
 
 def camps(contests: Iterable[Lead]) -> dict[str, int]:
     """How often each method outside the contact camp leads it where that camp wins; most often first."""
     wins: dict[str, int] = {}
     for contest in contests:
-        if contest.outcome == "loss":
+        if contest.outcome is Verdict.loss:
             best = str(contest.best(contact=False))
             wins[best] = wins.get(best, 0) + 1
     return dict(sorted(wins.items(), key=lambda item: -item[1]))
@@ -326,16 +387,16 @@ def reasons(fields: Iterable[Field]) -> tuple[str, ...]:
     said = []
     for field in fields:
         contests = field.contests()
-        lost = {key: c for key, c in contests.items() if c.outcome == "loss"}
+        lost = {key: c for key, c in contests.items() if c.outcome is Verdict.loss}
         if not lost:
             continue
         errors = {t: sum(target == t for _, target in lost) for t in TARGETS}
         by_error = ", ".join(f"{n} at {power(t)}" for t, n in errors.items() if n)
         always = [
             f"`{scene}`" for scene in field.contested
-            if {contests[scene, t].outcome for t in TARGETS} - {""} == {"loss"}
+            if {contests[scene, t].outcome for t in TARGETS} - {None} == {Verdict.loss}
         ]  # fmt: skip
-        pairs = tally(contests.values()).decided
+        pairs = tally(contests.values()).judged
         sentence = f"**{field.kind.title}**: {len(lost)} of {pairs} pairs of scene and error lost, {by_error}"
         said.append(sentence + (f"; at every error on {names(always)}." if always else "."))
     return tuple(said)
@@ -345,18 +406,19 @@ def standing(field: Field) -> tuple[str, str] | None:
     """The tally as a sentence, and what it covers; None without contests."""
     contests = field.contests()
     counted = tally(contests.values())
-    if not counted.decided:
+    if not counted.judged:
         return None
     against = ", ".join(f"{method} {n}" for method, n in camps(contests.values()).items())
     sentence = (
-        f"A contact method is cheapest in {counted.wins} of {counted.decided} pairs of scene and error, "
-        f"{counted.ties} are ties, another method is cheapest in {counted.losses}"
-        + (f" ({against})." if against else ".")
+        f"A contact method is cheapest in {counted.wins} of {counted.judged} pairs of scene and error, "
+        f"{counted.ties} are ties ({ties(field)}), another method is cheapest in {counted.losses}"
+        + (f" ({against})" if against else "")
+        + (f", {counted.undecided} are too noisy to judge." if counted.undecided else ".")
     )
     won = []
     for scene in field.contested:
         own = [contests[scene, t] for t in TARGETS if contests[scene, t].outcome]
-        if own and all(c.outcome == "win" for c in own):
+        if own and all(c.outcome is Verdict.win for c in own):
             known = [c.ratio for c in own if math.isfinite(c.ratio)]
             by = f" (the best other method costs {times(min(known))} to {times(max(known))})" if known else ""
             won.append(f"`{scene}`{by}")
@@ -364,13 +426,19 @@ def standing(field: Field) -> tuple[str, str] | None:
         sentence += f" A contact method is cheapest at every error on {names(won)}."
     if field.kind.caveat:
         sentence += f" {field.kind.caveat}"
-    covers = (
-        f"{len(field.contested)} scenes, errors {', '.join(power(t) for t in TARGETS)}; a tie: within "
-        f"{100 * (field.margin - 1):.0f} %"
-    )
+    covers = f"{len(field.contested)} scenes, errors {', '.join(power(t) for t in TARGETS)}"
     if counted.open:
         covers += f"; not counted: {many(counted.open, 'pair')} that no method reaches"
     return sentence, covers
+
+
+def ties(field: Field) -> str:
+    """within 15 %; of times, within 4 % to 8 %, half of the pairs within 5 %."""
+    known = [m for m in field.margins if m <= WIDEST] or [WIDEST]
+    low, high = percent(known[0]), percent(known[-1])
+    if low == high:
+        return f"within {low}"
+    return f"within {low} to {high}, half of the pairs within {percent(median(known))}"
 
 
 def families(frames: Frames) -> dict[str, str]:

@@ -6,12 +6,19 @@ import math
 from collections.abc import Callable, Iterable
 
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
-from contactbench.report.contest import CONTACT, DECADES, TARGETS, Field, Lead
-from contactbench.report.numbers import power, times
+from contactbench.report.contest import CONTACT, COUNTED, DECADES, TARGETS, Field, Kind, Lead, within
+from contactbench.report.numbers import percent, power, times
+from contactbench.results.statistics import FLOOR, WIDEST, Verdict
+
+#: how ties are told from what is undecided
+MARGINS = (
+    "Every pair of times has a margin of its own, from what the halves of its visits and two processes differ by, at "
+    f"least {percent(FLOOR)}: within it they tie; where it is wider than {percent(WIDEST)} they are undecided."
+)
 
 
-def said(tie: float) -> str:
-    return f"Costs within {100 * (tie - 1):.0f} % of each other are a tie."
+def said(kind: Kind) -> str:
+    return MARGINS if kind.timed else f"Costs within {percent(COUNTED)} of each other are a tie."
 
 
 DASHES = (
@@ -22,7 +29,7 @@ DASHES = (
 
 
 #: what the marks of single methods mean
-CHEAPEST = "Bold: the cheapest, alone; italic: those that tie for it."
+CHEAPEST = "Bold: the cheapest, alone; italic: those that tie for it, or are undecided."
 
 
 def error_heads(words: bool = False) -> list[Head]:
@@ -31,9 +38,9 @@ def error_heads(words: bool = False) -> list[Head]:
 
 def leading(contest: Lead, contact: bool) -> Mark | None:
     """The mark of a camp's best."""
-    if contest.outcome == "tie":
+    if contest.outcome in (Verdict.tie, Verdict.undecided):
         return Mark.tie
-    return Mark.best if contest.outcome == ("win" if contact else "loss") else None
+    return Mark.best if contest.outcome is (Verdict.win if contact else Verdict.loss) else None
 
 
 def winners_view(
@@ -53,8 +60,8 @@ def winners_view(
     heads = (Head("scene", words=True), *error_heads(words=True))
     meaning = (
         f"{field.kind.about} The cheapest at each error, then the next beyond a tie. "
-        f"{said(field.margin)} Bold: the cheapest, alone, or contact methods that tie among themselves; italic: a "
-        f"contact method and another tie. {DASHES}"
+        f"{said(field.kind)} Bold: the cheapest, alone, or contact methods that tie among themselves; italic: a "
+        f"contact method and another tie, or are undecided. {DASHES}"
     )
     return View(name, title, meaning, heads, tuple(rows), source)
 
@@ -76,7 +83,7 @@ def costs_view(field: Field, scene: str, source: str) -> View:
             )
         else:
             rows.append((word(method), *cells))
-    meaning = f"{field.kind.about} {said(field.margin)} {CHEAPEST} {DASHES}"
+    meaning = f"{field.kind.about} {said(field.kind)} {CHEAPEST} {DASHES}"
     title = f"{field.kind.title} on {scene}"
     heads = (Head("method", words=True), *error_heads())
     return View(f"{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
@@ -100,20 +107,24 @@ def duel_view(field: Field, scene: str, source: str, targets: Iterable[float] = 
                 cells.append(Cell(text, marks=marks(leading(contest, contact))))
         finite = math.isfinite(contest.ratio) and contest.ratio > 0
         ratio = Cell(times(contest.ratio), contest.ratio) if finite else Cell(DASH)
-        rows.append((word(power(target)), *cells, ratio, word(CHEAPER[contest.outcome])))
+        rows.append((word(power(target)), *cells, ratio, word(cheaper(contest))))
     heads = (
         Head("error", words=True), Head("best contact method", words=True), Head("best other method", words=True),
         Head("other / contact", "cost of the best other method in units of the best contact method"),
         Head("cheaper", words=True),
     )  # fmt: skip
     title = f"{field.kind.title} on {scene}: the best contact method and the best other"
-    meaning = (
-        f"{field.kind.about} {said(field.margin)} Bold: the cheaper of the two; italic: they tie. {DASHES}"
-    )
+    marked = "Bold: the cheaper of the two; italic: they tie or are undecided."
+    meaning = f"{field.kind.about} {said(field.kind)} {marked} {DASHES}"
     return View(f"duel_{field.kind.name}_{scene}", title, meaning, heads, tuple(rows), source)
 
 
-CHEAPER = {"win": CONTACT, "loss": "other", "tie": "tie", "": DASH}
+def cheaper(contest: Lead) -> str:
+    """contact, other, or tie and undecided with their margin."""
+    ours, theirs = contest.best(True), contest.best(False)
+    if contest.outcome in (Verdict.tie, Verdict.undecided) and ours and theirs:
+        return within(contest.outcome, contest.margin(ours, theirs))
+    return DASH if contest.outcome is None else CONTACT if contest.outcome is Verdict.win else "other"
 
 
 def losses_view(fields: Iterable[Field], name: str, source: str) -> View:
@@ -124,7 +135,7 @@ def losses_view(fields: Iterable[Field], name: str, source: str) -> View:
             cells = []
             for target in TARGETS:
                 contest = field.leads[scene, target]
-                if contest.outcome != "loss":
+                if contest.outcome is not Verdict.loss:
                     cells.append(Cell(""))
                     continue
                 other, alone = str(contest.best(contact=False)), contest.ratio == 0
@@ -135,6 +146,6 @@ def losses_view(fields: Iterable[Field], name: str, source: str) -> View:
     heads = (Head("compared", words=True), Head("scene", words=True), *error_heads())
     meaning = (
         "What the best contact method costs in units of the cheapest other method. Blank: a contact method is "
-        "cheapest, or it is a tie, or no method reaches the error. Alone: no contact method reaches it."
+        "cheapest, or it is a tie or undecided, or no method reaches the error. Alone: no contact method reaches it."
     )
     return View(name, "Where the contact methods lose", meaning, heads, tuple(rows), source)

@@ -318,22 +318,20 @@ def drawn(figure: Figure) -> Drawn:
 
 
 def digest(figure: Figure) -> str:
-    """Of everything a figure shows, and of how it is drawn: equal digests, equal pictures.
-
-    The first half is of the data alone.
-    """
+    """Of everything a figure shows, and of how it is drawn: equal digests, equal pictures."""
     sources = b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in SOURCES)
     return "".join(hashlib.sha256(part).hexdigest()[:16] for part in (repr(figure).encode(), sources))
 
 
 SOURCES = ("draw", "labels", "look", "scales")
+IDENTIFIER = r"<dc:identifier>(\w+)</dc:identifier>"
 
 
 def digest_of(path: Path) -> str:
-    """The digest a file was drawn with; "" if it has none."""
+    """The digest a file was drawn with, and the seal on it; "" if it has none."""
     if not path.exists():
         return ""
-    found = re.search(r"<dc:identifier>(\w+)</dc:identifier>", path.read_text(encoding="utf-8"))
+    found = re.search(IDENTIFIER, path.read_text(encoding="utf-8"))
     return found[1] if found else ""
 
 
@@ -341,21 +339,22 @@ def files(figure: Figure, folder: Path) -> list[Path]:
     return [folder / f"{figure.name}.{kind}" for kind in ("svg", "png")]
 
 
+def seal(digest: str, vector: Path, picture: Path) -> str:
+    """The digest of a figure, and one of its two files: they are as they were saved."""
+    text = re.sub(IDENTIFIER, "", vector.read_text(encoding="utf-8"))
+    return digest + hashlib.sha256(text.encode() + picture.read_bytes()).hexdigest()[:16]
+
+
 def current(figure: Figure, folder: Path) -> bool:
-    """Whether the files are there and show the figure, drawn as it would be now."""
-    paths = files(figure, folder)
-    return paths[1].exists() and digest_of(paths[0]) == digest(figure)
-
-
-def shows(path: Path, figure: Figure) -> bool:
-    """Whether an .svg file shows the data of a figure, drawn however."""
-    return digest_of(path)[:16] == digest(figure)[:16]
+    """Whether the files are there, as they were saved, and show the figure, drawn as it would be now."""
+    vector, picture = files(figure, folder)
+    return vector.exists() and picture.exists() and digest_of(vector) == seal(digest(figure), vector, picture)
 
 
 def save(figure: Figure, folder: Path) -> list[Path]:
     """Write FOLDER/NAME.svg and .png.
 
-    Without timestamps, so that equal tables give equal files; the .svg carries the digest of what it shows.
+    Without timestamps, so that equal tables give equal files; the .svg carries the digest of what it shows, sealed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     made = drawn(figure)
@@ -365,6 +364,8 @@ def save(figure: Figure, folder: Path) -> list[Path]:
         made.savefig(picture, metadata={"Software": None}, bbox_inches=seen)
         made.savefig(vector, metadata={"Date": None, "Identifier": digest(figure)}, bbox_inches=seen)
     plt.close(made)
+    sealed = f"<dc:identifier>{seal(digest(figure), vector, picture)}</dc:identifier>"
+    vector.write_text(re.sub(IDENTIFIER, sealed, vector.read_text(encoding="utf-8")), encoding="utf-8")
     return [vector, picture]
 
 

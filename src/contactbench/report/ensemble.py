@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import COMPILED, LIMIT, TARGETS, Cost, costs, resolved
-from contactbench.report.contest_views import CHEAPEST, DASHES, error_heads, said
+from contactbench.report.contest import COMPILED, LIMIT, MARGINAL, TARGETS, Kind, Lead, costs, within
+from contactbench.report.contest_views import CHEAPEST, DASHES, MARGINS, error_heads
 from contactbench.report.figures import ensemble as figures
-from contactbench.report.numbers import count, duration, many, names, power, times
+from contactbench.report.numbers import count, duration, many, names, percent, power, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
-from contactbench.results.statistics import TIE, noise
+from contactbench.results.statistics import Verdict, margin, verdict
 from contactbench.results.tables import ENSEMBLE_TABLE
 
 SOURCE = "ensemble.csv"
@@ -30,11 +31,15 @@ SHAPES = {
 }
 
 
+#: times per trajectory: of a whole call, and of one more
+WHOLE_CALLS, MORE = replace(COMPILED, cost="each"), MARGINAL
+
+
 def timed(frame: pd.DataFrame) -> pd.DataFrame:
     """The rows that ended ok, with the time of a trajectory and of one evaluation of it."""
     ok = frame[frame["status"] == "ok"]
     ok = ok.assign(trajectories=ok["trajectories"].astype(float), evaluations=ok["evaluations"].astype(float))
-    ok = ok.assign(each=ok["time_median_s"] / ok["trajectories"])
+    ok = ok.assign(each=ok["time_min_s"] / ok["trajectories"])
     return ok.assign(stage=ok["each"] / ok["evaluations"], rate=1 / ok["each"])
 
 
@@ -45,7 +50,7 @@ def asked(frame: pd.DataFrame, question: str) -> pd.DataFrame:
 def beside_loops(frame: pd.DataFrame) -> tuple[list[str], pd.DataFrame]:
     """The shapes of the C loops, and every method with the time per gradient of each loop of its step in a column.
 
-    Fastest rounds; nan where there is no such loop.
+    Least rounds; nan where there is no such loop.
     """
     frame = asked(frame, "arithmetic")
     frame = frame.assign(stage=frame["time_min_s"] / frame["trajectories"] / frame["evaluations"])
@@ -86,7 +91,7 @@ def arithmetic_view(frame: pd.DataFrame) -> View | None:
         ]
     spoken = "; ".join(f"`{shape}`: {SHAPES[shape]}" for shape in shapes if shape in SHAPES)
     meaning = (
-        f"Fastest round on one core, time per gradient and trajectory, the same steps. {spoken}. A "
+        f"Least round on one core, time per gradient and trajectory, the same steps. {spoken}. A "
         "ratio below one: faster "
         "than the loop."
     )
@@ -101,26 +106,21 @@ def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
     marginal : of one more trajectory, without what every call takes.
     """
     part = asked(frame, "error")
-    column, repeat = ("marginal_s", "marginal_repeat_ratio") if marginal else ("each", "time_repeat_ratio")
-    part = part[resolved(part, column, "marginal_iqr_s")] if marginal else part
-    if not len(part) or part[column].isna().all():
+    kind = MORE if marginal else WHOLE_CALLS
+    part = part[part[kind.halves].notna()] if kind.resolved else part
+    if not len(part) or part[kind.cost].isna().all():
         return None
-    tie = max(TIE, noise(part, repeat))
-    found: dict[tuple[str, str, str], list[Cost]] = {}
-    for key, rows in part.groupby(["method", "engine", "variant"], sort=False):
-        found[key] = costs(rows, column, TARGETS)
-    least = [
-        min((c[i].value for c in found.values() if c[i].reached), default=0.0) for i in range(len(TARGETS))
-    ]
-    first = [
-        [k for k, c in found.items() if c[i].reached and c[i].value <= tie * least[i]]
-        for i in range(len(TARGETS))
-    ]
+    keys = ["method", "engine", "variant"]
+    found = {
+        key: costs(rows, kind.cost, TARGETS, kind.halves) for key, rows in part.groupby(keys, sort=False)
+    }
+    leads = leaders(part, kind, keys)
     lines = []
     for key, own in found.items():
         cells = []
-        for i, cost in enumerate(own):
-            mark = (Mark.best if len(first[i]) == 1 else Mark.tie) if key in first[i] else None
+        for target, cost in zip(TARGETS, own, strict=True):
+            first = leads[target].first if target in leads else []
+            mark = (Mark.best if len(first) == 1 else Mark.tie) if " ".join(key).strip() in first else None
             cells.append(Cell(cost.text(duration), cost.value if cost.reached else None, marks(mark)))
         lines.append((*map(word, key), *cells))
     heads = (*(Head(label, words=True) for label in ("method", "engine", "shape")), *error_heads())
@@ -128,24 +128,27 @@ def error_view(frame: pd.DataFrame, marginal: bool = False) -> View | None:
     timed = "Time per trajectory"
     if marginal:
         timed = (
-            "What one more trajectory takes, from calls with a quarter of them and all; a time no larger than its "
-            "spread over rounds takes no part"
+            "What one more trajectory takes, from calls with a quarter of them and all; a time that either half of the "
+            "visits finds no larger than 0 takes no part"
         )
-    meaning = f"{timed}, on one core. {spoken}. {said(tie)} {CHEAPEST} {DASHES}"
+    meaning = f"{timed}, on one core. {spoken}. {MARGINS} {CHEAPEST} {DASHES}"
     name, title = "ensemble_error", "A trajectory at equal error"
     if marginal:
         name, title = "ensemble_marginal", "One more trajectory at equal error"
     return View(name, title, meaning, heads, tuple(lines), SOURCE)
 
 
-def falls(line: pd.DataFrame, by: str, margin: float) -> str:
-    """Where throughput falls although the number of something grows, and whether that is more than noise."""
+def falls(line: pd.DataFrame, by: str, processes: float) -> str:
+    """Where throughput falls although the number of something grows, and whether that is more than the margin."""
     said = []
-    for (before, more), (rate, after) in zip(pairwise(line[by]), pairwise(line["rate"]), strict=True):
-        if after < rate:
-            noisy = "within" if rate / after <= margin else "more than"
+    for (_, a), (_, b) in pairwise(line.iterrows()):
+        if b["rate"] < a["rate"]:
+            most = margin((a["time_halves_ratio"], b["time_halves_ratio"]), processes)
+            noisy = "more than" if verdict(a["rate"] / b["rate"], most) is Verdict.loss else "within"
+            known = f" of {percent(most)}" if math.isfinite(most) else ""
             said.append(
-                f"from {count(before)} to {count(more)} {by} it falls to {times(after / rate)}, {noisy} the noise"
+                f"from {count(a[by])} to {count(b[by])} {by} it falls to {times(b['rate'] / a['rate'])}, {noisy} the "
+                f"margin{known}"
             )
     return "; ".join(said)
 
@@ -153,10 +156,10 @@ def falls(line: pd.DataFrame, by: str, margin: float) -> str:
 def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View | None:
     """Throughput against the number of something, and relative to the smallest number."""
     part = asked(frame, question).sort_values(by, kind="stable")
-    margin, fallen = max(TIE, noise(frame)), []
+    processes, fallen = WHOLE_CALLS.process_spread(frame), []
     rows = []
     for (method, engine, setting), line in part.groupby(["method", "engine", "setting"], sort=False):
-        fallen += [f"{method}: {said}" for said in [falls(line, by, margin)] if said]
+        fallen += [f"{method}: {said}" for said in [falls(line, by, processes)] if said]
         for _, row in line.iterrows():
             rows.append((
                 word(method), word(engine), word(setting), number(row[by], count), number(row["rate"], "{:.3g}".format),
@@ -168,38 +171,37 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
         *(Head(label, words=True) for label in ("method", "engine", "setting")), Head(by), Head("trajectories/s"),
         Head("gradients/s"), Head("relative", f"to the smallest number of {by}"),
     )  # fmt: skip
-    meaning = "Throughput of the whole call (median)."
+    meaning = "Throughput of the whole call (least round)."
     if fallen:
-        twice = f"measured twice, 19 of 20 cells differ by at most {100 * (margin - 1):.0f} %"
-        meaning += f" {'. '.join(fallen)} ({twice})."
+        meaning += f" {'. '.join(fallen)}."
     return View(f"ensemble_{question}", title, meaning, heads, tuple(rows), SOURCE)
 
 
-def leaders(part: pd.DataFrame, column: str, repeat: str) -> dict[float, dict[str, Cost]]:
-    """The cheapest at each error, and those that tie with it, cheapest first."""
-    tie = max(TIE, noise(part, repeat))
+def leaders(part: pd.DataFrame, kind: Kind, keys: list[str]) -> dict[float, Lead]:
+    """Who is cheapest at each error that somebody reaches, of what `keys` tell apart."""
     found = {
-        f"{method} {variant}".strip(): costs(rows, column, TARGETS)
-        for (method, variant), rows in part.groupby(["method", "variant"], sort=False)
+        " ".join(key).strip(): costs(rows, kind.cost, TARGETS, kind.halves)
+        for key, rows in part.groupby(keys, sort=False)
     }
-    first = {}
+    leads = {}
     for i, target in enumerate(TARGETS):
         reached = sorted((own[i].value, name) for name, own in found.items() if own[i].reached)
         if reached:
-            first[target] = {name: found[name][i] for value, name in reached if value <= tie * reached[0][0]}
-    return first
+            known = {name: found[name][i] for _, name in reached}
+            leads[target] = Lead(known, {}, kind.process_spread(part), {})
+    return leads
 
 
-def told(first: dict[float, dict[str, Cost]]) -> str:
+def told(leads: dict[float, Lead]) -> str:
     """The cheapest at each error, what it costs, and how much of that is fixed where it was measured."""
     said = []
-    for target, own in first.items():
-        least = next(iter(own.values()))
-        shares = [f"{100 * c.share:.0f} %" for c in own.values() if c.share >= 0]
-        fixed = f" ({names(shares)} fixed)" if len(shares) == len(own) else ""
+    for target, lead in leads.items():
+        least = lead.costs[lead.first[0]]
+        shares = [f"{100 * lead.costs[m].share:.0f} %" for m in lead.first if lead.costs[m].share >= 0]
+        fixed = f" ({names(shares)} fixed)" if len(shares) == len(lead.first) else ""
+        alike = f"{within(*lead.alike)}: " if len(lead.first) > 1 else ""
         said.append(
-            f"{power(target)} {'tie: ' if len(own) > 1 else ''}{names(list(own))} "
-            f"{'≤ ' if least.bound else ''}{duration(least.value)}{fixed}"
+            f"{power(target)} {alike}{names(lead.first)} {'≤ ' if least.bound else ''}{duration(least.value)}{fixed}"
         )
     return "; ".join(said)
 
@@ -224,15 +226,14 @@ def limit_finding(frame: pd.DataFrame) -> list[Finding]:
         line = line.sort_values("cores", kind="stable")
         first, last = line.iloc[0], line.iloc[-1]
         if last["cores"] > first["cores"]:
-            gains = (last["rate"] / first["rate"], first["time_min_s"] / last["time_min_s"])
             sentence += (
-                f" On {last['cores']:.0f} cores {method} ({engine}) has {times(gains[0])} the throughput of "
-                f"{first['cores']:.0f} by medians, {times(gains[1])} by fastest rounds."
+                f" On {last['cores']:.0f} cores {method} ({engine}) has {times(last['rate'] / first['rate'])} the "
+                f"throughput of {first['cores']:.0f}."
             )
-    margin = noise(frame)
+    processes = WHOLE_CALLS.process_spread(frame)
     covers = (
-        f"beside C: one core, fastest round; from {times(1 / margin)} to {times(margin)} a tie within the noise, below "
-        "that less time than C took in this run"
+        f"beside C: one core, least round; from {times(1 / processes)} to {times(processes)} no more than two "
+        "processes differ by, below that less time than C took in this run"
     )
     return [Finding("ensemble_limit", "Ensembles beside C loops", sentence, covers)]
 
@@ -248,13 +249,15 @@ def error_finding(frame: pd.DataFrame) -> list[Finding]:
     part = part[(part["family"] != LIMIT) & COMPILED.engines(part["engine"])]
     if not len(part):
         return []
-    calls, many_of = leaders(part, "each", "time_repeat_ratio"), count(part["trajectories"].max())
+    ways = ["method", "variant"]
+    calls, many_of = leaders(part, WHOLE_CALLS, ways), count(part["trajectories"].max())
     if not calls:
         return []
     sentence = f"Least time per trajectory at equal error, whole calls of {many_of}: {told(calls)}."
-    known = part[resolved(part, "marginal_s", "marginal_iqr_s")]
-    more = leaders(known, "marginal_s", "marginal_repeat_ratio")
-    if more and {e: set(own) for e, own in more.items()} != {e: set(own) for e, own in calls.items()}:
+    more = leaders(part[part[MORE.halves].notna()], MORE, ways)
+    if more and {e: set(lead.first) for e, lead in more.items()} != {
+        e: set(lead.first) for e, lead in calls.items()
+    }:
         sentence += f" One more trajectory, without what every call takes: {told(more)}."
     covers = f"{many(part['method'].nunique(), 'method')}, one core, {many_of} trajectories"
     fewest = part.groupby("method", sort=False)["trajectories"].max()

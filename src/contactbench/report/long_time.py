@@ -10,7 +10,7 @@ import pandas as pd
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
 from contactbench.report.figures import long_time as figures
 from contactbench.report.figures.long_time import ALLOWED
-from contactbench.report.numbers import many, names, scientific
+from contactbench.report.numbers import many, names, scientific, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Text
 from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
@@ -167,7 +167,7 @@ def averages_finding(frame: pd.DataFrame) -> Iterator[Finding]:
         first, rest = ([f"{name} {spoken(costs.loc[name])}" for name in costs.index if (name in best) == led]
                        for led in (True, False))  # fmt: skip
         if first:
-            led = f"{quantity} {'tie: ' if len(first) > 1 else ''}{names(first)}"
+            led = f"{quantity} {f'tie ({times(RUNG)}): ' if len(first) > 1 else ''}{names(first)}"
             said.append(led + (f", then {names(rest)}" if rest else ""))
     true = reference.iloc[0]
     bars = reference.set_index("quantity")
@@ -259,8 +259,8 @@ def sections(frames: Frames) -> list[Part]:
     return [
         Text(
             "Runs of a chaotic scene cannot be compared point by point. Their averages can, as far as their error bars "
-            "allow: the mean energy, Lyapunov's exponents, the dimension of the attractor. Error bars are standard "
-            "errors from independent trajectories."
+            "allow: H0 at phase 0 of the force, Lyapunov's exponents, the dimension of the attractor. Error bars are "
+            "standard errors from independent trajectories."
         ),
         costs_view(frame),
         *figures.averages(frame),
@@ -272,7 +272,7 @@ def sections(frames: Frames) -> list[Part]:
 
 ROOMS.add(
     Room(
-        "long_time", "Long chaotic runs", "energy, Lyapunov exponents and dimension from long runs, against what they "
-        "cost", 58, ("long_time",), sections, findings,
+        "long_time", "Long chaotic runs", "H0 once in a period, Lyapunov exponents and dimension from long runs, and "
+        "what they cost", 58, ("long_time",), sections, findings,
     )
 )  # fmt: skip

@@ -33,6 +33,11 @@ def times(ratio: float) -> str:
     return f"×{ratio:.2f}" if ratio < 9.995 else f"×{float(f'{ratio:.2g}'):.0f}"
 
 
+def percent(margin: float) -> str:
+    """A ratio as what it is more than one: 5 % for 1.05."""
+    return f"{100 * (margin - 1):.0f} %"
+
+
 def count(value: float) -> str:
     """A whole number; from 10 000 on in groups of three digits."""
     if pd.isna(value):

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from statistics import median
 
 import pandas as pd
 
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
-from contactbench.report.contest_views import costs_view, duel_view
+from contactbench.report.contest_views import MARGINS, costs_view, duel_view
 from contactbench.report.figures import work_precision as figures
-from contactbench.report.numbers import count, duration, many, scientific, times
+from contactbench.report.numbers import count, duration, many, percent, scientific, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, once
-from contactbench.results.statistics import TIE, noise
+from contactbench.results.statistics import COVERED, process_spread
 from contactbench.results.tables import WORK_PRECISION
 
 SOURCE = "work_precision.csv"
@@ -78,7 +79,7 @@ def kernels_view(work: pd.DataFrame) -> View | None:
         Head("C loop, ns"), Head("whole call, ns"), Head("ratio"),
     )  # fmt: skip
     meaning = (
-        "Fastest round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
+        "Least round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
         "included, beside the same arithmetic as a C loop, compiled by the machine's own compiler and called from "
         "Python. "
         "Short runs compare two calls, of one or two microseconds each, as well: only the long ones the arithmetic."
@@ -98,7 +99,7 @@ def chosen_view(work: pd.DataFrame) -> View | None:
             lambda v: scientific(v, 0)),
             number(row["solution_error"], scientific), Cell(times(ratio), ratio, marks(mark)),
             number(row["steps"], count),
-            number(row["rhs_equivalents"], count), number(row["time_median_s"], duration),
+            number(row["rhs_equivalents"], count), number(row["time_min_s"], duration),
         ))  # fmt: skip
     if not rows:
         return None
@@ -112,15 +113,29 @@ def chosen_view(work: pd.DataFrame) -> View | None:
     return View("chosen", "A step chosen from a tolerance", meaning, heads, tuple(rows), SOURCE)
 
 
-def noise_text(work: pd.DataFrame) -> Text:
-    ratios = work["time_repeat_ratio"].dropna()
-    if not len(ratios):
-        return Text("No cell was timed twice in these tables: the noise of the times is not known.")
-    return Text(
-        f"Every timed cell is measured twice, at two places of a shuffled order: of {len(ratios)} such pairs 95 % are "
-        f"within {times(noise(work))} of each other. A tie is what is within {times(TIE)} or within "
-        "that, whichever is larger."
-    )
+def clock_text(work: pd.DataFrame, fields: Iterable[Field]) -> Text:
+    """What the times are worth: how often a cell was visited, what processes differ by, the margins of the pairs."""
+    visits = work["visits"].dropna()
+    if not len(visits):
+        return Text("No cell was visited twice in these tables: how well the times repeat is not known.")
+    sample = work[work["time_process_ratio"].notna()]
+    said = [
+        f"Every timed cell is visited {visits.min():.0f} times or more, in shuffled order; its time is the least round."
+    ]
+    if len(sample):
+        spread = process_spread(sample["time_process_ratio"], sample["time_halves_ratio"])
+        said.append(
+            f"A second process timed {len(sample)} of the cells: 95 % are within "
+            f"{percent(spread)} of the first, but for those whose own halves differ."
+        )
+    for field in fields:
+        if field.kind.timed and (known := field.margins):
+            wide = known[min(len(known) - 1, int(COVERED * len(known)))]
+            said.append(
+                f"{field.kind.title}: half of the pairs of best methods have a margin of {percent(median(known))} or "
+                f"less, 95 % of {percent(wide)}."
+            )
+    return Text(" ".join([*said, MARGINS]))
 
 
 def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Section:
@@ -141,7 +156,7 @@ def sections(frames: Frames) -> list[Part]:
             f"The error is {ERROR}. Evaluations, times of "
             "compiled calls and times of solvers that call back into Python are three comparisons, never one."
         ),
-        noise_text(work),
+        clock_text(work, contests),
         Text(
             "Which method is cheapest where, and where the contact methods lose, is in [README.md](README.md)."
         ),

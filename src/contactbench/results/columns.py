@@ -60,10 +60,28 @@ ONE_CELL = ("scene", "method", "engine")
 
 #: how often and how long
 TIMING = {
-    "time_min_s": seconds("fastest round, seconds per call"),
+    "time_min_s": seconds("the estimate: least round of all visits, seconds per call"),
     "time_median_s": seconds("median over rounds, seconds per call"),
     "time_iqr_s": seconds("interquartile range over rounds"),
-    "time_repeat_ratio": seconds("median of the second measurement of the cell over that of the first: the noise"),
-    "rounds": Column("timed rounds, both measurements together", "whole", timed=True),
+    "time_halves_ratio": seconds("least round of the even visits over that of the odd ones: the cell's own spread"),
+    "time_process_ratio": seconds(
+        "least round in a second process over time_min_s, of a sample of cells: what processes differ by"
+    ),
+    "visits": Column("visits to the cell, spread over the whole timed part", "whole", timed=True),
+    "rounds": Column("timed rounds of all visits together", "whole", timed=True),
     "iterations": Column("calls per round", "whole", timed=True),
 }  # fmt: skip
+
+
+def length_timing(what: str, of_more: str) -> dict[str, Column]:
+    """Return the columns of fixed and marginal cost, from the least rounds of two lengths of a run."""
+    return {
+        "fixed_s": seconds(f"what a call takes however {what}"),
+        "marginal_s": seconds(f"what {of_more} takes"),
+        "marginal_halves_ratio": seconds(
+            "marginal_s from the even visits over that from the odd ones; blank where either is no larger than 0"
+        ),
+        "marginal_process_ratio": seconds(
+            "marginal_s from a second process over that of the first, of a sample of cells"
+        ),
+    }

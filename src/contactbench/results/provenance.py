@@ -25,7 +25,7 @@ from contactbench.results.store import replacing
 
 PACKAGES = (
     "contactbench", "numpy", "scipy", "numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka",
-    "cyrk", "pandas", "matplotlib", "mpmath", "pytest-benchmark",
+    "cyrk", "pandas", "matplotlib", "mpmath",
 )  # fmt: skip
 #: what a benchmark itself writes: not a change of the sources
 MADE = ("results", "README.md")

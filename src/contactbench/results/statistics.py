@@ -1,14 +1,13 @@
-"""What reports and the gate compute from rows: costs at equal error, paired ratios, noise and ties."""
+"""What reports and the gate compute from rows: costs at equal error, paired ratios, margins and ties."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
 
 import numpy as np
-import pandas as pd
 
 from contactbench.errors import BadInput
 
@@ -26,21 +25,32 @@ def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float
 
 def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Sequence[float]) -> list[float]:
     """`cost_to_reach` for several errors."""
+    return interpolate(errors, costs, envelope(errors, costs), targets)
+
+
+def envelope(errors: Sequence[float], costs: Sequence[float]) -> list[int]:
+    """Return which settings cost less than every more accurate one, from the most accurate on."""
     points = sorted(
-        (e, c)
-        for e, c in zip(errors, costs, strict=True)
+        (e, c, i)
+        for i, (e, c) in enumerate(zip(errors, costs, strict=True))
         if min(e, c) > 0 and math.isfinite(e) and math.isfinite(c)
     )
-    front: list[tuple[float, float]] = []
-    for error, cost in points:  # errors ascend: drop points that cost no less than a better one
-        if front and cost >= front[-1][1]:
-            continue
-        front.append((error, cost))
+    front: list[int] = []
+    for _, cost, i in points:
+        if not front or cost < costs[front[-1]]:
+            front.append(i)
+    return front
+
+
+def interpolate(
+    errors: Sequence[float], values: Sequence[float], front: Sequence[int], targets: Sequence[float]
+) -> list[float]:
+    """Return values > 0 at some errors, log–log between the settings of an envelope; nan below its smallest error."""
     if not front:
         return [math.nan] * len(targets)
-    x, y = np.log(np.array(front).T)
+    x, y = np.log([[errors[i], values[i]] for i in front]).T
     reached = np.exp(np.interp(np.log(targets), x, y)).tolist()
-    return [math.nan if t < front[0][0] else cost for t, cost in zip(targets, reached, strict=True)]
+    return [math.nan if t < errors[front[0]] else value for t, value in zip(targets, reached, strict=True)]
 
 
 #: resampled medians behind a bootstrap interval
@@ -70,33 +80,57 @@ def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
 
 
 # -- wins and ties ---------------------------------------------------------------------------------
-#: two costs whose ratio is below this are a tie, however quiet the machine
-TIE = 1.15
-#: the share of repeated measurements that the noise covers
+#: no margin of two costs is smaller, however quiet the machine
+FLOOR = 1.03
+#: by what factor a cell's least round differs from process to process, in 95 of 100 cells (the layout of code and data
+#: in memory): measured over five processes, for tables in which no second process timed anything
+PROCESSES = 1.04
+#: two costs within a wider margin than this are no tie: they cannot be told apart
+WIDEST = 1.2
+#: the share of cells that what two processes differ by covers
 COVERED = 0.95
-Verdict = Literal["win", "tie", "loss"]
 
 
-def noise(times: pd.DataFrame, column: str = "time_repeat_ratio") -> float:
-    """By what factor two measurements of one and the same cell differ, in 95 of 100 cells.
+class Verdict(StrEnum):
+    """What a cost is beside another one."""
 
-    times : rows with a column such as `time_repeat_ratio`, the second measurement of a cell over the first (A/A).
-    The empirical quantile of max(r, 1/r); 1 where nothing was measured twice.
+    win = "win"
+    tie = "tie"
+    loss = "loss"
+    undecided = "undecided"  #: the clock does not tell: within a margin that is wider than `WIDEST`
+
+
+def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
+    """Return by what factor two processes differ on one and the same cell, in 95 of 100 cells.
+
+    ratios : of a sample of cells, the time in a second process over that in the first.  halves : of the same cells,
+        those of their visits: where they differ by more than `FLOOR` it is the cell that is noisy, not the process,
+        and its margins know that already.
+    The empirical quantile of max(r, 1/r); `PROCESSES` where there is no sample.
     """
-    ratios = pd.to_numeric(times[column]).to_numpy(dtype=float, na_value=math.nan)
-    ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
-    if not len(ratios):
-        return 1.0
+    pairs = [(r, h) for r, h in zip(ratios, halves, strict=True) if r > 0 and math.isfinite(r)]
+    if not pairs:
+        return PROCESSES
+    quiet = [r for r, h in pairs if 1 / FLOOR <= h <= FLOOR]
+    known = np.array(quiet or [r for r, _ in pairs])
     # the smallest measured factor that covers the share: no interpolation towards quieter cells
-    return float(np.quantile(np.maximum(ratios, 1 / ratios), COVERED, method="higher"))
+    return float(np.quantile(np.maximum(known, 1 / known), COVERED, method="higher"))
 
 
-def verdict(ratio: float, noise: float) -> Verdict:
-    """What a cost over that of the other means: a win below 1/margin, a loss above the margin, else a tie.
+def margin(halves: Iterable[float], processes: float) -> float:
+    """Return the ratio up to which two costs cannot be told apart: their own spread and that of processes.
 
-    The margin is the larger of `TIE` and the measured noise.
+    halves : of either, the least of its even visits over that of its odd ones; nan where there is but one visit,
+        and the margin infinite.
     """
+    logs = [math.log(ratio) if ratio > 0 else math.inf for ratio in (*halves, processes)]
+    return max(FLOOR, math.exp(math.hypot(*logs)))
+
+
+def verdict(ratio: float, margin: float) -> Verdict:
+    """Return what a cost over that of the other means, within a margin."""
     if not ratio > 0:
         raise BadInput(f"ratio = {ratio!r}: must be a ratio of two costs, > 0")
-    margin = max(TIE, noise)
-    return "win" if ratio < 1 / margin else "loss" if ratio > margin else "tie"
+    if max(ratio, 1 / ratio) > margin:
+        return Verdict.win if ratio < 1 else Verdict.loss
+    return Verdict.tie if margin <= WIDEST else Verdict.undecided

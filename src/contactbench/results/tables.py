@@ -9,6 +9,7 @@ from contactbench.results.columns import (
     ERROR,
     ONE_CELL,
     TIMING,
+    length_timing,
     number,
     seconds,
     whole,
@@ -124,15 +125,10 @@ WORK_PRECISION = table(
         ),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
-        "fixed_s": seconds(
-            "what a call takes however short the run: from runs over a fifth of the span and all of it, "
-            "time = fixed + marginal · T; negative where later steps are dearer"
-        ),
-        "fixed_iqr_s": seconds("its interquartile range over rounds"),
-        "marginal_s": seconds("what a unit of the scene's time takes, over the last four fifths of the span"),
-        "marginal_iqr_s": seconds("its interquartile range over rounds"),
-        "marginal_repeat_ratio": seconds(
-            "marginal_s of the second measurement over that of the first: its noise"
+        **length_timing(
+            "short the run: from runs over a fifth of the span and all of it, time = fixed + marginal · T; negative "
+            "where later steps are dearer",
+            "a unit of the scene's time, over the last four fifths of the span,",
         ),
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
     },
@@ -161,14 +157,10 @@ ENSEMBLE_TABLE = table(
         "evaluation_kind": Column("gradient, rhs or taylor", rule=Rule.same),
         "first_call_s": seconds("first call, compilation included"),
         **TIMING,
-        "fixed_s": seconds(
-            "what a call takes however few the trajectories: from calls with a quarter and all of them, "
-            "time = fixed + marginal · n"
+        **length_timing(
+            "few the trajectories: from calls with a quarter and all of them, time = fixed + marginal · n",
+            "one more trajectory",
         ),
-        "fixed_iqr_s": seconds("its interquartile range over rounds"),
-        "marginal_s": seconds("what one more trajectory takes"),
-        "marginal_iqr_s": seconds("its interquartile range over rounds"),
-        "marginal_repeat_ratio": seconds("marginal_s of the second measurement over that of the first"),
     },
     key=(*KEY, "question", "trajectories", "cores"),
 )  # fmt: skip
@@ -344,6 +336,8 @@ DAMPING_RATES = table(
             "measured over true", ungated="rate_error is the same number, and counts its round-off"
         ),
         "rate_error": number("|measured/true − 1|", Rule.error),
+        "q_error": number("|q/q* − 1| at the end, overdamped", Rule.error),
+        "p_error": number("|p/p* − 1| at the end, overdamped: what is kicked last is not damped", Rule.error),
     },
     key=("experiment", "scene", "method", "setting", "t_end"),
     whole=("experiment", "scene", "method", "t_end"),

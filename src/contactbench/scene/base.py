@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
+import math
+import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
+from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, finite, function, shown, switch, text, unknown_name
+from contactbench.numbers.formula import Formula, formula
+from contactbench.numbers.nested import leaves
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
 
+#: by how much a function of floats may differ from its formula: powers are products there
+SAME = 1e-6
 #: what a scene may ask to be run by
 EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
+#: what the functions of scenes, and step maps, are called with besides the parameters
+ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
+#: the step over which a user's function is tried at the start, in parts of the scene's end time
+TRIED = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +36,9 @@ class System(ABC):
 
     #: which subflows and which formulas apply
     kind: ClassVar[str] = ""
+    #: the functions a user gives, and what each is called with: fields and arguments, "xp" for a namespace of
+    #: numbers, "**" for the parameters by name
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {}
     #: optional state fields, in packing order
     optional: ClassVar[tuple[str, ...]] = ("s",)
 
@@ -60,6 +74,19 @@ class System(ABC):
     def initial(self, carry: Sequence[str], **data: Any) -> Any:
         """The initial state; `data` overrides the scene's own initial values."""
 
+    @property
+    def clock(self) -> int | None:
+        """The component of the packed state that is the time, where there is one."""
+        return None
+
+    def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:
+        """A packed state less the time, as a solver integrates it that has a time of its own."""
+        return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]
+
+    def with_clock(self, y: Sequence[Any], t: Any) -> Sequence[Any]:
+        """The packed state again."""
+        return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
+
     @abstractmethod
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
         """A packed state as a NamedTuple of components."""
@@ -87,13 +114,92 @@ class System(ABC):
     @property
     @abstractmethod
     def structure(self) -> tuple[Any, ...]:
-        """What compiled code depends on: everything but the numbers."""
+        """Everything but the numbers."""
+
+    @property
+    def identity(self) -> Hashable | None:
+        """What compiled code depends on besides the numbers; None where nobody can tell, and nothing is kept.
+
+        A user's function counts by the operations it was recorded with, as do the equations of a kind of scene
+        of a user's own.
+        """
+        given = (getattr(self, name) for name in self.functions)
+        if not all(f is None or isinstance(f, Formula) or is_ours(f) for f in given):
+            return None
+        return self.structure if is_ours(type(self)) else self._equations()
+
+    def _equations(self) -> Hashable | None:
+        carry, names = self.optional, ("rhs", "jacobian", "energy", "hamiltonian", "momentum", "gradient_at")
+
+        def everything(y: Any, *numbers: Any) -> list[Any]:
+            twin = self.with_numbers(numbers)
+            x = twin.unpack(y, carry)
+            values = [getattr(twin, name)(x) for name in names if hasattr(twin, name)]
+            return [leaf for value in values for leaf in leaves(value)]
+
+        sizes = (len(self.labels(carry)), *[0] * len(self.numbers()))
+        try:
+            return type(self), self.kind, formula(everything, sizes, ())
+        except CannotRecord:
+            return None
+
+    def recorded(self) -> Self:
+        """The scene with its user's functions as formulas: what they compute now.
+
+        A function that cannot be recorded stays as it is.
+        Raises `BadInput` where a function gives another value for recorded numbers than for floats.
+        """
+        found = {name: made for name in self.functions if (made := self._formula(name)) is not None}
+        return self._replaced(**found) if found else self
+
+    def __reduce__(self) -> Any:
+        """Pickled with its functions as they compute now; `BadInput` for one that can be neither recorded nor found."""
+        scene = self.recorded()
+        for name in (*self.functions, "exact"):
+            try:
+                pickle.dumps(function := getattr(scene, name, None))
+            except Exception as error:
+                raise BadInput(
+                    f"scene {self.name!r}: its {name} {shown(function)} cannot be pickled: it must be a function "
+                    "that can be recorded, or stand at the top of a module"
+                ) from error
+        return _unpickled, (type(self), scene.__dict__)
+
+    def _formula(self, name: str) -> Formula | None:
+        function, wanted = getattr(self, name), self.functions[name]
+        if function is None or isinstance(function, Formula) or is_ours(function):
+            return None
+        parameters = dict(getattr(self, "parameters", {})) if "**" in wanted else {}
+        values = {"xp": math, "h": TRIED * self.t_end}
+        plain = [values[w] if w in values else getattr(self, w) for w in wanted if w != "**"]
+        shape = tuple("xp" if v is math else len(v) if isinstance(v, tuple) else 0 for v in plain)
+        with their_code(f"scene {self.name!r}"):
+            try:
+                made = formula(function, shape, tuple(parameters))
+            except CannotRecord:
+                return None
+            try:
+                now, then = (leaves(f(*plain, **parameters)) for f in (function, made))
+            except (ArithmeticError, ValueError):  # Python's way to say inf or nan
+                return made
+        for a, b in zip(now, then, strict=True):
+            if abs(a - b) > SAME * max(abs(a), abs(b)):
+                raise BadInput(
+                    f"scene {self.name!r}: its {name} is {shown(a)} of floats and {shown(b)} of other numbers at "
+                    "the start: a function may not depend on the kind of number, on chance or on its own calls"
+                )
+        return made
 
     def _replaced(self, **attributes: Any) -> Self:
-        twin = copy.copy(self)
-        for key, value in attributes.items():
-            object.__setattr__(twin, key, value)
+        twin = object.__new__(type(self))
+        twin.__dict__.update(self.__dict__ | attributes)
         return twin
+
+    def __copy__(self) -> Self:
+        return self  # nothing of it changes
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self
 
     # -- equations -----------------------------------------------------------------------------
     @abstractmethod
@@ -109,10 +215,19 @@ class System(ABC):
         """Whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise."""
         return True
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
-        """The right-hand side on packed lists of floats, for solvers that call back."""
-        unpack, pack, rhs = self.unpack, self.pack, self.rhs
-        return lambda y: pack(rhs(unpack(y, carry)))
+    def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
+        """f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
+        return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
+
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
+        """`slopes` on lists of floats, for solvers that call back."""
+        return lambda t, y: self.slopes(t, y, carry)
+
+
+def _unpickled(kind: type[System], attributes: dict[str, Any]) -> System:
+    scene = object.__new__(kind)
+    scene.__dict__.update(attributes)
+    return scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +283,15 @@ class Scene(System):
             )
         if self.exact is not None:
             function("exact", self.exact)
+
+    def _check_names(self, parameters: Iterable[str]) -> None:
+        """Raise `BadInput` for a parameter that would hide what bears its name already."""
+        taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
+        for name in parameters:
+            if name in taken:
+                raise BadInput(
+                    f"parameter {name!r}: must have a name of its own, none of {', '.join(sorted(taken))}"
+                )
 
     def is_in(self, experiment: str) -> bool:
         """Whether an experiment runs it."""
@@ -260,11 +384,6 @@ class Scene(System):
         return self.is_contact
 
     @property
-    def clock(self) -> int | None:
-        """The component of the packed state that is the time, where there is one."""
-        return None
-
-    @property
     def rate_changes(self) -> bool:
         """φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant."""
         return False
@@ -288,3 +407,12 @@ class Scene(System):
     def may_gain_energy(self) -> bool:
         """H0 need not decay: no damping, negative damping, or damping whose sign follows the motion."""
         return False
+
+    @property
+    def bounds_energy(self) -> bool:
+        """H0 never exceeds what it was at the start."""
+        return not self.may_gain_energy
+
+    def energy_terms(self, x: Any) -> Any:
+        """The size of the terms that H0 is the sum of."""
+        return abs(self.energy(x))

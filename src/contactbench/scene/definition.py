@@ -10,15 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
-from typing import Any
+from contextlib import suppress
+from math import isfinite
+from typing import TypeGuard
 
 import numpy as np
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, is_real, shown
+from contactbench.numbers.formula import Formula
 from contactbench.scene.base import Scene
-from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.cache import Cache, key
+from contactbench.scene.mechanical import Mechanical, derived_gradient
 
 #: points besides the initial one, and how far from it, in parts of the size of each component
 POINTS, SPREAD = 3, 0.1
@@ -30,24 +33,109 @@ SAFETY = 8.0
 #: where differences are worse than this nothing can be said: a kink, a singularity
 UNSURE = 1e-3
 
-_verified: set[Any] = set()
+#: evaluations that a motion is followed for, and places on every step of it
+FOLLOWED, BETWEEN = 3000, 4
+
+_verified: Cache[bool] = Cache(1024)
 
 
 def verify(scene: Scene) -> None:
-    """Raise `BadInput` unless a scene's functions fit each other; once per definition.
+    """Raise `BadInput` unless a scene's functions fit each other near its start; once per definition.
 
     The functions of this package have tests of their own.
     """
-    if not isinstance(scene, Mechanical):
-        return
-    parts = [getattr(scene, field.name) for field in fields(scene) if field.name != "exact"]
-    if all(is_ours(part) for part in parts if callable(part)):
-        return
-    key = (scene.structure, tuple(scene.numbers()), scene.rotation_invariant)
-    if key not in _verified:
+    _once(scene, "near the start", _verify)
+
+
+def verify_along(scene: Scene) -> None:
+    """The same for the gradient along the motion, as far as some thousand evaluations lead."""
+    _once(scene, "along the motion", _verify_along)
+
+
+def verify_at(scene: Scene, y: np.ndarray) -> None:
+    """Raise `BadInput` unless the gradient is that of the potential at packed states (k, d)."""
+    if _has_functions(scene):
         with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
-            _verify(scene)
-        _verified.add(key)
+            _compare(scene, _places(scene, y.T))
+
+
+def _has_functions(scene: Scene) -> TypeGuard[Mechanical]:
+    """Whether a user has written any of them."""
+    return isinstance(scene, Mechanical) and not all(
+        is_ours(part) for name in scene.functions if (part := getattr(scene, name)) is not None
+    )
+
+
+def _places(scene: Mechanical, states: np.ndarray) -> np.ndarray:
+    """The coordinates of packed states (d, k), the time below them if it is a component."""
+    n = len(scene.q)
+    return states[:n] if scene.clock is None else np.vstack([states[:n], states[scene.clock]])
+
+
+def _once(scene: Scene, where: str, check: Callable[[Mechanical], None]) -> None:
+    if not _has_functions(scene):
+        return
+
+    def made() -> bool:
+        with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
+            check(scene)
+        return True
+
+    start = tuple(getattr(scene, name) for name in scene.initial_fields)
+    data = (where, tuple(scene.numbers()), start, scene.t_end, scene.rotation_invariant)
+    _verified.get(key(scene.identity, *data), made)
+
+
+def _verify_along(scene: Mechanical) -> None:
+    """Follow the motion by a solver of its own and compare at every place of it."""
+    from scipy.integrate import DOP853
+
+    carry = scene.carry(("s",))
+
+    def slope(t: float, y: np.ndarray) -> list[float]:
+        return scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))
+
+    path: list[np.ndarray] = []
+    with suppress(ArithmeticError, ValueError):  # the motion ends there
+        start = scene.pack(scene.initial(carry))
+        solver = DOP853(slope, 0.0, start, scene.t_end, rtol=1e-6, atol=1e-9)
+        while solver.status == "running" and solver.nfev < FOLLOWED and isfinite(solver.h_abs):
+            before = solver.t
+            solver.step()
+            steps = solver.dense_output()(np.linspace(before, solver.t, BETWEEN + 1)[1:])
+            path.append(_places(scene, steps))
+    if path:
+        _compare(scene, np.concatenate(path, axis=1))
+
+
+def _compare(scene: Mechanical, places: np.ndarray) -> None:
+    """Raise `BadInput` unless the gradient is that of the potential at `_places`."""
+    n = len(scene.q)
+    q, rest = tuple(places[:n]), () if scene.clock is None else (places[n],)
+    if not isinstance(scene.potential, Formula) or not isinstance(scene.gradient, Formula):
+        for place in places[:, :: max(1, places.shape[1] // 8)].T:
+            with suppress(ArithmeticError, ValueError):
+                _gradient(scene, place[:n], np.ones(n), np.where(place[:n] == 0, 1.0, np.abs(place[:n])))
+        return
+    try:
+        wanted = derived_gradient(scene.potential)
+    except BadInput:  # a function whose derivative is not known
+        return
+    a, b = (
+        np.array(np.broadcast_arrays(*g(q, *rest, **scene.parameters), places[0])[:n], dtype=float)
+        for g in (scene.gradient, wanted)
+    )
+    size = np.abs(b).max(axis=0)
+    off = np.abs(a - b).max(axis=0)
+    known = np.isfinite(off) & np.isfinite(size)
+    wrong = known & (off > TOLERANCE * size + 1e-3 * TOLERANCE * size[known].max(initial=0.0))
+    if wrong.any():
+        k = int(np.argmax(np.where(wrong, off, 0.0)))
+        i = int(np.argmax(np.abs(a - b)[:, k]))
+        raise BadInput(
+            f"scene {scene.name!r}: its gradient is not the potential's: component {i + 1} is {a[i, k]:.6g} at "
+            f"q = {_at(places[:n, k])}, the derivative of the potential there {b[i, k]:.6g}"
+        )
 
 
 def _verify(scene: Mechanical) -> None:

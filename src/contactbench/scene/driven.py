@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
-from contactbench.errors import BadInput, finite, function
+from contactbench.boundary import their_code
+from contactbench.errors import BadInput, finite, function, is_number, returned, shown
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import State, Vector
-from contactbench.scene.base import System
+from contactbench.scene.base import TRIED, System
 from contactbench.scene.mechanical import Mechanical
 
 
@@ -25,6 +27,8 @@ class DrivenState(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class Driven(Mechanical):
     """H = ‖p‖²/2m + V(q, t) + γ(t) s, with the time as one more component of the state, t' = 1.
+
+    Adaptive solvers are given f(t, y): the time is theirs and no part of the state whose error they control.
 
     potential : ``V(q, t, **parameters) -> number``; gradient : ``dV(q, t, **parameters) -> n-tuple``.
     t : the time at the start.  gamma : damping, where it is constant; else
@@ -47,6 +51,11 @@ class Driven(Mechanical):
     span: Callable[..., tuple[Any, Any]] | None = None
 
     kind: ClassVar[str] = "driven"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {
+        **dict.fromkeys(("potential", "gradient"), ("q", "t", "**")),
+        "rate": ("t", "**"),
+        "span": ("t", "h", "xp", "**"),
+    }
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
 
     def __post_init__(self) -> None:
@@ -56,6 +65,16 @@ class Driven(Mechanical):
             raise BadInput(
                 f"scene {self.name!r}: kappa, hessian and rotation_invariant are for scenes without time"
             )
+        self._check_rate()
+
+    def _check_rate(self) -> None:
+        """Whether rate and span give a number and a pair of them at the start."""
+        with their_code(f"scene {self.name!r}"):
+            rate = self.rate_at(self.t)
+            span = (0.0, 0.0) if self.span is None else self.spent(self.t, TRIED * self.t_end, math)
+        returned("rate", rate)
+        if not (isinstance(span, tuple | list) and len(span) == 2 and all(map(is_number, span))):
+            raise BadInput(f"span: must return a pair of real numbers; it returns {shown(span)}")
 
     def _check_kinds(self) -> None:
         super()._check_kinds()
@@ -117,7 +136,8 @@ class Driven(Mechanical):
         return self.potential(q, self.t if t is None else t, **self.parameters)
 
     def dV(self, q: Vector, t: Any = None) -> Vector:
-        return self.gradient(q, self.t if t is None else t, **self.parameters)
+        gradient: Any = self.gradient or self.recorded().gradient
+        return gradient(q, self.t if t is None else t, **self.parameters)
 
     def potential_at(self, x: Any) -> Any:
         return self.V(x.q, x.t)
@@ -149,7 +169,7 @@ class Driven(Mechanical):
         """∂∇V/∂t is not asked for: solvers difference."""
         return None
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
         return System.on_lists(self, carry)
 
     def torque(self, x: Any) -> Vector | None:
@@ -174,6 +194,10 @@ class Driven(Mechanical):
     @property
     def may_gain_energy(self) -> bool:
         return True
+
+    @property
+    def bounds_energy(self) -> bool:
+        return False
 
     def rate_at(self, t: Any) -> Any:
         """γ(t)."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from contactbench.errors import BadInput, function
+from contactbench.boundary import their_code
+from contactbench.errors import BadInput, function, returned
 from contactbench.scene.algebra import State
+from contactbench.scene.base import TRIED
 from contactbench.scene.mechanical import Mechanical
 
 
@@ -31,6 +34,9 @@ class GeneralDamping(Mechanical):
     damping_flow: Callable[[Any, Any, Any], Any] | None = None
 
     kind: ClassVar[str] = "general damping"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {
+        **Mechanical.functions, "damping": ("s",), "damping_slope": ("s",), "damping_flow": ("s", "h", "xp"),
+    }  # fmt: skip
 
     def _check_kinds(self) -> None:
         super()._check_kinds()
@@ -43,6 +49,12 @@ class GeneralDamping(Mechanical):
         super().__post_init__()
         if self.gamma or self.kappa:
             raise BadInput(f"gamma = {self.gamma!r}, kappa = {self.kappa!r}: Γ has them in it")
+        with their_code(f"scene {self.name!r}"):
+            found = {"damping": self.damping(self.s), "damping_slope": self.damping_slope(self.s)}
+            if self.damping_flow is not None:
+                found["damping_flow"] = self.damping_flow(self.s, TRIED * self.t_end, math)
+        for name, value in found.items():
+            returned(name, value)
 
     @property
     def required(self) -> tuple[str, ...]:

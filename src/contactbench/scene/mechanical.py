@@ -3,31 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from math import isfinite
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import user_error
+from contactbench.boundary import is_ours, user_error
 from contactbench.errors import BadInput, finite, function, is_real, positive, shown, switch, vector
+from contactbench.numbers.formula import Formula, formula
+from contactbench.numbers.recording import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Scene
+
+#: components up to which a Hessian is derived
+LARGEST_HESSIAN = 32
+
+
+@lru_cache(256)
+def derived_gradient(potential: Formula) -> Formula:
+    """∇V from V.  Raises `BadInput` for a function whose derivative is not known."""
+    try:
+        return potential.gradient()
+    except CannotRecord as why:
+        raise BadInput(f"the gradient is missing, and cannot be derived from the potential: {why}") from why
+
+
+@lru_cache(256)
+def derived_hessian(gradient: Formula) -> Formula:
+    """The Hessian from ∇V.  Raises `CannotRecord`."""
+    return gradient.jacobian(symmetric=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mechanical(Scene):
     """H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
 
-    potential : ``V(q, **parameters) -> number``; gradient : ``dV(q, **parameters) -> n-tuple``;
-    hessian : ``(q, **parameters) -> n×n`` nested tuples, or None (solvers then difference).
+    potential : ``V(q, **parameters) -> number``; gradient : ``dV(q, **parameters) -> n-tuple`` and
+    hessian : ``(q, **parameters) -> n×n`` nested tuples; where they are left out they are derived from what the
+    potential computes (the Hessian up to 32 components; solvers difference where there is none).
+    The functions may read globals or attributes: every solve, run and reference is of what they compute when it
+    is prepared.
     q, p : n numbers; gamma, kappa : damping (κ ≠ 0 makes s part of the dynamics); mass > 0.
     rotation_invariant : V(Rq) = V(q), so that the angular momentum obeys J' = −Γ'(s) J.
     Raises `BadInput` for lengths that differ, values that are not finite, mass ≤ 0, t_end ≤ 0.
     """
 
     potential: Callable[..., Any]
-    gradient: Callable[..., Vector]
+    gradient: Callable[..., Vector] | None = None
     q: Vector
     p: Vector
     gamma: float = 0.0
@@ -40,6 +65,9 @@ class Mechanical(Scene):
     inverse_mass: Any = field(init=False, repr=False, default=1.0)
 
     kind: ClassVar[str] = "mechanical"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
+        ("potential", "gradient", "hessian"), ("q", "**")
+    )
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     canonical: ClassVar[bool] = True
 
@@ -61,13 +89,14 @@ class Mechanical(Scene):
     def _check_kinds(self) -> None:
         super()._check_kinds()
         function("potential", self.potential)
-        function("gradient", self.gradient)
-        if self.hessian is not None:
-            function("hessian", self.hessian)
+        for name in ("gradient", "hessian"):
+            if getattr(self, name) is not None:
+                function(name, getattr(self, name))
         switch("rotation_invariant", self.rotation_invariant)
         names = self.parameters if isinstance(self.parameters, Mapping) else [None]
         if not all(isinstance(name, str) and name.isidentifier() for name in names):
             raise BadInput(f"parameters = {shown(self.parameters)}: must be a dict of numbers by name")
+        self._check_names(self.parameters)
 
     def _check_force(self) -> None:
         """Whether the gradient at the initial position is n finite numbers."""
@@ -149,6 +178,30 @@ class Mechanical(Scene):
             tuple(self.parameters), self.kappa_sign,
         )  # fmt: skip
 
+    def recorded(self) -> Self:
+        """With a gradient and a Hessian derived where they are left out."""
+        scene = super().recorded()
+        if scene.gradient is None:
+            scene = scene._replaced(gradient=derived_gradient(scene._potential_formula()))
+        if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
+            return scene
+        if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
+            with suppress(CannotRecord):
+                scene = scene._replaced(hessian=derived_hessian(scene.gradient))
+        return scene
+
+    def _potential_formula(self) -> Formula:
+        """The potential as a formula; `BadInput` where it cannot be recorded."""
+        if isinstance(self.potential, Formula):
+            return self.potential
+        sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
+        try:
+            return formula(self.potential, sizes, tuple(self.parameters))
+        except CannotRecord as why:
+            raise BadInput(
+                f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
+            ) from why
+
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
         """T(p) = ‖p‖²/2m."""
@@ -158,7 +211,7 @@ class Mechanical(Scene):
         return self.potential(q, **self.parameters)
 
     def dV(self, q: Vector) -> Vector:
-        return self.gradient(q, **self.parameters)
+        return (self.gradient or self.recorded().gradient)(q, **self.parameters)  # type: ignore[misc]
 
     def potential_at(self, x: Any) -> Any:
         """V at a state."""
@@ -201,13 +254,13 @@ class Mechanical(Scene):
     def has_jacobian(self) -> bool:
         return self.hessian is not None
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
         """Shorter where only q and p are carried."""
         if carry:
             return super().on_lists(carry)
         n, rhs = len(self.q), self.rhs
 
-        def short(y: Sequence[float]) -> list[float]:
+        def short(t: float, y: Sequence[float]) -> list[float]:
             dx = rhs(State(tuple(y[:n]), tuple(y[n:])))
             return [*dx.q, *dx.p]
 
@@ -256,6 +309,14 @@ class Mechanical(Scene):
     @property
     def may_gain_energy(self) -> bool:
         return self.nonlinear_damping or self.gamma <= 0
+
+    @property
+    def bounds_energy(self) -> bool:
+        return not self.nonlinear_damping and self.gamma >= 0
+
+    def energy_terms(self, x: State) -> Any:
+        """T + |V|."""
+        return self.kinetic(x.p) + abs(self.potential_at(x))
 
     def contact_form(self, x: State, dx: State) -> Any:
         """η(dx) = ds − p·dq at x."""

@@ -14,12 +14,12 @@ for _scene in (*STANDARD, *DRIVEN, *HARD):
 
 
 def scene_of(scene: object) -> Scene:
-    """A scene, itself or by name; `UnknownName`, a `BadInput`, with a suggestion otherwise."""
+    """A scene, itself or by name, its functions recorded; `UnknownName`, a `BadInput`, with a suggestion otherwise."""
     if isinstance(scene, str):
-        return SCENES[scene]
+        scene = SCENES[scene]
     if not isinstance(scene, Scene):
         raise BadInput(f"scene = {shown(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
-    return scene
+    return scene.recorded()
 
 
 def scenes_of(experiment: str) -> list[Scene]:

@@ -3,20 +3,23 @@
     from contactbench.testing import check_method, check_scene
     check_method(cb.METHODS["mine"])
 
-Each takes the numbered rules of the contract (`methods.base.Method`, `scene.base.Scene`) one after the other and
-raises `Violation`, an `AssertionError` that says which is broken and how.
+Each takes the numbered rules of the contract (`methods.base.Method`, `scene.base.Scene`) one after the other,
+returns what it found, and raises `Violation`, an `AssertionError` that says which is broken and how.
 """
 
-from contactbench.testing.method import METHOD_RULES, MethodCase, check_method, method_cases
-from contactbench.testing.rules import Violation
-from contactbench.testing.scene import SCENE_RULES, check_scene
+from contactbench.testing.method import METHOD_RULES, MethodCase, check_method, method_cases, method_findings
+from contactbench.testing.rules import Finding, Violation
+from contactbench.testing.scene import SCENE_RULES, check_scene, scene_findings
 
 __all__ = [
     "METHOD_RULES",
     "SCENE_RULES",
+    "Finding",
     "MethodCase",
     "Violation",
     "check_method",
     "check_scene",
     "method_cases",
+    "method_findings",
+    "scene_findings",
 ]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, wraps
 from typing import Any
 
 import numpy as np
 
-from contactbench.errors import NAME, BadInput
+from contactbench.errors import NAME, BadInput, shown
 from contactbench.measure.laws import LAWS
 from contactbench.measure.precision import march, order_at
 from contactbench.methods.base import FAMILIES, METHODS, Method, Prepared, Refused
@@ -20,7 +20,7 @@ from contactbench.methods.step_map import StepMap, trajectory
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
 from contactbench.solution import Solution, Status
-from contactbench.testing.rules import follow, require
+from contactbench.testing.rules import DoesNotApply, Finding, Measured, follow, require
 from contactbench.truth import blow_up_time, decimal_context, reference
 
 #: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
@@ -47,11 +47,15 @@ EXACT = 1e-10
 
 @dataclass(frozen=True)
 class MethodCase:
-    """A method on an engine and a scene."""
+    """A method on an engine and a scene.
+
+    first : whether what no engine changes is looked at here.
+    """
 
     method: Method
     engine: str
     scene: Scene
+    first: bool = True
 
     def run(self, level: str = "coarse", scene: Scene | None = None, **options: Any) -> Prepared:
         """Prepared at one of the settings of `STEPS` or `RTOLS`, unless the options say otherwise."""
@@ -67,11 +71,6 @@ class MethodCase:
         if "rtol" in options or "step" in options:
             control = {}
         return prepare(scene, self.method, engine=self.engine, **(control | options))
-
-    @property
-    def first(self) -> bool:
-        """Whether what no engine changes is looked at here."""
-        return self.engine == self.method.engines[0]
 
     @cached_property
     def refused(self) -> bool:
@@ -100,17 +99,19 @@ class MethodCase:
         return LAWS["solution_error"](solution)
 
 
-def runs(rule: Callable[[MethodCase], None]) -> Callable[[MethodCase], None]:
-    """A rule on what a method runs: kept where the scene is refused."""
+def runs(rule: Callable[[MethodCase], Measured]) -> Callable[[MethodCase], Measured]:
+    """A rule on what a method runs: it does not apply where the scene is refused."""
 
-    def kept(case: MethodCase) -> None:
-        if not case.refused:
-            rule(case)
+    @wraps(rule)
+    def followed(case: MethodCase) -> Measured:
+        if case.refused:
+            raise DoesNotApply("the scene is refused")
+        return rule(case)
 
-    return kept
+    return followed
 
 
-def declares(case: MethodCase) -> None:
+def declares(case: MethodCase) -> Measured:
     method = case.method
     require(isinstance(method, Method), "no Method")
     require(isinstance(method.name, str) and NAME.fullmatch(method.name), f"name = {method.name!r}")
@@ -125,9 +126,10 @@ def declares(case: MethodCase) -> None:
     low, high = method.rtol_range
     require(0 < low < high, f"rtol_range = {method.rtol_range!r}")
     require(method.tolerance, "tolerance: says nothing of what rtol bounds")
+    return None
 
 
-def refuses(case: MethodCase) -> None:
+def refuses(case: MethodCase) -> Measured:
     why = case.method.refuses(case.scene)
     require(why is None or (isinstance(why, str) and why.strip()), f"refuses = {why!r}")
     if why is not None:
@@ -135,10 +137,11 @@ def refuses(case: MethodCase) -> None:
         require(solution.status is Status.unsupported, f"a refused scene ends {solution.status}")
         require(solution.message == why, f"message = {solution.message!r}")
         require(np.isnan(solution.y).all(), "a refused scene has states")
+    return None
 
 
 @runs
-def leaves_no_trace(case: MethodCase) -> None:
+def leaves_no_trace(case: MethodCase) -> Measured:
     run = case.run(save_at=[case.scene.t_end / 4])
     require(not isinstance(run, Refused), f"engine {case.engine!r}: {getattr(run, 'why', '')}")
     field = case.scene.initial_fields[0]
@@ -148,10 +151,11 @@ def leaves_no_trace(case: MethodCase) -> None:
     fresh = case.run(save_at=[case.scene.t_end / 4], scene=case.scene.with_(**moved))()
     require(np.array_equal(other.y, fresh.y), f"{moved}: not what a run prepared for them gives")
     require(not np.array_equal(first.y, other.y), f"{moved}: makes no difference")
+    return None
 
 
 @runs
-def saves(case: MethodCase) -> None:
+def saves(case: MethodCase) -> Measured:
     scene = case.scene
     times = scene.t_end * np.array([0.0, 0.13, 0.5, 1.0])
     solution = case.run(save_at=times)()
@@ -163,15 +167,17 @@ def saves(case: MethodCase) -> None:
     truth = case.truth(times[1:])
     gap = case.gap(solution.y[1:], truth)
     require(gap < 0.1, f"the states are those of other times: {gap:.1e} from the truth")
+    return {"error": gap}
 
 
 @runs
-def is_timed_by_its_own_call(case: MethodCase) -> None:
+def is_timed_by_its_own_call(case: MethodCase) -> Measured:
     run = case.run(save_at=[case.scene.t_end])
     bare, whole = run.bare(run.start), run().y[-1]
     require(bare.shape == whole.shape, f"bare gives shape {bare.shape}")
     gap = case.gap(bare, whole)
     require(gap < SAME, f"bare ends {gap:.1e} from the run's last state")
+    return {"gap": gap}
 
 
 def truncation(case: MethodCase) -> float:
@@ -181,15 +187,16 @@ def truncation(case: MethodCase) -> float:
 
 
 @runs
-def is_controlled_by_its_setting(case: MethodCase) -> None:
+def is_controlled_by_its_setting(case: MethodCase) -> Measured:
     method, scene = case.method, case.scene
+    measured: dict[str, float] = {}
     if isinstance(method, StepMap):
         if case.first:
-            order = order_at(method, scene, 1.0, 20)
+            measured["order"] = order = order_at(method, scene, 1.0, 20)
             require(abs(order - method.order) < ORDER, f"of order {order:.3f}, not {method.order}")
-        error = case.error(case.run("fine", save_at=[scene.t_end])())
+        measured["error"] = error = case.error(case.run("fine", save_at=[scene.t_end])())
         require(error < truncation(case), f"error {error:.1e}")
-        return
+        return measured
     if method.exact:
         error = case.error(case.run(save_at=[scene.t_end])())
         require(error < 1e-12, f"exact, with an error of {error:.1e}")
@@ -200,29 +207,32 @@ def is_controlled_by_its_setting(case: MethodCase) -> None:
             except BadInput:
                 continue
             raise AssertionError(f"exact, and takes {given}")
-        return
-    errors = [
-        case.error(case.run(rtol=rtol, save_at=[scene.t_end])()) for rtol in (1e-4, 1e-7, 1e-10)
-    ]  # fmt: skip
+        return {"error": error}
+    for rtol in (1e-4, 1e-7, 1e-10):
+        measured[f"error at rtol {rtol:.0e}"] = case.error(case.run(rtol=rtol, save_at=[scene.t_end])())
+    errors = list(measured.values())
     require(errors[0] > 10 * errors[1] > 100 * errors[2], f"errors {errors} at rtol 1e-4, 1e-7, 1e-10")
+    return measured
 
 
 @runs
-def ends_as_it_says(case: MethodCase) -> None:
+def ends_as_it_says(case: MethodCase) -> Measured:
     times = case.scene.t_end * np.arange(1, 11) / 10
     solution = case.run("fine", save_at=times, max_steps=BUDGET)()
     require(solution.status is Status.budget, f"max_steps = {BUDGET}: ends {solution.status}")
     require(str(BUDGET) in solution.message, f"max_steps = {BUDGET}: says {solution.message!r}")
     require(np.isnan(solution.y[-1]).all(), f"max_steps = {BUDGET}: has a state at the end")
     escape = SCENES[ESCAPE]
-    if case.method.refuses(escape) is None:
-        setting: dict[str, Any] = {"step": 0.002} if isinstance(case.method, StepMap) else {}
-        solution = case.run(scene=escape, save_at=[escape.t_end], max_steps=20_000, **setting)()
-        require(solution.status is Status.diverged, f"beyond the blow-up: ends {solution.status}")
-        found = blow_up_time(escape)
-        when = float(found[0]) if found else math.inf
-        require(abs(solution.end_time / when - 1) < 0.01, f"diverged at {solution.end_time}, not {when:.4g}")
-        require(np.isnan(solution.y[-1]).all(), "diverged, with a state at the end")
+    if case.method.refuses(escape) is not None:
+        return None
+    setting: dict[str, Any] = {"step": 0.002} if isinstance(case.method, StepMap) else {}
+    solution = case.run(scene=escape, save_at=[escape.t_end], max_steps=20_000, **setting)()
+    require(solution.status is Status.diverged, f"beyond the blow-up: ends {solution.status}")
+    found = blow_up_time(escape)
+    off = abs(solution.end_time / float(found[0]) - 1) if found else math.inf
+    require(off < 0.01, f"diverged at {solution.end_time}, {off:.1e} off the blow-up")
+    require(np.isnan(solution.y[-1]).all(), "diverged, with a state at the end")
+    return {"end of a blow-up": off}
 
 
 def counted(scene: Any, kind: str) -> tuple[Any, list[int]]:
@@ -240,7 +250,7 @@ def counted(scene: Any, kind: str) -> tuple[Any, list[int]]:
 
 
 @runs
-def counts(case: MethodCase) -> None:
+def counts(case: MethodCase) -> Measured:
     method, scene = case.method, case.scene
     run = case.run(save_at=[scene.t_end])
     found = run.count(run().counts)
@@ -251,22 +261,33 @@ def counts(case: MethodCase) -> None:
         expected = once + (STEPS["coarse"] - 1) * each
         require(found.evaluations == expected, f"{found.evaluations} evaluations, not {expected}")
         require(found.kind == method.kind_on(scene), f"counts {found.kind}")
-    if case.engine in CALLBACKS and found.kind in ("gradient", "rhs"):
+    measured: dict[str, float] = {} if found.evaluations is None else {"evaluations": found.evaluations}
+    # what cannot be counted on an engine is counted on another
+    engine = next((e for e in (case.engine, *method.engines) if e in CALLBACKS), None)
+    if engine and (engine == case.engine or case.first) and found.kind in ("gradient", "rhs"):
         twin, calls = counted(scene, found.kind)
-        run = case.run(scene=twin, save_at=[scene.t_end])
+        run = replace(case, engine=engine).run(scene=twin, save_at=[scene.t_end])
         calls[0] = 0
         told = run().counts.evaluations
+        measured["made"] = calls[0]
         require(told == calls[0], f"{told} evaluations told, {calls[0]} made")
+    return measured
 
 
 @runs
-def engines_agree(case: MethodCase) -> None:
+def engines_agree(case: MethodCase) -> Measured:
     times, method = case.scene.t_end * np.array([0.5, 1.0]), case.method
     level, bound = ("fine", 10 * RTOLS["fine"]) if method.adaptive else ("coarse", COMPILED)
+    measured: dict[str, float] = {}
     mine = case.run(level, save_at=times)().y
-    other = MethodCase(method, method.engines[0], case.scene).run(level, save_at=times)().y
-    gap = case.gap(mine, other)
-    require(gap < bound, f"{case.engine} is {gap:.1e} off {method.engines[0]}")
+    # the default, and for itself the last: JAX compiles for seconds
+    for engine in (method.engines[0], *reversed(method.engines)):
+        run = replace(case, engine=engine).run(level, save_at=times)
+        if engine == case.engine or isinstance(run, Refused):
+            continue
+        measured[f"off {engine}"] = gap = case.gap(mine, run().y)
+        require(gap < bound, f"{case.engine} is {gap:.1e} off {engine}")
+        break
     if isinstance(method, StepMap):
         scene: Any = case.scene
         x = scene.initial(scene.carry())
@@ -276,14 +297,17 @@ def engines_agree(case: MethodCase) -> None:
         )
         gap = case.gap(np.array([c[0] for c in scene.pack(together)]), np.array(scene.pack(alone)))
         require(gap < SAME, f"an array gives {gap:.1e} else than a number")
+        measured["arrays off numbers"] = gap
+    return measured
 
 
 @runs
-def claims(case: MethodCase) -> None:
+def claims(case: MethodCase) -> Measured:
     method, scene = case.method, case.scene
+    measured: dict[str, float] = {}
     if scene.conformal_rate is not None and (method.contact or isinstance(method, StepMap)):
         coarse: dict[str, Any] = {"step": scene.t_end / 10} if method.control == "step" else {}
-        drift = LAWS["contact_drift"](case.run(save_at=[scene.t_end], **coarse)())
+        measured["contact drift"] = drift = LAWS["contact_drift"](case.run(save_at=[scene.t_end], **coarse)())
         # to round-off times the growth of the phase's own error along the run
         kept = drift < (EXACT if method.exact else ROUND_OFF)
         require(kept == method.contact, f"contact = {method.contact}, with a contact drift of {drift:.1e}")
@@ -293,35 +317,39 @@ def claims(case: MethodCase) -> None:
         back = march(method, scene, "-0.2", 3, context, ahead)
         there = march(method, scene, "0", 1, context)
         gap = max(abs(a - b) for a, b in zip(back, there, strict=True))
-        kept = gap < context.mpf(10) ** -45
+        kept, measured["steps back"] = gap < context.mpf(10) ** -45, float(gap)
         require(
             kept == method.symmetric,
             f"symmetric = {method.symmetric}: three steps and back leave {float(gap):.1e}",
         )
+    return measured
 
 
 @runs
-def differentiates(case: MethodCase) -> None:
+def differentiates(case: MethodCase) -> Measured:
     scene = case.scene
     run = case.run("fine", save_at=[scene.t_end])
-    if run.sensitivity_source:
-        states, mine = run.linearised(run.start, run().y)
-        require(case.gap(states, run().y) < GROWTH * RTOLS["fine"], "the derivative is taken elsewhere")
-        exact = MethodCase(METHODS["rk4"], "numba", scene).run("fine", save_at=[scene.t_end])
-        bound = truncation(case) if isinstance(case.method, StepMap) else GROWTH * RTOLS["fine"]
-        gap = case.gap(mine, exact.sensitivity(exact.start))
-        require(gap < bound, f"the derivative is {gap:.1e} off that of the flow")
+    if not run.sensitivity_source:
+        raise DoesNotApply("no derivative")
+    states, mine = run.linearised(run.start, run().y)
+    require(case.gap(states, run().y) < GROWTH * RTOLS["fine"], "the derivative is taken elsewhere")
+    exact = MethodCase(METHODS["rk4"], "numba", scene).run("fine", save_at=[scene.t_end])
+    bound = truncation(case) if isinstance(case.method, StepMap) else GROWTH * RTOLS["fine"]
+    gap = case.gap(mine, exact.sensitivity(exact.start))
+    require(gap < bound, f"the derivative is {gap:.1e} off that of the flow")
+    return {"gap": gap}
 
 
-def costs(case: MethodCase) -> None:
+def costs(case: MethodCase) -> Measured:
     cost = case.method.step_cost(case.scene, case.engine) if not case.refused else 1
     require(cost is None or cost > 0, f"step_cost = {cost!r}")
     require(
         cost is not None or case.engine not in CALLBACKS, f"no step_cost on {case.engine}, which calls back"
     )
+    return None if cost is None else {"right-hand sides": cost}
 
 
-METHOD_RULES: dict[int, Callable[[MethodCase], None]] = {
+METHOD_RULES: dict[int, Callable[[MethodCase], Measured]] = {
     1: declares, 2: refuses, 3: leaves_no_trace, 4: saves, 5: is_timed_by_its_own_call,
     6: is_controlled_by_its_setting, 7: ends_as_it_says, 8: counts, 9: engines_agree, 10: claims,
     11: differentiates, 12: costs,
@@ -332,23 +360,40 @@ def method_cases(
     method: Method, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
 ) -> Iterator[MethodCase]:
     """The method on each of its engines, or some, and on scenes of every kind, or others."""
-    scenes = tuple(scenes)
-    for engine in method.engines if engines is None else engines:
+    scenes, chosen = tuple(scenes), tuple(method.engines if engines is None else engines)
+    if not (chosen and scenes and set(chosen) <= set(method.engines)):
+        raise BadInput(
+            f"engines = {shown(chosen)}, scenes = {shown(scenes)}: must be one or more, engines of "
+            f"{', '.join(method.engines)}"
+        )
+    for engine in chosen:
         for scene in scenes:
-            yield MethodCase(method, engine, scene)
+            yield MethodCase(method, engine, scene, first=engine == chosen[0])
+
+
+def method_findings(
+    method: Method, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
+) -> Iterator[Finding]:
+    """`check_method`, a finding at a time."""
+    cases = list(method_cases(method, engines, scenes))
+    for case in cases:
+        yield from case_findings(case)
+    if all(case.refused for case in cases):
+        raise BadInput(f"scenes: {method.name} refuses all it is checked on; give scenes it takes")
 
 
 def check_method(
     method: Method, *, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
-) -> None:
-    """Every rule of `methods.base.Method`; raises `Violation`.
+) -> list[Finding]:
+    """Follow every rule of `methods.base.Method`; raises `Violation`.
 
-    engines, scenes : by default all of the method's, and one scene of every kind.
+    engines, scenes : by default all of the method's, and one scene of every kind.  Returns which rules were
+    followed, on which engine and scene, and what was measured.
     """
-    for case in method_cases(method, engines, scenes):
-        check_case(case)
+    return list(method_findings(method, engines, scenes))
 
 
-def check_case(case: MethodCase) -> None:
+def case_findings(case: MethodCase) -> Iterator[Finding]:
     """Every rule on one engine and scene; raises `Violation`."""
-    follow(METHOD_RULES, case, f"{case.method.name} ({case.engine}) on {case.scene.name}")
+    what = f"{case.method.name} ({case.engine}) on {case.scene.name}"
+    return follow(METHOD_RULES, case, what, case.engine, case.scene.name)

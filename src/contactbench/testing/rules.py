@@ -1,9 +1,12 @@
-"""How a rule of a contract is written: a function that raises `Violation`."""
+"""How a rule of a contract is written: a function that raises `Violation`, and gives what it measured."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+#: what a rule measured, by name; None where there is nothing to measure
+Measured = dict[str, float] | None
 
 
 class Violation(AssertionError):
@@ -17,17 +20,41 @@ class Violation(AssertionError):
         self.rule = rule
 
 
+class Finding(NamedTuple):
+    """A rule that is kept, or does not apply: where, and what was measured.
+
+    engine : of a method; empty for a scene.  not_here : why the rule does not apply there, or empty.
+    """
+
+    rule: int
+    name: str
+    engine: str
+    scene: str
+    measured: dict[str, float]
+    not_here: str
+
+
+class DoesNotApply(Exception):
+    """Why a rule has nothing to say about a case."""
+
+
 def require(condition: Any, message: str) -> None:
     """Raises `AssertionError` unless the condition holds; not by `assert`, which may be switched off."""
     if not condition:
         raise AssertionError(message)
 
 
-def follow(rules: Mapping[int, Callable[[Any], None]], case: Any, what: str) -> None:
-    """Every rule on a case; raises `Violation` for the first that is broken, or that cannot be followed."""
+def follow(
+    rules: Mapping[int, Callable[[Any], Measured]], case: Any, what: str, engine: str, scene: str
+) -> Iterator[Finding]:
+    """Follow every rule on a case; raises `Violation` for the first that is broken, or that cannot be followed."""
     for number, rule in rules.items():
+        measured, not_here = None, ""
         try:
-            rule(case)
+            measured = rule(case)
+        except DoesNotApply as why:
+            not_here = str(why)
         except Exception as error:
             reason = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
             raise Violation(number, f"{what}: {reason}") from error
+        yield Finding(number, rule.__name__.replace("_", " "), engine, scene, measured or {}, not_here)

@@ -5,9 +5,9 @@ Derivatives are central differences at 50 digits, taken of the scene's own funct
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property, wraps
 from itertools import combinations
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from contactbench.errors import NAME
 from contactbench.scene import Scene
-from contactbench.testing.rules import follow, require
+from contactbench.testing.rules import DoesNotApply, Finding, Measured, follow, require
 from contactbench.truth import decimal_context, with_decimals
 
 DIGITS = 50
@@ -28,9 +28,13 @@ STATES = 3
 
 @dataclass(frozen=True)
 class SceneCase:
-    """A scene and some generic states of it, as floats and at 50 digits."""
+    """A scene and some generic states of it, as floats and at 50 digits.
+
+    gaps : between what a rule compares, relative to its size.
+    """
 
     scene: Scene
+    gaps: list[float] = field(default_factory=list)
 
     @cached_property
     def xp(self) -> Any:
@@ -75,13 +79,25 @@ class SceneCase:
         along_s = self.read([self.xp.mpf(int(name == "s")) for name in self.scene.labels(self.scene.carry())])
         return self.slope(lambda x: [self.twin.hamiltonian(x)], x, along_s)[0]
 
+    def near(self, a: Any, b: Any, what: str) -> None:
+        """Whether two lists are equal up to the round-off of float64 states."""
+        a, b = list(a), list(b)
+        size = max([1.0, *(float(abs(c)) for c in b)])
+        gap = max(float(abs(p - q)) for p, q in zip(a, b, strict=True))
+        self.gaps.append(gap / size)
+        require(gap < CLOSE * size, f"{what}: off by {gap:.1e}")
 
-def near(a: Any, b: Any, what: str) -> None:
-    """Equal up to the round-off of float64 states."""
-    a, b = list(a), list(b)
-    size = max([1.0, *(float(abs(c)) for c in b)])
-    gap = max(float(abs(p - q)) for p, q in zip(a, b, strict=True))
-    require(gap < CLOSE * size, f"{what}: off by {gap:.1e}")
+
+def measured(rule: Callable[[SceneCase], None]) -> Callable[[SceneCase], Measured]:
+    """A rule that gives the largest gap between what it compares."""
+
+    @wraps(rule)
+    def followed(case: SceneCase) -> Measured:
+        case.gaps.clear()
+        rule(case)
+        return {"largest gap": max(case.gaps)} if case.gaps else None
+
+    return followed
 
 
 def declares(case: SceneCase) -> None:
@@ -110,7 +126,7 @@ def replaces_numbers(case: SceneCase) -> None:
     scene, x = case.scene, case.states[0]
     require(len(scene.number_names()) == len(scene.numbers()), "number_names and numbers differ in length")
     same = scene.with_numbers(scene.numbers())
-    near(
+    case.near(
         scene.pack(same.rhs(x)),
         scene.pack(scene.rhs(x)),
         "with_numbers(numbers()) has another right-hand side",
@@ -132,12 +148,12 @@ def is_one_definition(case: SceneCase) -> None:
 
             plain = flat(getattr(scene, name)(x))
             pair = scene.unpack([np.array([c, 2 * c]) for c in scene.pack(x)], carry)
-            near(
+            case.near(
                 [np.broadcast_to(c, 2)[0] for c in flat(getattr(scene, name)(pair))],
                 plain,
                 f"{name} on arrays",
             )
-            near(flat(getattr(case.twin, name)(z)), plain, f"{name} on 50-digit numbers")
+            case.near(flat(getattr(case.twin, name)(z)), plain, f"{name} on 50-digit numbers")
 
 
 def derives(case: SceneCase) -> None:
@@ -149,17 +165,17 @@ def derives(case: SceneCase) -> None:
         require((rows is not None) == scene.has_jacobian, f"has_jacobian = {scene.has_jacobian}")
         for j, unit in enumerate(units if scene.has_jacobian else ()):
             slope = case.slope(lambda x: scene.pack(case.twin.rhs(x)), x, unit)
-            near([row[j] for row in rows], slope, f"jacobian, column {j}")
+            case.near([row[j] for row in rows], slope, f"jacobian, column {j}")
 
 
 def is_a_contact_system(case: SceneCase) -> None:
     """η(X) = −H and L_X η = −Γ' η, which is X = X_H and no other."""
     scene, twin = case.scene, case.twin
     if not scene.is_contact:
-        return
+        raise DoesNotApply("no contact system")
     for x in case.exact:
         field, rate = twin.rhs(x), case.rate(x)
-        near([twin.contact_form(x, field)], [-twin.hamiltonian(x)], "η(X) is not −H")
+        case.near([twin.contact_form(x, field)], [-twin.hamiltonian(x)], "η(X) is not −H")
         for v in twin.tangents(x):
             pushed = case.read(case.slope(lambda x: scene.pack(twin.rhs(x)), x, v))
             delta = case.xp.mpf(DELTA)
@@ -167,9 +183,11 @@ def is_a_contact_system(case: SceneCase) -> None:
                 twin.contact_form(case.moved(x, field, sign * delta), case.moved(v, pushed, sign * delta))
                 for sign in (1, -1)
             ]
-            near([(ends[0] - ends[1]) / (2 * delta)], [-rate * twin.contact_form(x, v)], "L_X η is not −Γ' η")
+            case.near(
+                [(ends[0] - ends[1]) / (2 * delta)], [-rate * twin.contact_form(x, v)], "L_X η is not −Γ' η"
+            )
         if not scene.rate_changes:
-            near([rate], [twin.conformal_rate], "conformal_rate is not ∂H/∂s")
+            case.near([rate], [twin.conformal_rate], "conformal_rate is not ∂H/∂s")
 
 
 def has_its_laws(case: SceneCase) -> None:
@@ -180,7 +198,7 @@ def has_its_laws(case: SceneCase) -> None:
         require(scene.may_gain_energy or decay <= CLOSE, f"H0 grows, {float(decay):.1e}, though it may not")
         if scene.has_momentum_law and scene.is_contact:
             law = [-case.rate(z) * c for c in twin.momentum(z)]
-            near(case.slope(lambda x: list(twin.momentum(x)), z, field), law, "J' is not −Γ' J")
+            case.near(case.slope(lambda x: list(twin.momentum(x)), z, field), law, "J' is not −Γ' J")
         if scene.is_contact:
             require(
                 scene.hamiltonian_terms(x) >= abs(scene.hamiltonian(x)) - CLOSE, "hamiltonian_terms < |H|"
@@ -220,7 +238,7 @@ def solves_its_equations(case: SceneCase) -> None:
     """The closed form, where there is one: from the initial state, and with the slope of the equations."""
     scene, twin, xp = case.scene, case.twin, case.xp
     if scene.exact is None:
-        return
+        raise DoesNotApply("no closed form")
 
     def known(state: Any) -> dict[str, Any]:
         return {f: c for f, c in state._asdict().items() if c is not None}
@@ -230,12 +248,12 @@ def solves_its_equations(case: SceneCase) -> None:
 
     start = twin.initial(scene.carry())
     begun = known(scene.exact(twin, xp.mpf(0), xp))
-    near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
+    case.near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
     t, delta = xp.mpf(repr(scene.t_end)) / 7, xp.mpf(DELTA)
     here, ahead, behind = (known(scene.exact(twin, t + d, xp)) for d in (0, delta, -delta))
     slope = [(a - b) / (2 * delta) for a, b in zip(flat(ahead.values()), flat(behind.values()), strict=True)]
     field = twin.rhs(start._replace(**here))
-    near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
+    case.near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
 
 
 SCENE_RULES: dict[int, Callable[[SceneCase], None]] = {
@@ -244,6 +262,15 @@ SCENE_RULES: dict[int, Callable[[SceneCase], None]] = {
 }  # fmt: skip
 
 
-def check_scene(scene: Scene) -> None:
-    """Every rule of `scene.base.Scene`; raises `Violation`."""
-    follow(SCENE_RULES, SceneCase(scene), scene.name)
+def scene_findings(scene: Scene) -> Iterator[Finding]:
+    """`check_scene`, a finding at a time."""
+    rules = {number: measured(rule) for number, rule in SCENE_RULES.items()}
+    return follow(rules, SceneCase(scene), scene.name, "", scene.name)
+
+
+def check_scene(scene: Scene) -> list[Finding]:
+    """Follow every rule of `scene.base.Scene`; raises `Violation`.
+
+    Returns which rules were followed, and what was measured.
+    """
+    return list(scene_findings(scene))

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.boundary import is_ours
 from contactbench.errors import BadInput, array
+from contactbench.numbers.formula import Formula
 from contactbench.scene import Scene
 
 
@@ -126,6 +128,13 @@ def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
     return scene.with_numbers([convert(x) for x in scene.numbers()])._replaced(**start)
 
 
+def _definition(function: Any) -> list[str]:
+    """A function of this package by its name; a user's by what it computes, or, unknown, as none other."""
+    if is_ours(function):
+        return [function.__module__, function.__qualname__]
+    return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
+
+
 def digest(scene: Scene) -> str:
     """SHA-256 of what determines the trajectory: kind, functions, numbers and initial data.
 
@@ -133,7 +142,7 @@ def digest(scene: Scene) -> str:
     do not count.
     """
     functions = [
-        [f.name, getattr(value, "__module__", ""), getattr(value, "__qualname__", repr(value))]
+        [f.name, *_definition(value)]
         for f in fields(scene)
         if f.name not in ("exact", "hessian") and callable(value := getattr(scene, f.name))
     ]

@@ -17,8 +17,8 @@ SOURCE = "work_precision.csv"
 ERRORS = (1e-16, 2.0)
 #: quantities on an axis of cost, the first as the tables compare it: label and scale
 TIMES = {
+    "time_min_s": ("time per solve (least round), ms", 1e3),
     "time_median_s": ("time per solve (median), ms", 1e3),
-    "time_min_s": ("time per solve (fastest round), ms", 1e3),
     "call_s": ("what `run()` adds to a solve, ms", 1e3),
     "marginal_s": ("time per unit of simulated time, ms", 1e3),
 }
@@ -27,7 +27,7 @@ COUNTS = {
     "evaluations": ("evaluations as each method counts them", 1.0),
     "steps": ("steps", 1.0),
 }
-BARS = "Bars: interquartile range of the rounds about the median, not below the fastest. "
+BARS = "Bars: from the least round to the upper quartile; of marginal times, what the halves of the visits differ by. "
 COLOURS = "In colour: the method of each family that is cheapest at most errors; thin and grey: the others."
 
 
@@ -48,17 +48,15 @@ def cost_axis(frame: pd.DataFrame, quantities: dict[str, tuple[str, float]]) -> 
                 others=tuple(Axis(quantities[n][0], "log", key=n) for n in others))  # fmt: skip
 
 
-def quartiles(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
-    """About the median, half the interquartile range either way."""
-    half = rows["time_iqr_s"].astype(float) / 2
-    median = rows["time_median_s"].astype(float)
-    return np.maximum(median - half, rows["time_min_s"].astype(float)), median + half
+def rounds(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+    """From the least round to the upper quartile, about."""
+    return rows["time_min_s"], rows["time_median_s"] + rows["time_iqr_s"] / 2
 
 
-def marginal_quartiles(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
-    """About the marginal time; a bar that would reach zero ends at a tenth of it."""
-    half, cost = rows["marginal_iqr_s"].astype(float) / 2, rows["marginal_s"].astype(float)
-    return np.maximum(cost - half, cost / 10), cost + half
+def halves(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
+    """By as much about the marginal time as the halves of the visits differ."""
+    factor = np.exp(np.abs(np.log(rows["marginal_halves_ratio"])))
+    return rows["marginal_s"] / factor, rows["marginal_s"] * factor
 
 
 def panel(part: pd.DataFrame, title: str, quantities: dict[str, tuple[str, float]], **options: Any) -> Panel:
@@ -86,7 +84,7 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
         part = part[part[kind.cost].notna()]
         if len(part) and kind.timed:
             first = {kind.cost: TIMES[kind.cost], **TIMES}
-            bars = marginal_quartiles if kind.cost == "marginal_s" else quartiles
+            bars = halves if kind.cost == "marginal_s" else rounds
             panels.append(panel(part, kind.title, first, apart=("engine",), bars=bars))
         elif len(part):
             panels.append(panel(part, kind.title, COUNTS))

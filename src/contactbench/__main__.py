@@ -1,0 +1,7 @@
+"""``python -m contactbench``."""
+
+import sys
+
+from contactbench.cli import main
+
+sys.exit(main())

@@ -1,0 +1,34 @@
+"""What is made once and used again: compiled programs, references."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any
+
+
+class Cache[Made]:
+    """The latest `size` things made, by key; None is no key: what has none is made anew every time."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.items: OrderedDict[Hashable, Made] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def get(self, key: Hashable | None, make: Callable[[], Made]) -> Made:
+        """The thing of a key, made if it is not there."""
+        if key is None:
+            return make()
+        made = self.items.get(key)
+        if made is None:
+            made = self.items[key] = make()
+            while len(self.items) > self.size:
+                self.items.popitem(last=False)
+        return made
+
+
+def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
+    """The key of what depends on a scene or a method, and more; None where the first of them is."""
+    return None if identity is None else (identity, *rest)

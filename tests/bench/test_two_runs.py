@@ -1,0 +1,33 @@
+"""Two runs of the benchmark are compared verdict by verdict."""
+
+from __future__ import annotations
+
+import pytest
+
+from contactbench.results.store import merge
+from contactbench.results.tables import WORK_PRECISION
+from frames import row
+from two_runs import main
+
+
+def folder(path, ours, theirs, halves=1.0):
+    rows = [
+        row("particle", method, error, solution_error=error, rhs_equivalents=1 / error, time_min_s=time / error,
+            time_halves_ratio=halves, profile="smoke")
+        for method, time in (("contact-a", ours), ("rk4", theirs)) for error in (1e-2, 1e-13)
+    ]  # fmt: skip
+    merge(WORK_PRECISION, rows, path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("theirs", "halves", "turned", "inside"),
+    [(1.3, 1.0, 0, "100.0%"), (1.2, 1.1, 0, "100.0%"), (0.9, 1.5, 0, "100.0%"), (0.7, 1.0, 4, "50.0%")],
+)
+def test_only_a_verdict_that_both_decide_can_turn_round(theirs, halves, turned, inside, tmp_path, capsys):
+    quiet = folder(tmp_path / "quiet", 1.0, 1.3)
+    loaded = folder(tmp_path / "loaded", 1.0, theirs, halves)
+    assert main([quiet, loaded]) == (turned > 0)
+    printed = capsys.readouterr().out
+    assert f"verdicts that turned round: {turned}" in printed
+    assert f"Time, compiled: {inside} of 4 cells" in printed

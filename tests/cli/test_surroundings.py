@@ -1,0 +1,105 @@
+"""The command line as a process of its own: what its surroundings may be like."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from cases import REPOSITORY
+from contactbench import start
+
+MODULE = [sys.executable, "-m", "contactbench"]
+SOLVE = ["solve", "particle", "rk4", "--step", "0.1", "--t-end", "1"]
+
+
+def run(*command, **variables):
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    return subprocess.run(
+        list(map(str, command)), cwd=REPOSITORY, capture_output=True, timeout=120, env=own | variables
+    )
+
+
+@pytest.mark.parametrize("line", [["list"], ["claim", "C25"], [*SOLVE, "--laws"]])
+def test_what_cannot_be_encoded_is_replaced(line):
+    done = run(*MODULE, *line, PYTHONIOENCODING="ascii")
+    assert done.returncode == 0, done.stderr
+    assert b"?" in done.stdout
+    assert done.stdout.isascii()
+
+
+def test_json_needs_no_other_encoding():
+    done = run(*MODULE, "claim", "C25", "--json", PYTHONIOENCODING="ascii")
+    assert "§" in json.loads(done.stdout)["where"]
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_a_closed_stream_is_no_error(closed):
+    done = run("sh", "-c", f'exec "$@" {closed}', "sh", *MODULE, "list", "laws")
+    assert done.returncode == 0
+    assert done.stderr == b""
+
+
+@pytest.mark.parametrize("platform", ["rocm", "abacus"])
+def test_a_platform_that_is_not_there_is_one_line(platform):
+    done = run(*MODULE, *SOLVE, "--engine", "jax", JAX_PLATFORMS=platform)
+    assert done.returncode == 2
+    assert done.stderr.decode().startswith(f"contactbench: JAX_PLATFORMS = {platform}: must be")
+    assert done.stderr.count(b"\n") == 1
+
+
+INTERPRETED = """
+import json
+import contactbench as cb
+cases = {
+    "rk4": {"step": 0.1}, "contact-strang": {"step": 0.1}, "contact-adaptive": {"rtol": 1e-3},
+    "cvode-adams": {"rtol": 1e-3}, "scipy-dop853": {"rtol": 1e-3}, "cyrk-dop853": {"rtol": 1e-3},
+}
+runs = {name: cb.solve("particle", name, **given) for name, given in cases.items()}
+runs["contact-exact"] = cb.solve("rigid_body", "contact-exact", engine="numba")
+runs["numba"] = cb.solve("particle", "rk4", step=0.1, engine="numba")
+runs["c"] = cb.solve("particle", "cvode-adams", rtol=1e-3, engine="c")
+print(json.dumps({name: (run.engine, run.status, "NUMBA_DISABLE_JIT" in run.message) for name, run in runs.items()}))
+"""
+
+
+def test_where_numba_does_not_compile_python_computes():
+    done = run(sys.executable, "-c", INTERPRETED, NUMBA_DISABLE_JIT="1")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {
+        "rk4": ["python", "ok", False], "contact-strang": ["python", "ok", False],
+        "contact-adaptive": ["python", "ok", False], "cvode-adams": ["c+python", "ok", False],
+        "scipy-dop853": ["python", "ok", False], "cyrk-dop853": ["c++", "unsupported", True],
+        "contact-exact": ["numba", "unsupported", True],
+        "numba": ["numba", "unsupported", True], "c": ["c", "unsupported", True],
+    }  # fmt: skip
+
+
+@pytest.fixture
+def interrupted(tmp_path):
+    """A folder to import from, whose numpy is interrupted while it is imported."""
+    (tmp_path / "numpy.py").write_text("raise KeyboardInterrupt\n")
+    return {"PYTHONPATH": os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))}
+
+
+@pytest.mark.parametrize("how", ["-m contactbench", "-m contactbench.cli", "script"])
+def test_an_interrupt_while_it_is_imported_is_one_line(how, interrupted, tmp_path):
+    script = tmp_path / "contactbench"
+    script.write_text("import sys\nfrom contactbench.cli import main\nsys.exit(main())\n")
+    done = run(sys.executable, *([script] if how == "script" else how.split()), "list", **interrupted)
+    assert (done.returncode, done.stderr) == (130, b"contactbench: interrupted\n")
+
+
+def test_whoever_imports_the_package_keeps_the_traceback(interrupted):
+    done = run(sys.executable, "-c", "import contactbench", **interrupted)
+    assert b"Traceback" in done.stderr
+
+
+def test_a_plugin_has_a_time_limit_without_being_given_one(tmp_path):
+    plugin = tmp_path / "mine.py"
+    plugin.write_text("import signal\nraise ValueError(signal.getitimer(signal.ITIMER_REAL)[0] > 50)\n")
+    done = run("env", "-u", start.VARIABLE, *MODULE, "list", "--plugin", plugin)
+    assert done.stderr.decode().endswith("ValueError: True\n")

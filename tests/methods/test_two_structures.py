@@ -1,0 +1,156 @@
+"""Scenes that differ in one thing a program depends on, solved in one process: neither gets the other's program.
+
+Run as a script it solves all of them, forwards or backwards, and prints the last states.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+
+
+def quartic(q, a=1.0, b=0.5):
+    return sum(a * c * c / 2 + b * c * c * c * c / 4 for c in q)
+
+
+def force(q, a=1.0, b=0.5):
+    return tuple(a * c + b * c * c * c for c in q)
+
+
+def stiffer(q):
+    return sum(c * c for c in q)
+
+
+def stiffer_force(q):
+    return tuple(2 * c for c in q)
+
+
+def driven(rate):
+    return cb.Driven(
+        name="driven", potential=lambda q, t: quartic(q) - 0.3 * q[0] * cb.math.cos(t),
+        gradient=lambda q, t: (force(q)[0] - 0.3 * cb.math.cos(t),), rate=rate, q=(0.8,), p=(0.3,), s=0.1, t_end=2.0,
+    )  # fmt: skip
+
+
+def damped(damping, slope):
+    return cb.GeneralDamping(
+        name="damped", potential=quartic, gradient=force, damping=damping, damping_slope=slope,
+        q=(0.8,), p=(0.3,), s=0.4, t_end=2.0,
+    )  # fmt: skip
+
+
+BODY = cb.SCENES["rigid_body"].with_(
+    inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=2.0
+)
+WELL = cb.Mechanical(
+    name="well", potential=quartic, gradient=force, gamma=0.2, q=(0.8,), p=(0.3,), s=0.4, t_end=2.0
+)
+SPRING = cb.SCENES["stiff_spring"].with_(t_end=2.0)
+#: what differs: two scenes or more, and the fields each is to carry
+PAIRS = {
+    "order of the inertias": [
+        (BODY.with_(inertia=i), None) for i in ((1.0, 1.7, 2.1), (2.1, 1.0, 1.7), (1.7, 2.1, 1.0))
+    ],
+    "kind of damping": [
+        (BODY, None), (BODY.with_(damping=(0.1, 0.2, 0.3)), None),
+        (BODY.with_(damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))), None),
+    ],
+    "fields of a body": [(BODY, ()), (BODY, ("s",)), (BODY, ("R",)), (BODY, ("R", "s"))],
+    "sign of kappa": [(WELL.with_(kappa=k), None) for k in (0.0, 0.3, -0.2)],
+    "fields": [(WELL, ()), (WELL, ("s",))],
+    "numbers": [(WELL, None), (WELL.with_(gamma=0.5), None)],
+    "names of parameters": [
+        (WELL.with_(parameters=p), None) for p in ({}, {"a": 1.5, "b": 0.2}, {"b": 0.2, "a": 1.5}, {"b": 0.2})
+    ],
+    "components": [(WELL.with_(q=q, p=q[::-1]), None) for q in ((0.8,), (0.8, 0.5), (0.8, 0.5, 0.3))],
+    "potential": [(WELL, None), (WELL.with_(potential=stiffer, gradient=stiffer_force), None)],
+    # functions of the package are not recorded: the rest of the key is to tell these apart
+    "names of our parameters": [
+        (SPRING.with_(parameters=p), None)
+        for p in ({"omega": 3.0, "coupling": 0.4}, {"coupling": 0.4, "omega": 3.0})
+    ],
+    "our potential": [(cb.SCENES[name].with_(t_end=2.0), None) for name in ("particle", "central")],
+    "rate": [
+        (driven(lambda t: 0.2 + 0.1 * cb.math.sin(t)), None), (driven(lambda t: 0.3 - 0.1 * cb.math.cos(t)), None)
+    ],
+    "damping": [
+        (damped(lambda s: 0.2 * s, lambda s: 0.2), None),
+        (damped(lambda s: 0.2 * s + s * s * s, lambda s: 0.2 + 3 * s * s), None),
+    ],
+}  # fmt: skip
+SOLVES = [
+    (what, k, name, engine)
+    for what, scenes in PAIRS.items()
+    for k in range(len(scenes))
+    for name, engine in (
+        ("contact-strang", "numba"), ("contact-adaptive", "numba"), ("contact-exact", "numba"),
+        ("cvode-bdf", "c"), ("cyrk-tsit5", "c++"), ("heyoka-taylor", "llvm"), ("contact-strang", "jax"),
+        ("diffrax-tsit5", "jax"),
+    )
+    if cb.METHODS[name].refuses(scenes[k][0]) is None
+]  # fmt: skip
+#: compiled by XLA for seconds
+QUICK_ON_JAX = [("order of the inertias", "contact-strang"), ("sign of kappa", "contact-strang")]
+
+
+def is_quick(what, name, engine):
+    return engine != "jax" or (what, name) in QUICK_ON_JAX
+
+
+def setting(name):
+    method = cb.METHODS[name]
+    return {} if method.exact else {"rtol": 1e-9} if method.adaptive else {"step": 0.1}
+
+
+def last_state(what, k, name, engine):
+    scene, carry = PAIRS[what][k]
+    return cb.solve(scene, name, engine=engine, carry=carry, save_at=[scene.t_end], **setting(name)).y[-1]
+
+
+def both_ways(quick):
+    """What each solve ends in, in two processes: one after the other forwards, and backwards."""
+    started = [
+        subprocess.Popen(
+            [sys.executable, __file__, order, quick], stdout=subprocess.PIPE, text=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        for order in ("forwards", "backwards")
+    ]  # fmt: skip
+    outputs = [process.communicate(timeout=500)[0] for process in started]
+    assert [process.returncode for process in started] == [0, 0]
+    return [{tuple(solve): np.array(y) for solve, y in json.loads(output)} for output in outputs]
+
+
+@pytest.mark.parametrize("quick", ["quick", pytest.param("slow", marks=pytest.mark.slow)])
+def test_no_scene_gets_the_program_of_another(quick):
+    forwards, backwards = both_ways(quick)
+    assert forwards.keys() == backwards.keys()
+    for solve, y in forwards.items():
+        what, k, name, _ = solve
+        np.testing.assert_array_equal(y, backwards[solve], err_msg=str(solve))
+        alone = "python" in cb.METHODS[name].engines
+        expected = last_state(what, k, *((name, "python") if alone else ("scipy-dop853", "python")))
+        np.testing.assert_allclose(y, expected, rtol=0, atol=1e-12 if alone else 1e-6, err_msg=str(solve))
+
+
+@pytest.mark.parametrize("what", [what for what in PAIRS if "names" not in what])  # in two orders: one motion
+def test_the_scenes_of_a_pair_move_differently(what):
+    """Or the other test would not see one for the other."""
+    ends = [last_state(what, k, "scipy-dop853", "python") for k in range(len(PAIRS[what]))]
+    for i, a in enumerate(ends):
+        for b in ends[:i]:
+            assert len(a) != len(b) or np.abs(a - b).max() > 1e-3
+
+
+if __name__ == "__main__":
+    order, quick = sys.argv[1:]
+    chosen = [solve for solve in SOLVES if is_quick(solve[0], *solve[2:]) == (quick == "quick")]
+    chosen = chosen if order == "forwards" else chosen[::-1]
+    print(json.dumps([[solve, last_state(*solve).tolist()] for solve in chosen]))

@@ -1,0 +1,315 @@
+"""What is asked of an adaptive method reaches its library as it was asked: no peer is given a handicap.
+
+Tolerances, budget, final time and kind of solver are taken down where they are handed over.  Of what is compiled
+they are not seen on the way: there the same library is called in another way, with what was asked, for the same bits.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from types import SimpleNamespace
+
+import diffrax
+import numpy as np
+import pytest
+import scipy.integrate
+import sksundae.cvode
+from CyRK import pysolve_ivp
+
+import contactbench as cb
+from contactbench.methods import c_functions
+from contactbench.methods.cvode_library import library
+from contactbench.solution import Status
+from contactbench.xla import jnp
+
+#: asked for; numbers that nothing has by default, and tolerances that both act
+END, RTOL, ATOL, BUDGET = 1.7, 3.1e-5, 4.3e-5, 4321
+
+
+def tolerances(name):
+    """The keywords of a method's tolerances."""
+    return {"rtol": RTOL, **({"atol": ATOL} if cb.METHODS[name].takes_atol else {})}
+
+
+#: two pairs of springs, nine components
+SCENE = cb.Mechanical(
+    name="asked", gamma=0.3, q=(0.9, -0.7, 0.4, 0.2), p=(0.1, 0.6, -0.5, 0.3), s=0.2, t_end=END,
+    potential=lambda q: sum(0.53 * c * c + 0.21 * c * c * c * c for c in q) + 0.37 * (q[0] * q[1] + q[2] * q[3]),
+    gradient=lambda q: tuple(
+        1.06 * c + 0.84 * c * c * c + 0.37 * other for c, other in zip(q, (q[1], q[0], q[3], q[2]), strict=True)
+    ),
+    hessian=lambda q: tuple(
+        tuple(1.06 + 2.52 * c * c if i == j else 0.37 * (i // 2 == j // 2) for j in range(4))
+        for i, c in enumerate(q)
+    ),
+)  # fmt: skip
+#: what each is in its library
+KINDS = {
+    ("scipy-dop853", "python"): "DOP853", ("scipy-radau", "python"): "Radau",
+    ("cvode-adams", "c+python"): "Adams", ("cvode-bdf", "c+python"): "BDF",
+    ("cvode-adams", "c"): "Adams", ("cvode-bdf", "c"): "BDF",
+    ("cyrk-dop853", "c++"): "DOP853", ("cyrk-vern8", "c++"): "Vern8", ("cyrk-tsit5", "c++"): "Tsit5",
+    ("cyrk-lsoda", "c++"): "LSODA", ("cyrk-radau", "c++"): "RADAU",
+    ("diffrax-tsit5", "jax"): "Tsit5", ("diffrax-dopri8", "jax"): "Dopri8", ("diffrax-kvaerno5", "jax"): "Kvaerno5",
+    ("heyoka-taylor", "llvm"): None,
+}  # fmt: skip
+ADAPTIVE = [(m.name, e) for m in cb.METHODS.values() if m.adaptive for e in m.engines]
+#: CVODE's numbers of its methods
+NUMBERS = {"Adams": 1, "BDF": 2}
+
+
+def of(*libraries):
+    chosen = [pair for pair in KINDS if pair[0].partition("-")[0] in libraries]
+    return pytest.mark.parametrize(("name", "engine"), chosen, ids=["-".join(pair) for pair in chosen])
+
+
+saved = pytest.mark.parametrize("times", [[END], [0.0, 0.6, END]], ids=["end", "grid"])
+
+
+def prepared(name, engine, times):
+    return cb.prepare(SCENE, name, engine=engine, save_at=times, max_steps=BUDGET, **tolerances(name))
+
+
+def calls(run):
+    """Every way through a solver."""
+    solution = run()
+    assert solution.ok
+    run.bare(run.start)
+    run.linearised(run.start, solution.y)
+
+
+def test_every_adaptive_method_is_looked_at():
+    own = {("contact-adaptive", engine) for engine in cb.METHODS["contact-adaptive"].engines}
+    assert {*KINDS} | own == {*ADAPTIVE}
+
+
+# -- called from Python ----------------------------------------------------------------------------
+@of("scipy")
+@saved
+def test_scipy(name, engine, times, monkeypatch):
+    seen = []
+
+    def recorded(kind, solver):
+        def made(f, t0, y0, t_bound, **options):
+            seen.append({"kind": kind, "t0": t0, "t_bound": t_bound} | options)
+            return solver(f, t0, y0, t_bound, **options)
+
+        return made
+
+    for kind in ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"):
+        monkeypatch.setattr(scipy.integrate, kind, recorded(kind, getattr(scipy.integrate, kind)))
+    calls(prepared(name, engine, times))
+    asked = {"kind": KINDS[name, engine], "t0": 0.0, "t_bound": END, "rtol": RTOL, "atol": ATOL}
+    assert len(seen) == 3
+    for got in seen:
+        got.pop("jac", None)
+        assert got == asked
+
+
+@pytest.mark.parametrize("engine", ["c+python"])
+@pytest.mark.parametrize("name", ["cvode-adams", "cvode-bdf"])
+@saved
+def test_scikit_sundae(name, engine, times, monkeypatch):
+    seen, ends = [], set()
+
+    class Recorded:
+        def __init__(self, f, **options):
+            seen.append(options)
+            self.inner = original(f, **options)
+
+        def init_step(self, t, y):
+            return self.inner.init_step(t, y)
+
+        def step(self, t, method="normal", tstop=None):
+            ends.add(tstop)
+            return self.inner.step(t, method=method, tstop=tstop)
+
+    original = sksundae.cvode.CVODE
+    monkeypatch.setattr(sksundae.cvode, "CVODE", Recorded)
+    calls(prepared(name, engine, times))
+    asked = {
+        "method": KINDS[name, engine], "rtol": RTOL, "atol": ATOL, "max_num_steps": BUDGET, "max_step": END,
+        "min_step": 1e-15 * END,
+    }  # fmt: skip
+    assert len(seen) == 3
+    for got in seen:
+        assert callable(got.pop("jacfn"))
+        assert got == asked
+    assert ends == {END}
+
+
+@saved
+def test_heyoka(times, monkeypatch):
+    seen = []
+    # at another tolerance before: every one has a program of its own
+    kind = type(cb.prepare(SCENE, "heyoka-taylor", rtol=1e-9, save_at=times).integrator)
+    until, grid = kind.propagate_until, kind.propagate_grid
+
+    def propagate_until(self, t, **options):
+        seen.append({"tol": self.tol, "end": t} | options)
+        return until(self, t, **options)
+
+    def propagate_grid(self, grid_, **options):
+        seen.append({"tol": self.tol, "end": grid_[-1]} | options)
+        return grid(self, grid_, **options)
+
+    monkeypatch.setattr(kind, "propagate_until", propagate_until)
+    monkeypatch.setattr(kind, "propagate_grid", propagate_grid)
+    calls(prepared("heyoka-taylor", "llvm", times))
+    assert seen == 3 * [{"tol": RTOL, "end": END, "max_steps": BUDGET}]
+
+
+# -- set up from Python, run in C ------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["cvode-adams", "cvode-bdf"])
+@saved
+def test_cvodes_c_library(name, times, monkeypatch):
+    seen, lib = [], library()
+
+    def recorded(call, function):
+        return lambda *given: seen.append((call, *given)) or function(*given)
+
+    for call in ("CVodeCreate", "CVodeSStolerances", "CVodeSetMinStep", "CVodeSetMaxStep"):
+        monkeypatch.setattr(lib, call, recorded(call, getattr(lib, call)))
+    run = prepared(name, "c", times)
+    calls(run)
+    assert [call for call, *_ in seen if call == "CVodeCreate"] == 2 * ["CVodeCreate"]
+    for call, *given in seen:
+        memory_and = {"CVodeSStolerances": [RTOL, ATOL], "CVodeSetMaxStep": [END],
+                      "CVodeSetMinStep": [1e-15 * END]}  # fmt: skip
+        if call == "CVodeCreate":
+            assert given[0] == NUMBERS[KINDS[name, "c"]]
+        else:
+            assert given[1:] == memory_and[call]
+
+
+C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def from_python(request):
+    """A scene's C functions, callable as Python's: ``(t, y) -> slopes`` and ``(t, y) -> Jacobian``."""
+    functions = c_functions.c_functions(request.scene, request.carry)
+    data = functions.data(request.scene.numbers())
+
+    def called(address, shape):
+        function = C_FUNCTION(address)
+
+        def f(t, y):
+            y, out = np.array(y), np.zeros(shape)  # as CVODE's matrix, of which zeros are left out
+            function(out.ctypes.data, t, y.ctypes.data, data.ctypes.data)
+            return out.T
+
+        return f
+
+    size = len(request.scene.labels(request.carry))
+    return called(functions.rhs, size), called(functions.jacobian, (size, size))
+
+
+@of("cyrk")
+@saved
+def test_cyrk_by_its_call_from_python(name, engine, times):
+    """The run's own functions, called back, and what was asked: every bit, and as many steps."""
+    run = prepared(name, engine, times)
+    for each in (run, run.variational()):
+        rhs, _ = from_python(each.request)
+        found = pysolve_ivp(
+            rhs, (0.0, END), each.start.copy(), method=KINDS[name, engine], rtol=RTOL, atol=ATOL,
+            max_num_steps=BUDGET,
+        )  # fmt: skip
+        out = each.integrate(each.start)
+        np.testing.assert_array_equal(out.y[-1], found.y[:, -1])
+        np.testing.assert_array_equal(each.bare(each.start), found.y[:, -1])
+        np.testing.assert_array_equal(each.many(each.start[None])[0, -len(each.start) :], found.y[:, -1])
+        assert out.counts.steps == found.steps_taken
+
+
+@pytest.mark.parametrize("name", ["cvode-adams", "cvode-bdf"])
+@saved
+def test_cvode_by_scikit_sundae(name, times):
+    run = prepared(name, "c", times)
+    rhs, jacobian = from_python(run.request)
+
+    def f(t, y, yp):
+        yp[:] = rhs(t, y)
+
+    def jac(t, y, yp, J):
+        J[:, :] = jacobian(t, y)
+
+    solver = sksundae.cvode.CVODE(
+        f, method=KINDS[name, "c"], rtol=RTOL, atol=ATOL, jacfn=jac, max_num_steps=BUDGET,
+        min_step=1e-15 * END, max_step=END,
+    )  # fmt: skip
+    solver.init_step(0.0, run.start)
+    found = solver.step(END, tstop=END).y
+    np.testing.assert_array_equal(run().y[-1], found)
+    np.testing.assert_array_equal(run.bare(run.start), found)
+
+
+# -- compiled by XLA -------------------------------------------------------------------------------
+def other_than_default(thing, default, *but):
+    """Fields in which two of a kind differ."""
+    return [
+        name for name in vars(default) if name not in but and getattr(thing, name) != getattr(default, name)
+    ]
+
+
+@of("diffrax")
+@saved
+def test_diffrax(name, engine, times, monkeypatch):
+    """In place of `diffeqsolve` what returns the numbers it is given, as the states: they are known to XLA only."""
+    seen, default = [], diffrax.PIDController(rtol=0.1, atol=0.1, dtmin=0.1, force_dtmin=False)
+
+    def returns_what_it_gets(terms, solver, t0, t1, dt0, y0, *, saveat, stepsize_controller, **options):
+        budgeted, pid = stepsize_controller, stepsize_controller.controller
+        finder = getattr(solver, "root_finder", pid)  # an explicit method has none
+        seen.append((
+            type(solver).__name__, type(pid), dt0, options["max_steps"],
+            other_than_default(pid, default, "rtol", "atol", "dtmin"),
+        ))  # fmt: skip
+        numbers = [
+            pid.rtol,
+            pid.atol,
+            finder.rtol,
+            finder.atol,
+            budgeted.max_steps,
+            budgeted.end,
+            t1,
+            pid.dtmin,
+            t0,
+        ]
+        y = jnp.stack([jnp.asarray(number, dtype=float) for number in numbers])[None]
+        stats = dict.fromkeys(("num_accepted_steps", "num_rejected_steps"), 1)
+        ys, ts = y, t1[None]
+        if isinstance(saveat.subs, list):
+            ys, ts = (y, jnp.tile(y, (len(saveat.subs[1].ts), 1))), (ts,)
+        return SimpleNamespace(stats=stats, result=diffrax.RESULTS.successful, ys=ys, ts=ts)
+
+    monkeypatch.setattr(diffrax, "diffeqsolve", returns_what_it_gets)
+    run = prepared(name, engine, times)
+    asked = [RTOL, ATOL, RTOL, ATOL, BUDGET, END, END, 1e-15 * END, 0.0]
+    np.testing.assert_allclose(run.bare(run.start), asked, rtol=1e-15)
+    assert set(map(str, seen)) == {str((KINDS[name, engine], diffrax.PIDController, None, None, []))}
+
+
+# -- budgets, and the steps of our own ---------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "engine"), [pair for pair in ADAPTIVE if pair[1] != "jax"], ids=lambda each: each
+)
+@saved
+def test_the_budget_is_the_one_asked_for(name, engine, times):
+    """Enough for the run, and one step less is not; diffrax's is looked at above.
+
+    Of contact-adaptive the shortened steps to the saved times are not in it.
+    """
+    options = {**tolerances(name), "save_at": times, "engine": engine}
+    run = cb.prepare(SCENE, name, **options)
+    steps = run.count(run().counts).steps - (len(run.later) if name == "contact-adaptive" else 0)
+    assert cb.solve(SCENE, name, max_steps=steps + (name == "contact-adaptive"), **options).ok
+    assert cb.solve(SCENE, name, max_steps=steps - 1, **options).status is Status.budget
+
+
+@pytest.mark.parametrize("engine", cb.METHODS["contact-adaptive"].engines)
+def test_steps_of_contact_adaptive_on_an_oscillator(engine):
+    """ω is constant, so are the steps: h = 3 rtol^{1/6} / ω, ω⁴ = 1 + T⁻⁴, and a shortened one to the end."""
+    scene = cb.SCENES["oscillator"].with_(gamma=0.0, t_end=20.0)
+    counts = cb.solve(scene, "contact-adaptive", rtol=RTOL, engine=engine, save_at=[20.0], carry=()).counts
+    assert counts.steps == int(20.0 * (1 + 20.0**-4) ** 0.25 / (3 * RTOL ** (1 / 6))) + 1
