@@ -90,8 +90,7 @@ def test_a_linear_scene_scales_to_the_last_bit(method, gamma):
         np.testing.assert_array_equal(other.y, one.y * [scale, scale, scale**2])
 
 
-#: heyoka has one tolerance, for both
-TWO_TOLERANCES = [m for m in ADAPTIVE if m.name != "heyoka-taylor"]
+TWO_TOLERANCES = [m for m in ADAPTIVE if m.takes_atol]
 
 
 @pytest.mark.parametrize("method", few_slow(TWO_TOLERANCES, *LONG), ids=lambda m: m.name)
