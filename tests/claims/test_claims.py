@@ -23,6 +23,7 @@ from contactbench.claims import (
     Verdict,
     body_equilibria,
     body_stability,
+    experiment,
     linearisation,
     verdict,
 )
@@ -182,6 +183,18 @@ def test_a_verdict_does_not_hang_on_the_parameters(name, parameters):
     assert row["status"] == "ok", row
     assert row["verdict"] == expected(name), row["evidence"]
     assert "fails" not in row.get("corrected_evidence", "")
+
+
+@pytest.mark.parametrize("bad", [experiment.PRINTED, experiment.ABC, experiment.STRANG])
+def test_one_bad_contact_method_refutes_the_claim_of_all(bad, monkeypatch):
+    drifts = dict.fromkeys([experiment.PRINTED, experiment.ABC, experiment.STRANG], 1e-16) | {bad: 3e-3}
+    drifts |= {"rk4": 1e-2, "diffrax-tsit5": 2e-2}
+    monkeypatch.setattr(experiment, "solve", lambda scene, name, **setting: name)
+    monkeypatch.setattr(experiment, "LAWS", {"contact_drift": drifts.__getitem__})
+    row = CLAIMS["C34"].row()
+    assert (row["verdict"], row["measured"]) == ("refuted", 3e-3)
+    drifts[bad] = 1e-16
+    assert CLAIMS["C34"].row()["verdict"] == "holds"
 
 
 # -- stability of the damped body's rotations ------------------------------------------------------

@@ -49,6 +49,19 @@ def test_slower_takes_two_intervals_above_the_limit(first, again, expected):
     assert speed.verdict(ratio(first), ratio(again)) == expected
 
 
+def test_a_quarter_of_the_time_left_is_kept_for_the_second_look(monkeypatch):
+    monkeypatch.setattr(judge, "perf_counter", lambda: 100.0)
+    assert [judge.reserve(until) for until in (140.0, 100.0, 60.0)] == [10.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [(1.1, 1.3, True), (1.1, speed.LIMIT, False), (speed.LIMIT, 1.3, True), (1.26, 1.3, False)],
+)
+def test_undecided_is_an_interval_with_the_limit_in_it(low, high, expected):
+    assert speed.undecided(PairedRatio(1.2, low, high, 9)) is expected
+
+
 def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
     baseline = folder(tmp_path)
     merge(

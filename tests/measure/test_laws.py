@@ -17,8 +17,17 @@ from contactbench.measure.round_off import JUDGEMENT
 from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)
+WELL = cb.Mechanical(
+    name="well", potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, gradient=lambda q: (q[0] ** 3 - q[0],),
+    gamma=0.125, q=(0.75,), p=(0.0,), t_end=20.0,
+)  # fmt: skip
 STANDARD = [
-    cb.SCENES[n] for n in ("oscillator", "particle", "central", "rigid_body", "rigid_body_anisotropic")
+    *(cb.SCENES[n] for n in ("oscillator", "particle", "central", "rigid_body", "rigid_body_anisotropic")),
+    # no damping, energies below zero, states far from one
+    cb.SCENES["oscillator"].with_(name="undamped", gamma=0.0),
+    cb.SCENES["oscillator"].with_(name="tiny", q=(1e-8,), p=(0.0,), s=0.0),
+    cb.SCENES["oscillator"].with_(name="huge", q=(1e8,), p=(0.0,), s=0.0),
+    WELL,
 ]
 
 
@@ -43,7 +52,7 @@ def test_every_law_vanishes_on_the_truth(scene):
         assert law(solution) < 1e-13, law.name
 
 
-@by_name(STANDARD)
+@by_name([scene for scene in STANDARD if scene.name != "huge"])  # its error is all s, of 10¹⁶
 def test_laws_see_a_planted_error(scene):
     """The last state off by 1e-3 relative (attitude excepted): every law but the drifts must say so."""
     solution = truth_as_solution(scene)
@@ -56,7 +65,9 @@ def test_laws_see_a_planted_error(scene):
         assert value > 1e-6, law.name
         bound = expected.get(law.name)
         bound = bound.get(scene.name) if isinstance(bound, dict) else bound
-        if bound and not (law.name == "energy_law_relative" and scene.name in ("central", "particle")):
+        if bound and not (
+            law.name == "energy_law_relative" and scene.name in ("central", "particle", "well")
+        ):
             assert value == pytest.approx(bound, rel=2e-2), law.name
 
 
@@ -78,6 +89,21 @@ def test_energy_increases_counts_the_steps_on_which_energy_grows():
     solution.y[7] *= 2
     solution.y[20] *= 2
     assert cb.LAWS["energy_increases"](solution) == 2
+
+
+@pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
+@pytest.mark.parametrize("bottom", [-1.0, 0.0, 1.0])
+def test_energy_that_stays_does_not_grow_whatever_its_sign_and_size(bottom, size):
+    """H0 a constant of either sign but for round-off of 2 ε, and one saved time 10 ε away: one rise."""
+    scene = cb.Mechanical(
+        name="level", potential=lambda q: q[0], gradient=lambda q: (1.0,), gamma=0.1, q=(bottom * size,),
+        p=(0.0,), t_end=4.0,
+    )  # fmt: skip
+    eps = np.finfo(float).eps
+    level = bottom * size * (1 + eps * np.array([0, 2, 0, 10, 0, 2, 0]))
+    y = np.stack([level, 0 * level], axis=1)
+    solution = Solution(scene, "planted", "none", "exact", (), np.arange(7.0), y, y0=y[0])
+    assert cb.LAWS["energy_increases"](solution) == (1 if bottom else 0)
 
 
 def test_strang_gains_energy_on_some_steps_of_a_weakly_damped_oscillator():
@@ -173,6 +199,15 @@ def test_laws_apply_to_a_users_scene():
     solution = cb.solve(USER, "contact-strang", step=0.05)
     assert cb.LAWS["contact_drift"](solution) < 1e-12
     assert cb.LAWS["solution_error"](solution) < 1e-3
+
+
+def test_without_a_derivative_the_laws_that_need_one_are_left_out():
+    solution = cb.solve("particle", "rk4", step=0.5)
+    known, found = row(solution), row(solution, without="not wanted")
+    missing = {name for name in cb.LAWS if name in known} - set(found)
+    assert missing == {name for name in cb.LAWS if "drift" in name and name in known}
+    assert len(missing) == 7
+    assert found["derivative"] == "not taken: not wanted"
 
 
 @pytest.mark.parametrize("law", cb.LAWS.values(), ids=lambda law: law.name)

@@ -954,3 +954,16 @@ def test_laws_along_time_are_alternatives_by_the_name_of_their_scene():
     rows = [row(s, "rk4", 0.1, t=1.0, energy_deviation=1e-3) for s in ("particle", "central")]
     (along,) = (p for p in laws.sections(frames(laws_time=rows)) if getattr(p, "title", "") == "Along time")
     assert [(s.title, s.choice) for s in along.parts] == [("particle", "scene"), ("central", "scene")]
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "judged"),
+    [
+        (1e-8, 9e-7, (True, False)),
+        (1e-8, 2e-6, (False, True)),  # any method might pass
+        (1e-13, 2e-6, (True, False)),  # round-off, whatever it may grow to
+        (1e-5, 1e-6, (False, False)),
+    ],
+)
+def test_a_bound_above_a_millionth_decides_nothing(value, bound, judged):
+    assert kept.decided(value, bound) == judged

@@ -32,7 +32,7 @@ def steps(scene: Scene, count: int) -> list[float]:
 def work_ladder(scene: Scene, order: int) -> list[float]:
     """About ten steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
 
-    Halving from 0.8, on a body from 4; from order 6 on by √2 from 3.2 at most: where errors are 10⁻² or
+    Halving from 0.8, on a body from 4; from order 6 on by about √2 from about 3.2: where errors are 10⁻² or
     10⁻³.  High orders go not as far down, because finer steps meet round-off.
     """
     if order < 6:
