@@ -127,8 +127,6 @@ SOME = {
         {"scene": "central", "method": "", "declared": "gamma=0.1", "digest": "0123456789abcdef"},
         {"scene": "", "method": "rk4", "declared": "order=4", "digest": "fedcba9876543210"},
     ],
-    "gate_selfcheck": [{"part": "speed", "planted": "nothing", "condition": "idle", "wanted": "none", "runs": 3,
-        "red": 0}],
 }  # fmt: skip
 
 
@@ -170,7 +168,7 @@ def test_the_headline_lists_the_documents_first_and_says_that_nothing_has_a_unit
     text = markdown.document(ROOMS["headline"], ROOMS["headline"].sections(everything))
     lines = [line for line in text.splitlines() if line]
     documents = [room.file for room in rooms(everything) if room.name != "headline"]
-    assert len(documents) == 11
+    assert len(documents) == 10
     for line, name in zip(lines[1:], documents, strict=False):
         assert f"[{name}]({name})" in line
     assert "dimensionless" in text
