@@ -416,3 +416,10 @@ def test_a_root_at_zero_is_told_as_that():
     run = cb.solve(root, "heyoka-taylor", rtol=1e-9)
     assert run.status == "failed"
     assert "no series of the root" in run.message
+
+
+def test_a_trial_step_onto_a_singularity_is_halved():
+    """q' = p from q = 4 with p = −8: the first midpoint, half of t = 8 on, is the pole of V = 1/q."""
+    scene = Mechanical(name="pole", potential=lambda q: 1 / q[0], q=(4.0,), p=(-8.0,), t_end=8.0).recorded()
+    (row,) = truth.extrapolation(scene, ["8.0"], (), 20)
+    assert row[1] ** 2 / 2 + 1 / row[0] == pytest.approx(32.25, rel=1e-18)
