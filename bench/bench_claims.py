@@ -8,7 +8,23 @@ from contactbench.claims.curves import FIGURES, rows
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 
 #: claims that take longer than a second, which the smoke profile leaves out
-LONG = ("C03", "C04", "C05", "C15", "C18", "C20", "C22", "C24", "C26", "C33", "C34", "X02")
+LONG = (
+    "C03",
+    "C04",
+    "C05",
+    "C15",
+    "C18",
+    "C20",
+    "C22",
+    "C24",
+    "C26",
+    "C33",
+    "C34",
+    "C37",
+    "C39",
+    "C41",
+    "X02",
+)
 
 
 def some(names, profile):

@@ -17,15 +17,17 @@ import pytest
 
 import contactbench as cb
 from c_loops import KERNELS, kernel
-from cells import RTOLS, cells, controlled, engines, outcome, step_budget, work_ladder
+from cells import cells, controlled, engines, outcome, step_budget, work_ladder
 from contactbench.measure.clock import Call, Part, seconds
-from contactbench.measure.ladder import ENDS, LOOSEST, carried
+from contactbench.measure.ladder import ENDS, LOOSEST, carried, fields, tolerances
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, keywords
 
+#: of tolerances down to this a profile chooses some; tighter ones are all run
+TIGHT = 1e-13
 #: a fixed-step method that is also run to tolerances, its pilots counted and timed
 CHOSEN, CHOSEN_ON, CHOSEN_RTOLS = "contact-rkn6", ("particle", "particle_long"), [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -39,9 +41,10 @@ def ladder(profile):
             if method.control == EXACT:
                 values = [0.0]
             elif method.adaptive:
-                values = profile.choose([rtol for rtol in RTOLS if rtol >= method.rtol_range[0]])
-                if profile.points > 1 and method.rtol_range[1] >= LOOSEST:
-                    values = [LOOSEST, *values]
+                rungs = tolerances(method)
+                values = profile.choose([rtol for rtol in rungs if TIGHT <= rtol < LOOSEST])
+                if profile.points > 1:  # both ends of the range, whatever the profile
+                    values = [r for r in rungs if r >= LOOSEST or r in values or r < TIGHT]
             else:
                 values = profile.choose(work_ladder(scene, method.order))
             rows += [(scene.name, name, engine, method.control, value) for value in values]
@@ -97,9 +100,7 @@ def errors(cell, profile):
     start = perf_counter()
     solution = run()
     row = {
-        "carried": " ".join(
-            [*scene.initial_fields[: 1 if "M" in scene.initial_fields else 2], *carried(scene)]
-        ),
+        "carried": " ".join(fields(scene, method, run.request.carry)),
         "compile_s": run.compile_s,
         "first_call_s": perf_counter() - start,
     }

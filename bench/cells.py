@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 from zlib import crc32
 
-from contactbench.measure.ladder import RTOLS as RTOLS
 from contactbench.measure.ladder import SAVES as SAVES
 from contactbench.measure.ladder import save_times as save_times
 from contactbench.measure.ladder import setting as setting

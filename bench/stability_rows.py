@@ -135,6 +135,8 @@ def overdamped_row(method, kind, value, max_steps):
         with np.errstate(divide="ignore"):
             size = np.log(np.abs(solution.q[:, 0]))
         row |= rates((size[0] - size[1]) / (ends[1] - ends[0]), row["true_rate"])
+        truth = cb.reference(scene, ends, ()).y
+        row["q_error"], row["p_error"] = np.abs(solution.y[-1] / truth[-1] - 1).tolist()
     return row
 
 

@@ -83,8 +83,8 @@ def said(call):
 
 @pytest.mark.parametrize(
     ("scene", "name"),
-    [(MATH, "math.sin"), (BARE, "sin"), (NUMPY, "np.sin"), (pendulum(np.sin, np.cos), "sin")],
-    ids=["math", "bare", "np", "bare-np"],
+    [(MATH, "math.sin"), (BARE, "sin")],
+    ids=["math", "bare"],
 )
 @pytest.mark.parametrize("method", ["rk4", "diffrax-tsit5", "heyoka-taylor", "reference"])
 def test_a_function_of_plain_numbers_is_named_with_its_line(scene, name, method):
@@ -96,6 +96,17 @@ def test_a_function_of_plain_numbers_is_named_with_its_line(scene, name, method)
     assert f"{name} takes plain numbers only: use cb.math.sin" in message
     assert "test_public_names.py, line" in message
     assert "\n" not in message
+
+
+@pytest.mark.parametrize("scene", [NUMPY, pendulum(np.sin, np.cos)], ids=["np", "bare-np"])
+def test_numpys_functions_are_recorded_and_run_on_every_engine(scene):
+    expected = cb.reference(pendulum(cb.math.sin, cb.math.cos).with_(gamma=scene.gamma), [1.0])
+    assert cb.reference(scene, [1.0]).decimals == expected.decimals
+    for method, options in (
+        ("rk4", {"step": 0.01, "engine": "jax"}), ("diffrax-tsit5", {"rtol": 1e-9}), ("heyoka-taylor", {"rtol": 1e-9})
+    ):  # fmt: skip
+        solution = cb.solve(scene, method, **options)
+        np.testing.assert_allclose(solution.y[-1], expected.y[0], rtol=0, atol=1e-8)
 
 
 def test_compiling_says_it_too_and_laws_do_not_break():

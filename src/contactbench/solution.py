@@ -170,7 +170,7 @@ class Solution:
     @property
     def _tolerance(self) -> str:
         """The absolute tolerance, where the run had one."""
-        atol = getattr(getattr(self.run, "request", None), "atol", None)
+        atol = getattr(self.run, "atol", None)
         return "" if atol is None else f", atol={atol:.6g}"
 
     @property

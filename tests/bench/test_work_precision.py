@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 import contactbench as cb
-from bench_work_precision import error, evaluations_spread, passes_through
+from bench_work_precision import error, errors, evaluations_spread, passes_through
 from cases import few_slow
+from conftest import PROFILES
 from contactbench.measure.ladder import ENDS, work_ladder
 
 
@@ -43,3 +44,21 @@ def test_fixed_steps_pass_through_the_earlier_ends(method):
     own, passing = both_ways(method)
     same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)
     assert same == passes_through(cb.METHODS[method], "python", "step")
+
+
+@pytest.mark.parametrize(
+    ("scene", "method", "value", "fields"),
+    [
+        ("particle", "contact-strang", 0.8, "q p"),
+        ("quadratic_damping", "contact-strang", 0.8, "q p s"),
+        ("quadratic_damping", "cyrk-vern8", 1e-5, "q p s"),
+        ("rigid_body", "cyrk-vern8", 1e-5, "M R"),
+        ("rigid_body_anisotropic", "cyrk-vern8", 1e-5, "M"),
+        ("forced_oscillator", "contact-strang", 0.8, "q p t"),
+        ("forced_oscillator", "cyrk-vern8", 1e-5, "q p"),
+    ],
+)
+def test_carried_is_what_is_integrated(scene, method, value, fields):
+    item = cb.METHODS[method]
+    row = errors((scene, method, item.engines[0], item.control, value), PROFILES["standard"])
+    assert row["carried"] == fields

@@ -11,7 +11,6 @@ import contactbench as cb
 from contactbench.gate.accuracy import accuracy
 from contactbench.gate.rules import DECADES
 from contactbench.results.schema import TABLES, Rule
-from contactbench.results.selfcheck import GATE_SELFCHECK
 from contactbench.results.store import merge
 from contactbench.results.tables import (
     CLAIMS_TABLE,
@@ -280,15 +279,3 @@ def test_the_rules_are_those_of_the_laws():
         name: Rule[law.gate.value] for name, law in cb.LAWS.items()
     }
     assert pytest.approx(2, abs=0.01) == 10**DECADES
-
-
-def test_the_table_of_the_self_check_is_expected_of_no_run(tmp_path):
-    before, after = folder(tmp_path / "before"), folder(tmp_path / "after")
-    merge(
-        GATE_SELFCHECK,
-        [{"part": "speed", "planted": "nothing", "condition": "as it was", "wanted": "none"}],
-        before,
-    )
-    verdict = accuracy(before, after)
-    assert not verdict.red
-    assert not [line for line in verdict.lines if "gate_selfcheck" in line.measure]

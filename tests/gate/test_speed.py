@@ -14,7 +14,6 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-import selfcheck_speed
 from cases import counts_memory, most_slow
 from contactbench.cli import main
 from contactbench.errors import BadInput
@@ -26,7 +25,6 @@ from contactbench.results.store import merge, read
 from contactbench.results.tables import WORK_PRECISION
 from made_up import commit, committed, folder, git, row
 from planted_faults import plugin
-from selfcheck_faults import SPENT
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -47,6 +45,19 @@ def test_slower_takes_two_intervals_above_the_limit(first, again, expected):
         return None if values is None else PairedRatio(*values, 15)
 
     assert speed.verdict(ratio(first), ratio(again)) == expected
+
+
+def test_a_quarter_of_the_time_left_is_kept_for_the_second_look(monkeypatch):
+    monkeypatch.setattr(judge, "perf_counter", lambda: 100.0)
+    assert [judge.reserve(until) for until in (140.0, 100.0, 60.0)] == [10.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [(1.1, 1.3, True), (1.1, speed.LIMIT, False), (speed.LIMIT, 1.3, True), (1.26, 1.3, False)],
+)
+def test_undecided_is_an_interval_with_the_limit_in_it(low, high, expected):
+    assert speed.undecided(PairedRatio(1.2, low, high, 9)) is expected
 
 
 def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
@@ -86,14 +97,10 @@ def test_the_workload_is_the_finest_setting_that_is_short(tmp_path):
     assert {cell.call for cell in PUBLIC} == {*speed_worker.CALLS} - {"prepared"}
 
 
-def test_many_saved_times_are_timed_on_the_first_engine_of_a_method_and_every_planted_fault_has_its_cell(
-    tmp_path,
-):
+def test_many_saved_times_are_timed_on_the_first_engine_of_a_method(tmp_path):
     cells = workload(read(WORK_PRECISION, committed(tmp_path)))
     many = {cell.method: cell.engine for cell in cells if cell.saves > 1}
     assert many["rk4"] == many["contact-strang"] == "numba"
-    for fault in SPENT:
-        assert len([cell for cell in cells if selfcheck_speed.of(fault, cell)]) == 1, fault.what
 
 
 CELLS = [Cell("particle", "contact-strang", "python", "step", 0.05, ())]
@@ -437,10 +444,16 @@ def test_what_runs_leave_behind_is_counted_but_not_what_is_allocated_once(size):
     assert found == pytest.approx(speed_worker.RUNS * size, rel=0.1, abs=5e4)
 
 
-@pytest.mark.parametrize("fault", most_slow(["compilation", "memory left behind"], "compilation"))
+SPENT = {
+    "compilation": "dearer('contact-strang', '{tree}', 0.3)",
+    "memory left behind": "dearer('contact-strang', '{tree}', leak=10_000)",
+}
+
+
+@pytest.mark.parametrize("fault", most_slow(SPENT, "compilation"))
 @pytest.mark.slow
 def test_compilation_and_memory_are_planted_in_one_of_two_trees(fault, copy, tmp_path, monkeypatch):
-    (planted,) = (f.planted for f in SPENT if f.measure == fault and f.seen)
+    planted = SPENT[fault]
     monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "more.py", planted.format(tree=str(copy)))))
     cells = [Cell("particle", "contact-strang", "numba", "step", 0.4, ())]
     verdict = judge.slower(copy, cells, "HEAD")

@@ -17,7 +17,7 @@ from contactbench.measure.round_off import round_off_bound
 from contactbench.methods import differences as by_differences
 from contactbench.methods.base import Outcome
 from contactbench.methods.differences import INCREMENTS, differences
-from contactbench.solution import SAFETY, Counts, Status
+from contactbench.solution import SAFETY, Counts, Differential, Status
 
 SCENES = ("particle", "rigid_body")
 
@@ -152,6 +152,19 @@ def test_error_bar_of_differences_covers_their_distance_to_the_exact_derivative(
     if scene.is_contact:
         mine, theirs = pullback(solution, exact), pullback(solution, found)
         assert np.linalg.norm(mine.values - theirs.values, axis=1).max() <= theirs.uncertainty.max()
+
+
+def test_the_error_bar_is_twice_the_smallest_disagreement_of_two_estimates():
+    """η(v) = v_s − p v_q with p = 3: of three estimates the last two agree best, to 0.01 and 3 · 0.02."""
+    scene = cb.SCENES["oscillator"].with_(q=(1.0,), p=(3.0,))
+    solution = cb.solve(scene, "rk4", step=0.1, save_at=[0.1])
+    estimates = np.zeros((3, 1, 3, 3))
+    estimates[:, 0, 0, 0] = 7.0, 5.0, 5.02
+    estimates[:, 0, 2, 2] = 1.5, 1.0, 1.01
+    found = pullback(solution, Differential("planted", np.array([[1.0, 3.0, 0.0]]), estimates))
+    np.testing.assert_allclose(found.values, [[-15.0, 0.0, 1.0]])
+    np.testing.assert_allclose(found.uncertainty, [2 * np.hypot(0.06, 0.01)])
+    np.testing.assert_allclose(found.terms, [np.hypot(15.0, 1.0)])
 
 
 @by_name(ALL_SCENES)
@@ -339,8 +352,9 @@ def test_matrix_product_and_plain_components_push_the_same_tangents(name):
     larger = variational(cb.prepare(name, "scipy-radau", rtol=1e-6).request)
     scene, carry = larger.scene, larger.carry
     y = np.random.default_rng(41).normal(size=len(scene.labels(carry))).tolist()
-    by_components = scene.pack(scene.rhs(scene.unpack(y, carry)))
-    np.testing.assert_allclose(list(flat_rhs(scene, carry)(y)), by_components, rtol=1e-14, atol=1e-14)
+    t, y = (0.0, y) if scene.clock is None else (y[scene.clock], scene.without_clock(y))
+    by_components = scene.slopes(t, y, carry)
+    np.testing.assert_allclose(list(flat_rhs(scene, carry)(t, y)), by_components, rtol=1e-14, atol=1e-14)
 
 
 # -- round-off -------------------------------------------------------------------------------------

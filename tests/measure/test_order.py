@@ -54,6 +54,16 @@ def test_pre_asymptotic_points_and_the_round_off_plateau_are_left_out():
     assert fit.used.sum() == 4
 
 
+@pytest.mark.parametrize("below", range(1, 7))
+def test_no_order_rests_on_a_point_below_the_floor(below):
+    """Of nine points; three above it are too few."""
+    errors = np.array([h**4 * (1 + 0.3 * h**2) for h in H])
+    floor = errors[-below]
+    fit = fit_order(H, errors, floor)
+    assert fit.used.sum() == (4 if below <= 5 else 0)
+    assert not fit.used[errors <= floor].any()
+
+
 def test_the_answer_does_not_depend_on_the_order_of_the_points():
     errors = [h**2 * (1 + h) for h in H]
     one, other = fit_order(H, errors), fit_order(H[::-1], errors[::-1])
@@ -98,6 +108,26 @@ def test_nominal_orders_at_fifty_digits(name):
     errors = [float(error_at(method, scene, 4.0, n)) for n in counts]
     fit = fit_order([4.0 / n for n in counts], errors, 1e-33)
     assert abs(fit.order - method.order) < fit.uncertainty < 0.1
+
+
+@pytest.mark.parametrize(
+    ("ratio", "slopes", "uncertainty"),
+    [
+        (2, (3.0, 3.01, 3.031), 9e-3),
+        (2, (3.0, 3.01, 3.031, 3.074), 3e-3),
+        (1.2, (3.0, 3.002, 3.0042), 9e-3 / (1.2**2 - 1)),  # falling like h² the rest is more than the last
+    ],
+)
+def test_the_uncertainty_is_three_times_the_spread_of_the_extrapolations_and_nine_unchecked(
+    ratio, slopes, uncertainty
+):
+    """k = 1: the limits s₀ − (s₁ − s₀)/(r − 1) differ by 0.001; the third differs from the second by as much, a quarter
+    of that at the finest step."""
+    steps = 0.1 * ratio ** np.arange(len(slopes) + 1)
+    errors = np.cumprod([1e-9, *(ratio**slope for slope in slopes)])
+    fit = fit_order(steps, errors)
+    assert fit.order == pytest.approx(2.99, abs=1e-12)
+    assert fit.uncertainty == pytest.approx(uncertainty, rel=1e-6)
 
 
 def test_a_wrong_order_is_noticed():

@@ -86,6 +86,10 @@ def test_it_keeps_the_contact_form_and_is_raced():
 
 BAD = {
     "sum": ({"kick": [0.5, 0.6], "drift": [1]}, "kick: coefficients add up to 1.1, must be 1"),
+    "sum by little": (
+        {"kick": [0.5, "0.5000000001"], "drift": [1]},
+        "kick: coefficients add up to 1.0000000001",
+    ),
     "lengths": ({"kick": [0.5, 0.25, 0.25], "drift": [1]}, "kick has 3 coefficients and drift 1"),
     "number": ({"kick": [0.5, "x"], "drift": [1]}, "kick[1] = 'x': must be a number"),
     "inf": ({"kick": [0.5, 0.5], "drift": [float("inf")]}, "drift[0] = inf: must be a number"),
@@ -96,6 +100,7 @@ BAD = {
         "symmetric = False: the stages read",
     ),
     "order": ({"kick": [0.5, 0.5], "drift": [1], "order": 2.5}, "order = 2.5: must be a whole number"),
+    "order zero": ({"kick": [0.5, 0.5], "drift": [1], "order": 0}, "order = 0: must be a whole number ≥ 1"),
     "taken": ({"kick": [0.5, 0.5], "drift": [1], "name": "rk4"}, "method 'rk4' is already registered"),
 }
 

@@ -25,6 +25,7 @@ from contactbench.measure.stability import (
     stability,
     step_matrix,
     true_radius,
+    turning_points,
 )
 from contactbench.scene import State
 
@@ -47,6 +48,17 @@ def test_without_the_merged_flow_the_limit_is_two_at_every_damping(gamma):
 
 def test_with_the_merged_flow_it_grows_like_twice_the_damping():
     assert stability(cb.METHODS["contact-strang"], 50.0, 1.0).limit == pytest.approx(100.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("gamma", "limit"), [(499.8, 999.6), (500.2, math.inf)])
+def test_limits_are_looked_for_up_to_a_thousand(gamma, limit):
+    assert stability(cb.METHODS["contact-strang"], gamma, 1.0).limit == pytest.approx(limit, rel=1e-9)
+
+
+def test_neighbouring_points_of_the_grid_may_each_have_an_extremum():
+    grid = np.arange(5.0)
+    found = turning_points(lambda h: -np.cos(np.pi * h), grid, np.array([-1.0, 1.0, -1.0, 1.0, -1.0]))
+    np.testing.assert_allclose(found, [1.0, 2.0, 3.0], atol=1e-6)
 
 
 def largest(method, gamma, h, steps, at_once=50):

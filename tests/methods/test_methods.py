@@ -11,6 +11,7 @@ import pytest
 import contactbench as cb
 from cases import USER, few_slow, pairs
 from contactbench.methods import diffrax
+from contactbench.methods.entry import _tolerances as tolerances_of
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.grid import steps_in
 from contactbench.solution import Status
@@ -85,6 +86,57 @@ def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
     for step in (0.5, 0.1):
         law = cb.LAWS["momentum_law"](cb.solve(scene, method.name, step=step))
         assert (law < 1e-12) == method.contact, law
+
+
+@fixed
+@pytest.mark.parametrize("gamma", [0.0, 0.25])
+def test_a_linear_scene_scales_to_the_last_bit(method, gamma):
+    """q and p by a power of two, s by its square: no step has a size of its own, and none divides by γ = 0."""
+    scene = cb.SCENES["oscillator"].with_(gamma=gamma, q=(0.75,), p=(-0.5,), s=0.25, t_end=2.0)
+    run = cb.prepare(scene, method.name, step=0.125)
+    one = run()
+    assert cb.LAWS["solution_error"](one) < 0.1
+    for scale in (2.0**-27, 2.0**27):
+        other = run(q=(0.75 * scale,), p=(-0.5 * scale,), s=0.25 * scale**2)
+        assert other.ok
+        np.testing.assert_array_equal(other.y, one.y * [scale, scale, scale**2])
+
+
+TWO_TOLERANCES = [m for m in ADAPTIVE if m.takes_atol]
+
+
+@pytest.mark.parametrize("method", few_slow(TWO_TOLERANCES, *LONG), ids=lambda m: m.name)
+@pytest.mark.parametrize("gamma", [0.0, 0.25])
+def test_tolerances_are_relative_to_the_state_where_atol_is(method, gamma):
+    """Of a state of 10⁻⁸ or 10⁸ and an atol to match the same digits are had."""
+    scene = cb.SCENES["oscillator"].with_(gamma=gamma, t_end=2.0)
+    for scale in (1e-8, 1.0, 1e8):
+        scaled = scene.with_(q=(0.75 * scale,), p=(-0.5 * scale,))
+        run = cb.solve(scaled, method.name, rtol=1e-7, atol=1e-7 * scale, carry=(), save_at=[2.0])
+        assert run.ok
+        assert 1e-13 < cb.LAWS["solution_error"](run) < 1e-5
+
+
+@pytest.mark.parametrize("times", [[0.5, 0.5], [0.5, 0.25], [-0.5, 0.5]])
+def test_saved_times_increase_from_zero_on(times):
+    with pytest.raises(cb.BadInput, match="save_at"):
+        cb.prepare(PARTICLE, "rk4", step=0.1, save_at=times)
+
+
+@every
+def test_the_first_engine_is_the_default(method):
+    scene = PARTICLE if method.refuses(PARTICLE) is None else BODY
+    assert cb.prepare(scene, method.name, **setting(method)).request.engine == method.engines[0]
+
+
+@adaptive
+def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
+    low, high = method.rtol_range
+    for rtol in (low, high):
+        assert tolerances_of(method, rtol, None) == (rtol, rtol)
+    for rtol in (low * 0.99, high * 1.01):
+        with pytest.raises(cb.BadInput, match="rtol"):
+            tolerances_of(method, rtol, None)
 
 
 # -- prepared solvers ------------------------------------------------------------------------------
@@ -221,7 +273,9 @@ def test_the_step_that_diverges_is_the_last_one_counted(method):
             solution = cb.solve(scene, method.name, step=0.01, save_at=save, engine=engine)
             assert solution.counts.steps == n
             assert solution.end_time == pytest.approx(0.01 * n, rel=1e-9)
-        assert solution.counts.evaluations == method.counts(scene, 1) + (n - 1) * method.per_step(scene)
+            begun = 1 + sum(0 < t < 0.01 * n for t in save)  # intervals, each with a first step
+            expected = begun * method.counts(scene, 1) + (n - begun) * method.per_step(scene)
+            assert solution.counts.evaluations == expected
 
 
 def test_what_a_nystrom_composition_cannot_do_is_unsupported_with_the_reason():

@@ -18,7 +18,7 @@ from contactbench.race import comparison, show
 from contactbench.race import scout as scouting
 from contactbench.race.keeping import kept
 from contactbench.race.scout import Attempt
-from contactbench.race.table import COLUMNS, judged
+from contactbench.race.table import COLUMNS, cheapest, judged
 from contactbench.results.statistics import PROCESSES
 from contactbench.solution import Status
 from contactbench.truth import OutOfTime
@@ -82,6 +82,22 @@ def test_no_coarser_setting_that_was_tried_is_as_accurate(frame):
         # and the setting is near the edge: the next cheaper one tried is within a step of the bisection
         if len(cheaper):
             assert row.evaluations / cheaper["evaluations"].max() < 1.5
+
+
+def test_a_tighter_setting_that_is_sooner_done_stands_at_the_looser_error_too(frame):
+    coarse, fine, finest = (Attempt(value, str(value), Status.ok, "", 0.0) for value in (1e-2, 1e-5, 1e-8))
+    chosen = {("m", 1e-3): coarse, ("m", 1e-6): fine, ("m", 1e-9): finest}
+    times = {id(coarse): {"time_median_s": 182e-6}, id(fine): {"time_median_s": 111e-6}}
+    errors = (1e-3, 1e-6, 1e-9, 1e-12)
+    found = [cheapest("m", error, errors, chosen, times) for error in errors]
+    assert found == [fine, fine, finest, None]
+    for _, rows in frame[frame["time_s"].notna()].groupby("method"):
+        assert rows.sort_values("error_asked")["time_s"].is_monotonic_decreasing
+
+
+def test_a_scene_whose_motion_depends_on_s_is_compared_with_s():
+    frame = cb.compare("quadratic_damping", ["contact-rkn4", "cyrk-vern8"], [1e-4], budget=30.0)
+    assert (frame["status"] == "ok").all(), list(frame["reason"])
 
 
 def test_times_are_compared_within_a_kind_only(frame):

@@ -31,6 +31,7 @@ from contactbench.report.contest import (
     MARGINAL,
     TARGETS,
     Field,
+    camps,
     reasons,
     standing,
     tally,
@@ -438,6 +439,37 @@ def test_no_interval_is_claimed_and_both_slopes_are_shown():
     assert "95" not in orders.meaning + slopes.meaning
 
 
+def test_counts_are_over_claimed_runs_and_a_second_number_for_the_rest():
+    def run(scene, claimed, keeps, clamped=0, judged=True):
+        found = {
+            "claimed": claimed,
+            "kept": keeps,
+            "undecided": False,
+            "bound": 1e-12 if judged else math.nan,
+        }
+        told = {f"contact_drift_{what}": value for what, value in found.items()}
+        return row(scene, "contact-a", len(rows), contact_drift=1e-15 if keeps else 1e-3, solution_error=1e-3,
+                   saved_times=25, contact_drift_clamped=clamped, **told)  # fmt: skip
+
+    rows = []
+    for given in [
+        *[("linear", True, True, 0, True)] * 3, *[("linear", True, True, 2, True)] * 2,
+        *[("nonlinear", False, False, 0, True)] * 3, ("nonlinear", False, True, 0, True),
+        ("linear", True, False, 0, False),
+    ]:  # fmt: skip
+        rows.append(run(*given))
+    found = law_findings.law_finding(frames(laws=rows), "contact_drift")
+    assert "every setting on every scene" in found.sentence
+    assert "Where it is not promised they keep it in 1 of 4 runs." in found.sentence
+    assert "2 of these runs rest on times" in found.sentence
+    assert found.covers.startswith("9 runs")
+    assert not found.exceptions
+    rows.append(run("linear", True, False))
+    found = law_findings.law_finding(frames(laws=rows), "contact_drift")
+    assert "in 5 of 6 runs" in found.sentence
+    assert found.exceptions
+
+
 # -- cost at equal error ---------------------------------------------------------------------------
 def costs(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
     """A ladder whose cost is `factor` at an error of 1e-1, and rises by a quarter each decade."""
@@ -450,6 +482,20 @@ def costs(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
         )  # fmt: skip
         error /= 10
     return rows
+
+
+def test_dop853_is_one_contestant_where_engines_do_not_matter():
+    """In the cheaper of its two shapes, and two where times are compared."""
+    shapes = [*costs("scipy-dop853", 2.0, engine="python"), *costs("cyrk-dop853", 3.0, engine="c++")]
+    work = table("work_precision", [*costs("contact-a", 4.0), *shapes])
+    field = Field(work, EVALUATIONS)
+    assert field.methods == ["contact-a", "dop853"]
+    assert camps(field.contests().values()) == {"dop853": 4}
+    alone = Field(table("work_precision", shapes[: len(shapes) // 2]), EVALUATIONS)
+    at = ("s", 1e-6)
+    assert field.leads[at].costs["dop853"].value == alone.leads[at].costs["dop853"].value
+    assert Field(work, COMPILED).methods == ["contact-a", "cyrk-dop853"]
+    assert Field(work, CALLED_BACK).methods == ["scipy-dop853"]
 
 
 @pytest.mark.parametrize(
@@ -908,3 +954,16 @@ def test_laws_along_time_are_alternatives_by_the_name_of_their_scene():
     rows = [row(s, "rk4", 0.1, t=1.0, energy_deviation=1e-3) for s in ("particle", "central")]
     (along,) = (p for p in laws.sections(frames(laws_time=rows)) if getattr(p, "title", "") == "Along time")
     assert [(s.title, s.choice) for s in along.parts] == [("particle", "scene"), ("central", "scene")]
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "judged"),
+    [
+        (1e-8, 9e-7, (True, False)),
+        (1e-8, 2e-6, (False, True)),  # any method might pass
+        (1e-13, 2e-6, (True, False)),  # round-off, whatever it may grow to
+        (1e-5, 1e-6, (False, False)),
+    ],
+)
+def test_a_bound_above_a_millionth_decides_nothing(value, bound, judged):
+    assert kept.decided(value, bound) == judged

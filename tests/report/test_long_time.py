@@ -52,14 +52,14 @@ def test_the_least_that_is_right_at_every_dearer_setting_too():
 
 def test_what_the_noise_does_not_tell_is_a_tie():
     said = sentences()["long_time"]
-    assert "mean energy tie (×1.50): contact-rkn4 8 and herglotz2 7 to 16, then rk4 16;" in said
+    assert "mean H0 at phase 0 tie (×1.50): contact-rkn4 8 and herglotz2 7 to 16, then rk4 16;" in said
     clear = sentences(herglotz=[*told("herglotz2", 7, 8, 1e-3), *told("herglotz2", 16, 0, 1e-4)])["long_time"]
-    assert "mean energy contact-rkn4 8, then rk4 16 and herglotz2 16;" in clear
+    assert "mean H0 at phase 0 contact-rkn4 8, then rk4 16 and herglotz2 16;" in clear
 
 
 def test_a_peer_that_wins_is_named_first():
     said = sentences(peer=[*told("cyrk-tsit5", 2, 0, 0.1, control="rtol")])["long_time"]
-    assert "mean energy cyrk-tsit5 ≤ 2, then contact-rkn4 8" in said
+    assert "mean H0 at phase 0 cyrk-tsit5 ≤ 2, then contact-rkn4 8" in said
 
 
 def test_one_wrong_setting_at_the_end_leaves_no_cost():

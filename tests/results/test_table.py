@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import os
 import random
+import re
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -20,6 +22,7 @@ from contactbench.results.tables import (
     DAMPING_RATES,
     LAWS_TABLE,
     STABILITY_LIMITS,
+    STRONG_DAMPING,
     WORK_PRECISION,
 )
 
@@ -102,6 +105,18 @@ def test_the_order_in_which_rows_are_made_does_not_show(tmp_path):
         merge(WORK_PRECISION, [one], tmp_path / "other")
     for path in WORK_PRECISION.files(tmp_path / "one"):
         assert path.read_bytes() == (tmp_path / "other" / path.name).read_bytes()
+
+
+def test_infinity_is_kept_where_it_is_a_value_and_blank_elsewhere(tmp_path):
+    limits = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "limit": math.inf}
+    assert merge(STABILITY_LIMITS, [limits], tmp_path)["limit"].tolist() == [math.inf]
+    assert read(STABILITY_LIMITS, tmp_path)["limit"].tolist() == [math.inf]
+    errors = dict.fromkeys(["error", "error_saved", "radius"], math.inf)
+    merge(
+        STRONG_DAMPING, [{"method": "rk4", "gamma": 1.0, "damping_per_evaluation": 0.1, **errors}], tmp_path
+    )
+    assert np.isinf(read(STRONG_DAMPING, tmp_path)[list(errors)].to_numpy()).all()
+    assert merge(CONVERGENCE, [row(order=math.inf)], tmp_path)["order"].isna().all()
 
 
 def test_a_partial_run_replaces_its_rows_and_leaves_the_rest(tmp_path):
@@ -234,6 +249,7 @@ def test_environment_says_where_a_run_was_made():
     record = provenance.environment("smoke", 1)
     assert {"packages", "cpu", "cores", "threads", "commit", "dirty", "utc", "references"} <= set(record)
     assert record["packages"]["jax"]
+    assert re.fullmatch(r"\S+ [0-9a-f]{12}", record["isa"])
 
 
 def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_path):
@@ -253,7 +269,7 @@ def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_pat
     assert set(ran("six", ["laws", "convergence"], ["laws", "convergence"])) == {"six"}
 
 
-@pytest.mark.parametrize("content", ["[1]", "nothing", '{"runs": [{"cpu": 1}]}'])
+@pytest.mark.parametrize("content", ["[1]", "[]", "{}", "nothing", '{"runs": [{"cpu": 1}]}'])
 def test_an_odd_environment_is_refused(tmp_path, content):
     (tmp_path / "environment.json").write_text(content)
     with pytest.raises(cb.BadInput, match="not the record of a benchmark run"):

@@ -428,6 +428,10 @@ def test_an_energy_that_no_motion_has_is_no_ok():
 def test_the_absolute_tolerance_is_told():
     assert "rtol=1e-06, atol=1e-06)" in repr(cb.solve("oscillator", "cvode-adams", rtol=1e-6))
     assert "rtol=1e-06, atol=1e-12)" in repr(cb.solve("oscillator", "cvode-adams", rtol=1e-6, atol=1e-12))
+    for method in ("heyoka-taylor", "contact-adaptive"):  # their steps follow from rtol alone
+        assert "atol" not in repr(cb.solve("oscillator", method, rtol=1e-6))
+        with pytest.raises(cb.BadInput, match="takes rtol alone"):
+            cb.solve("oscillator", method, rtol=1e-6, atol=1e-6)
 
 
 def test_equal_programs_are_compiled_once():

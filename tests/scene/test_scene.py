@@ -9,7 +9,7 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
-from contactbench.scene import rotation_matrix
+from contactbench.scene import rotation_matrix, verify
 from contactbench.xla import jax, jnp
 
 MECHANICAL = [s for s in ALL_SCENES if isinstance(s, cb.Mechanical)]
@@ -51,7 +51,8 @@ def test_same_right_hand_side_on_floats_numpy_jax_mpmath_and_heyoka(scene):
 
     system = taylor_system(scene, carry, heyoka)
     field = heyoka.cfunc([e for _, e in system], [v for v, _ in system])
-    np.testing.assert_allclose(field(np.array(y)), expected, rtol=AD, atol=AD)
+    state, time = np.array(scene.without_clock(y)), {} if scene.clock is None else {"time": y[scene.clock]}
+    np.testing.assert_allclose(field(state, **time), scene.without_clock(expected), rtol=AD, atol=AD)
 
 
 @by_name(CONTACT_SCENES)
@@ -121,6 +122,26 @@ def test_bad_parameters_give_one_clear_line(name, changes, says):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("size", "wrong"), [(n, i) for n in range(1, 5) for i in range(n)])
+def test_a_gradient_wrong_in_any_one_component_is_refused(size, wrong):
+    scene = cb.Mechanical(
+        name="springs", potential=lambda q: sum(x * x for x in q) / 2, q=(1.0,) * size, p=(0.0,) * size, t_end=1.0,
+        gradient=lambda q: tuple(1.01 * x if i == wrong else x for i, x in enumerate(q)),
+    )  # fmt: skip
+    with pytest.raises(cb.BadInput, match=f"component {wrong + 1} is"):
+        verify(scene)
+
+
+def test_ctrl_c_in_a_force_is_no_bad_input():
+    def interrupt(q):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cb.Mechanical(
+            name="slow", potential=lambda q: q[0], gradient=interrupt, q=(1.0,), p=(0.0,), t_end=1.0
+        )
+
+
 def test_with_changes_any_parameter_and_nothing_else():
     scene = cb.SCENES["particle"].with_(gamma=0.3, coupling=0.2, q=(1.0, 0.5), t_end=5.0)
     assert (scene.gamma, scene.parameters["coupling"], scene.t_end) == (0.3, 0.2, 5.0)
@@ -144,3 +165,12 @@ def test_user_scene_has_what_named_ones_have():
     with mp.workdps(30):
         exact, x = in_mp(USER, random_state(USER))
         assert isinstance(exact.hamiltonian(x), mp.mpf)
+
+
+@pytest.mark.parametrize(
+    ("changes", "may"),
+    [({"gamma": 0.1}, False), ({"gamma": 0.0}, True), ({"gamma": -0.1}, True), ({"kappa": 0.1}, True)],
+)
+def test_energy_is_bound_to_fall_only_under_a_constant_damping_above_zero(changes, may):
+    """At γ = 0 the truth keeps H0, and half of a method's round-off raises it."""
+    assert cb.SCENES["particle"].with_(**changes).may_gain_energy is may

@@ -12,7 +12,7 @@ import contactbench as cb
 import contactbench.splitting.composition
 from cases import in_mp, pairs, random_state
 from contactbench.splitting import flows
-from contactbench.splitting.composition import advance, plan, refusal
+from contactbench.splitting.composition import advance, log_factor, plan, refusal
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import ABC, COMPOSITIONS, PRINTED, STRANG
 from properties import parts_applied
@@ -30,6 +30,18 @@ each_on_its_scenes = pairs(
 @each
 def test_every_part_of_the_hamiltonian_is_applied_for_one_whole_step(composition):
     assert parts_applied(composition) == {"kick": 1, "drift": 1, "damp": 1}
+
+
+@pytest.mark.parametrize("composition", [c for c in COMPOSITIONS if not c.processor], ids=lambda c: c.name)
+def test_the_factor_of_three_steps_is_the_product_of_each(composition):
+    """Under a damping that follows s, which every flow moves."""
+    scene = cb.SCENES["quadratic_damping"]
+    x = random_state(scene, 3)
+    whole, parts = log_factor(composition, scene, x, 0.25, 3, math), 0.0
+    for _ in range(3):
+        parts += log_factor(composition, scene, x, 0.25, 1, math)
+        x = advance(composition, scene, x, 0.25, 1, math)
+    assert whole == pytest.approx(parts, rel=1e-12)
 
 
 def test_the_printed_scheme_is_not_palindromic_and_what_it_means_is():

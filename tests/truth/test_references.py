@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import hashlib
 import importlib.util
 import json
@@ -23,6 +24,8 @@ from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 from contactbench.truth import digest, reference
+from contactbench.truth.closed_form import closed_form
+from contactbench.truth.reference import confirmed
 
 FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
@@ -261,6 +264,23 @@ def test_same_question_is_answered_from_memory():
     assert reference(scene, [1.0]) is reference(scene.with_(name="other"), 1.0)
 
 
+def test_a_reference_which_all_share_cannot_be_changed():
+    found = reference(SCENES["oscillator"], [1.0])
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        found.digits = 99
+    with pytest.raises(ValueError, match="read-only"):
+        found.y[0, 0] = 0.0
+
+
+def test_a_reference_is_confirmed_by_another_engine_than_its_own(monkeypatch):
+    frozen, live = SCENES["oscillator"], SCENES["oscillator"].with_(kappa=0.5)
+    found = [reference(scene, [1.0]) for scene in (frozen, live)]
+    assert min(confirmed(each) for each in found) >= 19
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert confirmed(found[0]) >= 19
+    assert confirmed(found[1]) is None
+
+
 def test_functions_of_one_name_are_told_apart():
     """Two lambdas share a qualified name; the cache must not confuse them."""
     build = lambda k: Mechanical(  # noqa: E731
@@ -299,10 +319,67 @@ def test_errors_are_one_line(scene, times, says):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("gamma", [0.0, 0.125])
+@pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
+def test_digits_are_relative_to_the_state(size, gamma):
+    """Both live engines against the closed form of a state far below and far above one."""
+    scene = SCENES["oscillator"].with_(q=(size,), p=(0.0,), gamma=gamma)
+    t = np.array([2.5])
+    exact, _, _ = closed_form(scene, t, ())
+    context = truth.decimal_context(60)
+    by_taylor, digits, _ = truth.live(scene, t, ())
+    for rows, claimed in ((truth.extrapolation(scene, ["2.5"], (), 18), 16), (by_taylor, digits)):
+        numbers = [[[context.mpf(x) for x in row] for row in found] for found in (rows, exact)]
+        assert truth.agreeing_digits(*numbers, 40) >= claimed >= 16
+
+
+def test_a_short_span_of_a_fast_motion_is_no_blow_up():
+    fast = SCENES["oscillator"].with_(omega=1e8, q=(1.0,), p=(0.0,), gamma=0.0)
+    ((q, _),) = truth.taylor(fast, ["2e-6"], (), 140)
+    assert float(q) == pytest.approx(np.cos(200.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("seconds", ["soon", None, float("nan"), 1j, np.ones(2)], ids=str)
+def test_the_time_allowed_is_a_number(seconds):
+    with pytest.raises(BadInput, match="seconds = "):
+        reference(SCENES["oscillator"], [1.0], seconds=seconds)
+
+
+def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
+    """At 1/q with energy 31 the steps shrink a thousandfold; 34 attempts where they grow again, else 1935."""
+    bounce = Mechanical(
+        name="bounce", potential=lambda q: 1 / q[0], gradient=lambda q: (-1 / (q[0] * q[0]),),
+        q=(4.0,), p=(-7.9,), t_end=8.0,
+    )  # fmt: skip
+    module, steps = importlib.import_module("contactbench.truth.extrapolation"), []
+    attempt = module.extrapolated
+
+    def count(slope, y, step, *more):
+        steps.append(step)
+        return attempt(slope, y, step, *more)
+
+    monkeypatch.setattr(module, "extrapolated", count)
+    ((q, p),) = truth.extrapolation(bounce, ["8.0"], (), 8)
+    assert bounce.energy(bounce.unpack([q, p], ())) == pytest.approx(
+        bounce.energy(bounce.initial(())), rel=1e-6
+    )
+    assert len(steps) < 60
+
+
 def test_blow_up_is_seen_without_heyoka():
     scene = SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0))
     with pytest.raises(BadInput, match=r"blows up at t = 3\.409"):
         truth.extrapolation(scene, ["20.0"], (), 12)
+
+
+@pytest.mark.parametrize("sees", [200, 260])
+def test_a_blow_up_that_one_precision_alone_sees_is_none(sees, monkeypatch):
+    module, time = (
+        importlib.import_module("contactbench.truth.reference"),
+        truth.decimal_context(60).mpf("3.4"),
+    )
+    monkeypatch.setattr(module, "taylor_blow_up", lambda scene, bits: time if bits == sees else None)
+    assert module.blow_up_time(SCENES["particle"].with_(q=(8.0, -6.0))) is None
 
 
 @pytest.mark.parametrize(
@@ -351,3 +428,10 @@ def test_a_root_at_zero_is_told_as_that():
     run = cb.solve(root, "heyoka-taylor", rtol=1e-9)
     assert run.status == "failed"
     assert "no series of the root" in run.message
+
+
+def test_a_trial_step_onto_a_singularity_is_halved():
+    """q' = p from q = 4 with p = −8: the first midpoint, half of t = 8 on, is the pole of V = 1/q."""
+    scene = Mechanical(name="pole", potential=lambda q: 1 / q[0], q=(4.0,), p=(-8.0,), t_end=8.0).recorded()
+    (row,) = truth.extrapolation(scene, ["8.0"], (), 20)
+    assert row[1] ** 2 / 2 + 1 / row[0] == pytest.approx(32.25, rel=1e-18)

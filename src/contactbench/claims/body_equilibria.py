@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded when first used
 
-from contactbench.claims.calculus import IDENTITY, ROUND_OFF, largest, points
+from contactbench.claims.calculus import IDENTITY, ROUND_OFF, SEED, largest, points
 from contactbench.claims.ledger import Correction, Evidence, at_least, at_most, claim
 from contactbench.claims.linearisation import EIGENVALUES, INERTIA, body, momentum_rate, random_damping
 from contactbench.scene import cross
@@ -183,3 +183,95 @@ def direction_growths(scene: Any) -> np.ndarray:
     matrices = [np.asarray(jax.jacfwd(momentum_rate(scene))(jnp.asarray(e))) for e in np.eye(3)]
     transverse = [np.delete(np.delete(A, i, 0), i, 1) for i, A in enumerate(matrices)]
     return np.array([np.linalg.eigvals(A).real.max() for A in transverse]) + scene.gamma
+
+
+#: kinds of symmetric D ≥ 0, D ≠ 0, in turn
+DAMPINGS = ("of full rank", "with an axis in its kernel", "with two axes in its kernel",
+            "with a separatrix plane for its kernel", "with any line for its kernel",
+            "with any plane for its kernel")  # fmt: skip
+SLOW = 2  #: of these, in which nothing is on an axis: M falls as t^{−1/2}
+
+
+def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Any) -> np.ndarray:
+    """A random D of `DAMPINGS`."""
+    rates, a = rng.uniform(0.5, 1, 3), 1 / np.asarray(inertia)
+    if kind == 3:
+        normal = np.sqrt([a[0] - a[1], 0.0, a[1] - a[2]]) * [1, 1, rng.choice([-1, 1])]
+        return rates[0] * np.outer(normal, normal) / (normal @ normal)
+    kept = np.diag(rates * (rng.permutation(3) >= (kind if kind < 3 else kind - 3)))
+    turn = np.eye(3) if kind < 3 else np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    D = turn @ kept @ turn.T
+    return (D + D.T) / 2
+
+
+def motions(D: np.ndarray, M: np.ndarray, inertia: Any, t: float, saves: int, h: float = 0.1) -> np.ndarray:
+    """M at `saves` equal times up to t of many bodies, by RK4: D (k, 3, 3), M (k, 3) → (k, saves, 3)."""
+    a = 1 / np.asarray(inertia)
+
+    def one(D: Any, M: Any) -> Any:
+        f = lambda M: jnp.cross(M, a * M) - D @ M  # noqa: E731
+
+        def step(_: Any, M: Any) -> Any:
+            k1 = f(M)
+            k2 = f(M + h / 2 * k1)
+            k3 = f(M + h / 2 * k2)
+            return M + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(M + h * k3))
+
+        def save(M: Any, _: Any) -> Any:
+            M = jax.lax.fori_loop(0, round(t / saves / h), step, M)
+            return M, M
+
+        return jax.lax.scan(save, M, None, length=saves)[1]
+
+    return np.asarray(jax.jit(jax.vmap(one))(D, M))
+
+
+def distance_to_equilibria(M: np.ndarray, D: np.ndarray) -> float:
+    """Distance of M from 0 and from the principal axes in ker D."""
+    lines = [np.linalg.norm(np.delete(M, i)) for i in range(3) if np.linalg.norm(D[:, i]) < ROUND_OFF]
+    return float(min([np.linalg.norm(M), *lines]))
+
+
+@claim(
+    "C41",
+    "§4.6.1, after eq. (77)",
+    "All motions decay toward the set of 0 and the principal-axis rotations in ker D.",
+    kind=Correction.extends,
+    correction="For symmetric D ≥ 0 with D ≠ 0 (without damping nothing decays; for D that is not symmetric see "
+    "C18). By LaSalle's principle with ‖M‖², whose derivative is −2 M·DM: what stays in ker D is an equilibrium, or, "
+    "if ker D is a plane of separatrices, runs into one. H0 is no such function: H0' = −Ω·DM may be positive where D "
+    "and I do not commute. The decay need not be exponential: as t^{−1/2} where ker D holds no principal axis (C21).",
+    scene="M' = M × I⁻¹M − DM, I = (1, 2, 3), 1200 random starts, six kinds of symmetric D",
+    method="rk4, h = 0.1, T = 4000",
+)
+def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float] = INERTIA) -> Evidence:
+    """starts : a multiple of six.  inertia : in ascending order."""
+    rng, kinds = np.random.default_rng(seed), len(DAMPINGS)
+    D = np.array([damping_of_kind(rng, n % kinds, inertia) for n in range(starts)])
+    M = rng.normal(size=(starts, 3))
+    M /= np.linalg.norm(M, axis=1)[:, None]
+    run = motions(D, M, inertia, 4000.0, 2)
+    kind = np.arange(starts) % kinds
+    left = np.array([distance_to_equilibria(end, d) for end, d in zip(run[:, -1], D, strict=True)])
+    bare = kind >= kinds - SLOW
+    size = (run[bare] ** 2).sum(axis=2)
+    free = (motions(0 * D[:60], M[:60], inertia, 4000.0, 2) ** 2).sum(axis=2)
+    own = abs(1 / free[:, 1] - 1 / free[:, 0]).max()
+    rise = -np.einsum("ki,i,kij,kj->k", M, 1 / np.asarray(inertia), D, M)
+    statement = [
+        at_most(
+            f"farthest from the set at t = 4000 of {np.count_nonzero(~bare)} motions, ‖M(0)‖ = 1, D "
+            + ", ".join(DAMPINGS[:-SLOW]),
+            left[~bare].max(), 0.05, "t^{−1/2} = 0.016, the slowest there is, times a constant of three",
+        ),
+        at_least(
+            f"growth of 1/‖M‖² from t = 2000 to 4000, least of {len(size)} motions, D " + " or ".join(DAMPINGS[-SLOW:]),
+            (1 / size[:, 1] - 1 / size[:, 0]).min(), 10 * own, "ten times what rk4's own error does without damping",
+        ),
+    ]  # fmt: skip
+    corrected = [
+        at_most("largest M·M' at random M", -np.einsum("ki,kij,kj->k", M, D, M).min(), *IDENTITY),
+        at_least("largest H0' there", rise.max(), 1e-2, "H0 rises"),
+        at_least("least ‖M(4000)‖ without damping", np.sqrt(free[:, 1].min()), 0.99, "it stays 1"),
+    ]  # fmt: skip
+    return Evidence(statement, corrected)

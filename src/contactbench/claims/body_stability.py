@@ -251,6 +251,13 @@ def intermediate_axis(
     return Evidence(statement, corrected)
 
 
+def along_kernel(kernel: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """M at t = 80 and 8000, damped by 1 − uuᵀ with `kernel` along u; and u."""
+    u = np.asarray(kernel) / np.linalg.norm(kernel)
+    scene = body(np.eye(3) - np.outer(u, u))
+    return solve(scene, "scipy-dop853", rtol=1e-9, save_at=[80.0, 8000.0], carry=()).y, u
+
+
 @claim(
     "C21",
     "§4.6.1, Stability Theorem, item 3",
@@ -274,11 +281,7 @@ def decay_to_the_origin(
     full = random_damping(rng, 2, 0) + np.diag([0.0, 0.5, 0.5])
     start = rng.normal(size=3)
     other = settled(full, start, 80.0) / np.linalg.norm(start)
-    u = np.asarray(kernel) / np.linalg.norm(kernel)
-    tilted = body(np.eye(3) - np.outer(u, u))
-    sizes = np.linalg.norm(
-        solve(tilted, "scipy-dop853", rtol=1e-9, save_at=[80.0, 8000.0], carry=()).y, axis=1
-    )
+    sizes = np.linalg.norm(along_kernel(kernel)[0], axis=1)
     gone = 1e-9, "10³ times the tolerance 10⁻¹² of the solver"
     statement = [
         at_most(
@@ -303,6 +306,52 @@ def decay_to_the_origin(
             sizes[1] / sizes[0],
             0.15,
             "along ker D ‖M‖' = −c‖M‖³, hence t^{−1/2}: 0.1, and half as much again for the transient",
+        ),
+    ]
+    return Evidence(statement, corrected)
+
+
+@claim(
+    "C40",
+    "§4.6, after eq. (76)",
+    "Damping makes all modes not in ker D decay exponentially; modes in ker D behave as in the undamped body.",
+    kind=Correction.replaces,
+    correction="The gyroscopic terms couple the two. A mode off ker D may grow (C19), one in ker D may be damped: at "
+    "M* = e₁ with D = diag(0, 0, ½), δM = e₂ is in ker D and decays. Where ker D is no principal axis, M along it "
+    "falls as t^{−1/2} and what is off it as 1/t, neither as claimed. What decides is trace and determinant of the "
+    "transverse linearisation.",
+    scene="anisotropic body: linearisation, and D with kernel (1, 2, 0)",
+    method=COARSER,
+)
+def modes(kernel: Sequence[float] = (1.0, 2.0, 0.0), rate: float = 0.5) -> Evidence:
+    """kernel : a direction that is no principal axis.  rate : about axis 3, below twice the frequency at e₁."""
+    M, u = along_kernel(kernel)
+    along = np.abs(M @ u)
+    off = np.linalg.norm(M - np.outer(M @ u, u), axis=1)
+    damped = growth(np.diag([0.0, 0.0, rate]), np.eye(3)[0])
+    statement = [
+        at_most(
+            "growth rate off ker D at e₃, D of C19",
+            growth(COUNTEREXAMPLE, np.eye(3)[2]),
+            -SPECTRUM,
+            SPECTRUM_WHY,
+        ),
+        at_most("|damping rate| of δM = e₂ in ker D at e₁, D = diag(0, 0, d)", abs(damped), *EIGENVALUES),
+    ]
+    fell, slaved = along[1] / along[0], off[1] / off[0]
+    corrected = [
+        at_most("|damping rate/(d/2) − 1| of that mode", abs(-damped / (rate / 2) - 1), *EIGENVALUES),
+        at_most(
+            "component of M along ker D at t = 8000 over that at 80",
+            fell,
+            0.15,
+            "t^{−1/2}: 0.1, and half as much again for the transient",
+        ),
+        at_most(
+            "|the same off ker D over the square of this − 1|",
+            abs(slaved / fell**2 - 1),
+            0.1,
+            "M × Ω, of second order, keeps it: 1/t, up to terms of third order at t = 80",
         ),
     ]
     return Evidence(statement, corrected)

@@ -180,11 +180,12 @@ def dissipation_law(gamma: float = 0.1) -> Evidence:
     "C32",
     "§6.2, Figure 7, left",
     "The energy H0 of the particle, whose decay §6.3 discusses, follows an exact exponential law.",
-    kind=Correction.replaces,
+    kind=Correction.repairs,
     correction="The figure can be read in two ways. Read for H0, as §6.3 refers to it, the claim is false: H0 of a "
     "particle in a potential decays at the rate γ‖p‖², which slackens at every turning point, and swings about "
     "e^{−γt}; an exponential H0 law is the isotropic body's. Read for H, the symbol in the caption, it is true: "
-    "H(t) = H(0) e^{−γt} exactly, and the splitting follows it to its order.",
+    "H(t) = H(0) e^{−γt} exactly, and the splitting follows it to its order. A name is corrected, so the claim is "
+    "repaired.",
     scene="particle, γ = 0.1, T = 20",
     method="the truth; for H also contact-printed at h = 0.01",
     figures=("paper_7",),

@@ -135,7 +135,8 @@ def contact_hamilton_equations(seed: int = SEED) -> Evidence:
     "§2.2, eq. (10)",
     "Along the flow H' = −R(H).",
     kind=Correction.replaces,
-    correction="H' = −R(H)·H, hence H(t) = H(0) e^{−γt}: the rate is proportional to H.",
+    correction="H' = −R(H)·H, hence H(t) = H(0) e^{−γt}: the rate is proportional to H. This replaces the claim and "
+    "does not repair it: where R(H) > 0 and H < 0, H rises while eq. (10) lets it fall.",
     scene="random cubic H(q, p, s); particle",
 )
 def hamiltonian_evolution(seed: int = SEED, gamma: float = 0.1) -> Evidence:
@@ -164,6 +165,12 @@ def hamiltonian_evolution(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         ),
         at_most(
             "max |H(t) e^{γt}/H(0) − 1| along the true particle", np.abs(value / value[0] - 1).max(), *TRUE
+        ),
+        at_most(
+            "smallest −H'/R(H) at random points",
+            everywhere(lambda y: -rate(y) / dissipation(y), at).min(),
+            0.0,
+            "where it is negative, H goes the other way than claimed",
         ),
     ]
     return Evidence(statement, corrected)
@@ -343,6 +350,101 @@ def oscillator_portrait(
             np.min(away[1:] / away[:-1]),
             1.0,
             "it grows",
+        ),
+    ]
+    return Evidence(statement, corrected)
+
+
+@claim(
+    "C37",
+    "§2.2, Figure 1",
+    "The vertical component of X_H, along the Reeb field, is R(H).",
+    kind=Correction.replaces,
+    correction="The component along R is η(X_H) = −H: by the definition of X_H, eq. (11). It is no measure of "
+    "dissipation: it is there without any, and 0 where H = 0.",
+    scene="particle, random states",
+)
+def vertical_component(seed: int = SEED, gamma: float = 0.1) -> Evidence:
+    scene = SCENES["particle"].with_(gamma=gamma)
+    H, field = function_of(scene.hamiltonian), vector_field(scene)
+    vertical = lambda y: eta(y) @ field(y)  # noqa: E731
+    at = points(5, seed=seed)
+    statement = [
+        at_most(
+            "max |η(X_H) − R(H)|",
+            largest(lambda y: vertical(y) - jax.grad(H)(y) @ reeb(eta, y), at),
+            *IDENTITY,
+        )
+    ]
+    corrected = [
+        at_most("max |η(X_H) + H|", largest(lambda y: vertical(y) + H(y), at), *IDENTITY),
+        at_most(
+            "max |η(X_H + H R)|: what is left is tangential",
+            largest(lambda y: eta(y) @ (field(y) + H(y) * reeb(eta, y)), at),
+            *IDENTITY,
+        ),
+    ]
+    return Evidence(statement, corrected)
+
+
+@claim(
+    "C38",
+    "§2.3, after eq. (15)",
+    "s records the history of a motion by accumulating its action or the energy dissipated.",
+    kind=Correction.replaces,
+    correction="s' = T − V − γs forgets: s(t) = e^{−γt} s(0) + ∫ e^{−γ(t−τ)} (T − V) dτ, which weighs what is 1/γ "
+    "ago with 1/e and tends to 0 with the motion, while the energy dissipated tends to H0(0). (Herglotz' action, the "
+    "integral of T − V − γs, is s itself, and says nothing.)",
+    scene="oscillator, T = 100",
+    method="none: the closed form",
+)
+def memory(gamma: float = 0.1, start: tuple[float, float] = (1.0, 0.0)) -> Evidence:
+    """gamma : < 2.  start : (q, p)."""
+    end = 10 / gamma
+    scene = SCENES["oscillator"].with_(gamma=gamma, q=start[:1], p=start[1:], t_end=end)
+    nodes, weights = np.polynomial.legendre.leggauss(600)
+    t, weights = end * (nodes + 1) / 2, end * weights / 2
+    x = reference(scene, np.append(t, end)).states()
+    q, p = x.q[0][:-1], x.p[0][:-1]
+    lagrangian, s = (p**2 - q**2) / 2, x.s[-1]
+    weighed = weights @ (np.exp(-gamma * (end - t)) * lagrangian)
+    nearer = min(abs(s - weights @ lagrangian), abs(s - weights @ (gamma * p**2)))
+    solved = 1e-12 * (start[0] ** 2 + start[1] ** 2), "round-off of the quadrature"
+    statement = [at_most(f"|s − ∫(T − V)| or |s − ∫γp²| at t = {end:g}, the smaller", nearer, *solved)]
+    corrected = [at_most("|s − ∫e^{−γ(t−τ)} (T − V)|", abs(s - weighed), *solved)]
+    return Evidence(statement, corrected)
+
+
+@claim(
+    "C42",
+    "§2.4.1, Figure 2, caption",
+    "Linear dissipation makes the oscillator's mechanical energy decay exponentially.",
+    kind=Correction.repairs,
+    correction="From turn to turn: for λ < 2ω, H0 e^{λt} is periodic. Within a turn H0 falls at the rate λp², which "
+    "is 0 at each turning point.",
+    scene="oscillator, λ = 0.1",
+    method="none: the closed form",
+    figures=("paper_2",),
+)
+def oscillator_energy(gamma: float = 0.1) -> Evidence:
+    """gamma : < 2."""
+    scene = SCENES["oscillator"].with_(gamma=gamma)
+    half = math.pi / math.sqrt(1 - gamma**2 / 4)
+    t = half * np.arange(0, 10, 1 / 64)
+    value = scene.energy(reference(scene, t, ()).states()) * np.exp(gamma * t)
+    statement = [
+        at_most(
+            "max |H0(t) e^{λt}/H0(0) − 1|",
+            np.abs(value / value[0] - 1).max(),
+            1e-2,
+            "a line's width in the figure",
+        )
+    ]
+    corrected = [
+        at_most(
+            "max |change of H0 e^{λt} after a half turn|/H0(0)",
+            np.abs(value[64:] - value[:-64]).max() / value[0],
+            *TRUE,
         ),
     ]
     return Evidence(statement, corrected)

@@ -156,7 +156,9 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
     kind=Correction.replaces,
     correction="For γ > 0 it is first order and not time-symmetric, because A and C do not commute. The "
     "palindrome B½ A½ C A½ B½ is symmetric and second order; so is B½ (AC) B½ with the exact "
-    "joint flow of A and C.",
+    "joint flow of A and C. This replaces the claim and does not repair it: the claim is about this composition, "
+    "printed and drawn (Figure 6), and another takes its place; what is said of the integrator, in whatever order of "
+    "flows, survives (C27).",
     scene=PARTICLE,
     method="contact-printed; corrected: contact-abc, contact-strang",
 )

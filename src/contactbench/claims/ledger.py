@@ -1,7 +1,7 @@
 """The ledger: what a claim is, what counts as evidence, and how a verdict follows from numbers.
 
-A claim is a function that measures and returns `Evidence`.  The verdict is computed from it by
-`verdict`; nobody types one in.
+A claim is a function that measures and returns `Evidence`.  The numbers are computed and the verdict follows from
+them by `verdict`; of a claim that fails, whether its correction repairs or replaces it is argued, in its `correction`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Verdict(StrEnum):
 class Correction(StrEnum):
     """How a corrected statement relates to the paper's, declared with the claim.
 
-    repairs : the claim's substance survives once the correction is made.
-    replaces : what is true contradicts the claim.
+    repairs : the claim's substance survives once the correction is made; the claim *holds, corrected*.
+    replaces : what is true contradicts the claim; it is *refuted*.
     sharpens : the claim is true, but says less than what is true.
     extends : the claim is true as it stands; the correction says how far it goes.
     """

@@ -108,6 +108,63 @@ def infinitesimal_strictness(seed: int = SEED) -> Evidence:
     return Evidence(statement, corrected)
 
 
+@claim(
+    "C39",
+    "§3.1, eq. (51)",
+    "The Lie derivatives along X_H and a generator ξ anticommute: L_X L_ξ = −L_ξ L_X on dη.",
+    kind=Correction.replaces,
+    correction="They commute where H is invariant; in general L_X L_ξ − L_ξ L_X is the derivative along [X, ξ]. On dη "
+    "both sides of eq. (51) vanish for an invariant H, which hides the sign; for others (invariance is assumed from "
+    "eq. (54) on only) the left vanishes and the right does not. The law J' = −R(H) J (C11) follows from J = −ι_ξ η "
+    "and L_X η = −R(H) η.",
+    scene="T*R³ × R under rotations, H = ½‖p‖² + ¼‖q‖⁴ + γs, with and without q₁s",
+)
+def commuting_derivatives(seed: int = SEED, gamma: float = 0.1) -> Evidence:
+    def generator(y):
+        return jax.jvp(lambda angle: turned(y, angle, AXIS), (0.0,), (1.0,))[1]
+
+    def invariant(y):
+        return y[3:6] @ y[3:6] / 2 + (y[:3] @ y[:3]) ** 2 / 4 + gamma * y[6]
+
+    def form(y):
+        """A one-form that neither flow leaves alone."""
+        return jnp.sin(y[::-1]) + y * y[0]
+
+    def both(field, form):
+        """L_X L_ξ and L_ξ L_X of a one-form."""
+        once = lambda v: lambda y: lie_derivative(v, form, y)  # noqa: E731
+        return (
+            lambda y: lie_derivative(field, once(generator), y),
+            lambda y: lie_derivative(generator, once(field), y),
+        )
+
+    at = points(7, seed=seed)
+    X = contact_equations(invariant)
+    left, right = both(X, form)
+    size = largest(left, at)
+    # without invariance d L_ξ L_X η = L_ξ L_X dη, of which eq. (51) says that it is −L_X L_ξ dη = 0
+    _, other = both(contact_equations(lambda y: invariant(y) + y[0] * y[6]), eta)
+    law = lambda y: lie_derivative(X, eta, y) + gamma * eta(y)  # noqa: E731
+    bound = 100 * ROUND_OFF, "round-off of second derivatives by AD on numbers of size up to 100"
+    statement = [
+        at_most(
+            "max |L_X L_ξ β + L_ξ L_X β|/max |L_X L_ξ β|, a one-form β, invariant H",
+            largest(lambda y: left(y) + right(y), at) / size,
+            *bound,
+        ),
+        at_most("max |L_ξ L_X dη|, H not invariant", largest(lambda y: exterior(other, y), at), *bound),
+    ]
+    corrected = [
+        at_most(
+            "max |L_X L_ξ β − L_ξ L_X β|/max |L_X L_ξ β|, invariant H",
+            largest(lambda y: left(y) - right(y), at) / size,
+            *bound,
+        ),
+        at_most("max |L_X η + R(H) η|", largest(law, at), *bound),
+    ]
+    return Evidence(statement, corrected)
+
+
 def times(scene):
     """201 equal times, the grid of the frozen references."""
     return np.linspace(0, scene.t_end, 201)

@@ -220,11 +220,15 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
 def one_by_one(run: CyrkRun) -> TangentMap:
     """By the variational equations."""
     larger = run.variational()
+    clock = larger.request.scene.clock
 
     def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
         m, d, n = v.shape
-        told = larger.many(np.ascontiguousarray(np.concatenate([x, v.reshape(m * d, n)]).T))
+        moved = v if clock is None else np.delete(v, clock, axis=1)
+        told = larger.many(np.ascontiguousarray(np.concatenate([x, moved.reshape(-1, n)]).T))
         ends = np.where(told[:, :1] == SUCCESS, told[:, KNOWN:], np.nan).T
-        return ends[:d], ends[d:].reshape(m, d, n), told[:, FACTS.index("evaluations")]
+        moved = ends[d:].reshape(m, -1, n)
+        v = moved if clock is None else np.insert(moved, clock, 0.0, axis=1)
+        return ends[:d], v, told[:, FACTS.index("evaluations")]
 
     return advance

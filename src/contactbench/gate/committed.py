@@ -125,10 +125,8 @@ def record_lines(results: Path, frames: dict[str, pd.DataFrame]) -> list[Line]:
 
 
 def known(run: dict[str, Any]) -> bool:
-    """Whether the profile of a run is one, or its tables are all made by another command."""
-    return run["profile"] in PROFILES or not any(
-        name not in TABLES or TABLES[name].benchmarked for name in run["tables"]
-    )
+    """Whether the profile of a run is one."""
+    return run["profile"] in PROFILES
 
 
 def commit_lines(results: Path, head: str, clean: bool) -> list[Line]:

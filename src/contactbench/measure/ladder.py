@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.methods.base import Method
 from contactbench.scene import Scene
 from contactbench.solution import keywords
 
@@ -15,7 +16,7 @@ SAVES = 25
 ENDS = 5
 #: coarsest step; below it a ladder halves
 COARSEST = 0.8
-RTOLS = [10.0**-k for k in range(3, 14)]
+RTOLS = [10.0**-k for k in range(3, 15)]
 #: beside the tolerances of `RTOLS`: some methods are a thousand times more accurate than asked
 LOOSEST = 1e-1
 
@@ -31,7 +32,7 @@ def steps(scene: Scene, count: int) -> list[float]:
 def work_ladder(scene: Scene, order: int) -> list[float]:
     """About ten steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
 
-    Halving from 0.8, on a body from 4; from order 6 on by √2 from 3.2 at most: where errors are 10⁻² or
+    Halving from 0.8, on a body from 4; from order 6 on by about √2 from about 3.2: where errors are 10⁻² or
     10⁻³.  High orders go not as far down, because finer steps meet round-off.
     """
     if order < 6:
@@ -43,9 +44,9 @@ def work_ladder(scene: Scene, order: int) -> list[float]:
 
 
 def tolerances(method: Any) -> list[float]:
-    """The decades within the range of an adaptive method, the loosest first."""
+    """The decades within the range of an adaptive method, the loosest first, and the end of the range."""
     low, high = method.rtol_range
-    return [rtol for rtol in (LOOSEST, *RTOLS) if low <= rtol <= high]
+    return [*(rtol for rtol in (LOOSEST, *RTOLS) if low < rtol <= high), low]
 
 
 def save_times(scene: Scene) -> np.ndarray:
@@ -63,6 +64,13 @@ def stepping(method: Any) -> str:
     return "exact" if method.exact else "adaptive" if method.adaptive else "fixed"
 
 
+def fields(scene: Scene, method: Method, carry: tuple[str, ...]) -> list[str]:
+    """What a method integrates on a scene, field by field."""
+    kept = (name for name, part in scene.initial(carry)._asdict().items() if part is not None)
+    return [name for name in kept if not (name == "t" and method.own_time)]
+
+
 def carried(scene: Scene) -> tuple[str, ...]:
-    """What a run is asked for where only the motion counts: no s, the attitude where J = R M is measured."""
-    return ("R",) if "R" in scene.optional and scene.conformal_rate is not None else ()
+    """The optional fields of a run where only the motion counts: the attitude where J = R M is measured, and s
+    where the motion depends on it."""
+    return scene.carry(("R",) if "R" in scene.optional and scene.conformal_rate is not None else ())

@@ -59,6 +59,13 @@ class Law:
     shown: tuple[str, ...] = ("laws",)
     #: whether it takes the derivative of the map, which may cost many runs
     differentiates: bool = False
+    #: whether the method of a run promises, on its scene, to keep it at every setting
+    claimed: Callable[[Solution], bool] = lambda solution: False
+
+    @property
+    def structural(self) -> bool:
+        """Whether it is a law of the map itself, kept or not whatever the error of the solution."""
+        return self.gate is Gate.structure and "laws" in self.shown and not self.name.endswith("_frozen")
 
     def __call__(self, solution: Solution) -> float:
         """The measure; nan unless the run ended `ok` and the law is defined for its method.

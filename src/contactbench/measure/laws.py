@@ -12,7 +12,7 @@ second as `…_frozen`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,10 +22,12 @@ from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, co
 from contactbench.measure.law import Gate, Law, Measured
 from contactbench.measure.pairing import pairing_deviation
 from contactbench.measure.pullback import Pullback, growth, pullback
+from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, judge, structural_bound
+from contactbench.methods.base import METHODS
 from contactbench.scene import Scene, rotation_matrix
 from contactbench.scene.definition import verify_along
 from contactbench.solution import Differential, Solution
-from contactbench.truth import reference
+from contactbench.truth import condition_number, reference
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,6 +170,27 @@ def modified_hamiltonian(solution: Solution) -> Deviation | float:
     return conformal(value[:, None], np.array([start]), solution.t, decay_rate(solution), terms)
 
 
+def of_contact_flows(solution: Solution) -> bool:
+    """Whether the method declares its runs to be composed of exact contact flows, by whatever steps."""
+    method = METHODS.get(solution.method)
+    return method is not None and method.family == "contact"
+
+
+def factor_known(solution: Solution) -> bool:
+    """Whether ∫Γ' is known without the motion: where Γ' follows s, a run has the factor of its own s."""
+    return solution.scene.damped_by(solution.start(), solution.t, np) is not None
+
+
+def contact_map(solution: Solution) -> bool:
+    """Whether the method declares its runs to be contact maps with the factor of the exact flow, and it is known."""
+    return of_contact_flows(solution) and METHODS[solution.method].contact and factor_known(solution)
+
+
+def composed(solution: Solution) -> bool:
+    """Whether the run is a composition of contact maps, of whatever factors."""
+    return solution.log_factor() is not None
+
+
 def momentum_deviation(solution: Solution) -> Deviation:
     """That of J from J(y₀) e^{−∫Γ'}, whether or not the scene has that law."""
     scene, states = solution.scene, solution.states()
@@ -180,6 +203,7 @@ def momentum_deviation(solution: Solution) -> Deviation:
     f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}", "J law",
     needs=("R",), applies=lambda scene: scene.is_contact and scene.has_momentum_law,
     gate=Gate.structure, shown=("laws", "stability"),
+    claimed=lambda solution: of_contact_flows(solution) and factor_known(solution),
 )  # fmt: skip
 def momentum_law(solution: Solution) -> Deviation:
     return momentum_deviation(solution)
@@ -233,13 +257,13 @@ def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
 
 @law(
     f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}", "contact drift",
-    shown=("laws", "stability"), **CONTACT,
+    shown=("laws", "stability"), claimed=contact_map, **CONTACT,
 )  # fmt: skip
 def contact_drift(solution: Solution) -> Deviation | float:
     return contact_deviation(solution, pullback(solution, solution.differential))
 
 
-@law("sine of the angle between Φ*η and η", "ker η drift", **CONTACT)
+@law("sine of the angle between Φ*η and η", "ker η drift", claimed=composed, **CONTACT)
 def distribution_drift(solution: Solution) -> Deviation | float:
     return distribution_deviation(pullback(solution, solution.differential))
 
@@ -261,7 +285,7 @@ def distribution_drift_frozen(solution: Solution) -> Deviation | float:
     "‖Φ*η − cη‖ / |c|‖η‖, c the product of the conformal factors of the contact maps applied, each taken "
     "from its formula at the numerical state; blank for a method that is no composition of such maps, and where "
     "a factor is negative",
-    "drift from its own factor", **CONTACT,
+    "drift from its own factor", claimed=composed, **CONTACT,
 )  # fmt: skip
 def own_factor_drift(solution: Solution) -> Deviation | float:
     log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
@@ -280,7 +304,8 @@ PAIRS: dict[str, Any] = {
 
 @law(
     "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p), "
-    "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖", "pairing drift", **PAIRS,
+    "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖", "pairing drift",
+    claimed=contact_map, **PAIRS,
 )  # fmt: skip
 def pairing_drift(solution: Solution) -> Deviation | float:
     return pairing_deviation(solution, solution.differential, decay_rate(solution))
@@ -292,8 +317,9 @@ def pairing_drift_frozen(solution: Solution) -> Deviation | float:
 
 
 @law(
-    "max ‖RᵀR − 1‖_F", "attitude drift", needs=("R",), applies=lambda scene: "R" in scene.optional,
-    gate=Gate.structure,
+    "max ‖RᵀR − 1‖_F; R of degree two in a quaternion whose length is free", "attitude drift",
+    needs=("R",), applies=lambda scene: "R" in scene.optional,
+    gate=Gate.structure, claimed=of_contact_flows,
 )  # fmt: skip
 def attitude_drift(solution: Solution) -> float:
     R = solution.R
@@ -369,14 +395,34 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
             columns[f"{name}_clamped"] = measured.clamped
         if measured.uncertainty is not None and f"{name}_uncertainty" in DRIFT_COLUMNS:
             columns[f"{name}_uncertainty"] = measured.uncertainty
-    if not scene.is_contact:
-        return columns
-    if without:
-        return columns | {"derivative": f"not taken: {without}"}
-    if solution.differential.taken:
-        columns["map_growth"] = growth(solution.differential)
-    bounds = [name for name, measured in found.items() if measured.bound]
-    return columns | {"derivative": said(solution.differential, solution.frozen_differential, bounds)}
+    if scene.is_contact and without:
+        columns["derivative"] = f"not taken: {without}"
+    elif scene.is_contact:
+        if solution.differential.taken:
+            columns["map_growth"] = growth(solution.differential)
+        bounds = [name for name, measured in found.items() if measured.bound]
+        columns["derivative"] = said(solution.differential, solution.frozen_differential, bounds)
+    return columns | judgements(solution, found, columns)
+
+
+def judgements(
+    solution: Solution, found: Mapping[str, Measured], columns: Mapping[str, Any]
+) -> dict[str, Any]:
+    """`JUDGEMENT` of every structural law that was measured, by its name; no bound where a run is not judged."""
+    row: dict[str, Any] = {}
+    of_map = columns.get("map_growth") or condition_number(solution.scene) or 1.0
+    for name, measured in found.items():
+        if not LAWS[name].structural or math.isnan(measured.value):
+            continue
+        growth = 1.0 if name in OF_THE_STATE else of_map
+        bound = float(structural_bound(growth, solution.counts.evaluations or 0))
+        judged, kept, undecided = judge(
+            measured.value, bound, measured.uncertainty or 0.0,
+            measured.clamped is not None and measured.clamped >= len(solution.t), columns["solution_error"],
+        )  # fmt: skip
+        values = LAWS[name].claimed(solution), bool(kept), bool(undecided), bound if judged else math.nan
+        row |= {f"{name}_{what}": value for what, value in zip(JUDGEMENT, values, strict=True)}
+    return row
 
 
 def said(true: Differential, frozen: Differential, bounds: list[str]) -> str:

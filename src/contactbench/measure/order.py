@@ -34,7 +34,8 @@ class OrderFit:
     """An extrapolated order of convergence.
 
     order : the limit of the pairwise slopes as h → 0; nan where no window of points has one.
-    uncertainty : twice the spread of neighbouring extrapolations, plus what round-off can do to them.
+    uncertainty : three times the spread of neighbouring extrapolations, nine times where no further point
+    checks it, plus what round-off can do to them.
     last_slope : pairwise slope of the two finest points used.
     used : mask of the points it rests on.  pairwise : slope between each point and the next larger
     step, nan for the largest.

@@ -38,6 +38,10 @@ from contactbench.solution import (
 FAMILIES = ("contact", "variational", "established")
 #: Python's way to say inf or nan
 NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+#: the tightest rtol of a library without a limit of its own, and of CVODE, which refuses less than a rounding
+ROUNDING = 2.3e-16
+#: the tightest of SciPy and CyRK, which raise any below 100 ε to that
+CLAMPED = 2.3e-14
 #: a step this small against the span hardly moves the clock: a singularity is ahead
 SHORTEST = 1e-15
 
@@ -97,8 +101,12 @@ class Method(ABC):
     contact: bool = False
     symmetric: bool = False
     rtol_range: tuple[float, float] = (1e-13, 1e-1)
+    #: whether it takes an absolute tolerance beside rtol
+    takes_atol: bool = True
     #: what rtol and atol bound
     tolerance: str
+    #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
+    own_time: bool = False
 
     @property
     def control(self) -> str:
@@ -302,6 +310,12 @@ class Prepared(ABC):
     def _own_energy(self) -> tuple[float, float]:
         return self._energy(self._own_start)
 
+    @property
+    def atol(self) -> float | None:
+        """The absolute tolerance of the run, where its method takes one."""
+        takes = self.method not in METHODS or METHODS[self.method].takes_atol
+        return self.request.atol if takes else None
+
     def __reduce__(self) -> Any:
         """Pickled as what it was prepared from."""
         return Deferred, (self.method, self.request)
@@ -319,7 +333,7 @@ class Prepared(ABC):
     def __post_init__(self) -> None:
         r = self.request
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
-        self._motion, self._end = r.scene.motion, float(r.save_at[-1])
+        self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._bounded = isinstance(r.scene, Scene) and r.scene.bounds_energy
         self._own_bound = divergence_bound(self._own_start[: self._motion])
         self._saves = len(r.save_at)
@@ -327,6 +341,27 @@ class Prepared(ABC):
         #: the saved times > 0
         self.later = r.save_at[1:] if self.saves_start else r.save_at
         self._set = (r.control, r.value)
+
+    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
+        """The time at which a packed state begins, 0 where it has none, and the components less the time."""
+        clock = self._clock
+        if clock is None:
+            return 0.0, y0
+        y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
+        return float(y0[clock]), y
+
+    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
+        """Packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
+        clock = self._clock
+        if clock is None:
+            return y
+        packed = np.empty((*y.shape[:-1], y.shape[-1] + 1))  # a tenth of the time of np.insert
+        packed[..., :clock], packed[..., clock], packed[..., clock + 1 :] = (
+            y[..., :clock],
+            start + times,
+            y[..., clock:],
+        )
+        return packed
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
         """The saved states, of those at `later` times: the initial one before them where it is saved."""

@@ -3,10 +3,11 @@
     void rhs     (double *dy, double t, const double *y, double *data)
     void jacobian(double *J,  double t, const double *y, double *data)     J column by column, as LAPACK has it
 
-data = (calls of rhs, calls of jacobian, constants…): the functions count their own calls.  The constants are
-what the scene's numbers give before a state is known (1/m, γ/2, …), computed once; so one compiled function
-serves every scene of the same structure.  The source is recorded from the scene (numbers/recording.py), lowered
-to instructions (lowering.py) and compiled by numba.
+data = (calls of rhs, calls of jacobian, origin, constants…): the functions count their own calls; y is the state
+less the time, which is t since the origin, the time a run begins at.  The constants are what the scene's numbers
+give before a state is known (1/m, γ/2, …), computed once; so one compiled function serves every scene of the same
+structure.  The source is recorded from the scene (numbers/recording.py), lowered to instructions (lowering.py) and
+compiled by numba.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from contactbench.numbers.source import PREAMBLE
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 
-#: places in data: the two counters, then the constants
-RHS_CALLS, JACOBIAN_CALLS, CONSTANTS = 0, 1, 2
+#: places in data: the two counters, the time a run begins at, then the constants
+RHS_CALLS, JACOBIAN_CALLS, ORIGIN, CONSTANTS = 0, 1, 2, 3
 
 
 #: components of a state up to which its dense Jacobian is compiled; beyond, solvers take differences
@@ -55,6 +56,11 @@ class CFunctions:
 _compiled: Cache[CFunctions] = Cache(256)
 
 
+def clock_of(scene: Scene) -> int:
+    """Where the time is in a packed state, −1 for nowhere: as compiled code takes it."""
+    return -1 if scene.clock is None else scene.clock
+
+
 def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
     """The C functions of a scene, compiled once for its identity and the fields carried.
 
@@ -77,10 +83,11 @@ def source(scene: Scene, carry: tuple[str, ...]) -> str:
     twin = scene.with_numbers(numbers)
 
     def slopes(x: Any) -> list[Any]:
-        return scene.pack(twin.rhs(x))
+        return list(scene.without_clock(scene.pack(twin.rhs(x))))
 
     def columns(x: Any) -> list[Any]:
-        return [entry for column in zip(*derivative(twin, x, carry), strict=True) for entry in column]
+        rows = [scene.without_clock(row) for row in scene.without_clock(derivative(twin, x, carry))]
+        return [entry for column in zip(*rows, strict=True) for entry in column]
 
     bodies = {"rhs": _body(tape, scene, carry, slopes, "rhs")}
     if len(scene.labels(carry)) <= LARGEST_JACOBIAN:
@@ -108,8 +115,10 @@ def _body(
 ) -> list[str]:
     """The lines of a function of the state, less what depends on the scene's numbers alone."""
     block = tape.block = Block(tape.root, indent=1)
-    y = [tape.assign(f"y[{i}]", "f", block) for i in range(len(scene.labels(carry)))]
-    values = recorded(lambda: function(scene.unpack(y, carry)))
+    size = len(scene.without_clock(scene.labels(carry)))
+    y = [tape.assign(f"y[{i}]", "f", block) for i in range(size)]
+    t = None if scene.clock is None else tape.assign(f"data[{ORIGIN}] + t", "f", block)
+    values = recorded(lambda: function(scene.unpack(scene.with_clock(y, t), carry)))
     # CVODE has cleared the matrix
     stored = [(i, v) for i, v in enumerate(values) if name == "rhs" or not is_constant(v, 0)]
     return block.lines + [f"    out[{i}] = {text_of(v)}" for i, v in stored]

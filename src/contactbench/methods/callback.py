@@ -19,23 +19,31 @@ from contactbench.scene import System
 
 
 def recorded(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
-    """``f(y)`` on a packed list of floats: the list of slopes, or rows of a Jacobian; None if it cannot be had."""
+    """``f(t, y)`` on a list of floats: the list of slopes, or rows of a Jacobian; None if it cannot be had."""
     tape = Tape()
-    names = [f"y{i}" for i in range(len(scene.labels(carry)))]
-    y = [Recorded(tape, name, "f", tape.root) for name in names]
+    names = [f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry))))]
+    t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
     try:
-        value = within(lambda: getattr(scene, what)(scene.unpack(y, carry)))
-        rows = [scene.pack(value)] if what == "rhs" else value
+        if what == "rhs":
+            rows = [within(lambda: scene.slopes(t, y, carry))]
+        else:
+            rows = within(lambda: motion_jacobian(scene, t, y, carry))
         texts = [f"[{', '.join(map(text_of, row))}]" for row in rows]
     except (CannotRecord, TypeError):
         return None
-    lines = [f"def {what}(y):", f"    {', '.join(names)}, = y", *tape.root.lines]
+    lines = [f"def {what}(t, y):", f"    {', '.join(names)}, = y", *tape.root.lines]
     result = texts[0] if what == "rhs" else f"[{', '.join(texts)}]"
     return executed("\n".join([*lines, f"    return {result}", ""]))[what]
 
 
-def flat_rhs(scene: System, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
-    """``f(y) -> slopes`` on a packed list of floats."""
+def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
+    """Rows of ∂f/∂y at (t, y), y and f less the time."""
+    rows = scene.jacobian(scene.unpack(scene.with_clock(y, t), carry))
+    return [scene.without_clock(row) for row in scene.without_clock(rows)]
+
+
+def flat_rhs(scene: System, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
+    """``f(t, y) -> slopes`` on a list of floats."""
     if (lean := recorded(scene, "rhs", carry)) is not None:
         return lean
     return scene.on_lists(carry)
@@ -43,11 +51,11 @@ def flat_rhs(scene: System, carry: tuple[str, ...]) -> Callable[[Sequence[float]
 
 def flat_jacobian(
     scene: System, carry: tuple[str, ...]
-) -> Callable[[Sequence[float]], list[list[float]]] | None:
-    """``J(y) -> rows`` on packed plain floats, or None when the scene has no Hessian."""
+) -> Callable[[float, Sequence[float]], list[list[float]]] | None:
+    """``J(t, y) -> rows`` on plain floats, or None when the scene has no Hessian."""
     if not scene.has_jacobian:
         return None
-    return recorded(scene, "jacobian", carry) or (lambda y: scene.jacobian(scene.unpack(y, carry)))
+    return recorded(scene, "jacobian", carry) or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
 
 def variational(request: Request) -> Request:

@@ -313,6 +313,7 @@ class AdaptiveContactMethod(Adaptive):
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
     engines: tuple[str, ...] = ("numba", "jax", "python")
     evaluations_per_step: int = 12
+    takes_atol: bool = False
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:

@@ -17,6 +17,7 @@ from numba.extending import intrinsic
 
 from contactbench.methods.c_functions import JACOBIAN_CALLS, RHS_CALLS
 from contactbench.methods.cvode_library import KNOWN, NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
+from contactbench.methods.native_time import join, split
 
 _found = library()
 assert isinstance(_found, Library), _found
@@ -82,19 +83,18 @@ RHS, JACOBIAN = _rhs.address, _jacobian.address
 
 
 @numba.njit(cache=True)
-def restart(memory, vector, y, start, data, end):  # type: ignore[no-untyped-def]
+def restart(memory, vector, y, start, data, clock, end):  # type: ignore[no-untyped-def]
     """Back to t = 0 and a state; the calls counted from zero."""
-    for i in range(len(y)):
-        y[i] = start[i]
+    split(start, y, data, clock)
     data[RHS_CALLS] = data[JACOBIAN_CALLS] = 0.0
     reinitialise(memory, 0.0, vector)
     set_stop_time(memory, end)
 
 
 @numba.njit(cache=True)
-def told(memory, y, data, flag, reached, saved):  # type: ignore[no-untyped-def]
+def told(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-untyped-def]
     """How a run ended and what it took, in the order of `FACTS`, and the state reached."""
-    facts = np.empty(KNOWN + len(y))
+    facts = np.empty(KNOWN + len(y) + (clock >= 0))
     count = np.zeros(3, np.int64)
     place = count.ctypes.data
     steps_of(memory, place)
@@ -102,41 +102,40 @@ def told(memory, y, data, flag, reached, saved):  # type: ignore[no-untyped-def]
     newton_failures_of(memory, place + 16)
     facts[0], facts[1], facts[2], facts[3] = flag, reached, saved, count[0]
     facts[4], facts[5], facts[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
-    for i in range(len(y)):
-        facts[KNOWN + i] = y[i]
+    join(y, reached, data, clock, facts[KNOWN:])
     return facts
 
 
 @numba.njit(cache=True)
-def to_end(memory, vector, y, start, data, end, max_steps):  # type: ignore[no-untyped-def]
+def to_end(memory, vector, y, start, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """`FACTS` and the state at the end, in one vector: a call returns one array sooner than two."""
-    restart(memory, vector, y, start, data, end)
+    restart(memory, vector, y, start, data, clock, end)
     set_max_steps(memory, max_steps)
     reached = np.zeros(1)
     flag = advance(memory, end, vector, reached.ctypes.data, NORMAL)
-    return told(memory, y, data, flag, reached[0], flag >= 0)
+    return told(memory, y, data, clock, flag, reached[0], flag >= 0)
 
 
 @numba.njit(cache=True)
-def in_a_loop(memory, vector, y, starts, data, end, max_steps):  # type: ignore[no-untyped-def]
+def in_a_loop(memory, vector, y, starts, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
-        row = to_end(memory, vector, y, starts[k], data, end, max_steps)
+        row = to_end(memory, vector, y, starts[k], data, clock, end, max_steps)
         for i in range(len(row)):
             out[k, i] = row[i]
     return out
 
 
 @numba.njit(cache=True)
-def at_times(memory, vector, y, start, data, times, max_steps, out):  # type: ignore[no-untyped-def]
+def at_times(memory, vector, y, start, data, clock, times, max_steps, out):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
 
     One internal step at a time, so that the steps are those of `to_end`: in CVODE's other mode the first
     step depends on the first time asked for.
     """
     end = times[-1]
-    restart(memory, vector, y, start, data, end)
+    restart(memory, vector, y, start, data, clock, end)
     saved, flag, now = 0, np.int32(TOO_MUCH_WORK), np.zeros(1)
     for _ in range(max_steps):
         flag = advance(memory, end, vector, now.ctypes.data, ONE_STEP)
@@ -146,10 +145,11 @@ def at_times(memory, vector, y, start, data, times, max_steps, out):  # type: ig
         while saved < len(times) and times[saved] <= now[0]:
             if times[saved] < now[0]:
                 interpolate(memory, times[saved], 0, vector)
+            join(y, times[saved], data, clock, out[saved])
             for i in range(len(y)):
-                out[saved, i], y[i] = y[i], there[i]
+                y[i] = there[i]
             saved += 1
         if saved == len(times):
             break
         flag = np.int32(TOO_MUCH_WORK)
-    return told(memory, y, data, flag, now[0], saved)
+    return told(memory, y, data, clock, flag, now[0], saved)

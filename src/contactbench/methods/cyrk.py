@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request
-from contactbench.methods.c_functions import c_functions, derivative
+from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Outcome, Prepared, Refused, Request
+from contactbench.methods.c_functions import c_functions, clock_of, derivative
 from contactbench.methods.cyrk_interface import KNOWN, why_not
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord
@@ -50,12 +50,14 @@ class CyrkRun(Prepared):
         self.data = functions.data(r.scene.numbers())
         self.number, self.message = cyrk_driver.number(self.solver), cyrk_driver.message
         self.to_end, self.at_times = cyrk_driver.to_end, cyrk_driver.at_times
-        self.end, self.size = float(r.save_at[-1]), len(self._own_start)
+        self.end, self.size, self.clock = float(r.save_at[-1]), len(self._own_start), clock_of(r.scene)
         self.final_only = len(self.later) == 1
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
         r = self.request
-        return self.to_end(self.rhs, self.number, y0, self.data, self.end, r.rtol, r.atol, r.max_steps)
+        return self.to_end(
+            self.rhs, self.number, y0, self.data, self.clock, self.end, r.rtol, r.atol, r.max_steps
+        )
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         """The solver's own call: a packed state in, the packed state at the end out."""
@@ -66,7 +68,9 @@ class CyrkRun(Prepared):
         from contactbench.methods.cyrk_driver import in_a_loop
 
         r, rows = self.request, np.ascontiguousarray(starts)  # CyRK reads a state where it begins
-        return in_a_loop(self.rhs, self.number, rows, self.data, self.end, r.rtol, r.atol, r.max_steps)
+        return in_a_loop(
+            self.rhs, self.number, rows, self.data, self.clock, self.end, r.rtol, r.atol, r.max_steps
+        )
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         if self.final_only:
@@ -79,7 +83,7 @@ class CyrkRun(Prepared):
         if not self.final_only:
             rows = np.empty((len(later), self.size))
             told = self.at_times(
-                self.rhs, self.number, y0, self.data, later, r.rtol, r.atol, r.max_steps, rows
+                self.rhs, self.number, y0, self.data, self.clock, later, r.rtol, r.atol, r.max_steps, rows
             )
             status, reached, saved, steps, evaluations = told[:KNOWN].tolist()
         exhausted = status in TOO_MANY_STEPS
@@ -130,7 +134,8 @@ class CyrkMethod(Adaptive):
     about: str
     stages: int | None = None
     engines: tuple[str, ...] = ("c++",)
-    rtol_range: tuple[float, float] = (1e-13, 1e-1)  # CyRK clamps anything below 100 ε
+    own_time: bool = True
+    rtol_range: tuple[float, float] = (CLAMPED, 1e-1)
 
     def refuses(self, scene: Scene) -> str | None:
         if importlib.util.find_spec("CyRK") is None:

@@ -20,6 +20,7 @@ from numba import types
 
 from contactbench.methods.c_functions import RHS_CALLS
 from contactbench.methods.cyrk_interface import GETTERS, KNOWN
+from contactbench.methods.native_time import join, split
 
 pointer, size, real, flag = types.intp, types.uintp, types.float64, types.boolean
 doubles = types.CPointer(types.float64)
@@ -68,50 +69,58 @@ def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type:
 
 
 @numba.njit(cache=True)
-def told(result, d, saved):  # type: ignore[no-untyped-def]
+def told(result, y, data, clock, saved):  # type: ignore[no-untyped-def]
     """How a run ended and what it took, in the order of `FACTS`, and the state reached; frees the result."""
-    facts = np.empty(KNOWN + d)
+    facts = np.empty(KNOWN + len(y) + (clock >= 0))
     facts[0], facts[1], facts[2], facts[3] = status_of(result), time_of(result), saved, steps_of(result)
     facts[4] = arguments_of(result)[RHS_CALLS]  # CyRK works on a copy of the data
-    state = state_of(result)
-    for i in range(d):
-        facts[KNOWN + i] = state[i]
+    join(state_of(result), facts[1], data, clock, facts[KNOWN:])
     free(result)
     return facts
 
 
 @numba.njit(cache=True)
-def to_end(rhs, method, start, data, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """`FACTS` and the state at the end, in one vector."""
-    result = solve(rhs, method, start, data, np.empty(0), end, rtol, atol, max_steps)
-    return told(result, len(start), status_of(result) == 1)
+def begun(start, data, clock):  # type: ignore[no-untyped-def]
+    """What CyRK is given of a packed state: the vector less the time, and data of the run's own with it."""
+    y, own = np.empty(len(start) - (clock >= 0)), data.copy()
+    split(start, y, own, clock)
+    return y, own
 
 
 @numba.njit(cache=True)
-def in_a_loop(rhs, method, starts, data, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+def to_end(rhs, method, start, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state at the end, in one vector."""
+    y, own = begun(start, data, clock)
+    result = solve(rhs, method, y, own, np.empty(0), end, rtol, atol, max_steps)
+    return told(result, y, own, clock, status_of(result) == 1)
+
+
+@numba.njit(cache=True)
+def in_a_loop(rhs, method, starts, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
     """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
-        row = to_end(rhs, method, starts[k], data, end, rtol, atol, max_steps)
+        row = to_end(rhs, method, starts[k], data, clock, end, rtol, atol, max_steps)
         for i in range(len(row)):
             out[k, i] = row[i]
     return out
 
 
 @numba.njit(cache=True)
-def at_times(rhs, method, start, data, times, rtol, atol, max_steps, out):  # type: ignore[no-untyped-def]
+def at_times(rhs, method, start, data, clock, times, rtol, atol, max_steps, out):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached."""
-    d = len(start)
-    result = solve(rhs, method, start, data, times, times[-1], rtol, atol, max_steps)
+    y, own = begun(start, data, clock)
+    d, row = len(y), np.empty(len(y))
+    result = solve(rhs, method, y, own, times, times[-1], rtol, atol, max_steps)
     saved: Any = min(np.int64(size_of(result)), len(times))
-    states, state = states_of(result), state_of(result)
+    states = states_of(result)
     for k in range(saved):
         for i in range(d):
-            out[k, i] = states[k * d + i]
+            row[i] = states[k * d + i]
+        join(row, times[k], own, clock, out[k])
     if saved == len(times):  # the last time is the solver's own, no interpolation
-        for i in range(d):
-            out[saved - 1, i] = state[i]
-    return told(result, d, saved)
+        join(state_of(result), times[-1], own, clock, out[saved - 1])
+    return told(result, y, own, clock, saved)
 
 
 def number(method: str) -> int:

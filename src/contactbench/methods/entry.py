@@ -95,6 +95,8 @@ def asked(
     elif chosen.adaptive:
         if step is not None:
             raise BadInput(f"step = {shown(step)}: {chosen.name} chooses its own steps; give rtol")
+        if atol is not None and not chosen.takes_atol:
+            raise BadInput(f"atol = {shown(atol)}: {chosen.name} takes rtol alone")
         step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
     else:
         if step is not None and rtol is not None:

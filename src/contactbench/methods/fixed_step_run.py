@@ -99,18 +99,18 @@ class FixedStepRun(Prepared):
         i = k - 1 if self.saves_start else k
         good, time = (out.y[k - 1], float(r.save_at[k - 1])) if k else (y0, 0.0)
         h, left = self.h[i], int(self.n[i])
-        steps = int(self.n[:i].sum())
+        taken = 0  # of the interval
         while left > 1:
             half = np.ones_like(self.n)  # the compiled loop has a fixed number of intervals
             half[0] = left // 2
             y = self.intervals(good, np.full(len(half), h), half)[:1]
             if self.first_divergence(y0, y) is None:
                 good, time = y[0], time + float(half[0] * h)
-                steps, left = steps + int(half[0]), left - int(half[0])
+                taken, left = taken + int(half[0]), left - int(half[0])
             else:
                 left = int(half[0])
         end = time + float(h)
-        counts = self.cost(np.array([steps + 1]))
+        counts = self.cost(np.append(self.n[:i], taken + 1))
         message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
         return Outcome(out.y, counts, Status.diverged, message, end)
 

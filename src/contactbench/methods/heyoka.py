@@ -16,10 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared, Refused, Request, stopwatch
+from contactbench.methods.base import (
+    METHODS,
+    ROUNDING,
+    Adaptive,
+    Outcome,
+    Prepared,
+    Refused,
+    Request,
+    stopwatch,
+)
 from contactbench.methods.variational import SOURCE, integrated, variational_request
 from contactbench.numbers.recording import CannotRecord, advised
-from contactbench.numbers.series import NO_SERIES, SeriesNumbers, equations
+from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
@@ -27,9 +36,10 @@ from contactbench.solution import Counts, Status
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
     """The scene's equations as heyoka expressions, its numbers as constants."""
-    variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
+    names = scene.without_clock(scene.labels(carry))
+    variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]
-    slopes = equations(scene, variables, carry)
+    slopes = map(bare, scene.slopes(Series(heyoka.time), [Series(v) for v in variables], carry))
     return [
         (v, heyoka.expression(s) if isinstance(s, float) else s)
         for v, s in zip(variables, slopes, strict=True)
@@ -41,7 +51,12 @@ def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
     if scene.has_jacobian:
         return scene.jacobian(x)
     variables = scene.pack(x)
-    return [[SeriesNumbers().diff(slope, c) for c in variables] for slope in scene.pack(scene.rhs(x))]
+
+    def row(slope: Any) -> list[Any]:
+        """Tangents do not move the time: its derivative is not asked for."""
+        return [0.0 if i == scene.clock else SeriesNumbers().diff(slope, c) for i, c in enumerate(variables)]
+
+    return [row(slope) for slope in scene.pack(scene.rhs(x))]
 
 
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
@@ -65,7 +80,7 @@ class TaylorRun(Prepared):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             integrator = heyoka.taylor_adaptive(
-                taylor_system(r.scene, r.carry, heyoka), self._own_start, tol=r.rtol,
+                taylor_system(r.scene, r.carry, heyoka), self.split_clock(self._own_start)[1], tol=r.rtol,
                 compact_mode=len(self._own_start) > UNROLLED,
             )  # fmt: skip
             return integrator, elapsed()
@@ -73,16 +88,27 @@ class TaylorRun(Prepared):
         numbers = tuple(r.scene.numbers())
         program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)
         self.integrator = copy(program)
+        #: where a packed state has what is integrated: all of it, but the time
+        size, clock = len(self._own_start), self._clock
+        self.motion: Any = slice(clock) if clock == size - 1 else [i for i in range(size) if i != clock]
         self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes = heyoka.taylor_outcome
         self.end, self.per_step = float(r.save_at[-1]), program.order + 1
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        ta = self.integrator
-        ta.time = 0.0
-        ta.state[:] = y0
-        ta.propagate_until(self.end, max_steps=self.request.max_steps)
-        return ta.state.copy()
+        """The time in a packed state is set and read in place: `split_clock` takes a third of a short run."""
+        ta, c, steps = self.integrator, self._clock, self.request.max_steps
+        if c is None:
+            ta.time = 0.0
+            ta.state[:] = y0
+            ta.propagate_until(self.end, max_steps=steps)
+            return ta.state.copy()
+        y, state, start = y0.copy(), ta.state, y0.item(c)
+        ta.time = start
+        state[:] = y0[self.motion]
+        ta.propagate_until(start + self.end, max_steps=steps)
+        y[self.motion], y[c] = state, start + self.end
+        return y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         with self.alone:
@@ -90,11 +116,11 @@ class TaylorRun(Prepared):
 
     def _integrate(self, y0: np.ndarray) -> Outcome:
         r, ta = self.request, self.integrator
-        ta.time = 0.0
-        ta.state[:] = y0
+        ta.time, ta.state[:] = self.split_clock(y0)
+        origin = ta.time
         if len(r.save_at) == 1:
-            outcome, _, _, steps, *_ = ta.propagate_until(self.end, max_steps=r.max_steps)
-            y = ta.state.copy()
+            outcome, _, _, steps, *_ = ta.propagate_until(origin + self.end, max_steps=r.max_steps)
+            y = self.insert_clock(ta.state, origin, self.end).copy()
             if outcome == self.outcomes.time_limit:
                 counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
                 return self.at_end(y0, y.tolist(), y[None], counts)
@@ -102,17 +128,18 @@ class TaylorRun(Prepared):
         else:
             start = r.save_at[0] == 0
             grid = r.save_at if start else np.concatenate([[0.0], r.save_at])
-            outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
+            outcome, _, _, steps, *_, y = ta.propagate_grid(origin + grid, max_steps=r.max_steps)
+            y = self.insert_clock(y, origin, grid[: len(y)])
             y = y[: len(grid)] if start else y[1:]
         counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
         # of a grid that takes exactly so many steps heyoka says that they are spent
         if outcome == self.outcomes.time_limit or len(y) == len(r.save_at):
             return self.finished(y0, y, counts)
-        stopped = (float(ta.time), ta.state.copy())
+        stopped = (float(ta.time) - origin, ta.state.copy())
         if outcome == self.outcomes.step_limit:
             return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
-        message = f"{outcome.name} at t = {ta.time:.6g}"
-        if not ta.time > 0:  # a function without a series at the start: no failure of the motion
+        message = f"{outcome.name} at t = {stopped[0]:.6g}"
+        if not ta.time > origin:  # a function without a series at the start: no failure of the motion
             message += f"; {NO_SERIES}"
             return self.finished(y0, y[:0], counts, Status.failed, message)
         status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
@@ -128,7 +155,9 @@ class TaylorMethod(Adaptive):
     about: str = "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)"
     order: int | None = None
     engines: tuple[str, ...] = ("llvm",)
-    rtol_range: tuple[float, float] = (2.3e-16, 1e-1)
+    own_time: bool = True
+    rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
+    takes_atol: bool = False
 
     def refuses(self, scene: Scene) -> str | None:
         if importlib.util.find_spec("heyoka") is None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, NO_NUMBER, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import CLAMPED, METHODS, NO_NUMBER, Adaptive, Outcome, Prepared, Request
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
 from contactbench.methods.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
@@ -55,20 +55,27 @@ class ScipyRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        rhs = flat_rhs(r.scene, r.carry)
-        self.f = lambda t, y: rhs(y.tolist())
-        jacobian = flat_jacobian(r.scene, r.carry) if self.stiff else None
-        self.jac = None if jacobian is None else (lambda t, y: np.array(jacobian(y.tolist())))
+        self.rhs = flat_rhs(r.scene, r.carry)
+        self.jacobian = flat_jacobian(r.scene, r.carry) if self.stiff else None
+
+    def problem(self, y0: np.ndarray) -> tuple[float, np.ndarray, Any, dict[str, Any]]:
+        """When it begins, the components less the time, f(t, y) for t from 0, and the options of the solver."""
+        r, rhs, jacobian = self.request, self.rhs, self.jacobian
+        start, y = self.split_clock(y0)
+        options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}
+        if jacobian is not None:
+            options["jac"] = lambda t, y: np.array(jacobian(start + t, y.tolist()))
+        return start, y, lambda t, y: rhs(start + t, y.tolist()), options
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        r = self.request
-        options: dict[str, Any] = {} if self.jac is None else {"jac": self.jac}
-        solver = self.solver(self.f, 0.0, y0, float(r.save_at[-1]), rtol=r.rtol, atol=r.atol, **options)
+        end = float(self.request.save_at[-1])
+        start, y, f, options = self.problem(y0)
+        solver = self.solver(f, 0.0, y, end, **options)
         if not starts(solver):
             return np.full_like(y0, math.nan)
         while solver.status == "running":
             solver.step()
-        return solver.y
+        return self.insert_clock(solver.y, start, end)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         """Radau without the wrappers of SciPy's linear algebra, nearly half of what it takes: the same to the bit.
@@ -79,21 +86,19 @@ class ScipyRun(Prepared):
 
     def _stepped(self, y0: np.ndarray, lean: bool) -> Outcome:
         r = self.request
-        f, calls = self.f, [0]
-        options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}
-        if self.stiff and self.jac is not None:
-            options["jac"] = self.jac
-        elif self.stiff:  # SciPy's own nfev leaves out the calls that difference the Jacobian
+        start, y, plain, options = self.problem(y0)
+        f, calls = plain, [0]
+        if self.stiff and self.jacobian is None:  # SciPy's nfev leaves out the calls that difference it
 
             def f(t: float, y: np.ndarray) -> Any:
                 calls[0] += 1
-                return self.f(t, y)
+                return plain(t, y)
 
         times = r.save_at
-        rows = [y0] if times[0] == 0 else []
+        rows = [y] if times[0] == 0 else []
         solver, steps, interpolated, status, message = None, 0, 0, Status.ok, ""
         try:
-            solver = self.solver(f, 0.0, y0, float(times[-1]), **options)
+            solver = self.solver(f, 0.0, y, float(times[-1]), **options)
             if not starts(solver):
                 raise OverflowError("the first step is not finite")
             if lean:
@@ -119,7 +124,8 @@ class ScipyRun(Prepared):
         evaluations = calls[0] or solver.nfev
         counts = Counts(steps, evaluations, solver.njev, self._rejected(steps, evaluations, interpolated))
         stopped = (float(solver.t), np.array(solver.y))
-        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message, stopped)
+        saved = self.insert_clock(np.reshape(rows, (-1, len(y))), start, times[: len(rows)])
+        return self.finished(y0, saved, counts, status, message, stopped)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return integrated(
@@ -149,7 +155,8 @@ class ScipyMethod(Adaptive):
     stages: int | None = None
     about: str = ""
     engines: tuple[str, ...] = ("python",)
-    rtol_range: tuple[float, float] = (1e-13, 1e-1)  # SciPy clamps anything below 100 ε
+    own_time: bool = True
+    rtol_range: tuple[float, float] = (CLAMPED, 1e-1)
     evaluations_per_step: int = 13
 
     def prepare(self, request: Request) -> Prepared:

@@ -18,6 +18,7 @@ import numpy as np
 from contactbench.methods.base import (
     METHODS,
     NO_NUMBER,
+    ROUNDING,
     SHORTEST,
     Adaptive,
     Outcome,
@@ -25,7 +26,7 @@ from contactbench.methods.base import (
     Refused,
     Request,
 )
-from contactbench.methods.c_functions import c_functions, derivative
+from contactbench.methods.c_functions import c_functions, clock_of, derivative
 from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
 from contactbench.methods.cvode_library import ADAMS, BDF, KNOWN, TOO_MUCH_WORK, Library, library
 from contactbench.methods.cvode_solver import Solver
@@ -43,45 +44,47 @@ class CvodeRun(Prepared):
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        rhs, jacobian = flat_rhs(r.scene, r.carry), flat_jacobian(r.scene, r.carry)
+        self.rhs, self.jacobian = flat_rhs(r.scene, r.carry), flat_jacobian(r.scene, r.carry)
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        start, y = self.split_clock(y0)
+        solver, end = self._solver(start), float(self.request.save_at[-1])
+        solver.init_step(0.0, y)
+        return self.insert_clock(solver.step(end, tstop=end).y, start, end)
+
+    def _solver(self, start: float, calls: list[int] | None = None) -> Any:
+        """CVODE for the motion from a time on.  calls : its first entry counts the evaluations."""
+        from sksundae.cvode import CVODE
+
+        r, rhs, jacobian = self.request, self.rhs, self.jacobian
+        span = float(r.save_at[-1])
 
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
-            yp[:] = rhs(y.tolist())
+            yp[:] = rhs(start + t, y.tolist())
+
+        def counted(t: float, y: np.ndarray, yp: np.ndarray) -> None:
+            assert calls is not None
+            calls[0] += 1
+            f(t, y, yp)
 
         def jac(t: float, y: np.ndarray, yp: np.ndarray, J: np.ndarray) -> None:
             assert jacobian is not None
-            J[:, :] = jacobian(y.tolist())
+            J[:, :] = jacobian(start + t, y.tolist())
 
-        self.f, self.jac = f, None if jacobian is None else jac
-
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        solver, end = self._solver(self.f), float(self.request.save_at[-1])
-        solver.init_step(0.0, y0)
-        return solver.step(end, tstop=end).y
-
-    def _solver(self, f: Any) -> Any:
-        from sksundae.cvode import CVODE
-
-        r = self.request
-        span = float(r.save_at[-1])
         return CVODE(
-            f, method=self.kind, rtol=r.rtol, atol=r.atol, jacfn=self.jac, max_num_steps=r.max_steps,
+            f if calls is None else counted, method=self.kind, rtol=r.rtol, atol=r.atol,
+            jacfn=None if jacobian is None else jac, max_num_steps=r.max_steps,
             min_step=SHORTEST * span, max_step=span,
         )  # fmt: skip
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        r = self.request
-        f, calls = self.f, [0]
-        if self.jac is None:  # CVODE's nfev leaves out the calls that difference the Jacobian
-
-            def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
-                calls[0] += 1
-                self.f(t, y, yp)
-
-        solver = self._solver(f)
+        r, calls = self.request, [0]
+        start, y = self.split_clock(y0)
+        # CVODE's nfev leaves out the calls that difference the Jacobian
+        solver = self._solver(start, calls if self.jacobian is None else None)
         final_only = len(r.save_at) == 1
         try:
-            rows, steps, result = (self._to_the_end if final_only else self._step_by_step)(solver, y0)
+            rows, steps, result = (self._to_the_end if final_only else self._step_by_step)(solver, y)
         except NO_NUMBER as error:
             message = f"{type(error).__name__}: {error}"
             return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
@@ -93,7 +96,8 @@ class CvodeRun(Prepared):
             message = f"{reason} (t = {float(result.t):.6g})"
         counts = Counts(steps, calls[0] or result.nfev, result.njev, None)
         stopped = (float(result.t), np.array(result.y))
-        return self.finished(y0, np.reshape(rows, (-1, len(y0))), counts, status, message, stopped)
+        saved = self.insert_clock(np.reshape(rows, (-1, len(y))), start, r.save_at[: len(rows)])
+        return self.finished(y0, saved, counts, status, message, stopped)
 
     def _to_the_end(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
         """Straight to the last time, in CVODE's fastest mode, which does not tell the steps."""
@@ -125,7 +129,8 @@ class CvodeRun(Prepared):
     def count(self, counts: Counts) -> Counts:
         """With the steps of a run to the last time."""
         if counts.steps is None:
-            _, steps, _ = self._step_by_step(self._solver(self.f), self._own_start)
+            start, y = self.split_clock(self._own_start)
+            _, steps, _ = self._step_by_step(self._solver(start), y)
             counts = counts._replace(steps=steps)
         return counts
 
@@ -148,9 +153,10 @@ class CompiledCvodeRun(Prepared):
         functions = c_functions(r.scene, r.carry)
         self.compile_s = functions.compile_s
         self.data = functions.data(r.scene.numbers())
-        self.size, self.end = len(self._own_start), float(r.save_at[-1])
+        self.size, self.end, self.clock = len(self._own_start), float(r.save_at[-1]), clock_of(r.scene)
         self.solver = Solver(
-            {"Adams": ADAMS, "BDF": BDF}[self.kind], functions, self.data, self.size, r.rtol, r.atol, self.end,
+            {"Adams": ADAMS, "BDF": BDF}[self.kind], functions, self.data,
+            len(self.split_clock(self._own_start)[1]), r.rtol, r.atol, self.end,
             SHORTEST * self.end,
         )  # fmt: skip
         self.alone = Lock()  # one memory: calls from several threads take turns
@@ -159,7 +165,9 @@ class CompiledCvodeRun(Prepared):
 
     def _bare(self, y0: np.ndarray) -> np.ndarray:
         s = self.solver
-        return self.to_end(s.memory, s.vector, s.y, y0, self.data, self.end, self.request.max_steps)
+        return self.to_end(
+            s.memory, s.vector, s.y, y0, self.data, self.clock, self.end, self.request.max_steps
+        )
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         """The solver's own call: a packed state in, the packed state at the end out."""
@@ -170,7 +178,9 @@ class CompiledCvodeRun(Prepared):
         from contactbench.methods.cvode_driver import in_a_loop
 
         s = self.solver
-        return in_a_loop(s.memory, s.vector, s.y, starts, self.data, self.end, self.request.max_steps)
+        return in_a_loop(
+            s.memory, s.vector, s.y, starts, self.data, self.clock, self.end, self.request.max_steps
+        )
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         with self.alone:
@@ -188,7 +198,7 @@ class CompiledCvodeRun(Prepared):
         r, s, later = self.request, self.solver, self.later
         if not self.final_only:
             rows = np.empty((len(later), self.size))
-            told = self.at_times(s.memory, s.vector, s.y, y0, self.data, later, r.max_steps, rows)
+            told = self.at_times(s.memory, s.vector, s.y, y0, self.data, self.clock, later, r.max_steps, rows)
             flag, reached, saved, steps, evaluations, jacobians, rejected = told[:KNOWN].tolist()
         if saved < len(later):
             rows = rows[: int(saved)]
@@ -226,7 +236,8 @@ class CvodeMethod(Adaptive):
     about: str
     order: int | None = None
     engines: tuple[str, ...] = ("c", "c+python")
-    rtol_range: tuple[float, float] = (1e-14, 1e-1)
+    own_time: bool = True
+    rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
     evaluations_per_step: int = 2
 
     def prepare(self, request: Request) -> Prepared:

@@ -11,10 +11,11 @@ from contactbench.errors import BadInput
 from contactbench.measure.ladder import setting
 from contactbench.measure.laws import Law, laws_of
 from contactbench.measure.pullback import growth
+from contactbench.measure.round_off import decided
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import prepare
 from contactbench.race.scout import Attempt, Question, Scouted
-from contactbench.report.kept import bound, decided
+from contactbench.report.kept import bound
 from contactbench.scene import Scene
 
 #: measures of a run that are no laws, or that another one covers

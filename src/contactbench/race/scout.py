@@ -31,6 +31,8 @@ BISECTIONS = 4
 FIRST_STEPS = {"compiled": 200_000, "callbacks": 5_000}
 #: half the step must give less than this part of the error, or it is round-off that is left
 STILL_BETTER = 0.7
+#: tolerances down to this are tried whatever they bring; it is above what round-off leaves of short runs
+CERTAIN = 1e-12
 #: what a single run may take, as a share of the whole budget
 RUN_SHARE = 0.006
 
@@ -175,12 +177,17 @@ def ladder(question: Question, found: Scouted, limit: Limit) -> Iterator[Attempt
         yield attempt(question, found, limit, 0.0)
         return
     for value in values_of(item, question.scene):
-        yield attempt(question, found, limit, value)
-    while item.control == "step":  # a low order needs small steps; finer ones help until round-off
-        before, last = found.attempts[-2:]
-        if before.ok and last.ok and not last.error < STILL_BETTER * before.error:
+        if item.adaptive and value < CERTAIN and spent(found):
             return
-        yield attempt(question, found, limit, last.value / 2)
+        yield attempt(question, found, limit, value)
+    while item.control == "step" and not spent(found):  # a low order needs small steps
+        yield attempt(question, found, limit, found.attempts[-1].value / 2)
+
+
+def spent(found: Scouted) -> bool:
+    """Whether the last setting was hardly more accurate than the one before: what is left is round-off."""
+    before, last = found.attempts[-2:]
+    return before.ok and last.ok and not last.error < STILL_BETTER * before.error
 
 
 def values_of(item: Any, scene: Scene) -> list[float]:
@@ -189,8 +196,7 @@ def values_of(item: Any, scene: Scene) -> list[float]:
         return [0.0]
     if not item.adaptive:
         return work_ladder(scene, item.order or 1)
-    values, tightest = tolerances(item), item.rtol_range[0]
-    return [*values, tightest] if tightest < values[-1] else values
+    return tolerances(item)
 
 
 def attempt(question: Question, found: Scouted, limit: Limit, value: float) -> Attempt:

@@ -33,7 +33,7 @@ def table(
     rows = []
     for each in scouted:
         for error in question.errors:
-            attempt = chosen.get((each.method, error))
+            attempt = cheapest(each.method, error, question.errors, chosen, times)
             timed, kept_at = (times.get(id(attempt), {}), laws.get(id(attempt), {})) if attempt else ({}, {})
             rows.append({
                 "scene": question.scene.name, "method": each.method, "family": METHODS[each.method].family,
@@ -51,6 +51,18 @@ def table(
     frame = frame.reindex(columns=[*COLUMNS, *names, "map_growth", "time_halves_ratio"]).astype(COLUMNS)
     frame.attrs = {"runs": runs(scouted)}
     return frame
+
+
+def cheapest(
+    method: str,
+    error: float,
+    errors: tuple[float, ...],
+    chosen: dict[tuple[str, float], Attempt],
+    times: dict[int, dict[str, Any]],
+) -> Attempt | None:
+    """Of the settings timed that reach an error, that error's own or a smaller one's, the one that is soonest done."""
+    reach = [a for e in sorted(errors, reverse=True) if e <= error and (a := chosen.get((method, e)))]
+    return min(reach, key=lambda a: times.get(id(a), {}).get("time_median_s", math.inf), default=None)
 
 
 def reached(question: Question, attempt: Attempt) -> dict[str, Any]:

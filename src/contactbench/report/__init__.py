@@ -10,7 +10,6 @@ from contactbench.report import (  # registers the rooms, in no particular order
     damping,
     definitions,
     ensemble,
-    gate_selfcheck,
     headline,
     laws,
     limits,

@@ -23,7 +23,8 @@ CAPTIONS = {
     "extends": "How far it goes",
 }
 ABOUT = (
-    "Each verdict is computed from the numbers beside it, none is typed in. Identities are tested by automatic "
+    "Each verdict follows from the numbers beside it, which are computed; whether a claim that fails is repaired or "
+    "replaced by its correction is argued there. Identities are tested by automatic "
     "differentiation at random points, independently of the formulas they test; trajectories against references of 30 "
     "digits or more; orders where it matters in 50-digit arithmetic. The paper prints step and end time of its "
     "experiment; damping and initial data are ours. Of several measurements the table shows the first that fails, else "

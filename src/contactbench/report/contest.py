@@ -46,6 +46,8 @@ WHOLE = ("time_min_s", "each")
 NAMED = 3
 #: endings that are our doing: a finer setting might be more accurate
 CUT = ("budget", "timeout")
+#: one integrator in two shapes: where engines do not matter one contestant, in the cheaper of them
+ONE = {"scipy-dop853": "dop853", "cyrk-dop853": "dop853"}
 #: engines at extended precision, never timed
 UNTIMED = ("mpmath",)
 
@@ -94,7 +96,7 @@ EVALUATIONS = Kind(
     "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, "
     "two rotations of the body, which together apply its whole vector field, count as one; its free flow in closed "
     f"form counts as {FREE_COST} rotations, as {MOMENTUM_COST} where the attitude is not carried. Jacobians are not "
-    "counted.",
+    f"counted. {' and '.join(ONE)} are one contestant.",
     timed=False,
 )  # fmt: skip
 COMPILED = Kind(
@@ -311,6 +313,8 @@ class Field:
         part = contestants(work)
         part = part[kind.compares(part) & (part["status"] != "unsupported")]
         self.processes = kind.process_spread(part)
+        if not kind.timed:
+            part = part.assign(method=part["method"].replace(ONE))
         family = dict(zip(part["method"], part["family"], strict=True))
         self.methods = list(family)
         self.scenes, self.contested = list(dict.fromkeys(part["scene"])), []

@@ -39,10 +39,17 @@ def rate_cell(rows: pd.DataFrame, column: str) -> Cell:
     return number(row[column], "{:.4g}".format if column == "ratio" else scientific)
 
 
+#: what is shown of the overdamped oscillator
+CREEP = {"ratio": "rate", "q_error": "error of q", "p_error": "error of p"}
+
+
 def creep_views(frame: pd.DataFrame) -> Iterator[View]:
     """The slow rate of the overdamped oscillator."""
     creep = frame[frame["experiment"] == "overdamped"]
-    meaning = f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: 1 is exact."
+    meaning = (
+        f"{upper(DAMPING_RATES.columns['ratio'].meaning)} of the slow rate, γ = 50: 1 is exact. Then "
+        f"{DAMPING_RATES.columns['q_error'].meaning}, and {DAMPING_RATES.columns['p_error'].meaning}."
+    )
     for control, key, title in (
         ("step", "damping_per_step", "γh = {:g}"),
         ("rtol", "value", "rtol = {:.0e}"),
@@ -52,10 +59,13 @@ def creep_views(frame: pd.DataFrame) -> Iterator[View]:
             continue
         columns = sorted(part[key].dropna().unique(), reverse=True)
         rows = [
-            (word(method), *(rate_cell(mine[mine[key] == c], "ratio") for c in columns))
+            (word(method), *(rate_cell(mine[mine[key] == c], name) for name in CREEP for c in columns))
             for method, mine in part.groupby("method", sort=False)
         ]
-        heads = (Head("method", words=True), *(Head(title.format(c)) for c in columns))
+        heads = (
+            Head("method", words=True),
+            *(Head(title.format(c), group=group) for group in CREEP.values() for c in columns),
+        )
         kind = "fixed steps" if control == "step" else "adaptive"
         yield View(
             f"creep_{control}",

@@ -1,12 +1,4 @@
-"""What a structural law is, and when a run keeps it.
-
-A law is kept when its deviation is round-off: 10⁻¹², or what rounding every evaluation comes to; the round-off
-of a law of the derivative grows with the numerical map, how far stands in the table (`map_growth`), and where it
-does not, with the motion (`condition_number`).
-
-Where that bound is above 10⁻⁶ it says nothing in favour of a method, because any would pass: a deviation below it
-is undecided, neither kept nor broken.  So is one that differences of the solver do not resolve.
-"""
+"""The judgements of structural laws, row by row, and how a deviation is written."""
 
 from __future__ import annotations
 
@@ -16,21 +8,24 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import DECIDABLE, round_off_bound
+from contactbench.measure.round_off import (
+    DECIDABLE,
+    JUDGEMENT,
+    OF_THE_STATE,
+    UNSURE,
+    decided,
+    judge,
+    structural_bound,
+)
 from contactbench.report.cells import DASH, Cell, Mark, marks
-from contactbench.report.contest import LIMIT
+from contactbench.report.contest import CONTACT, LIMIT
 from contactbench.report.numbers import scientific
 from contactbench.report.rooms import Frames
-from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import Column, Rule, Table
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
 #: a row of a frame
 type Row = pd.Series | Mapping[Any, Any]
-#: laws of the state alone: the sensitivity of the motion does not magnify their round-off
-OF_THE_STATE = ("momentum_law", "attitude_drift")
-#: up to so many error bars a deviation by differences is no more than an upper bound
-UNSURE = 2.0
 FROZEN = "_frozen"
 DAGGER = "†"
 DOUBLE_DAGGER = "‡"
@@ -86,29 +81,22 @@ def growth(rows: pd.DataFrame, law: str) -> pd.Series:
 
 def bound(rows: pd.DataFrame, law: str) -> pd.Series:
     """Up to what a deviation from a law is round-off, row by row."""
-    return np.maximum(STRUCTURE, round_off_bound(growth(rows, law), numbers(rows, "evaluations", 0.0)))
-
-
-def decided(value: Any, bound: Any) -> tuple[Any, Any]:
-    """Whether a deviation shows that the law is kept, and whether it shows nothing; both may be columns."""
-    within = value <= bound
-    kept = within & ((bound <= DECIDABLE) | (value <= STRUCTURE))
-    return kept, within & np.logical_not(kept)
+    return structural_bound(growth(rows, law), numbers(rows, "evaluations", 0.0))
 
 
 MEASURED = [
-    "scene", "method", "family", "setting", "solution_error", "value", "bound", "growth", "frozen", "uncertainty",
-    "unsure", "clamped", "all_clamped", "derivative",
+    "scene", "method", "family", "setting", "solution_error", "value", "growth", "frozen", "uncertainty", "unsure",
+    "clamped", "derivative", "claimed", "kept", "undecided", "bound", "judged",
 ]  # fmt: skip
 
 
 def measured(frames: Frames, law: str) -> pd.DataFrame:
     """All rows of all tables that have a value of the law.
 
-    Columns beside theirs: value, its uncertainty, bound and growth; frozen: the value with the steps held fixed;
-    unsure: no more than an upper bound is known; kept; ill: undecided because the bound is too large; undecided:
-    that, or unsure, or faded: within the bound, but at every saved time no more than a thousandth of its terms was
-    left to compare with, so that anything would be.  What is neither kept nor undecided is broken.
+    Columns beside theirs: value, its uncertainty and growth; frozen: the value with the steps held fixed; unsure: no
+    more than an upper bound is known; `JUDGEMENT`, computed here where the table does not have it: of a law that is
+    not structural, and of a table older than these columns; judged: whether the run follows the motion; broken: that,
+    and neither kept nor undecided.
     """
     parts = []
     for name in ("laws", "stability"):
@@ -117,22 +105,36 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
             continue
         part = frame[(frame["status"] == "ok") & frame[law].notna() & (frame["family"] != LIMIT)]
         uncertainty, values = numbers(part, f"{law}_uncertainty", 0.0), numbers(part, law)
+        clamped = numbers(part, f"{law}_clamped", 0.0)
+        if numbers(part, f"{law}_bound").notna().any():
+            told = {what: part[f"{law}_{what}"] for what in JUDGEMENT}
+            told["judged"] = told["bound"].notna()
+        else:
+            limit, all_clamped = bound(part, law), clamped >= numbers(part, "saved_times", np.inf)
+            judged, kept, undecided = judge(
+                values, limit, uncertainty, all_clamped, numbers(part, "solution_error")
+            )
+            claimed = part["family"] == CONTACT
+            told = {
+                "claimed": claimed,
+                "kept": kept,
+                "undecided": undecided,
+                "bound": limit,
+                "judged": judged,
+            }
         parts.append(
             part.assign(
-                value=values, uncertainty=uncertainty, bound=bound(part, law), growth=growth(part, law),
+                value=values, uncertainty=uncertainty, growth=growth(part, law), clamped=clamped,
                 frozen=numbers(part, law + FROZEN), unsure=(uncertainty > 0) & (values <= UNSURE * uncertainty),
-                clamped=numbers(part, f"{law}_clamped", 0.0),
-                all_clamped=numbers(part, f"{law}_clamped", 0.0) >= numbers(part, "saved_times", np.inf),
+                **told,
             )
         )  # fmt: skip
     if not parts:
-        return pd.DataFrame(columns=[*MEASURED, "kept", "ill", "faded", "undecided", "broken"])
+        return pd.DataFrame(columns=[*MEASURED, "broken"])
     rows = pd.concat([part.reindex(columns=MEASURED) for part in parts], ignore_index=True)
-    kept, ill = decided(rows["value"], rows["bound"])
-    faded = kept & rows["all_clamped"].astype(bool)
-    kept &= ~faded
-    undecided = ill | faded | (rows["unsure"].astype(bool) & ~kept)
-    return rows.assign(kept=kept, ill=ill, faded=faded, undecided=undecided, broken=~kept & ~undecided)
+    flags = ["claimed", "kept", "undecided", "judged"]
+    rows = rows.astype(dict.fromkeys(flags, bool))
+    return rows.assign(broken=rows["judged"] & ~rows["kept"] & ~rows["undecided"])
 
 
 def keepers(rows: pd.DataFrame) -> list[str]:

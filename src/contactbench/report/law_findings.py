@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import DECIDABLE
+from contactbench.measure.round_off import DECIDABLE, OF_THE_STATE, decided
 from contactbench.report.contest import CONTACT, ESTABLISHED, families
-from contactbench.report.kept import OF_THE_STATE, called, decided, keepers, measured, structural
+from contactbench.report.kept import called, keepers, measured, structural
 from contactbench.report.numbers import many, names, rounded, scientific, upper
 from contactbench.report.rooms import Finding, Frames
 from contactbench.results.round_off import STRUCTURE
@@ -33,17 +33,21 @@ WHY = {
 
 def law_finding(frames: Frames, law: str) -> Finding | None:
     """Which methods keep a structural law, over all rows; the exceptions with their cause."""
-    rows = measured(frames, law)
+    every = measured(frames, law)
+    rows = every[every["judged"]]
     if not len(rows):
         return None
     contact = rows["family"] == CONTACT
+    claimed = contact & rows["claimed"]
+    vague = claimed & rows["undecided"]
     exceptions = [
-        *contact_exceptions(frames, law, rows[contact & rows["broken"]]),
-        *magnified(rows[contact & rows["kept"] & (rows["value"] > STRUCTURE)]),
-        *undecided(rows[contact & rows["ill"]]),
-        *faded(rows[contact & rows["faded"]]),
+        *contact_exceptions(frames, law, rows[claimed & rows["broken"]]),
+        *magnified(rows[claimed & rows["kept"] & (rows["value"] > STRUCTURE)]),
+        *undecided(rows[vague & (rows["bound"] > DECIDABLE)]),
+        *faded(rows[vague & (rows["bound"] <= DECIDABLE) & (rows["clamped"] > 0)]),
     ]
-    sentence = " ".join(filter(None, [of_contact_methods(frames, rows[contact]), *of_others(rows[~contact])]))
+    said = [of_contact_methods(frames, rows[claimed]), unpromised(rows[contact & ~claimed])]
+    sentence = " ".join(filter(None, [*said, *of_others(rows[~contact])]))
     return Finding(f"law_{law}", upper(called(law)), sentence, covers(rows, frames, law), tuple(exceptions))
 
 
@@ -52,7 +56,21 @@ def of_contact_methods(frames: Frames, rows: pd.DataFrame) -> str:
     if not len(rows):
         return "No contact method was measured."
     told, kept = int((~rows["undecided"]).sum()), int(rows["kept"].sum())
-    open_ = len(rows) - told
+    open_, resting = len(rows) - told, int((rows["kept"] & (rows["clamped"] > 0)).sum())
+    return _kept(frames, rows, told, kept, open_) + (
+        f" {resting} of these runs rest on times at which it is relative to a thousandth of the terms that cancel."
+        if resting else ""
+    )  # fmt: skip
+
+
+def unpromised(rows: pd.DataFrame) -> str:
+    """In how many runs the contact methods keep a law that they do not promise."""
+    told, kept = int((~rows["undecided"]).sum()), int(rows["kept"].sum())
+    return f"Where it is not promised they keep it in {kept} of {many(told, 'run')}." if told else ""
+
+
+def _kept(frames: Frames, rows: pd.DataFrame, told: int, kept: int, open_: int) -> str:
+    """The sentence of `of_contact_methods` on all runs that are promised."""
     if rows["broken"].any():
         rest = f"; {open_} more are undecided" if open_ else ""
         return f"The contact methods keep it to round-off in {kept} of {told} runs{rest}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contactbench.measure.round_off import DECIDABLE
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.equal_cost import equal_cost_view
 from contactbench.report.figures import laws as figures
@@ -31,7 +32,9 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
                 continue
             here = by_pair[method, scene]
             low, high = here["value"].min(), here["value"].max()
-            kept, ill = structure and bool(here["kept"].all()), structure and bool(here["ill"].any())
+            judged = here[here["judged"]]
+            kept = structure and len(judged) > 0 and bool(judged["kept"].all())
+            ill = structure and bool((here["undecided"] & (here["bound"] > DECIDABLE)).any())
             clamped, vague = bool((here["clamped"] > 0).any()), bool(here["unsure"].any())
             whole = column.type == "whole"
             show = readable if whole else scientific

@@ -259,8 +259,8 @@ def sections(frames: Frames) -> list[Part]:
     return [
         Text(
             "Runs of a chaotic scene cannot be compared point by point. Their averages can, as far as their error bars "
-            "allow: the mean energy, Lyapunov's exponents, the dimension of the attractor. Error bars are standard "
-            "errors from independent trajectories."
+            "allow: H0 at phase 0 of the force, Lyapunov's exponents, the dimension of the attractor. Error bars are "
+            "standard errors from independent trajectories."
         ),
         costs_view(frame),
         *figures.averages(frame),
@@ -272,7 +272,7 @@ def sections(frames: Frames) -> list[Part]:
 
 ROOMS.add(
     Room(
-        "long_time", "Long chaotic runs", "energy, Lyapunov exponents and dimension from long runs, against what they "
-        "cost", 58, ("long_time",), sections, findings,
+        "long_time", "Long chaotic runs", "H0 once in a period, Lyapunov exponents and dimension from long runs, and "
+        "what they cost", 58, ("long_time",), sections, findings,
     )
 )  # fmt: skip

@@ -3,4 +3,3 @@
 # importing registers them, in this order
 from contactbench.results import tables as tables  # isort: skip
 from contactbench.results import long_time as long_time  # isort: skip
-from contactbench.results import selfcheck as selfcheck  # isort: skip

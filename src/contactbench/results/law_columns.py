@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from contactbench.measure.law import Law
 from contactbench.measure.laws import LAWS
+from contactbench.measure.round_off import JUDGEMENT
 from contactbench.results.schema import Column, Rule
 
 
@@ -17,6 +18,19 @@ def law_column(law: Law) -> Column:
     )  # fmt: skip
 
 
+def judgement_columns(law: Law) -> dict[str, Column]:
+    """Of a structural law whether it is claimed, kept or undecided, and the bound that decides."""
+    follows = "it follows from the deviation, which is compared, and what round-off may amount to"
+    if not law.structural:
+        return {}
+    kinds: dict[str, Column] = {
+        name: Column(f"{law.name}: {meaning}", "number" if name == "bound" else "flag", ungated=follows)
+        for name, meaning in JUDGEMENT.items() if name != "claimed"
+    }  # fmt: skip
+    claimed = Column(f"{law.name}: {JUDGEMENT['claimed']}", "flag", Rule.same)
+    return {f"{law.name}_{name}": column for name, column in {"claimed": claimed, **kinds}.items()}
+
+
 class WithLaws(Mapping[str, Column]):
     """Columns among which is one for each law that is registered at the moment: a plug-in may bring some."""
 
@@ -24,14 +38,20 @@ class WithLaws(Mapping[str, Column]):
         self.before, self.after = before, after
 
     def now(self) -> dict[str, Column]:
-        return {**self.before, **{name: law_column(law) for name, law in LAWS.items()}, **self.after}
+        judged = {name: column for law in LAWS.values() for name, column in judgement_columns(law).items()}
+        return {
+            **self.before,
+            **{name: law_column(law) for name, law in LAWS.items()},
+            **judged,
+            **self.after,
+        }
 
     def __getitem__(self, name: str) -> Column:
         for columns in (self.after, self.before):
             if name in columns:
                 return columns[name]
         if name not in LAWS:
-            raise KeyError(name)
+            return self.now()[name]
         return law_column(LAWS[name])
 
     def __iter__(self) -> Iterator[str]:

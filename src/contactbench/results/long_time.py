@@ -8,7 +8,12 @@ from contactbench.results.schema import KEY, Column, Rule, table
 #: why averages have no rule
 CHAOS = "of chaotic runs: other roundings give another number within the error bar"
 #: what is averaged
-ENERGY, EXPONENT, DIMENSION, SUM = "mean energy", "largest exponent", "dimension", "sum of exponents plus γ"
+ENERGY, EXPONENT, DIMENSION, SUM = (
+    "mean H0 at phase 0",
+    "largest exponent",
+    "dimension",
+    "sum of exponents plus γ",
+)
 
 LONG_TIME = table(
     "long_time",
@@ -16,7 +21,8 @@ LONG_TIME = table(
     {
         **COMMON,
         "quantity": Column(
-            f"{ENERGY} (H0 once in a period, where the force vanishes), {EXPONENT} (Lyapunov's, per unit of time), "
+            f"{ENERGY} (once in a period, where the force vanishes: no average over the period), "
+            f"{EXPONENT} (Lyapunov's, per unit of time), "
             f"{DIMENSION} (of Kaplan and Yorke, of the section once in a period), {SUM} (0 for the true flow)"
         ),
         "reference": Column("whether the others are compared with it", "flag", Rule.same),

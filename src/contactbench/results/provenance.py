@@ -21,6 +21,7 @@ from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.plugins import LOADED
+from contactbench.results.schema import TABLES
 from contactbench.results.store import replacing
 
 PACKAGES = (
@@ -169,7 +170,8 @@ def save_run(
         elif alike(run, mine):
             continue
         else:
-            kept = {table: part for table, part in run["tables"].items() if table not in whole}
+            there = {table: part for table, part in run["tables"].items() if table in TABLES}
+            kept = {table: part for table, part in there.items() if table not in whole}
             before += [{**run, "tables": kept}] if kept else []
     with replacing(results / "environment.json") as file:
         json.dump({"runs": [*before, mine]}, file, indent=1, sort_keys=True)

@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.round_off import STRUCTURE as STRUCTURE
 from contactbench.results.schema import Rule
-
-#: a structural error is round-off up to here
-STRUCTURE = 1e-12
 
 
 def round_off(rows: pd.DataFrame) -> np.ndarray:

@@ -91,8 +91,7 @@ class Table:
 
     key : the columns that name a row.  whole : leading key columns of what is always made as a whole, a
     new run replaces all its rows.  version : goes up when columns change so that old files mislead;
-    a column more or less does not (see `store.read`).  benchmarked : a run of the benchmark makes it, not
-    another command.
+    a column more or less does not (see `store.read`).
     """
 
     name: str
@@ -101,7 +100,6 @@ class Table:
     key: tuple[str, ...] = KEY
     whole: tuple[str, ...] = ()
     version: int = 3
-    benchmarked: bool = True
 
     def __post_init__(self) -> None:
         odd = [name for name in self.key if name not in self.columns or self.columns[name].timed]

@@ -132,6 +132,7 @@ WORK_PRECISION = table(
         ),
         "call_s": seconds("what the public call takes beyond the solver's own, which the times are of"),
     },
+    version=4,
 )
 
 ENSEMBLE_TABLE = table(
@@ -163,6 +164,7 @@ ENSEMBLE_TABLE = table(
         ),
     },
     key=(*KEY, "question", "trajectories", "cores"),
+    version=4,
 )  # fmt: skip
 
 DEFINITIONS = table(
@@ -336,6 +338,8 @@ DAMPING_RATES = table(
             "measured over true", ungated="rate_error is the same number, and counts its round-off"
         ),
         "rate_error": number("|measured/true − 1|", Rule.error),
+        "q_error": number("|q/q* − 1| at the end, overdamped", Rule.error),
+        "p_error": number("|p/p* − 1| at the end, overdamped: what is kicked last is not damped", Rule.error),
     },
     key=("experiment", "scene", "method", "setting", "t_end"),
     whole=("experiment", "scene", "method", "t_end"),

@@ -74,6 +74,19 @@ class System(ABC):
     def initial(self, carry: Sequence[str], **data: Any) -> Any:
         """The initial state; `data` overrides the scene's own initial values."""
 
+    @property
+    def clock(self) -> int | None:
+        """The component of the packed state that is the time, where there is one."""
+        return None
+
+    def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:
+        """A packed state less the time, as a solver integrates it that has a time of its own."""
+        return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]
+
+    def with_clock(self, y: Sequence[Any], t: Any) -> Sequence[Any]:
+        """The packed state again."""
+        return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
+
     @abstractmethod
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
         """A packed state as a NamedTuple of components."""
@@ -202,10 +215,13 @@ class System(ABC):
         """Whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise."""
         return True
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
-        """The right-hand side on packed lists of floats, for solvers that call back."""
-        unpack, pack, rhs = self.unpack, self.pack, self.rhs
-        return lambda y: pack(rhs(unpack(y, carry)))
+    def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
+        """f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
+        return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
+
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
+        """`slopes` on lists of floats, for solvers that call back."""
+        return lambda t, y: self.slopes(t, y, carry)
 
 
 def _unpickled(kind: type[System], attributes: dict[str, Any]) -> System:
@@ -366,11 +382,6 @@ class Scene(System):
     def has_hamiltonian_law(self) -> bool:
         """H' = −Γ'(s) H."""
         return self.is_contact
-
-    @property
-    def clock(self) -> int | None:
-        """The component of the packed state that is the time, where there is one."""
-        return None
 
     @property
     def rate_changes(self) -> bool:

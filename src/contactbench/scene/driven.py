@@ -28,6 +28,8 @@ class DrivenState(NamedTuple):
 class Driven(Mechanical):
     """H = ‖p‖²/2m + V(q, t) + γ(t) s, with the time as one more component of the state, t' = 1.
 
+    Adaptive solvers are given f(t, y): the time is theirs and no part of the state whose error they control.
+
     potential : ``V(q, t, **parameters) -> number``; gradient : ``dV(q, t, **parameters) -> n-tuple``.
     t : the time at the start.  gamma : damping, where it is constant; else
     rate : ``γ(t, **parameters) -> number``; and where it is known in closed form
@@ -167,7 +169,7 @@ class Driven(Mechanical):
         """∂∇V/∂t is not asked for: solvers difference."""
         return None
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
         return System.on_lists(self, carry)
 
     def torque(self, x: Any) -> Vector | None:

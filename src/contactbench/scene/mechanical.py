@@ -254,13 +254,13 @@ class Mechanical(Scene):
     def has_jacobian(self) -> bool:
         return self.hessian is not None
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[Sequence[float]], Sequence[float]]:
+    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
         """Shorter where only q and p are carried."""
         if carry:
             return super().on_lists(carry)
         n, rhs = len(self.q), self.rhs
 
-        def short(y: Sequence[float]) -> list[float]:
+        def short(t: float, y: Sequence[float]) -> list[float]:
             dx = rhs(State(tuple(y[:n]), tuple(y[n:])))
             return [*dx.q, *dx.p]
 

@@ -196,7 +196,7 @@ class RigidBody(Scene):
         return rows
 
     def momentum(self, x: BodyState) -> Vector | None:
-        """J = R M, the spatial angular momentum; None when R is not carried."""
+        """J = R M, the spatial angular momentum, R ~ |quaternion|²; None when R is not carried."""
         return None if x.R is None else rotate(x.R, x.M)
 
     @property

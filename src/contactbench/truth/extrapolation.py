@@ -43,7 +43,10 @@ def extrapolation(
         while now < time:
             watch.check(float(now))
             step = min(trial, time - now)
-            column, result = extrapolated(slope, y, step, most, tolerance)
+            try:
+                column, result = extrapolated(slope, y, step, most, tolerance)
+            except ArithmeticError:  # it lands on a singularity
+                column, result = most, None
             if result is None:
                 trial = step / 2
                 if trial < shortest:

@@ -1,8 +1,4 @@
-"""The self-check of what the gate does with tables: doctored ones, and the record of the runs behind them.
-
-The committed tables are base, head and, as far as the smoke profile makes them, the fresh run; then one or two of
-these are doctored.
-"""
+"""A dozen faults that the gate must find: doctored tables, and methods that are not what they were."""
 
 from __future__ import annotations
 
@@ -10,19 +6,23 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from threading import Lock
-from time import perf_counter
 
+import numpy as np
 import pandas as pd
+import pytest
 
+import contactbench as cb
+import made_up
+import planted_faults
+import properties
 from contactbench.gate import judge, revisions
 from contactbench.results.provenance import environment, save_run
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, write
-from selfcheck_faults import AS_IT_WAS, ROOT, Judgement, Task, said
+from contactbench.splitting.tables import COMPOSITIONS
 
+ROOT = Path(__file__).parents[2]
 BASE, HEAD, FRESH = "base", "head", "fresh"
 MINE = "contact-strang"
 #: what is looked at, of every kind a table
@@ -103,27 +103,26 @@ class Folders:
     """Base, head and fresh run as copies of the committed tables, made when they are first asked for."""
 
     def __init__(self, results: Path, scratch: Path) -> None:
-        self.results, self.scratch, self.lock = results, scratch / "tables", Lock()
+        self.results, self.scratch = results, scratch / "tables"
 
     def whole(self, name: str) -> Path:
-        with self.lock:
-            folder = self.scratch / name
-            if folder.exists():
-                return folder
-            folder.mkdir(parents=True)
-            frames = {one: read(TABLES[one], self.results) for one in TABLES_USED}
-            if name == FRESH:
-                frames = {one: frame[frame["profile"] == "smoke"] for one, frame in frames.items()}
-            for one, frame in frames.items():
-                write(frame, TABLES[one], folder)
-            save_run(
-                name,
-                environment("smoke" if name == FRESH else "standard", 0),
-                TABLES_USED,
-                TABLES_USED,
-                folder,
-            )
+        folder = self.scratch / name
+        if folder.exists():
             return folder
+        folder.mkdir(parents=True)
+        frames = {one: read(TABLES[one], self.results) for one in TABLES_USED}
+        if name == FRESH:
+            frames = {one: frame[frame["profile"] == "smoke"] for one, frame in frames.items()}
+        for one, frame in frames.items():
+            write(frame, TABLES[one], folder)
+        save_run(
+            name,
+            environment("smoke" if name == FRESH else "standard", 0),
+            TABLES_USED,
+            TABLES_USED,
+            folder,
+        )
+        return folder
 
     def judged(self, change: Callable[[Path], None] | None, to: tuple[str, ...], name: str) -> list:
         """The red lines with a change made to copies of some of the folders."""
@@ -137,32 +136,56 @@ class Folders:
         return [line for line in verdict.lines if line.red]
 
 
-def unchanged(folders: Folders) -> list[Judgement]:
-    start = perf_counter()
-    lines = folders.judged(None, (), "nothing")
-    words, taken = said(lines[0]) if lines else "", perf_counter() - start
-    return [
-        Judgement("accuracy", "nothing in the committed tables", AS_IT_WAS, "none", bool(lines), words, taken)
-    ]
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    return Folders(made_up.committed(tmp_path_factory.mktemp("tables")), tmp_path_factory.mktemp("folders"))
 
 
-def doctored(one: Doctored, folders: Folders, name: str) -> list[Judgement]:
-    start = perf_counter()
-    lines = [
-        line
-        for line in folders.judged(one.change, one.to, name)
-        if (line.measure, line.table) == (one.measure, one.table)
-    ]
-    words, taken = said(lines[0]) if lines else "", perf_counter() - start
-    return [Judgement("accuracy", one.what, AS_IT_WAS, "all", bool(lines), words, taken)]
+def test_the_committed_tables_against_themselves_are_green(folders):
+    assert folders.judged(None, (), "nothing") == []
 
 
-def tasks(results: Path, scratch: Path) -> list[Task]:
-    folders = Folders(results, scratch)
-    return [
-        Task("committed tables", 3, partial(unchanged, folders)),
-        *(
-            Task(one.what, 3, partial(doctored, one, folders, f"doctored-{k}"))
-            for k, one in enumerate(DOCTORED)
-        ),
-    ]
+@pytest.mark.parametrize("fault", DOCTORED, ids=lambda fault: fault.what)
+@pytest.mark.share(3)
+def test_doctored_tables_are_given_away(fault, folders):
+    lines = folders.judged(fault.change, fault.to, fault.what.replace(" ", "-"))
+    assert (fault.measure, fault.table) in [(line.measure, line.table) for line in lines]
+
+
+# -- methods that are not what they were -----------------------------------------------------------
+@pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
+def test_every_coefficient_of_a_composition_has_a_fault_of_its_own(composition):
+    wrong = planted_faults.faulty(composition)
+    printed = len(composition.stages) // 2 - 1 if len(composition.stages) > 5 else len(composition.stages)
+    assert len(wrong) == printed + max(0, len(composition.processor) - 2)
+    assert len({(each.stages, each.processor) for each in [composition, *wrong]}) == len(wrong) + 1
+    for each in wrong:  # what is implied follows, and the sums do not give a long composition away
+        assert properties.consistent(each) == (len(composition.stages) > 5)
+
+
+def planted(call):
+    """A solution of contact-strang before a fault is planted, and one after it; the registry is whole again."""
+
+    def solution():
+        return cb.solve("particle", "contact-strang", step=0.1, save_at=[20.0])
+
+    before, whole = solution(), dict(cb.METHODS)
+    try:
+        getattr(planted_faults, call)()
+        return before, solution()
+    finally:
+        cb.METHODS.clear()
+        cb.METHODS.update(whole)
+
+
+def test_faults_planted_by_plug_ins_are_what_they_are_called():
+    error, drift = cb.LAWS["solution_error"], cb.LAWS["contact_drift"]
+    before, after = planted("order_one")
+    assert error(after) > 5 * error(before)  # of order h against h²: 6.9 times, measured
+    before, after = planted("joints_left_apart")
+    assert (before.counts.evaluations, after.counts.evaluations) == (201, 400)
+    np.testing.assert_allclose(after.y, before.y, rtol=0, atol=1e-13)
+    assert planted("refusal")[1].status is cb.Status.unsupported
+    before, after = planted("stronger_damping")
+    assert drift(before) < 1e-13
+    assert drift(after) == pytest.approx(1e-9 * cb.SCENES["particle"].gamma * 20, rel=1e-3)

@@ -1,4 +1,4 @@
-"""Faults for the self-check of the gate, planted as a user's plug-in would: by what is registered.
+"""Faults for the gate to find, planted as a user's plug-in would: by what is registered.
 
 `plugin` writes the plug-in file that calls one of the functions below; it is given to the benchmark
 (``--plugin``) or named in the environment of the processes that are timed.
@@ -116,12 +116,6 @@ def refusal() -> None:
     put(remade(Refusing, METHODS[PLANTED]))
 
 
-def no_bm4() -> None:
-    """A method is gone; another is put in its own place, as a plug-in must register something."""
-    del METHODS["contact-bm4"]
-    put(remade(ContactMethod, METHODS[PLANTED]))
-
-
 class StrongerDamping(ContactMethod):
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         gamma, *rest = scene.numbers()
@@ -194,124 +188,3 @@ def dearer(name: str, tree: str, seconds: float = 0.0, leak: int = 0) -> None:
     """A method takes `seconds` more to be compiled, or leaves `leak` bytes behind with every run, in one tree."""
     if Path(cb.__file__).is_relative_to(tree):
         put(Dearer(METHODS[name], seconds, leak))
-
-
-class SlowerSometimes(Slower):
-    """The same on one scene only, or only where many times are saved."""
-
-    def __init__(self, method: FixedStep, share: float, scene: str, saves: int) -> None:
-        super().__init__(method, share)
-        self.scene, self.saves = scene, saves
-
-    def prepare(self, request: Request) -> Prepared:
-        meant = request.scene.name == self.scene and len(request.save_at) >= self.saves
-        return super().prepare(request) if meant else self.method.prepare(request)
-
-
-def slower_sometimes(name: str, factor: float, scene: str, saves: int, tree: str) -> None:
-    """A method takes `factor` times as long on one scene, with so many saved times or more."""
-    if Path(cb.__file__).is_relative_to(tree):
-        put(SlowerSometimes(METHODS[name], factor - 1, scene, saves))
-
-
-# -- what other numbers say ------------------------------------------------------------------------
-class Miscounting:
-    """A method that says it took fewer evaluations than it did."""
-
-    def __init__(self, method: Any, share: float) -> None:
-        self.method, self.share = method, share
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.method, name)
-
-    def prepare(self, request: Request) -> Prepared:
-        run = self.method.prepare(request)
-        finished = run.finished
-
-        def counted(*arguments: Any, **more: Any) -> Any:
-            solution = finished(*arguments, **more)
-            fewer = round(solution.counts.evaluations * (1 - self.share))
-            return replace(solution, counts=solution.counts._replace(evaluations=fewer))
-
-        run.finished = counted
-        return run
-
-
-def scaled(function: Any, factor: float) -> Any:
-    """A function whose result, a number or the first of several, is another."""
-
-    def other(*arguments: Any, **more: Any) -> Any:
-        result = function(*arguments, **more)
-        return (factor * result[0], *result[1:]) if isinstance(result, tuple) else factor * result
-
-    return other
-
-
-def other_numbers(factor: float = 1.03) -> None:
-    """One fault in every table that once was not looked at; none of them is in a solver.
-
-    A scene's damping, the members of an ensemble from the sixth on, the counts of an adaptive solver, what a
-    claim measures, the energy along time, a figure's curve, the time of a blow-up, fitted orders.
-    """
-    import contactbench.claims as claims
-    import contactbench.measure.laws as laws
-    import contactbench.measure.order as order
-    import contactbench.truth as truth
-    from contactbench.claims import curves
-
-    central = cb.SCENES["central"]
-    cb.SCENES["central"] = central.with_(gamma=1.01 * central.gamma)
-    put(Miscounting(METHODS["scipy-dop853"], 0.09))
-    truth.blow_up_time = scaled_time(truth.blow_up_time, factor)
-    laws.energies = scaled(laws.energies, factor)
-    order.fit_order = other_order(order.fit_order)
-    draw = curves.FIGURES["paper_3"]
-    curves.FIGURES["paper_3"] = lambda: ((*head, factor * y, z) for *head, y, z in draw())
-    claim = claims.CLAIMS["C25"]
-    claims.CLAIMS["C25"] = OtherRow(claim, factor)
-    cb.ensemble = from_the_sixth_on(cb.ensemble)
-
-
-def scaled_time(function: Any, factor: float) -> Any:
-    def other(scene: Scene) -> Any:
-        found = function(scene)
-        return (factor * float(found[0]), *found[1:]) if found else found
-
-    return other
-
-
-def other_order(fit: Any) -> Any:
-    def other(*arguments: Any, **more: Any) -> Any:
-        found = fit(*arguments, **more)
-        return replace(found, order=found.order - 0.1)
-
-    return other
-
-
-class OtherRow:
-    """A claim that measures something else."""
-
-    def __init__(self, claim: Any, factor: float) -> None:
-        self.claim, self.factor = claim, factor
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.claim, name)
-
-    def row(self, **parameters: Any) -> dict[str, Any]:
-        row = self.claim.row(**parameters)
-        return row | {"measured": self.factor * row["measured"]}
-
-
-def from_the_sixth_on(ensemble: Any) -> Any:
-    def other(*arguments: Any, **more: Any) -> Any:
-        solved = ensemble(*arguments, **more)
-        final = solved.final
-        wrong = [
-            tuple(np.where(np.arange(len(c)) < 5, c, c * (1 + 1e-6)) for c in part)
-            if isinstance(part, tuple)
-            else part
-            for part in final
-        ]
-        return replace(solved, final=type(final)(*wrong))
-
-    return other

@@ -1,0 +1,94 @@
+"""Ladders of tolerances: they end where a library's range ends, or earlier where the error stops falling."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from contactbench.measure.ladder import carried, tolerances, work_ladder
+from contactbench.methods.base import CLAMPED, ROUNDING
+from contactbench.race import scout as scouting
+from contactbench.race.scout import Limit, Question, Scouted, ends, ladder
+
+PEERS = [m for m in cb.METHODS.values() if m.adaptive and m.family == "established"]
+
+
+def question(name, error=1e-300):
+    scene = cb.SCENES[name]
+    return Question(scene, cb.reference(scene, ends(scene), carried(scene)), (error,), 60.0)
+
+
+@pytest.mark.parametrize("method", PEERS, ids=lambda m: m.name)
+def test_the_last_rung_is_the_end_of_the_range(method):
+    values = tolerances(method)
+    assert values[-1] == method.rtol_range[0] <= 1e-13
+    assert values == sorted(set(values), reverse=True)
+    assert {1e-3, 1e-6, 1e-13} <= {float(f"{v:.3g}") for v in values}
+
+
+def test_the_ranges_are_those_of_the_libraries():
+    """SciPy raises less than 100 ε to that; CVODE refuses less than a rounding."""
+    from scipy.integrate import DOP853
+
+    for rtol, raised in ((CLAMPED, False), (0.9 * CLAMPED, True)):
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            solver = DOP853(lambda t, y: -y, 0.0, np.ones(1), 1.0, rtol=rtol)
+        assert bool(seen) == (solver.rtol != rtol) == raised
+    method = cb.METHODS["cvode-adams"]
+    request = cb.prepare("oscillator", method, rtol=ROUNDING, carry=()).request
+    for rtol, status in ((ROUNDING, "ok"), (ROUNDING / 4, "failed")):
+        object.__setattr__(request, "rtol", rtol)
+        object.__setattr__(request, "atol", rtol)
+        assert method.prepare(request)(q=(1e3,), p=(1e3,)).status == status
+
+
+@pytest.mark.parametrize(
+    "scene", ["oscillator", "particle", "central", "quadratic_damping", "forced_oscillator", "lane_emden_5"]
+)
+def test_cvode_adams_reaches_twelve_digits(scene):
+    """On its last rungs: at 10⁻¹³ it does not."""
+    asked, found = question(scene), Scouted("cvode-adams", "c")
+    limit = Limit(asked)
+    for _ in ladder(asked, found, limit):
+        pass
+    best = found.best(1e-12)
+    assert best is not None
+    assert best.value < 1e-13
+    assert best.counts.evaluations < 1300
+
+
+def test_a_ladder_ends_where_the_error_stops_falling(monkeypatch):
+    def attempt(question, found, limit, value):
+        made = scouting.Attempt(value, "", cb.Status.ok, "", 0.0, max(value, 3e-13))
+        found.attempts.append(made)
+        return made
+
+    monkeypatch.setattr(scouting, "attempt", attempt)
+    found = Scouted("heyoka-taylor", "llvm")
+    tried = [a.value for a in ladder(question("oscillator"), found, Limit(question("oscillator")))]
+    assert tried[-1] == pytest.approx(
+        1e-14
+    )  # 1e-12, 1e-13 → 3e-13 each: one rung that brings nothing, no more
+    assert all(math.isfinite(a.error) for a in found.attempts)
+
+
+@pytest.mark.parametrize(
+    ("scene", "fields"), [("particle", ()), ("rigid_body", ("R",)), ("rigid_body_anisotropic", ())]
+)
+def test_the_attitude_is_carried_where_its_law_is_measured(scene, fields):
+    assert carried(cb.SCENES[scene]) == fields
+
+
+def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six_on():
+    body, particle = cb.SCENES["rigid_body"], cb.SCENES["particle"]
+    assert work_ladder(body, 2) == pytest.approx([4.0, 2.0, *(0.8 / 2**k for k in range(9))])
+    assert work_ladder(particle, 2) == pytest.approx([0.8 / 2**k for k in range(9)])
+    counts = [particle.t_end / step for step in work_ladder(particle, 6)]
+    assert counts == pytest.approx(
+        [5, 10, 20, 25, 35, 50, 70, 100, 140, 200]
+    )  # multiples of five near 6.25 · 2^(k/2)

@@ -1,0 +1,103 @@
+"""Adaptive solvers have the time as their own: it is no component of the state whose error they control."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import contactbench as cb
+from contactbench.scene import Driven, Mechanical
+
+ADAPTIVE = [
+    (method.name, engine)
+    for method in cb.METHODS.values()
+    if method.adaptive and method.family == "established"
+    for engine in method.engines
+]
+#: XLA compiles four programs for seconds: one of its methods stands for all
+every = pytest.mark.parametrize(
+    ("method", "engine"),
+    [
+        pytest.param(*pair, marks=pytest.mark.slow if pair[1] == "jax" and "tsit5" not in pair[0] else [])
+        for pair in ADAPTIVE
+    ],
+)
+STILL = {"q": (1.0,), "p": (0.3,), "gamma": 0.1, "t_end": 7.0}
+
+
+class WithoutJacobian(Mechanical):
+    """As a driven scene: solvers difference, or take dual numbers."""
+
+    @property
+    def has_jacobian(self):
+        return False
+
+    def jacobian(self, x):
+        return None
+
+
+def V(q, t=None):
+    return -cb.math.cos(q[0])
+
+
+def dV(q, t=None):
+    return (cb.math.sin(q[0]),)
+
+
+#: one and the same motion, without and with the time in its state
+WITHOUT = WithoutJacobian(name="pendulum", potential=V, gradient=dV, **STILL)
+WITH = Driven(name="timed", potential=V, gradient=dV, t=0.5, **STILL)
+
+
+@every
+@pytest.mark.parametrize("carry", [("s",), pytest.param((), marks=pytest.mark.slow)])
+def test_a_time_that_does_nothing_changes_nothing(method, engine, carry):
+    """The same evaluations and the same motion, to the bit where the arithmetic is the same."""
+    times = [0.0, 1.5, 7.0]
+    plain, timed = (
+        cb.prepare(scene, method, rtol=1e-7, engine=engine, carry=carry, save_at=times)
+        for scene in (WITHOUT, WITH)
+    )
+    a, b = plain(), timed()
+    assert a.counts == b.counts
+    np.testing.assert_allclose(np.delete(b.y, 2, axis=1), a.y, rtol=0, atol=1e-13)
+    assert b.y[:, 2].tolist() == [0.5, 2.0, 7.5]
+    np.testing.assert_allclose(timed.bare(timed.start), b.y[-1], rtol=0, atol=1e-5)
+    assert timed.bare(timed.start)[2] == 7.5
+    np.testing.assert_allclose(
+        b.frozen_differential.value[:, [0, 1]], a.frozen_differential.value[:, :2], rtol=0, atol=1e-11
+    )
+    assert not b.frozen_differential.value[:, 2].any()
+
+
+@every
+def test_initial_data_begin_at_a_time_of_their_own(method, engine):
+    scene = cb.SCENES["forced_oscillator"]
+    moved = cb.prepare(scene, method, rtol=1e-8, engine=engine, carry=(), save_at=[3.0])(t=0.7)
+    own = cb.prepare(scene.with_(t=0.7), method, rtol=1e-8, engine=engine, carry=(), save_at=[3.0])()
+    np.testing.assert_array_equal(moved.y, own.y)
+    assert moved.y[0, 2] == 3.7
+
+
+def test_dop853_is_the_library_called_directly():
+    scene = cb.SCENES["forced_oscillator"]
+    omega, force, drive = (scene.parameters[name] for name in ("omega", "force", "drive"))
+
+    def f(t, y):
+        return [y[1], force * np.cos(drive * t) - omega**2 * y[0] - scene.gamma * y[1]]
+
+    direct = solve_ivp(f, (0, scene.t_end), [*scene.q, *scene.p], method="DOP853", rtol=1e-7, atol=1e-7)
+    assert direct.nfev == 278
+    for method in ("scipy-dop853", "cyrk-dop853"):
+        run = cb.solve(scene, method, rtol=1e-7, carry=(), save_at=[scene.t_end])
+        assert run.counts.evaluations == direct.nfev
+        np.testing.assert_allclose(run.y[0, :2], direct.y[:, -1], rtol=1e-13)
+
+
+@pytest.mark.parametrize("method", ["cyrk-vern8", "cvode-adams"])
+def test_a_compiled_loop_has_a_time_for_every_member(method):
+    run = cb.prepare("forced_oscillator", method, rtol=1e-7, carry=(), save_at=[3.0])
+    starts = run.start + np.arange(4)[:, None] * [0.1, 0.0, 0.3]
+    for start, row in zip(starts, run.many(starts), strict=True):
+        np.testing.assert_array_equal(row[-3:], run.integrate(start).y[-1])
