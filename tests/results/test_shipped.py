@@ -27,7 +27,7 @@ def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tables):
     frame = cb.results(name)
     assert len(frame) == len({table.name: rows for table, rows in ROWS}[name])
     assert set(frame.attrs["columns"]) == set(frame.columns) == set(TABLES[name].every_column)
-    kinds = {"number": "f", "whole": "i", "flag": "b"}
+    kinds = {"number": "f", "whole": "i", "flag": "b", "answer": "b"}
     for column, about in TABLES[name].every_column.items():
         if about.type in kinds:
             assert frame[column].dtype.kind == kinds[about.type], column

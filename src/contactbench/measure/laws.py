@@ -420,7 +420,8 @@ def judgements(
             measured.value, bound, measured.uncertainty or 0.0,
             measured.clamped is not None and measured.clamped >= len(solution.t), columns["solution_error"],
         )  # fmt: skip
-        values = LAWS[name].claimed(solution), bool(kept), bool(undecided), bound if judged else math.nan
+        answers = (bool(kept), bool(undecided), bound) if judged else (None, None, math.nan)
+        values = LAWS[name].claimed(solution), *answers
         row |= {f"{name}_{what}": value for what, value in zip(JUDGEMENT, values, strict=True)}
     return row
 

@@ -107,7 +107,10 @@ def measured(frames: Frames, law: str) -> pd.DataFrame:
         uncertainty, values = numbers(part, f"{law}_uncertainty", 0.0), numbers(part, law)
         clamped = numbers(part, f"{law}_clamped", 0.0)
         if numbers(part, f"{law}_bound").notna().any():
-            told = {what: part[f"{law}_{what}"] for what in JUDGEMENT}
+            told = {
+                what: part[f"{law}_{what}"].fillna(False) if what != "bound" else part[f"{law}_{what}"]
+                for what in JUDGEMENT
+            }
             told["judged"] = told["bound"].notna()
         else:
             limit, all_clamped = bound(part, law), clamped >= numbers(part, "saved_times", np.inf)

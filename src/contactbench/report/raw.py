@@ -16,7 +16,7 @@ def raw(table: Table, frame: pd.DataFrame) -> View:
     """The table's rows; those of a table with too many cells are left to its CSV."""
     shown = [name for name in table.columns if name in frame and frame[name].notna().any()]
     large = len(shown) * len(frame) > MOST_CELLS
-    words = {name for name in shown if table.columns[name].type in ("text", "flag")}
+    words = {name for name in shown if table.columns[name].type in ("text", "flag", "answer")}
     rows = [] if large else [
         tuple(word(v) if name in words else number(v, readable) for name, v in zip(shown, row, strict=True))
         for row in frame[shown].itertuples(index=False)

@@ -24,7 +24,7 @@ def judgement_columns(law: Law) -> dict[str, Column]:
     if not law.structural:
         return {}
     kinds: dict[str, Column] = {
-        name: Column(f"{law.name}: {meaning}", "number" if name == "bound" else "flag", ungated=follows)
+        name: Column(f"{law.name}: {meaning}", "number" if name == "bound" else "answer", ungated=follows)
         for name, meaning in JUDGEMENT.items() if name != "claimed"
     }  # fmt: skip
     claimed = Column(f"{law.name}: {JUDGEMENT['claimed']}", "flag", Rule.same)

@@ -20,7 +20,7 @@ PROFILES = ("smoke", "standard", "full")
 SEPARATOR = " // "  #: between the measurements listed in one cell
 BEYOND = "beyond the paper"  #: where a claim stands that is not the paper's
 
-Type = Literal["text", "number", "whole", "flag"]
+Type = Literal["text", "number", "whole", "flag", "answer"]
 
 
 class Rule(Enum):

@@ -26,7 +26,7 @@ from contactbench.results.schema import Column, Table, Type
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False}
-DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool"}
+DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool", "answer": "boolean"}
 LOG = logging.getLogger("contactbench")
 _said: set[str] = set()
 
@@ -97,7 +97,13 @@ def part(table: Table, path: Path) -> pd.DataFrame:
 
 
 #: what the entries of a column are, in a message
-WORDS = {"text": "text", "number": "finite number", "whole": "whole number", "flag": "True or False"}
+WORDS = {
+    "text": "text",
+    "number": "finite number",
+    "whole": "whole number",
+    "flag": "True or False",
+    "answer": "True or False",
+}
 
 
 def damaged(values: pd.Series, column: Column) -> int | None:
@@ -107,7 +113,7 @@ def damaged(values: pd.Series, column: Column) -> int | None:
     if column.type == "text" or not len(filled):
         return None
     given = text[filled]
-    if column.type == "flag":
+    if column.type in ("flag", "answer"):
         wrong = np.array([entry not in FLAGS for entry in given])
     else:
         numbers = pd.to_numeric(given, errors="coerce").astype(float)
@@ -166,13 +172,15 @@ def converted(values: pd.Series, column: Column) -> pd.Series:
     objects = values.to_numpy(dtype=object)
     filled = np.flatnonzero(~pd.isna(objects))
     filled = filled[objects[filled] != ""]
-    if column.type == "flag":
-        flags = np.zeros(len(values), dtype=bool)
+    if column.type in ("flag", "answer"):  # no flag is not set, no answer is none
+        answers = pd.Series(
+            False if column.type == "flag" else pd.NA, values.index, dtype=DTYPES[column.type]
+        )
         for i in filled:
             if str(objects[i]) not in FLAGS:
                 raise ValueError("neither True nor False")
-            flags[i] = FLAGS[str(objects[i])]
-        return pd.Series(flags, values.index)
+            answers.iloc[i] = FLAGS[str(objects[i])]
+        return answers
     numbers = np.full(len(values), np.nan)
     numbers[filled] = pd.to_numeric(objects[filled])
     if column.type == "whole":
