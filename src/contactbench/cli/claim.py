@@ -40,5 +40,5 @@ def add(command: Command) -> None:
         "claim", claim, "measure one claim of the ledger",
         "examples:\n  contactbench claim C25\n  contactbench claim C07 --json | jq -r .verdict",
     )  # fmt: skip
-    ledger.add_argument("id", help="C01 to C36, X01, X02, in either case (contactbench list claims)")
+    ledger.add_argument("id", help="C01 to C42, X01, X02, in either case (contactbench list claims)")
     ledger.add_argument("--json", action="store_true", help="print one JSON object")
