@@ -10,7 +10,7 @@ import os
 import random
 import subprocess
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,8 @@ from contactbench.measure.clock import (
     time_columns,
 )
 
-#: cells of an experiment that a second process times too: one in so many, and so many at most
-ONE_IN, SAMPLE = 4, 48
+#: cells of every engine that a second process times too
+SAMPLE = 20
 SEED = 20
 
 
@@ -110,13 +110,16 @@ class Entry:
 class Timetable:
     """The timed cells of an experiment, in the order in which they were prepared.
 
-    cells : all there will be; a sample of them is timed in a second process too.  visits : to each.
+    cells : all there will be, and the engine of each; a sample of every engine's is timed in a second process too.
+    visits : to each.
     """
 
-    def __init__(self, cells: Collection[Any], visits: int) -> None:
+    def __init__(self, cells: Mapping[Any, str], visits: int) -> None:
         self.visits = visits
-        size = min(SAMPLE, -(-len(cells) // ONE_IN))
-        self.sample = set(random.Random(SEED).sample(list(cells), size))
+        self.sample: set[Any] = set()
+        for engine in sorted(set(cells.values())):
+            own = [cell for cell, its in cells.items() if its == engine]
+            self.sample |= set(random.Random(SEED).sample(own, min(SAMPLE, -(-len(own) // 2))))
         #: cells that are yet to be prepared
         self.ahead = set(cells)
         self.entries: list[Entry] = []

@@ -23,6 +23,7 @@ from clock import Clock, Timetable
 from contactbench.errors import BadInput
 from contactbench.measure.clock import MOST_VISITS, VISITS
 from contactbench.methods import METHODS
+from contactbench.methods.engines import ENGINES
 from contactbench.results import journal, provenance
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import TABLES
@@ -304,6 +305,11 @@ def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
     return request.config.stash[MADE].get((request.node.path.name, name))
 
 
+def engine_of(item: pytest.Item) -> str:
+    """The engine a cell runs on, empty where it names none."""
+    return next((part for part in item.callspec.params["cell"] if part in ENGINES), "")
+
+
 @pytest.fixture(scope="module")
 def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
     """The timed cells of an experiment, which are timed after the last of them was prepared."""
@@ -315,7 +321,7 @@ def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
         for each in request.session.items
         if each.module is request.module and "clock" in each.fixturenames
     ]
-    table = Timetable([_identity(item) for item in items], request.config.profile.visits)
+    table = Timetable({_identity(item): engine_of(item) for item in items}, request.config.profile.visits)
     try:
         yield table
         if not table.ahead:  # else the run was interrupted

@@ -20,6 +20,11 @@ EXCEPTIONS = {
     ("convergence", "message"): "why a run did not end well; those of a smoke run do",
     ("damping_rates", "message"): "why a run did not end well; those of a smoke run do",
     ("damping_rates", "weak_damping_particle"): "takes 10⁴ units of time",
+    **{
+        (table, column): "of a sample of the cells"
+        for table in ("ensemble", "work_precision")
+        for column in ("time_process_ratio", "marginal_process_ratio")
+    },
 }
 #: whose scenes are named in words
 IN_WORDS = ("claims",)

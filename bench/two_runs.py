@@ -24,13 +24,14 @@ def verdicts(first, second):
     return Counter((mine[key].outcome, theirs[key].outcome) for key in mine.keys() & theirs.keys())
 
 
-def within(first, second, kind, processes):
-    """Ratio of every cell's time in the second run to that in the first, and its margin."""
+def within(first, second, kind, spreads):
+    """Ratio of every cell's time in the second run to that in the first, and its margin; spreads : by engine."""
     key = list(WORK_PRECISION.key)
     cells = first[kind.compares(first)].merge(second, on=key, suffixes=("", "_2")).dropna(subset=[kind.cost])
     ratios = (cells[f"{kind.cost}_2"] / cells[kind.cost]).to_numpy(dtype=float)
     halves = cells[[kind.halves, f"{kind.halves}_2"]].to_numpy(dtype=float)
-    return np.maximum(ratios, 1 / ratios), np.array([margin(own, processes) for own in halves])
+    margins = [margin(own, spreads[engine]) for own, engine in zip(halves, cells["engine"], strict=True)]
+    return np.maximum(ratios, 1 / ratios), np.array(margins)
 
 
 def main(folders):
@@ -42,13 +43,15 @@ def main(folders):
             print(f"{kind.title}: {before or 'nobody'} / {after or 'nobody'}: {n}")
             turned += n * ({before, after} == {Verdict.win, Verdict.loss})
         if kind.timed:
+            engines = set.union(*(set(field.processes) for field in fields))
+            widest = {e: max(field.processes.get(e, 1.0) for field in fields) for e in engines}
             for name, field in zip(folders, fields, strict=True):
                 if field.margins:
                     half, most = np.quantile(field.margins, (0.5, 0.95))
                     print(
                         f"{kind.title}, {name}: margins ×{half:.3f} (half of the pairs), ×{most:.3f} (95 %)"
                     )
-            ratios, margins = within(first, second, kind, max(field.processes for field in fields))
+            ratios, margins = within(first, second, kind, widest)
             if len(ratios):
                 inside = np.mean(ratios <= margins)
                 print(f"{kind.title}: {inside:.1%} of {len(ratios)} cells within their margins")

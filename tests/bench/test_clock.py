@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import pytest
 
 from clock import SAMPLE, Clock, Entry, Process, Timetable
@@ -25,7 +27,7 @@ class Scripted:
 
 def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_last():
     order, recorded, cells = [], {}, "abcdef"
-    table = Timetable(cells, visits=8)
+    table = Timetable(dict.fromkeys(cells, ""), visits=8)
     for name in cells:
         call = Scripted(name, order, *[4.0, 2.0] * 4)
         part = Part(lambda: None, share=0.25, span=1.0)
@@ -48,11 +50,11 @@ def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_l
         assert visited > 7 * size
 
 
-def test_a_sample_of_the_cells_is_timed_in_a_second_process():
-    many, few = Timetable(range(1000), 8), Timetable(range(5), 8)
-    assert len(many.sample) == SAMPLE
-    assert len(few.sample) == 2
-    assert Timetable(range(1000), 8).sample == many.sample
+def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
+    cells = {k: "numba" if k % 10 else "c" for k in range(1000)} | {1000 + k: "llvm" for k in range(5)}
+    sample = Timetable(cells, 8).sample
+    assert Counter(cells[k] for k in sample) == {"numba": SAMPLE, "c": SAMPLE, "llvm": 3}
+    assert Timetable(cells, 8).sample == sample
 
 
 def test_another_process_prepares_and_times_what_it_is_told():
@@ -83,5 +85,5 @@ def test_without_times_the_row_is_recorded_at_once_and_so_is_what_cannot_be_run(
         return {"status": "unsupported"}, None
 
     Clock(None, "cell", record, None).time("table", {"a": 1}, lambda: ({"b": 2}, print))
-    Clock(Timetable(["cell"], 8), "cell", record, None).time("table", {"a": 1}, refuse, "cell")
+    Clock(Timetable({"cell": ""}, 8), "cell", record, None).time("table", {"a": 1}, refuse, "cell")
     assert rows == [("table", {"a": 1, "b": 2}), ("table", {"a": 1, "status": "unsupported"})]

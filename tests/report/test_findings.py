@@ -6,6 +6,7 @@ import math
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from contactbench.report import (
@@ -25,6 +26,7 @@ from contactbench.report.cells import DASH, Mark
 from contactbench.report.contest import (
     CALLED_BACK,
     COMPILED,
+    ENOUGH,
     EVALUATIONS,
     FIXED,
     KINDS,
@@ -967,3 +969,27 @@ def test_laws_along_time_are_alternatives_by_the_name_of_their_scene():
 )
 def test_a_bound_above_a_millionth_decides_nothing(value, bound, judged):
     assert kept.decided(value, bound) == judged
+
+
+def test_the_margin_of_a_pair_is_that_of_its_noisier_engine():
+    """What two processes differ by is known engine by engine, where enough of its cells were timed twice."""
+    rows = [
+        {"scene": "particle", "method": method, "family": family, "engine": engine, "control": "rtol",
+         "value": 10.0**-k,
+         "variant": "", "status": "ok", "solution_error": 10.0**-k, "time_min_s": k * factor, "fixed_s": 0.0,
+         "time_halves_ratio": 1.0, "time_process_ratio": ratio}
+        for method, family, engine, factor, ratio in (
+            ("contact-a", "contact", "numba", 1e-6, 1.01), ("b", "established", "c", 1.06e-6, 1.02),
+            ("c", "established", "jax", 1.07e-6, 1.10),
+        )
+        for k in range(1, ENOUGH + 6)
+    ]  # fmt: skip
+    field = Field(pd.DataFrame(rows), COMPILED)
+    assert field.processes == pytest.approx({"numba": 1.01, "c": 1.02, "jax": 1.10})
+    lead = field.leads["particle", 1e-6]
+    assert lead.verdicts == {"contact-a": "tie", "b": "loss", "c": "tie"}
+    assert lead.margin("contact-a", "b") == pytest.approx(1.03)
+    few = pd.DataFrame(rows).assign(
+        time_process_ratio=lambda f: f["time_process_ratio"].where(f["value"] > 1e-3)
+    )
+    assert list(Field(few, COMPILED).processes.values()) == pytest.approx([1.10] * 3)

@@ -56,6 +56,10 @@ UNTIMED = ("mpmath",)
 COUNTED = 1.15
 
 
+#: cells of an engine timed by two processes from which it has a spread of its own
+ENOUGH = 8
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of comparison: its cost, whose engines it compares, how a cost is written."""
@@ -84,11 +88,14 @@ class Kind:
             chosen &= rows["control"] != "exact"
         return chosen & rows[self.halves].notna() if self.resolved else chosen
 
-    def process_spread(self, rows: pd.DataFrame) -> float:
-        """Return by what factor two processes differ on these rows."""
+    def process_spread(self, rows: pd.DataFrame, engine: str = "") -> float:
+        """Return by what factor two processes differ on an engine; on all of them where few of its cells were timed
+        twice."""
         if not self.timed:
             return COUNTED
-        return process_spread(*(rows[name].astype(float) for name in (self.processes, self.halves)))
+        own = rows[rows["engine"] == engine]
+        sample = own if own[self.processes].notna().sum() >= ENOUGH else rows
+        return process_spread(*(sample[name].astype(float) for name in (self.processes, self.halves)))
 
 
 EVALUATIONS = Kind(
@@ -145,6 +152,7 @@ class Cost:
     bound : every setting is more accurate than that; it is the cost of the cheapest.
     share : how much of it does not grow with the run, nan where that was not measured.
     halves : by what factor the halves of its visits differ, 1 for a count, nan where that was not measured.
+    processes : by what factor two processes differ on its engine.
     """
 
     value: float
@@ -152,6 +160,7 @@ class Cost:
     reason: str = DASH
     share: float = math.nan
     halves: float = 1.0
+    processes: float = 1.0
 
     @property
     def fixed(self) -> bool:
@@ -168,10 +177,12 @@ class Cost:
         return f"{'≤ ' if self.bound else ''}{show(self.value)}{FIXED if self.fixed else ''}"
 
 
-def costs(rows: pd.DataFrame, column: str, targets: Sequence[float], halves: str = "") -> list[Cost]:
+def costs(
+    rows: pd.DataFrame, column: str, targets: Sequence[float], halves: str = "", processes: float = 1.0
+) -> list[Cost]:
     """Log–log interpolation between the settings of one method (on one engine, where times are asked).
 
-    halves : the column of the halves of the visits; none for a count.
+    halves : the column of the halves of the visits; none for a count.  processes : as in `Cost`.
     """
     reason, rows = unreached(rows), rows[rows["status"] == "ok"]
     errors, spent = (numbers(rows[name]) for name in ("solution_error", column))
@@ -185,7 +196,7 @@ def costs(rows: pd.DataFrame, column: str, targets: Sequence[float], halves: str
     if halves:
         apart = interpolate(errors, [max(r, 1 / r) for r in numbers(rows[halves])], front, targets)
     return [
-        Cost(value, target > loosest, reason, _fixed(errors, spent, shares, target), h)
+        Cost(value, target > loosest, reason, _fixed(errors, spent, shares, target), h, processes)
         for target, value, h in zip(targets, values, apart, strict=True)
     ]
 
@@ -207,12 +218,11 @@ class Lead:
     """Who is cheapest at one error on one scene.
 
     costs : cost of every method that gets there, on its best engine, cheapest first.
-    family : of every method.  processes : by what factor two processes differ.
+    family : of every method.
     """
 
     costs: dict[str, Cost]
     family: dict[str, str]
-    processes: float
     missing: dict[str, Cost]
 
     @property
@@ -221,7 +231,8 @@ class Lead:
 
     def margin(self, a: str, b: str) -> float:
         """Return the ratio up to which two methods cannot be told apart."""
-        return margin((self.costs[a].halves, self.costs[b].halves), self.processes)
+        first, second = self.costs[a], self.costs[b]
+        return margin((first.halves, second.halves), max(first.processes, second.processes))
 
     def verdict(self, a: str, b: str) -> Verdict:
         """Return what a method's cost is beside another's."""
@@ -312,7 +323,10 @@ class Field:
         self.kind = kind
         part = contestants(work)
         part = part[kind.compares(part) & (part["status"] != "unsupported")]
-        self.processes = kind.process_spread(part)
+        #: by what factor two processes differ, by engine
+        self.processes = {
+            str(engine): kind.process_spread(part, engine) for engine in part["engine"].unique()
+        }
         if not kind.timed:
             part = part.assign(method=part["method"].replace(ONE))
         family = dict(zip(part["method"], part["family"], strict=True))
@@ -327,13 +341,16 @@ class Field:
                 reached = {str(m): c[i] for m, c in known.items() if c[i].reached}
                 missing = {str(m): c[i] for m, c in known.items() if not c[i].reached}
                 ordered = dict(sorted(reached.items(), key=lambda item: item[1].value))
-                self.leads[str(scene), target] = Lead(ordered, family, self.processes, missing)
+                self.leads[str(scene), target] = Lead(ordered, family, missing)
 
     def cheapest(self, rows: pd.DataFrame) -> list[Cost]:
         """What every error costs a method on a scene, on its best engine where times are asked."""
         groups = [g for _, g in rows.groupby("engine", sort=False)] if self.kind.timed else [rows]
         halves = self.kind.halves if self.kind.timed else ""
-        tried = zip(*(costs(g, self.kind.cost, DECADES, halves) for g in groups), strict=True)
+        tried = zip(
+            *(costs(g, self.kind.cost, DECADES, halves, self.processes[g["engine"].iloc[0]]) for g in groups),
+            strict=True,
+        )
         return [
             min(t, key=lambda c: (not c.reached, c.value if c.reached else c.reason == DASH)) for t in tried
         ]

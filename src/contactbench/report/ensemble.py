@@ -180,7 +180,9 @@ def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View
 def leaders(part: pd.DataFrame, kind: Kind, keys: list[str]) -> dict[float, Lead]:
     """Who is cheapest at each error that somebody reaches, of what `keys` tell apart."""
     found = {
-        " ".join(key).strip(): costs(rows, kind.cost, TARGETS, kind.halves)
+        " ".join(key).strip(): costs(
+            rows, kind.cost, TARGETS, kind.halves, kind.process_spread(part, rows["engine"].iloc[0])
+        )
         for key, rows in part.groupby(keys, sort=False)
     }
     leads = {}
@@ -188,7 +190,7 @@ def leaders(part: pd.DataFrame, kind: Kind, keys: list[str]) -> dict[float, Lead
         reached = sorted((own[i].value, name) for name, own in found.items() if own[i].reached)
         if reached:
             known = {name: found[name][i] for _, name in reached}
-            leads[target] = Lead(known, {}, kind.process_spread(part), {})
+            leads[target] = Lead(known, {}, {})
     return leads
 
 
