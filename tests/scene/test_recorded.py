@@ -169,6 +169,71 @@ def test_a_step_map_that_changes_is_another_method():
         del cb.METHODS["mine"]
 
 
+@pytest.mark.parametrize("engine", ["numba", "python"])
+def test_what_was_made_from_a_step_map_stays_what_it_was(engine):
+    weight = 0.5
+
+    @cb.fixed_step("mine", order=1, evaluations=2)
+    def step(scene, x, h, xp):
+        return cb.shifted(x, h, scene.rhs(cb.shifted(x, weight * h, scene.rhs(x))))
+
+    try:
+        solution, one = (
+            cb.solve("oscillator", "mine", step=0.05, engine=engine),
+            cb.step_map("oscillator", "mine"),
+        )
+        drift, y = cb.LAWS["contact_drift"](solution), one(one.start, 0.1)
+        weight = 1.0
+        again = cb.solve("oscillator", "mine", step=0.05, engine=engine)
+        assert cb.LAWS["contact_drift"](again) > 10 * drift
+        copied = cb.solve("oscillator", "mine", step=0.05, engine=engine)
+        assert cb.LAWS["contact_drift"](copied) == cb.LAWS["contact_drift"](again)
+        assert one(one.start, 0.1) == y
+    finally:
+        del cb.METHODS["mine"]
+
+
+@pytest.mark.parametrize("method", ["contact-rkn6", "contact-strang", "contact-adaptive", "herglotz2"])
+def test_flows_refuse_a_kind_that_writes_its_equations_anew(method):
+    class Heavy(Mechanical):
+        def dissipation(self, s):
+            return 3 * self.gamma * s
+
+        def dissipation_rate(self, s):
+            return 3 * self.gamma
+
+    scene = Heavy(name="heavy", potential=lambda q: q[0] ** 2 / 2, gamma=0.1, q=(1.0,), p=(0.0,), t_end=5.0)
+    options = {"rtol": 1e-6} if cb.METHODS[method].adaptive else {"step": 0.1}
+    found = cb.solve(scene, method, **options)
+    assert found.status == "unsupported"
+    assert "dissipation_rate" in found.message
+    assert cb.solve(scene, "rk4", step=0.1).ok
+
+
+NEAR_REST = {
+    "pendulum": lambda q: -cb.math.cos(q[0]), "offset": lambda q: 1 + (q[0] - 3) ** 2 / 2,
+    "quartic": lambda q: 100 - q[0] ** 4 / 4, "large": lambda q: 1e6 + q[0] ** 2 / 2,
+    "double well": lambda q: (q[0] ** 2 - 1) ** 2 / 4,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NEAR_REST)
+def test_a_start_beside_an_equilibrium_is_no_wrong_gradient(name):
+    """Differences of a potential whose values are few there agree by luck."""
+    for q in (0.0, 1e-12, 1e-7, 1e-3, 1.0, 1 + 1e-9, 3.0):
+        scene = Mechanical(name=name, potential=NEAR_REST[name], gamma=0.1, q=(q,), p=(0.0,), t_end=1.0)
+        cb.solve(scene, "rk4", step=0.1, engine="python")
+    given = {"double well": lambda q: (q[0] ** 3 - q[0],), "pendulum": lambda q: (cb.math.sin(q[0]),)}.get(
+        name
+    )
+    if given is not None:
+        for q in (0.0, 1e-9, 1.0):
+            scene = Mechanical(
+                name=name, potential=NEAR_REST[name], gradient=given, gamma=0.1, q=(q,), p=(0.0,), t_end=1.0
+            )
+            cb.solve(scene, "rk4", step=0.1, engine="python")
+
+
 def test_what_cannot_be_recorded_is_kept_nowhere():
     k = 1.0
     scene = oscillator(lambda q: k * float(q[0]) ** 2 / 2, lambda q: (k * float(q[0]),))
@@ -198,7 +263,7 @@ def test_so_are_the_equations_of_a_kind_of_ones_own(method, monkeypatch):
     options = {"step": 0.01} if method == "contact-rkn6" else {"rtol": 1e-10}
     for k in (1.0, 2.0):
         monkeypatch.setattr(Own, "strength", k)
-        solution = cb.prepare(scene, method, **options)()
+        solution = cb.solve(scene, method, **options)
         assert solution.q[-1, 0] == pytest.approx(truth(k), abs=1e-6)
 
 
@@ -366,11 +431,6 @@ def test_integrators_of_heyoka_are_bounded():
 
 
 # -- pickling --------------------------------------------------------------------------------------
-def solved(step):
-    """A task of a process pool."""
-    return cb.solve("particle", "contact-rkn6", step=step)
-
-
 @pytest.mark.parametrize("name", list(cb.SCENES))
 def test_registered_scenes_are_pickled_and_copied(name):
     scene = cb.SCENES[name]
@@ -390,8 +450,8 @@ def test_solutions_are_pickled_and_copied(method, options):
 
 def test_results_of_a_process_pool_are_ordinary():
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        (solution,) = pool.map(solved, [0.1])
-    np.testing.assert_array_equal(solution.y, solved(0.1).y)
+        solution = pool.submit(cb.solve, "particle", "contact-rkn6", step=0.1).result()
+    np.testing.assert_array_equal(solution.y, cb.solve("particle", "contact-rkn6", step=0.1).y)
     assert solution.laws().loc["contact_drift", "deviation"] < 1e-12
 
 

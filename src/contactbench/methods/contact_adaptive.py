@@ -49,7 +49,7 @@ from contactbench.numbers.source import executed_on_lists
 from contactbench.scene import Mechanical, Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
-from contactbench.splitting.composition import advance, plan
+from contactbench.splitting.composition import advance, own_equations, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 
@@ -323,7 +323,7 @@ class AdaptiveContactMethod(Adaptive):
             return f"{self.name} has no step density for forces that change with time, as on scene {scene.name!r}"
         if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
-        return None
+        return own_equations(scene)
 
     def prepare(self, request: Request) -> Prepared:
         loops: dict[str, type[AdaptiveContactRun]] = {

@@ -12,7 +12,7 @@ import numpy as np
 from contactbench.methods.base import NO_NUMBER, Outcome, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.llvm import compiled
-from contactbench.methods.step_map import StepMap, identity, program_of
+from contactbench.methods.step_map import StepMap, identity, program_of, tangent_program
 from contactbench.numbers.program import Program
 from contactbench.numbers.source import executed_on_lists
 from contactbench.scene import Scene
@@ -77,10 +77,14 @@ def loop_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool
 
     def make() -> Loop:
         elapsed = stopwatch()
-        program = program_of(method, scene, carry, tangent)
-        return Loop(program, compiled(program.run), elapsed())
+        return loop_from(program_of(method, scene, carry, tangent), elapsed)
 
     return _loops.get(key(identity(method, scene, carry), tangent), make)
+
+
+def loop_from(program: Program, elapsed: Any) -> Loop:
+    """A recorded loop compiled; elapsed : the stopwatch it is timed by."""
+    return Loop(program, compiled(program.run), elapsed())
 
 
 class NumbaLoop(FixedStepRun):
@@ -91,6 +95,7 @@ class NumbaLoop(FixedStepRun):
     def __post_init__(self) -> None:
         r = self.request
         self.loop = loop_of(self.method_, r.scene, r.carry)
+        self.with_tangent = tangent_program(self.method_, r.scene, r.carry)
         self.compile_s = self.loop.seconds
         self.numbers = np.array(r.scene.numbers())
         self.run = self.loop.run
@@ -142,7 +147,10 @@ class NumbaLoop(FixedStepRun):
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         r, d, tangents = self.request, len(y0), self.tangents(y0)
-        loop = loop_of(self.method_, r.scene, r.carry, tangent=True)
+        if self.with_tangent is None:
+            loop = loop_of(self.method_, r.scene, r.carry, tangent=True)
+        else:
+            loop = loop_from(self.with_tangent, stopwatch())
         columns = [self.states(loop, np.concatenate([y0, v]), self.h, self.n)[:, d:] for v in tangents]
         derivative = np.stack(columns, axis=-1)
         if not self.saves_start:

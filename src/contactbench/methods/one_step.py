@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,8 +14,16 @@ import numpy as np
 from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.entry import lookup
-from contactbench.methods.step_map import StepMap
-from contactbench.numbers.recording import Recorded, RecordedNumbers, Tape, recorded, text_of
+from contactbench.methods.step_map import StepMap, is_fixed
+from contactbench.numbers.formula import Formula, formula
+from contactbench.numbers.recording import (
+    CannotRecord,
+    Recorded,
+    RecordedNumbers,
+    Tape,
+    recorded,
+    text_of,
+)
 from contactbench.numbers.source import PREAMBLE, needed
 from contactbench.scene import Scene
 
@@ -34,6 +42,8 @@ class OneStep:
     scene: Scene
     method: StepMap
     carry: tuple[str, ...]
+    #: the step of a user's map as it was when it was asked for; None for those of this package
+    recorded: Formula | None = None
 
     def __repr__(self) -> str:
         """One line: of which method and scene, and what its arguments are."""
@@ -68,6 +78,11 @@ class OneStep:
         """The step on the numbers of a namespace."""
         if len(y) != len(self.labels):
             raise BadInput(f"y has {len(y)} entries: must be {len(self.labels)}, {', '.join(self.labels)}")
+        if self.recorded is not None:
+            return tuple(self.recorded(y, h, numbers, xp))
+        return self.advanced(y, h, numbers, xp)
+
+    def advanced(self, y: tuple[Any, ...], h: Any, numbers: Sequence[Any], xp: Any) -> tuple[Any, ...]:
         scene = self.scene.with_numbers(numbers)
         return tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
 
@@ -128,4 +143,11 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
         raise BadInput(f"method = {method!r}: chooses its own steps, so that there is no map of a single one")
     if (why := chosen.refuses(scene)) is not None:
         raise BadInput(f"method = {method!r}: {why}")
-    return OneStep(scene, chosen, scene.carry(carry))
+    step = OneStep(scene, chosen, scene.carry(carry))
+    if is_fixed(chosen):
+        return step
+    try:
+        sizes = (len(step.labels), 0, len(step.names), "xp")
+        return replace(step, recorded=formula(step.advanced, sizes, ()))
+    except CannotRecord:
+        return step

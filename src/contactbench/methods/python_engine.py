@@ -12,7 +12,7 @@ from contactbench.methods.base import NO_NUMBER, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxSteps
 from contactbench.methods.numba_engine import NumbaLoop
-from contactbench.methods.step_map import program_of, trajectory
+from contactbench.methods.step_map import program_of, tangent_program, trajectory
 from contactbench.numbers.program import Program
 from contactbench.numbers.recording import CannotRecord
 from contactbench.numbers.source import executed_on_lists
@@ -35,11 +35,14 @@ class PythonLoop(FixedStepRun):
             self.program = program_of(self.method_, self.request.scene, self.request.carry)
             self.functions = executed_on_lists(self.program.setup + self.program.run)
             self.compile_s = elapsed()
+        self.with_tangent = tangent_program(self.method_, self.request.scene, self.request.carry)
         super().__post_init__()
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         try:
-            return NumbaLoop(self.method, replace(self.request, engine="numba"), self.method_).sensitivity(y0)
+            run = NumbaLoop(self.method, replace(self.request, engine="numba"), self.method_)
+            run.with_tangent = self.with_tangent
+            return run.sensitivity(y0)
         except CannotRecord:
             return JaxSteps(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
 

@@ -109,6 +109,22 @@ def program_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: b
     return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
 
 
+def is_fixed(method: StepMap) -> bool:
+    """Whether a step map is one of this package, which computes the same tomorrow."""
+    return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
+
+
+def tangent_program(method: StepMap, scene: Scene, carry: tuple[str, ...]) -> Program | None:
+    """The loop of a user's step map with a tangent, as the map is now: it may change before the derivative is asked
+    for.  None for the maps of this package, and where it cannot be recorded."""
+    if is_fixed(method):
+        return None
+    try:
+        return program_of(method, scene, carry, tangent=True)
+    except CannotRecord:
+        return None
+
+
 def identity(method: StepMap, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
     """What a compiled loop of a method on a scene depends on besides the numbers; None where nobody can tell.
 
@@ -116,7 +132,7 @@ def identity(method: StepMap, scene: Scene, carry: tuple[str, ...]) -> Hashable 
     """
     if (own := scene.identity) is None:
         return None
-    if is_ours(type(method)) and is_ours(getattr(method, "step", type(method))):
+    if is_fixed(method):
         return method, own, carry
     try:
         program = program_of(method, scene, carry)

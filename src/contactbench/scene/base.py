@@ -128,6 +128,17 @@ class System(ABC):
             return None
         return self.structure if is_ours(type(self)) else self._equations()
 
+    @property
+    def own_equations(self) -> list[str]:
+        """What a user's kind of scene writes anew of the equations of the kind of this package that it is based on.
+
+        The flows that contact methods are composed of know nothing of it.
+        """
+        kind = type(self)
+        base = next(each for each in kind.__mro__ if is_ours(each))
+        names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
+        return [name for name in names if getattr(kind, name, None) is not getattr(base, name, None)]
+
     def _equations(self) -> Hashable | None:
         carry, names = self.optional, ("rhs", "jacobian", "energy", "hamiltonian", "momentum", "gradient_at")
 

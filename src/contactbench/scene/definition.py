@@ -112,11 +112,13 @@ def _compare(scene: Mechanical, places: np.ndarray) -> None:
     """Raise `BadInput` unless the gradient is that of the potential at `_places`."""
     n = len(scene.q)
     q, rest = tuple(places[:n]), () if scene.clock is None else (places[n],)
-    if not isinstance(scene.potential, Formula) or not isinstance(scene.gradient, Formula):
+    if not _has_formulas(scene):
         for place in places[:, :: max(1, places.shape[1] // 8)].T:
             with suppress(ArithmeticError, ValueError):
                 _gradient(scene, place[:n], np.ones(n), np.where(place[:n] == 0, 1.0, np.abs(place[:n])))
         return
+    assert isinstance(scene.potential, Formula)
+    assert isinstance(scene.gradient, Formula)
     try:
         wanted = derived_gradient(scene.potential)
     except BadInput:  # a function whose derivative is not known
@@ -128,7 +130,11 @@ def _compare(scene: Mechanical, places: np.ndarray) -> None:
     size = np.abs(b).max(axis=0)
     off = np.abs(a - b).max(axis=0)
     known = np.isfinite(off) & np.isfinite(size)
-    wrong = known & (off > TOLERANCE * size + 1e-3 * TOLERANCE * size[known].max(initial=0.0))
+    # at an equilibrium a force is the rounding of its terms: how large it is nearby tells
+    beside = tuple(x + SPREAD * (np.abs(places[:n]).max() or 1.0) for x in q)
+    nearby = [np.abs(np.asarray(x, dtype=float)) for x in wanted(beside, *rest, **scene.parameters)]
+    scale = max([float(x[np.isfinite(x)].max(initial=0.0)) for x in nearby] + [size[known].max(initial=0.0)])
+    wrong = known & (off > TOLERANCE * size + 1e-3 * TOLERANCE * scale)
     if wrong.any():
         k = int(np.argmax(np.where(wrong, off, 0.0)))
         i = int(np.argmax(np.abs(a - b)[:, k]))
@@ -147,8 +153,13 @@ def _verify(scene: Mechanical) -> None:
         q = start + SPREAD * size * rng.uniform(-1, 1, len(start))
         direction = size * rng.uniform(0.5, 1, len(start)) * rng.choice([-1, 1], len(start))
         try:
-            _gradient(scene, q, direction, size)
-            if scene.hessian is not None:
+            if _has_formulas(scene):
+                _compare(
+                    scene, np.array([*q, *(() if scene.clock is None else (scene.initial(()).t,))])[:, None]
+                )
+            else:
+                _gradient(scene, q, direction, size)
+            if scene.hessian is not None and not _follows(scene):
                 _hessian(scene, q, direction, size)
         except BadInput:
             raise
@@ -204,6 +215,17 @@ def _gradient(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.
         f"scene {scene.name!r}: its gradient is not the potential's: component {i + 1} is {given[i]:.6g} at "
         f"q = {_at(q)}, the derivative of the potential there {found[i]:.6g}"
     )
+
+
+def _has_formulas(scene: Mechanical) -> bool:
+    """Whether potential and gradient are formulas, and those that a kind of a user's own goes by."""
+    both = isinstance(scene.potential, Formula) and isinstance(scene.gradient, Formula)
+    return both and is_ours(type(scene))
+
+
+def _follows(scene: Mechanical) -> bool:
+    """Whether the Hessian was derived from the gradient."""
+    return isinstance(scene.hessian, Formula) and scene.hessian.live is None
 
 
 def _hessian(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.ndarray) -> None:
@@ -267,11 +289,16 @@ def _agree(
 def difference(
     f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """The derivative of f along a direction by central differences of order 4, and about its error."""
+    """The derivative of f along a direction by central differences of order 4, and about its error.
+
+    Two estimates may agree by luck where rounding leaves f but a few values: it adds ε |f| over the step.
+    """
     best, error = np.full_like(f(q), math.nan), math.inf
     for step in STEPS:
-        wide, narrow = ((f(q + h * direction) - f(q - h * direction)) / (2 * h) for h in (step, step / 2))
-        gap = float(np.abs(wide - narrow).max())
+        ends = [(f(q + h * direction), f(q - h * direction)) for h in (step, step / 2)]
+        wide, narrow = ((a - b) / (2 * h) for (a, b), h in zip(ends, (step, step / 2), strict=True))
+        rounding = 2 * np.finfo(float).eps * max(float(np.abs(x).max()) for pair in ends for x in pair) / step
+        gap = float(np.abs(wide - narrow).max()) + rounding
         if gap < error:
             best, error = narrow + (narrow - wide) / 3, gap
     return best, error

@@ -123,11 +123,18 @@ def number(coefficient: Fraction, xp: Any) -> Any:
 
 
 # -- a composition on a scene ----------------------------------------------------------------------
+def own_equations(scene: Scene) -> str | None:
+    """Why flows of a kind of scene do not solve one that writes its equations anew, or None."""
+    if not (anew := scene.own_equations):
+        return None
+    return f"its flows are those of {scene.kind}, and {type(scene).__name__} has {', '.join(anew)} of its own"
+
+
 def refusal(composition: Composition, scene: Scene) -> str | None:
     """Why the composition does not have its order on this scene, or None."""
     if composition.nystrom and "drift_damp" not in flows_of(scene):
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
-    return None
+    return own_equations(scene)
 
 
 #: the flows χ is made of, in their order, by kind of scene
