@@ -154,9 +154,8 @@ def _verify(scene: Mechanical) -> None:
         direction = size * rng.uniform(0.5, 1, len(start)) * rng.choice([-1, 1], len(start))
         try:
             if _has_formulas(scene):
-                _compare(
-                    scene, np.array([*q, *(() if scene.clock is None else (scene.initial(()).t,))])[:, None]
-                )
+                time = [] if scene.clock is None else [scene.pack(scene.initial(()))[scene.clock]]
+                _compare(scene, np.array([*q, *time])[:, None])
             else:
                 _gradient(scene, q, direction, size)
             if scene.hessian is not None and not _follows(scene):
