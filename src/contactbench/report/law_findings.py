@@ -78,7 +78,7 @@ def _kept(frames: Frames, rows: pd.DataFrame, told: int, kept: int, open_: int) 
     who = "Every contact method" + (" it was measured for" if set(rows["method"]) < known else "")
     if open_:
         return f"{who} keeps it to round-off in all {many(told, 'run')} that can tell; {open_} more are undecided."
-    return f"{who} keeps it to round-off at every setting on every scene."
+    return f"{who} keeps it to round-off in every judged run that promises it."
 
 
 def of_others(rows: pd.DataFrame) -> Iterator[str]:
