@@ -461,7 +461,7 @@ def test_counts_are_over_claimed_runs_and_a_second_number_for_the_rest():
     ]:  # fmt: skip
         rows.append(run(*given))
     found = law_findings.law_finding(frames(laws=rows), "contact_drift")
-    assert "every setting on every scene" in found.sentence
+    assert "every judged run that promises it" in found.sentence
     assert "Where it is not promised they keep it in 1 of 4 runs." in found.sentence
     assert "2 of these runs rest on times" in found.sentence
     assert found.covers.startswith("9 runs")
