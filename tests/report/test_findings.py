@@ -74,7 +74,9 @@ def law(name, **tables):
 
 def test_every_contact_method_keeps_a_law_when_every_row_says_so():
     finding = law("momentum_law", laws=LAWS)
-    assert "Every contact method keeps it to round-off in every judged run that promises it" in finding.sentence
+    assert (
+        "Every contact method keeps it to round-off in every judged run that promises it" in finding.sentence
+    )
     assert "Of the other 2 methods none keeps it at every setting" in finding.sentence
     assert finding.exceptions == ()
 
