@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from contactbench.measure.statistics import margin
 from contactbench.results.contest import CONTACT, KINDS, OTHER, contestants, contests, costs
-from contactbench.results.statistics import margin
 from contactbench.results.store import read
 from contactbench.results.tables import WORK_PRECISION
 

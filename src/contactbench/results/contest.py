@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from contactbench.results.statistics import Verdict, envelope, interpolate, margin, process_spread, verdict
+from contactbench.measure.statistics import Verdict, envelope, interpolate, margin, process_spread, verdict
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 #: errors at which methods are compared, and those of the detailed tables
