@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from contactbench.measure.statistics import Verdict, margin
 from contactbench.report.contest import KINDS, Field
-from contactbench.results.statistics import Verdict, margin
 from contactbench.results.store import read
 from contactbench.results.tables import WORK_PRECISION
 

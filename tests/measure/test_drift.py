@@ -347,7 +347,7 @@ def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_matrix_product_and_plain_components_push_the_same_tangents(name):
-    from contactbench.methods.callback import flat_rhs, variational
+    from contactbench.peers.callback import flat_rhs, variational
 
     larger = variational(cb.prepare(name, "scipy-radau", rtol=1e-6).request)
     scene, carry = larger.scene, larger.carry

@@ -12,8 +12,9 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
 from contactbench.gate.speed_worker import handed_out
-from contactbench.methods import c_functions, cvode_library, cyrk_interface
+from contactbench.methods import c_functions
 from contactbench.methods.engines import ENGINES
+from contactbench.peers.abi import cvode_library, cyrk_interface
 from contactbench.solution import Status
 
 PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)

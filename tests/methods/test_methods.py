@@ -10,10 +10,10 @@ import pytest
 
 import contactbench as cb
 from cases import USER, few_slow, pairs
-from contactbench.methods import diffrax
 from contactbench.methods.entry import _tolerances as tolerances_of
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.grid import steps_in
+from contactbench.peers import diffrax
 from contactbench.solution import Status
 from contactbench.xla import jax
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.methods import heyoka
 from contactbench.methods.llvm import compiled
 from contactbench.numbers.formula import formula
+from contactbench.peers import heyoka
 from contactbench.scene import Mechanical, RigidBody
 
 STIFFNESS = 1.0

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from contactbench.methods.base import Request
-from contactbench.methods.variational import numerical_derivative, variational_request
 from contactbench.numbers.recording import CannotRecord, Recorded, Tape, text_of
 from contactbench.numbers.recording import recorded as within
 from contactbench.numbers.source import executed
+from contactbench.peers.variational import numerical_derivative, variational_request
 from contactbench.scene import System
 
 
