@@ -285,20 +285,3 @@ def test_merged_flow_has_a_derivative_where_the_path_is_straight(kappa, p):
             ]
             truth = [float((a - b) / (2 * delta)) for a, b in zip(*sides, strict=True)]
             np.testing.assert_allclose(slope[:, i], truth, rtol=1e-14, atol=1e-15)
-
-
-@pytest.mark.parametrize("kappa", [1.5, 1e-9, -1.5])
-def test_merged_flow_is_the_same_on_arrays_and_traced_numbers(kappa):
-    scene = line(kappa=kappa, gamma=0.1)
-    rng = np.random.default_rng(5)
-    q, p, s = rng.normal(size=(3, 50))
-    y = np.array([q, p * (np.arange(50) % 5 > 0), 2 * s])
-    with np.errstate(invalid="ignore"):
-        arrays = np.array(merged_flow(scene, y, 0.9, np))
-    traced = jax.jit(lambda y: jnp.stack(merged_flow(scene, y, 0.9, jnp)))(y)
-    alone = np.transpose([merged_flow(scene, column, 0.9, math) for column in y.T.tolist()])
-    finite = np.isfinite(alone)
-    assert 5 < finite.all(axis=0).sum() <= 50
-    for other in (arrays, np.asarray(traced)):
-        np.testing.assert_array_equal(np.isfinite(other), finite)
-        np.testing.assert_allclose(other[finite], alone[finite], rtol=1e-13, atol=1e-15)

@@ -241,15 +241,6 @@ def test_compiled_flow_and_its_derivative_on_and_off_the_axes(M):
             np.testing.assert_allclose(slope[:, i], truth, rtol=0, atol=1e-12)
 
 
-def test_arrays_take_the_same_flow():
-    y = np.random.default_rng(0).normal(size=(8, 60))
-    y[:3, :3] = np.eye(3)
-    together = np.array(BODY.pack(free(BODY, BODY.unpack(list(y), BODY.optional), 2.0, np)))
-    for column, mine in zip(y.T.tolist(), together.T, strict=True):
-        alone = BODY.pack(free(BODY, BODY.unpack(column, BODY.optional), 2.0, math))
-        np.testing.assert_allclose(mine, alone, rtol=0, atol=2e-14)
-
-
 @pytest.mark.parametrize("inertia", list(permutations((1.0, 2.0, 3.0))), ids=str)
 def test_a_million_periods_are_one_evaluation(inertia):
     """t and t + whole periods of M give the same M, as far as the phase of 10⁷ has digits."""
@@ -319,20 +310,6 @@ def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scen
     assert solution.counts == (10, 10 * FREE_COST, 0, 0, "rotation")
     momentum = cb.solve(scene, "contact-exact", save_at=times, engine=engine, carry=())
     assert momentum.counts == (10, 10 * MOMENTUM_COST, 0, 0, "rotation")
-
-
-@pytest.mark.slow
-def test_contact_exact_on_its_engines_and_from_other_data():
-    runs = [cb.prepare(BODY, "contact-exact", engine=e, save_at=[0.0, 1.0, 20.0]) for e in EXACT.engines]
-    other = {"M": (-0.4, 0.1, 0.9), "s": 0.3}
-    first, *rest = (run(**other) for run in runs)
-    for one in rest:
-        np.testing.assert_allclose(one.y, first.y, rtol=0, atol=2e-15)
-        derivatives = [solution.differential.estimates for solution in (one, first)]
-        np.testing.assert_allclose(*derivatives, rtol=0, atol=1e-13)
-    np.testing.assert_array_equal(first.y[0], first.y0)
-    assert cb.LAWS["solution_error"](first) < 1e-14
-    assert not np.array_equal(runs[0]().y, first.y)
 
 
 @pytest.mark.parametrize("given", [{"step": 0.1}, {"rtol": 1e-6}, {"atol": 1e-6}], ids=str)
