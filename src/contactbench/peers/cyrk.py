@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Outcome, Prepared, Refused, Request
-from contactbench.methods.c_functions import c_functions, clock_of, derivative
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi.cyrk_interface import KNOWN, why_not
+from contactbench.peers.c_functions import c_functions, clock_of, derivative
 from contactbench.peers.variational import SOURCE, integrated, variational_request
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status

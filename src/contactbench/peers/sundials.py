@@ -26,10 +26,10 @@ from contactbench.methods.base import (
     Refused,
     Request,
 )
-from contactbench.methods.c_functions import c_functions, clock_of, derivative
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi.cvode_library import ADAMS, BDF, KNOWN, TOO_MUCH_WORK, Library, library
 from contactbench.peers.abi.cvode_solver import Solver
+from contactbench.peers.c_functions import c_functions, clock_of, derivative
 from contactbench.peers.callback import flat_jacobian, flat_rhs, variational
 from contactbench.peers.variational import SOURCE, integrated, variational_request
 from contactbench.solution import Counts, Status

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.c_functions import CFunctions
 from contactbench.peers.abi.cvode_library import Library, library
+from contactbench.peers.c_functions import CFunctions
 
 
 class Solver:
