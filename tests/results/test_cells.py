@@ -95,7 +95,7 @@ def test_a_run_merges_what_other_runs_have_finished(tmp_path):
     finish(tmp_path, "contact-abc", run="other")
     living.save([(CONVERGENCE, row("contact-strang"))], ("bench.py", "c"))
     living.merge()
-    assert methods(tmp_path) == ["contact-strang", "contact-abc", "rk4"]
+    assert methods(tmp_path) == ["contact-abc", "contact-strang", "rk4"]
     assert len(living.done()) == 3
 
 

@@ -104,25 +104,32 @@ def runs(results: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["runs"]
-        return [{"run": f"run {k + 1}", "tables": {}} | check_record(run) for k, run in enumerate(found)]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        why = " ".join(f"{type(error).__name__}: {error}".split())[:100]
-        raise BadInput(f"{path}: {why}: not the record of a benchmark run; restore it") from None
+        found = json.loads(path.read_text(encoding="utf-8"))
+        listed = found.get("runs") if isinstance(found, dict) else None
+        why = fault(listed)
+    except (OSError, ValueError, RecursionError) as error:
+        why = " ".join(str(error).split())[:100]
+    if why:
+        raise BadInput(f"{path}: {why}: not the record of a benchmark run; restore it")
+    return [{"run": f"run {k}", "tables": {}, **run} for k, run in enumerate(listed, start=1)]
 
 
 #: types of what is read of a record; not every run has all of it, but each has a profile
 TYPES = {str: "run profile utc commit isa references", dict: "packages tables threads plugins", bool: "dirty"}
 
 
-def check_record(run: Any) -> dict[str, Any]:
-    """Return a record if it is one; raise `TypeError` or `KeyError` otherwise."""
-    run["profile"]
-    for type_, names in TYPES.items():
-        for name in names.split():
-            if not isinstance(run.get(name, type_()), type_):
-                raise TypeError(f"{name!r} is {str(run[name])[:40]!r}")
-    return run
+def fault(listed: Any) -> str:
+    """Return what is wrong with a list of records, empty where nothing is."""
+    if not isinstance(listed, list) or not listed:
+        return "no list of runs"
+    for k, run in enumerate(listed, start=1):
+        if not isinstance(run, dict) or "profile" not in run:
+            return f"run {k}: no record with a profile"
+        for type_, names in TYPES.items():
+            for name in names.split():
+                if not isinstance(run.get(name, type_()), type_):
+                    return f"run {k}: {name!r} is {str(run[name])[:40]!r}"
+    return ""
 
 
 def save_run(
