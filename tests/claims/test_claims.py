@@ -99,7 +99,7 @@ def test_ids():
 
 
 @pytest.mark.parametrize("name", few_slow([*IDS, *MORE], *DEAR))
-@pytest.mark.share(3)
+@pytest.mark.quick(name=("C08", "C11", "C14", "C17", "C20", "C23", "C29", "C32", "C35", "C38", "C41"))
 def test_row(ledger, name):
     row = ledger[name]
     assert row["status"] == "ok", row
