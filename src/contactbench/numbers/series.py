@@ -10,7 +10,7 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from contactbench.numbers.recording import LARGEST_POWER, Recorded
+from contactbench.numbers.recording import LARGEST_POWER, CannotRecord, Recorded
 
 #: what a run says that has no step at all
 NO_SERIES = "heyoka has no series of the root and other fractional powers of x, nor of |x|, at x = 0"
@@ -48,6 +48,9 @@ class Series:
     def __pos__(self) -> Series:
         return self
 
+    def __abs__(self) -> Series:
+        raise CannotRecord("heyoka has no |x|")
+
 
 def bare(x: Any) -> Any:
     """The expression of a series; any other number as it is."""
@@ -82,7 +85,9 @@ class SeriesNumbers:
     def __getattr__(self, name: str) -> Callable[..., Series]:
         import heyoka
 
-        function = getattr(heyoka, name)
+        function = getattr(heyoka, name, None)
+        if function is None:
+            raise CannotRecord(f"heyoka has no function {name!r}")
         return lambda *numbers: Series(function(*map(bare, numbers)))
 
 

@@ -26,7 +26,7 @@ from contactbench.methods.base import (
     Request,
 )
 from contactbench.numbers.recording import CannotRecord
-from contactbench.peers.abi.cvode import ADAMS, BDF, TOO_MUCH_WORK, Library, Memory, library
+from contactbench.peers.abi.cvode import ADAMS, BDF, TOO_MUCH_WORK, Library, library
 from contactbench.peers.callback import CallbackPeer
 from contactbench.peers.compiled import CompiledPeer
 from contactbench.solution import Counts, Status
@@ -127,6 +127,7 @@ class CompiledCvodeRun(CompiledPeer):
 
     def connect(self) -> None:
         from contactbench.peers.abi import cvode_calls
+        from contactbench.peers.abi.cvode_memory import Memory
 
         r = self.request
         assert r.rtol is not None

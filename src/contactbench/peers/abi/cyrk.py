@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 from contactbench.peers.abi import signature
 
@@ -33,10 +34,14 @@ def why_not() -> str:
         return f"CyRK cannot be imported: {error}"
     expected = [("get_solve_func_ptr", "solve_func_sig", SOLVE), *GETTERS.values()]
     for name, kind, word in expected:
-        found = getattr(numba_solver, kind, None)
         result, arguments = signature(word)
-        alike = found is not None and found._argtypes_ == arguments
-        alike = alike and (word[0] == "a" or found._restype_ is result)
-        if not (alike and hasattr(numba_c_api, name)):
+        found: Any = getattr(numba_solver, kind, None)
+        alike = (
+            hasattr(numba_c_api, name)
+            and found is not None
+            and found._argtypes_ == arguments
+            and (word[0] == "a" or found._restype_ is result)
+        )
+        if not alike:
             return f"CyRK {CyRK.__version__} has another C interface than 0.20, which this is written for"
     return ""
