@@ -12,8 +12,8 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
 from contactbench.gate.speed_worker import handed_out
-from contactbench.methods import c_functions
 from contactbench.methods.engines import ENGINES
+from contactbench.peers import c_functions
 from contactbench.peers.abi import cvode, cyrk
 from contactbench.solution import Status
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Prepared, Request
-from contactbench.numbers.recording import CannotRecord, Recorded, Tape, text_of
-from contactbench.numbers.recording import recorded as within
-from contactbench.numbers.source import executed
 from contactbench.peers.variational import SOURCE, integrated, numerical_derivative, variational_request
 from contactbench.scene import System
+from contactbench.trace.recording import CannotRecord, Recorded, Tape, text_of
+from contactbench.trace.recording import recorded as within
+from contactbench.trace.source import executed
 
 Rows = list[list[float]]
 

@@ -16,7 +16,7 @@ import importlib.util
 from dataclasses import dataclass
 
 from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Prepared, Refused, Request
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi import KNOWN
 from contactbench.peers.abi.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, why_not
 from contactbench.peers.compiled import CompiledPeer

@@ -23,7 +23,7 @@ from contactbench.methods.base import (
     Request,
 )
 from contactbench.methods.compiled import CompiledRun
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 

@@ -25,7 +25,7 @@ from contactbench.methods.base import (
     Refused,
     Request,
 )
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi.cvode import ADAMS, BDF, TOO_MUCH_WORK, Library, library
 from contactbench.peers.callback import CallbackPeer
 from contactbench.peers.compiled import CompiledPeer

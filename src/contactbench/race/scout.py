@@ -20,7 +20,7 @@ from contactbench.measure.laws import observed
 from contactbench.methods.base import METHODS, Prepared, Refused
 from contactbench.methods.engines import ENGINES
 from contactbench.methods.entry import prepare
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import Reference

@@ -14,10 +14,10 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from contactbench.methods.c_functions import JACOBIAN_CALLS, RHS_CALLS
 from contactbench.peers.abi import KNOWN
 from contactbench.peers.abi.cvode import FUNCTIONS, NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
 from contactbench.peers.abi.native import external, join, split
+from contactbench.peers.c_functions import JACOBIAN_CALLS, RHS_CALLS
 
 _found = library()
 assert isinstance(_found, Library), _found

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.c_functions import CFunctions
 from contactbench.peers.abi import cvode_calls
 from contactbench.peers.abi.cvode import Library, library
+from contactbench.peers.c_functions import CFunctions
 
 
 class Memory:

@@ -13,10 +13,10 @@ from CyRK import get_error_message
 from CyRK.cy.pyhelpers import find_ode_method_int
 from CyRK.nb import numba_c_api
 
-from contactbench.methods.c_functions import RHS_CALLS
 from contactbench.peers.abi import KNOWN
 from contactbench.peers.abi.cyrk import GETTERS, SOLVE, SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
 from contactbench.peers.abi.native import external, join, split
+from contactbench.peers.c_functions import RHS_CALLS
 
 
 def _getter(ours: str) -> Any:

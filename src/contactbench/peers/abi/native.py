@@ -8,7 +8,7 @@ import llvmlite.binding
 import numba
 from numba import types
 
-from contactbench.methods.c_functions import ORIGIN
+from contactbench.peers.c_functions import ORIGIN
 
 #: as `LETTERS`
 TYPES: dict[str, Any] = {
