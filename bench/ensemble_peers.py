@@ -86,7 +86,7 @@ def diffrax(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -
 def heyoka(scene: Any, method: str, shape: str, value: float, y0: np.ndarray) -> Any:
     import heyoka
 
-    from contactbench.methods.heyoka import taylor_system
+    from contactbench.peers.heyoka import taylor_system
 
     width = heyoka.recommended_simd_size()
     ta = heyoka.taylor_adaptive_batch(taylor_system(scene, (), heyoka), np.zeros((len(y0), width)), tol=value)

@@ -188,7 +188,7 @@ def test_a_run_of_too_many_steps_ends_as_budget(options):
 @pytest.mark.parametrize("method", ["scipy-dop853", "scipy-radau"])
 def test_a_first_step_that_is_no_number_ends_the_run(method):
     """A slope that is finite at the start and not where the first step leads: SciPy's loop would not end."""
-    from contactbench.methods.scipy import starts
+    from contactbench.peers.scipy import starts
 
     run = cb.prepare(cb.SCENES["particle"].with_(q=(1e100, 0.0)), method, rtol=1e-6, save_at=[1.0])
     assert not run().ok

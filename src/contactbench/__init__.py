@@ -3,7 +3,10 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from contactbench import start  # first
+from contactbench import start  # its exception hook comes before all else
+
+# isort: split
+from contactbench import peers
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve

@@ -32,8 +32,9 @@ from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.claims.rigid_body import body_flow_defect
 from contactbench.claims.step_stability import threshold, unconditional_from
 from contactbench.cli import main
-from contactbench.methods import METHODS, c_functions, compiled, contact_adaptive, numba_engine
+from contactbench.methods import METHODS, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method
+from contactbench.peers import c_functions
 from contactbench.report import claims as room
 from contactbench.report import markdown
 from contactbench.report.figures import paper
@@ -99,7 +100,7 @@ def test_ids():
 
 
 @pytest.mark.parametrize("name", few_slow([*IDS, *MORE], *DEAR))
-@pytest.mark.share(3)
+@pytest.mark.quick(name=("C08", "C11", "C14", "C17", "C20", "C23", "C29", "C32", "C35", "C38", "C41"))
 def test_row(ledger, name):
     row = ledger[name]
     assert row["status"] == "ok", row

@@ -19,8 +19,8 @@ from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import judge, speed, speed_worker
 from contactbench.gate.workload import MANY, PUBLIC, Cell, workload
+from contactbench.measure.statistics import PairedRatio
 from contactbench.plugins import VARIABLE
-from contactbench.results.statistics import PairedRatio
 from contactbench.results.store import merge, read
 from contactbench.results.tables import WORK_PRECISION
 from made_up import commit, committed, folder, git, row

@@ -12,8 +12,9 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
 from contactbench.gate.speed_worker import handed_out
-from contactbench.methods import c_functions, cvode_library, cyrk_interface
 from contactbench.methods.engines import ENGINES
+from contactbench.peers import c_functions
+from contactbench.peers.abi import cvode_library, cyrk_interface
 from contactbench.solution import Status
 
 PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
@@ -120,7 +121,7 @@ def test_cyrk_is_as_accurate_as_scipy(cyrk, scipy, rtol, scene):
 
 @peers
 @by_name([PARTICLE, BODY, ANISOTROPIC])
-@pytest.mark.share(2)
+@pytest.mark.quick(scene="rigid_body")
 def test_saved_states_are_as_accurate_as_the_last(method, engine, scene):
     """At 97 times, most of them between steps: the interpolation must not show."""
     rtol = 1e-8
@@ -336,7 +337,7 @@ def test_sixteen_bytes_a_call_are_seen():
 
 @counts_memory
 @peers
-@pytest.mark.share(3)
+@pytest.mark.quick(method=("cvode-bdf", "cyrk-dop853"))
 def test_calls_take_no_memory(method, engine):
     """Measured: none."""
     brief = {"rtol": 1e-4, "engine": engine}
@@ -347,7 +348,7 @@ def test_calls_take_no_memory(method, engine):
 
 @counts_memory
 @peers
-@pytest.mark.share(3)
+@pytest.mark.quick(method=("cvode-bdf", "cyrk-dop853"))
 def test_a_prepared_run_gives_its_memory_back(method, engine):
     """A vector of CVODE's, the smallest thing it makes, would be 200 bytes every time; measured: none."""
     options = {"rtol": 1e-4, "save_at": [0.1], "engine": engine}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contactbench.methods.counting import counted
+from contactbench.peers.counting import counted
 from contactbench.xla import jax, jnp, lax
 
 LIMIT = 100.0

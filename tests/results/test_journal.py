@@ -119,7 +119,6 @@ def killed_while_folding(tmp_path_factory):
 
 
 @pytest.mark.parametrize("writes", WRITES)
-@pytest.mark.share(3)
 def test_a_kill_while_folding_loses_nothing(killed_while_folding, writes):
     """Five files of four tables, the environment and the list of what is done: killed before any is written."""
     folder, codes = killed_while_folding

@@ -18,7 +18,6 @@ AD = 1e-13  # a handful of float64 operations on numbers of size one
 
 
 @by_name(MECHANICAL)
-@pytest.mark.share(2)
 def test_gradient_and_hessian_are_the_derivatives_of_the_potential(scene):
     q = jnp.array(random_state(scene).q)
     gradient = jax.grad(lambda q: scene.V(tuple(q)))(q)
@@ -47,7 +46,7 @@ def test_same_right_hand_side_on_floats_numpy_jax_mpmath_and_heyoka(scene):
     exact, z = in_mp(scene, x)
     np.testing.assert_allclose([float(c) for c in scene.pack(exact.rhs(z))], expected, rtol=AD, atol=AD)
 
-    from contactbench.methods.heyoka import taylor_system
+    from contactbench.peers.heyoka import taylor_system
 
     system = taylor_system(scene, carry, heyoka)
     field = heyoka.cfunc([e for _, e in system], [v for v, _ in system])

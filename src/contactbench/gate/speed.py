@@ -27,7 +27,7 @@ from contactbench.errors import BadInput
 from contactbench.gate.fresh import environment
 from contactbench.gate.speed_worker import RUNS_SECONDS
 from contactbench.gate.workload import Cell
-from contactbench.results.statistics import PairedRatio, paired_ratio
+from contactbench.measure.statistics import PairedRatio, paired_ratio
 
 LIMIT = 1.25
 ROUNDS = 15

@@ -1,4 +1,7 @@
-"""The methods.  Each module registers its own; to add one, write a module and import it here."""
+"""Our methods; those of other libraries are in `peers`.
+
+Each module registers its own; to add one, write a module and import it here.
+"""
 
 # ruff: noqa: I001 (imported to be registered, in table order)
 
@@ -8,11 +11,6 @@ from contactbench.methods import (
     contact_exact,
     rk4,
     herglotz,
-    scipy,
-    sundials,
-    cyrk,
-    diffrax,
-    heyoka,
 )
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import prepare, solve

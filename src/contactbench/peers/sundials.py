@@ -26,12 +26,12 @@ from contactbench.methods.base import (
     Refused,
     Request,
 )
-from contactbench.methods.c_functions import c_functions, clock_of, derivative
-from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
-from contactbench.methods.cvode_library import ADAMS, BDF, KNOWN, TOO_MUCH_WORK, Library, library
-from contactbench.methods.cvode_solver import Solver
-from contactbench.methods.variational import SOURCE, integrated, variational_request
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.peers.abi.cvode_library import ADAMS, BDF, KNOWN, TOO_MUCH_WORK, Library, library
+from contactbench.peers.abi.cvode_solver import Solver
+from contactbench.peers.c_functions import c_functions, clock_of, derivative
+from contactbench.peers.callback import flat_jacobian, flat_rhs, variational
+from contactbench.peers.variational import SOURCE, integrated, variational_request
 from contactbench.solution import Counts, Status
 
 
@@ -145,7 +145,7 @@ class CompiledCvodeRun(Prepared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        from contactbench.methods import cvode_driver
+        from contactbench.peers.abi import cvode_driver
 
         r = self.request
         assert r.rtol is not None
@@ -175,7 +175,7 @@ class CompiledCvodeRun(Prepared):
 
     def many(self, starts: np.ndarray) -> np.ndarray:
         """Facts and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
-        from contactbench.methods.cvode_driver import in_a_loop
+        from contactbench.peers.abi.cvode_driver import in_a_loop
 
         s = self.solver
         return in_a_loop(

@@ -18,9 +18,9 @@ from CyRK.cy.pyhelpers import find_ode_method_int
 from CyRK.nb import numba_c_api
 from numba import types
 
-from contactbench.methods.c_functions import RHS_CALLS
-from contactbench.methods.cyrk_interface import GETTERS, KNOWN
-from contactbench.methods.native_time import join, split
+from contactbench.peers.abi.cyrk_interface import GETTERS, KNOWN
+from contactbench.peers.abi.native_time import join, split
+from contactbench.peers.c_functions import RHS_CALLS
 
 pointer, size, real, flag = types.intp, types.uintp, types.float64, types.boolean
 doubles = types.CPointer(types.float64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numba
 
-from contactbench.methods.c_functions import ORIGIN
+from contactbench.peers.c_functions import ORIGIN
 
 
 @numba.njit(cache=True)

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from contactbench.methods.base import Request
-from contactbench.methods.variational import numerical_derivative, variational_request
-from contactbench.numbers.recording import CannotRecord, Recorded, Tape, text_of
-from contactbench.numbers.recording import recorded as within
-from contactbench.numbers.source import executed
+from contactbench.peers.variational import numerical_derivative, variational_request
 from contactbench.scene import System
+from contactbench.trace.recording import CannotRecord, Recorded, Tape, text_of
+from contactbench.trace.recording import recorded as within
+from contactbench.trace.source import executed
 
 
 def recorded(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS, NO_NUMBER, Adaptive, Outcome, Prepared, Request
-from contactbench.methods.callback import flat_jacobian, flat_rhs, variational
-from contactbench.methods.variational import SOURCE, integrated
+from contactbench.peers.callback import flat_jacobian, flat_rhs, variational
+from contactbench.peers.variational import SOURCE, integrated
 from contactbench.solution import Counts, Status
 
 #: evaluations DOP853 adds for the interpolant of a step

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Outcome, Prepared, Refused, Request
-from contactbench.methods.c_functions import c_functions, clock_of, derivative
-from contactbench.methods.cyrk_interface import KNOWN, why_not
-from contactbench.methods.variational import SOURCE, integrated, variational_request
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.peers.abi.cyrk_interface import KNOWN, why_not
+from contactbench.peers.c_functions import c_functions, clock_of, derivative
+from contactbench.peers.variational import SOURCE, integrated, variational_request
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -42,7 +42,7 @@ class CyrkRun(Prepared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        from contactbench.methods import cyrk_driver
+        from contactbench.peers.abi import cyrk_driver
 
         r = self.request
         functions = c_functions(r.scene, r.carry)
@@ -65,7 +65,7 @@ class CyrkRun(Prepared):
 
     def many(self, starts: np.ndarray) -> np.ndarray:
         """Facts and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
-        from contactbench.methods.cyrk_driver import in_a_loop
+        from contactbench.peers.abi.cyrk_driver import in_a_loop
 
         r, rows = self.request, np.ascontiguousarray(starts)  # CyRK reads a state where it begins
         return in_a_loop(

@@ -15,9 +15,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from contactbench.methods.c_functions import JACOBIAN_CALLS, RHS_CALLS
-from contactbench.methods.cvode_library import KNOWN, NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
-from contactbench.methods.native_time import join, split
+from contactbench.peers.abi.cvode_library import KNOWN, NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
+from contactbench.peers.abi.native_time import join, split
+from contactbench.peers.c_functions import JACOBIAN_CALLS, RHS_CALLS
 
 _found = library()
 assert isinstance(_found, Library), _found

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.c_functions import CFunctions
-from contactbench.methods.cvode_library import Library, library
+from contactbench.peers.abi.cvode_library import Library, library
+from contactbench.peers.c_functions import CFunctions
 
 
 class Solver:
@@ -23,7 +23,7 @@ class Solver:
         self, kind: int, functions: CFunctions, data: np.ndarray, size: int, rtol: float, atol: float,
         longest: float, shortest: float,
     ) -> None:  # fmt: skip
-        from contactbench.methods import cvode_driver
+        from contactbench.peers.abi import cvode_driver
 
         lib = library()
         assert isinstance(lib, Library)

@@ -23,7 +23,7 @@ from contactbench.methods.base import (
     Request,
 )
 from contactbench.methods.compiled import CompiledRun
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -70,7 +70,7 @@ class DiffraxRun(CompiledRun):
         """
         if not self.method_.stiff:
             return self._solve(y0, fixed)
-        from contactbench.methods.counting import counted
+        from contactbench.peers.counting import counted
         from contactbench.xla import jnp
 
         (y, info, last), evaluations = counted(partial(self._solve, marked=True), y0, fixed)
@@ -79,7 +79,7 @@ class DiffraxRun(CompiledRun):
     def _solve(self, y0: Any, fixed: Any, marked: bool = False) -> Any:
         import diffrax
 
-        from contactbench.methods.diffrax_budget import Budgeted
+        from contactbench.peers.diffrax_budget import Budgeted
         from contactbench.xla import jax, jnp
 
         numbers, (rtol, atol, max_steps), times = self.apart(fixed)

@@ -26,12 +26,12 @@ from contactbench.methods.base import (
     Request,
     stopwatch,
 )
-from contactbench.methods.variational import SOURCE, integrated, variational_request
-from contactbench.numbers.recording import CannotRecord, advised
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
+from contactbench.peers.variational import SOURCE, integrated, variational_request
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
+from contactbench.trace.recording import CannotRecord, advised
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
