@@ -105,7 +105,7 @@ def runs(results: Path) -> list[dict[str, Any]]:
         return []
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        listed = found.get("runs") if isinstance(found, dict) else None
+        listed: Any = found.get("runs") if isinstance(found, dict) else None
         why = fault(listed)
     except (OSError, ValueError, RecursionError) as error:
         why = " ".join(str(error).split())[:100]
