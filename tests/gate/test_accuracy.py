@@ -87,7 +87,9 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.share(2)
+@pytest.mark.quick(
+    fault=("error", "error infinite", "slope", "family", "dropped method", "the bound of a claim")
+)
 def test_every_kind_of_regression_is_red_and_named(fault, baseline, tmp_path):
     change, method, measure = FAULTS[fault]
     verdict = judged(baseline, change, tmp_path)
@@ -237,7 +239,7 @@ MOVES = {
 
 
 @pytest.mark.parametrize("what", MOVES)
-@pytest.mark.share(3)
+@pytest.mark.quick(what=("a point of a figure", "the time of the blow-up", "members of an ensemble"))
 def test_what_was_not_compared_once_moves_within_its_limits_only(what, tmp_path):
     table, rows, name, little, much = MOVES[what]
 

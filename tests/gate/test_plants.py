@@ -146,7 +146,6 @@ def test_the_committed_tables_against_themselves_are_green(folders):
 
 
 @pytest.mark.parametrize("fault", DOCTORED, ids=lambda fault: fault.what)
-@pytest.mark.share(3)
 def test_doctored_tables_are_given_away(fault, folders):
     lines = folders.judged(fault.change, fault.to, fault.what.replace(" ", "-"))
     assert (fault.measure, fault.table) in [(line.measure, line.table) for line in lines]
