@@ -15,11 +15,12 @@ from contactbench.measure.ladder import ENDS
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.compiled import _programs
 from contactbench.methods.engines import ENGINES
-from contactbench.race import comparison, show
+from contactbench.race import comparison
 from contactbench.race import scout as scouting
 from contactbench.race.keeping import kept
 from contactbench.race.scout import Attempt
 from contactbench.race.table import COLUMNS, cheapest, judged
+from contactbench.report import race
 from contactbench.solution import Status
 from contactbench.truth import OutOfTime
 
@@ -183,7 +184,7 @@ def test_control_c_ends_it_with_what_there_is(monkeypatch):
     assert rows.loc["rk4", "status"] == "ok"
     assert rows.loc["rk4", "time_s"] > 0
     assert list(rows.loc[["contact-strang", "herglotz2"], "status"]) == ["interrupted", "interrupted"]
-    assert "Interrupted" in show.text(found)
+    assert "Interrupted" in race.text(found)
 
 
 def test_control_c_before_there_is_a_reference_is_passed_on(monkeypatch):
@@ -315,7 +316,7 @@ def test_every_time_has_a_margin_to_the_cheapest(frame):
 
 # -- shown -----------------------------------------------------------------------------------------
 def test_text_page_and_plot_say_the_same(frame, tmp_path):
-    text, page = show.text(frame), show.html(frame)
+    text, page = race.text(frame), race.html(frame)
     for row in frame.itertuples():
         assert row.method in text
         assert row.method in page
@@ -327,7 +328,7 @@ def test_text_page_and_plot_say_the_same(frame, tmp_path):
     assert "src=" not in page  # one file, nothing to fetch
     from contactbench.report.draw import drawn
 
-    figure = show.figure(frame)
+    figure = race.figure(frame)
     assert [panel.title for panel in figure.panels] == ["Compiled", "Calling back into Python", "Evaluations"]
     drawn(figure).savefig(tmp_path / "plot.svg")
     assert (tmp_path / "plot.svg").stat().st_size > 10_000
@@ -335,12 +336,12 @@ def test_text_page_and_plot_say_the_same(frame, tmp_path):
 
 def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
     own = frame[frame["method"] == "contact-strang"].copy()
-    assert "contact drift" in show.kept_by(own)
+    assert "contact drift" in race.kept_by(own)
     own.loc[own.index[0], ["contact_drift", "laws_kept"]] = [np.nan, ""]  # measured at one of the two errors
-    assert "contact drift" in show.kept_by(own)
+    assert "contact drift" in race.kept_by(own)
     own["contact_drift"], own["laws_kept"] = np.nan, ""
-    assert "not measured: contact drift" in show.kept_by(own)
-    assert show.kept_by(frame[frame["method"] == "rk4"]) == "none"
+    assert "not measured: contact drift" in race.kept_by(own)
+    assert race.kept_by(frame[frame["method"] == "rk4"]) == "none"
 
 
 def test_a_curve_says_what_an_error_costs_and_never_turns_back():
@@ -351,13 +352,13 @@ def test_a_curve_says_what_an_error_costs_and_never_turns_back():
             "evaluations": [1, 2, 3, 4, 5, 9],
         }
     )
-    kept_of_a = show.front(tried, "error", "evaluations").query("method == 'a'")
+    kept_of_a = race.front(tried, "error", "evaluations").query("method == 'a'")
     assert list(kept_of_a["evaluations"]) == [1, 3, 5]
-    assert len(show.front(tried, "error", "evaluations")) == 4
+    assert len(race.front(tried, "error", "evaluations")) == 4
 
 
 def test_the_terminal_says_setting_and_error_of_each_time(frame):
-    text = show.text(frame)
+    text = race.text(frame)
     for row in frame[frame["status"] == "ok"].itertuples():
         assert f"{row.setting}, {row.error_reached:.1e}" in text
 
