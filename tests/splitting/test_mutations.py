@@ -39,8 +39,8 @@ MUTATED = [
         free_body,
         ("course", "free", "polar", "momentum", "precession", "phase", "sense", "attitude", "frame"),
     ),
-    (free_body, ("handedness", "circled")),
-    (dissipation, ("damped_by", "by_quadrature", "survival")),
+    (free_body, ("handedness", "components")),
+    (dissipation, ("phi", "by_quadrature", "survival")),
     (flows, ("damp_generally", "general_log_factor")),
     (herglotz, ("explicit_kick", "implicit_kick")),
 ]
