@@ -25,8 +25,9 @@ from contactbench.methods.entry import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.abi.cyrk_interface import FACTS, KNOWN
-from contactbench.peers.cyrk import SUCCESS, CyrkRun
+from contactbench.peers.abi import FACTS, KNOWN
+from contactbench.peers.abi.cyrk import SUCCESS
+from contactbench.peers.cyrk import CyrkRun
 from contactbench.scene import Scene
 from contactbench.trace.compiled import compiled
 

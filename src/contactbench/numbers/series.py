@@ -10,7 +10,7 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from contactbench.numbers.protocol import LARGEST_POWER, Numbers, Unknown
+from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
 
 #: what a run says that has no step at all
 NO_SERIES = "heyoka has no series of the root and other fractional powers of x, nor of |x|, at x = 0"
@@ -52,6 +52,9 @@ class Series(Unknown):
     def __pos__(self) -> Series:
         return self
 
+    def __abs__(self) -> Series:
+        raise CannotRecord("heyoka has no |x|")
+
 
 def bare(x: Any) -> Any:
     """The expression of a series; any other number as it is."""
@@ -80,7 +83,9 @@ class SeriesNumbers(Numbers):
     def __getattr__(self, name: str) -> Callable[..., Series]:
         import heyoka
 
-        function = getattr(heyoka, name)
+        function = getattr(heyoka, name, None)
+        if function is None:
+            raise CannotRecord(f"heyoka has no function {name!r}")
         return lambda *numbers: Series(function(*map(bare, numbers)))
 
 

@@ -167,7 +167,7 @@ class Adjoints:
                 total = total + self.number({tuple(rest): share})
         if isinstance(total, float):
             return {tuple(shared): total * size}
-        return {tuple(sorted([*shared, self.tape.operand(total)])): size}
+        return {tuple(sorted([*shared, self.tape.places[total.name]])): size}
 
     def number(self, adjoint: Sum) -> Any:
         """The value of a sum; constants and parameters are multiplied first: that is done ahead of a run."""

@@ -66,9 +66,9 @@ class Store(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Statements repeated for index = 0, 1, …, times − 1."""
+    """Statements repeated for counter = 0, 1, …, times − 1."""
 
-    index: str
+    counter: str
     times: Operand
     body: tuple[Any, ...]
 

@@ -50,7 +50,11 @@ WRITTEN = FORMS | {
 }
 SCOPE: dict[str, Any] = {
     **{name: functions.function(name) for name in FUNCTIONS},
-    **{"atan2": functions.atan2, "hypot": functions.hypot, "where": _where, "inf": math.inf, "nan": math.nan},
+    "atan2": functions.atan2,
+    "hypot": functions.hypot,
+    "where": _where,
+    "inf": math.inf,
+    "nan": math.nan,
 }
 
 

@@ -45,6 +45,11 @@ class Lowering:
         self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
         self.variables: dict[str, Any] = {}
 
+    def lower(self, function: Function) -> Any:
+        """Write the function; returns its result."""
+        self.run(function.body)
+        return self.value(function.result)
+
     # -- statements --------------------------------------------------------------------------------
     def run(self, body: Sequence[Any]) -> None:
         for statement in body:
@@ -74,7 +79,7 @@ class Lowering:
         from numba.core.cgutils import for_range
 
         with for_range(self.builder, self.value(loop.times)) as turn:
-            self.values[loop.index] = turn.index
+            self.values[loop.counter] = turn.index
             self.run(loop.body)
 
     def repeat(self, loop: While) -> None:
@@ -185,15 +190,16 @@ class Lanes(Lowering):
         super().__init__(builder, arrays, numbers, fused)
         self.lanes, self.wide = lanes, self.ir.VectorType(self.double, lanes)
 
-    def tiles(self, body: Sequence[Any]) -> None:
-        """The function, for one tile of states after the other."""
+    def lower(self, function: Function) -> Any:
+        """Write the function, for one tile of states after the other."""
         from numba.core.cgutils import for_range
 
         begin, end = (self.load(Element("part", (i,))) for i in (0, 1))
         with for_range(self.builder, end, begin) as turn:
             #: the first state of the tile
             self.first = self.builder.mul(turn.index, self.whole(self.lanes))
-            self.run(body)
+            self.run(function.body)
+        return self.whole(0)
 
     def place(self, element: Element) -> Any:
         if element.array not in ("starts", "ends"):
@@ -276,13 +282,12 @@ def intrinsic(function: Function, lanes: int = 1, fused: bool = True) -> Any:
                 else:
                     array = make_array(kind)(context, builder, value)
                     arrays[name] = Array(array.data, *cgutils.unpack_tuple(builder, array.shape)[:2])
-            if lanes > 1:
-                lowering: Lowering = Lanes(builder, arrays, numbers, fused, lanes)
-                lowering.tiles(function.body)
-            else:
-                lowering = Lowering(builder, arrays, numbers, fused)
-                lowering.run(function.body)
-            return lowering.value(function.result)
+            lowering = (
+                Lanes(builder, arrays, numbers, fused, lanes)
+                if lanes > 1
+                else Lowering(builder, arrays, numbers, fused)
+            )
+            return lowering.lower(function)
 
         return types.int64(*kinds), instructions
 

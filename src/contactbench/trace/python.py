@@ -26,7 +26,9 @@ NAMES = ("add", "sub", "mul", "div", "pow", "lt", "le", "gt", "ge", "eq", "ne", 
 SIGNS = ("+", "-", "*", "/", "**", "<", "<=", ">", ">=", "==", "!=", "and", "or")
 FORMS = {
     **{name: f"{{}} {sign} {{}}" for name, sign in zip(NAMES, SIGNS, strict=True)},
-    **{"neg": "-{}", "not": "not {}", "where": "{1} if {0} else {2}"},
+    "neg": "-{}",
+    "not": "not {}",
+    "where": "{1} if {0} else {2}",
 }
 #: the names that printed functions use
 SCOPE = {name: getattr(math, name) for name in (*FUNCTIONS, "atan2", "hypot", "inf", "nan")}

@@ -22,7 +22,17 @@ from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
 from contactbench.numbers.nested import leaves, rebuilt
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
-from contactbench.trace.form import FUNCTIONS, Assign, Element, Loop, Operand, Operation, Update, text
+from contactbench.trace.form import (
+    FUNCTIONS,
+    Assign,
+    Element,
+    Loop,
+    Operand,
+    Operation,
+    Results,
+    Update,
+    text,
+)
 
 
 class Block:
@@ -133,6 +143,11 @@ def _comparison(function: str) -> Callable[..., Any]:
         return self.tape.operation(function, "b", self, other)
 
     return compare
+
+
+def operands(results: Any) -> Results:
+    """Nested tuples or lists of numbers as nested tuples of operands."""
+    return tuple(map(operands, results)) if isinstance(results, tuple | list) else operand_of(results)
 
 
 class Recorded(Unknown):

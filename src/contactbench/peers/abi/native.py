@@ -1,10 +1,34 @@
-"""Packed states in compiled code: a solver integrates them less the time, which is its own."""
+"""Compiled code around the solvers: C functions by their address, and packed states without the time."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import llvmlite.binding
 import numba
+from numba import types
 
 from contactbench.peers.c_functions import ORIGIN
+
+#: as `LETTERS`
+TYPES: dict[str, Any] = {
+    "v": types.none,
+    "p": types.intp,
+    "a": types.CPointer(types.float64),
+    "d": types.float64,
+    "b": types.boolean,
+    "i": types.int32,
+    "l": types.long_,
+    "q": types.int64,
+    "z": types.uintp,
+}
+
+
+def external(name: str, address: int, word: str) -> Any:
+    """Return a C function that compiled code can call."""
+    llvmlite.binding.add_symbol(name, address)
+    result, *arguments = (TYPES[letter] for letter in word)
+    return types.ExternalFunction(name, result(*arguments))
 
 
 @numba.njit(cache=True)
