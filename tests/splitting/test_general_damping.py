@@ -11,7 +11,7 @@ from mpmath import mp
 import contactbench as cb
 from cases import in_mp
 from contactbench.measure import precision
-from contactbench.splitting.dissipation import decayed
+from contactbench.splitting.dissipation import decay
 from contactbench.testing import check_scene
 
 GAMMA, C = 0.1, 0.25
