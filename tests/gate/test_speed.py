@@ -464,7 +464,7 @@ def test_compilation_and_memory_are_planted_in_one_of_two_trees(fault, copy, tmp
 DELAYS = """
 import time
 from contactbench.ensembles import ensemble
-from contactbench.methods.base import Prepared
+from contactbench.methods.prepared import Prepared
 
 def late(function, seconds, when=""):
     def other(*given, **more):
