@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
-from contactbench.gate.speed_worker import handed_out
+from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_state
 from contactbench.methods import c_functions
 from contactbench.methods.engines import ENGINES
 from contactbench.peers.abi import cvode_library, cyrk_interface

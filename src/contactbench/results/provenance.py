@@ -28,8 +28,8 @@ PACKAGES = (
     "contactbench", "numpy", "scipy", "numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka",
     "cyrk", "pandas", "matplotlib", "mpmath",
 )  # fmt: skip
-#: what a benchmark itself writes: not a change of the sources
-MADE = ("results", "README.md")
+#: what decides the tables
+SOURCES = ("src", "bench", "references", "pyproject.toml", "constraints.txt", "tox.ini")
 THREADS = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "XLA_FLAGS",
     "JAX_PLATFORMS",
@@ -57,17 +57,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "threads": {name: os.environ.get(name, "") for name in THREADS},
         "commit": _git(root, "rev-parse", "HEAD"),
-        "dirty": bool(
-            _git(
-                root,
-                "status",
-                "--porcelain",
-                "--untracked-files=no",
-                "--",
-                ".",
-                *(f":!{made}" for made in MADE),
-            )
-        ),
+        "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no", "--", *SOURCES)),
         "plugins": dict(LOADED),
         "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
     }
