@@ -1,12 +1,11 @@
 """For the benchmark and the tests alike: ``--plugin FILE``, by which a user's own methods and scenes join in,
-``--sample N``, which runs N of the chosen tests, always the same ones, one cache of the programs that JAX
-compiles, shared by all processes of a run and by the runs after it, and an end without tidying up."""
+one cache of the programs that JAX compiles, shared by all processes of a run and by the runs after it, and an
+end without tidying up."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-import random
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,7 +41,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--plugin", action="append", default=[], metavar="FILE", help="Python file with methods or scenes"
     )
-    group.addoption("--sample", type=int, metavar="N", help="run N of the chosen tests, always the same ones")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -69,12 +67,3 @@ def pytest_sessionfinish(session: pytest.Session) -> Iterator[None]:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(0)
-
-
-@pytest.hookimpl(trylast=True)  # of what -k and -m have left
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    wanted = config.getoption("--sample")
-    if wanted is not None and wanted < len(items):
-        chosen = set(random.Random(0).sample(range(len(items)), wanted))
-        config.hook.pytest_deselected(items=[item for i, item in enumerate(items) if i not in chosen])
-        items[:] = [item for i, item in enumerate(items) if i in chosen]

@@ -1,7 +1,7 @@
 """Do two runs of the benchmark agree?  ``python bench/two_runs.py DIR DIR``.
 
-Verdicts: pairs of scene and error by what either run says of them.  Times: how many cells of the second run differ from
-the first by no more than the two margins allow.  Exit status 1 where a verdict turned round.
+Winners: pairs of scene and error by who wins in either run.  Times: how many cells of the second run differ from
+the first by no more than the two margins allow.  Exit status 1 where a winner turned round.
 """
 
 from __future__ import annotations
@@ -12,16 +12,21 @@ from pathlib import Path
 
 import numpy as np
 
-from contactbench.report.contest import KINDS, Field
-from contactbench.results.statistics import Verdict, margin
+from contactbench.measure.statistics import margin
+from contactbench.results.contest import CONTACT, KINDS, OTHER, contestants, contests, costs
 from contactbench.results.store import read
 from contactbench.results.tables import WORK_PRECISION
 
 
-def verdicts(first, second):
-    """How often each pair of verdicts was met, over the contests of both runs."""
-    mine, theirs = first.contests(), second.contests()
-    return Counter((mine[key].outcome, theirs[key].outcome) for key in mine.keys() & theirs.keys())
+def winners(first, second):
+    """Return how often each pair of winners was met, over the contests of both runs."""
+    both = first.merge(second, on=["scene", "error"], suffixes=("", "_2"))
+    return Counter(zip(both["winner"], both["winner_2"], strict=True))
+
+
+def spreads(rows, kind):
+    """Return by what factor two processes differ, by engine."""
+    return {str(engine): kind.process_spread(rows, engine) for engine in rows["engine"].unique()}
 
 
 def within(first, second, kind, spreads):
@@ -35,27 +40,27 @@ def within(first, second, kind, spreads):
 
 
 def main(folders):
-    first, second = (read(WORK_PRECISION, Path(folder)) for folder in folders)
+    runs = [contestants(read(WORK_PRECISION, Path(folder))) for folder in folders]
     turned = 0
     for kind in KINDS:
-        fields = Field(first, kind), Field(second, kind)
-        for (before, after), n in sorted(verdicts(*fields).items(), key=lambda item: -item[1]):
+        found = [contests(costs(run, kind)) for run in runs]
+        for (before, after), n in winners(*found).most_common():
             print(f"{kind.title}: {before or 'nobody'} / {after or 'nobody'}: {n}")
-            turned += n * ({before, after} == {Verdict.win, Verdict.loss})
+            turned += n * ({before, after} == {CONTACT, OTHER})
         if kind.timed:
-            engines = set.union(*(set(field.processes) for field in fields))
-            widest = {e: max(field.processes.get(e, 1.0) for field in fields) for e in engines}
-            for name, field in zip(folders, fields, strict=True):
-                if field.margins:
-                    half, most = np.quantile(field.margins, (0.5, 0.95))
+            each = [spreads(run[kind.compares(run)], kind) for run in runs]
+            widest = {e: max(own.get(e, 1.0) for own in each) for e in set.union(*map(set, each))}
+            for name, contest in zip(folders, found, strict=True):
+                if len(margins := contest["margin"].dropna()):
+                    half, most = np.quantile(margins, (0.5, 0.95))
                     print(
                         f"{kind.title}, {name}: margins ×{half:.3f} (half of the pairs), ×{most:.3f} (95 %)"
                     )
-            ratios, margins = within(first, second, kind, widest)
+            ratios, margins = within(*runs, kind, widest)
             if len(ratios):
                 inside = np.mean(ratios <= margins)
                 print(f"{kind.title}: {inside:.1%} of {len(ratios)} cells within their margins")
-    print(f"verdicts that turned round: {turned}")
+    print(f"winners that turned round: {turned}")
     return int(turned > 0)
 
 

@@ -18,11 +18,25 @@ from contactbench.scenes import standard_scenes
 REPOSITORY = Path(__file__).parents[1]
 
 
-class MallInfo(ctypes.Structure):
-    """The answer of glibc's `mallinfo2`; `hblkhd` and `uordblks` are in use."""
+#: the fields of glibc's `mallinfo2`; `hblkhd` and `uordblks` are in use
+FIELDS = [
+    "arena",
+    "ordblks",
+    "smblks",
+    "hblks",
+    "hblkhd",
+    "usmblks",
+    "fsmblks",
+    "uordblks",
+    "fordblks",
+    "keepcost",
+]
 
-    names = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost".split()
-    _fields_ = tuple((name, ctypes.c_size_t) for name in names)
+
+class MallInfo(ctypes.Structure):
+    """The answer of glibc's `mallinfo2`."""
+
+    _fields_ = tuple((name, ctypes.c_size_t) for name in FIELDS)
 
 
 def handed_out() -> int:

@@ -1,9 +1,8 @@
-"""Fixtures of the tests."""
+"""Fixtures of the tests, and which cases of a long parametrisation the quick run takes."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from zlib import crc32
+from typing import Any
 
 import pytest
 from mpmath import mp
@@ -13,34 +12,31 @@ from contactbench.plugins import OWN
 from contactbench.scenes import SCENES
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest leaves out what is slow
+@pytest.hookimpl(tryfirst=True)  # before pytest leaves out the slow ones
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of the cases of a test marked ``share(n)`` all but one in n are slow, none for it with a user's method or scene.
-
-    Where cases have a method they are counted for each method alone, so that every one has a quick case.  From which
-    case on they are counted is different from test to test and from method to method.  A case that is named alone
-    is not slow for it.
-    """
-    cases = defaultdict(list)
+    """Mark as slow the cases that a test's ``quick`` marks do not name, but for a user's method or scene."""
     for item in items:
-        mark = item.get_closest_marker("share")
-        if mark and not has_a_users(item):
-            method = getattr(item.callspec.params.get("method"), "name", "")
-            cases[item.nodeid.partition("[")[0], method, *mark.args].append(item)
-    for (name, method, n), found in cases.items():
-        for k, item in enumerate(found, crc32(f"{name} {method}".encode())):
-            if k % min(n, len(found)):
-                item.add_marker("slow")
+        marks = list(item.iter_markers("quick"))
+        if marks and not has_users(item) and not any(names_case(mark, item) for mark in marks):
+            item.add_marker("slow")
 
 
-def has_a_users(item: pytest.Item) -> bool:
-    """Whether a test is about something registered that is not ours."""
-    names = {
-        getattr(value, "name", value)
-        for value in item.callspec.params.values()
-        if hasattr(value, "name") or isinstance(value, str)
-    }
+def names_case(mark: pytest.Mark, item: pytest.Item) -> bool:
+    """Whether every parameter that the mark gives has one of the values given."""
+    return all(
+        label(item.callspec.params[parameter]) in (values if isinstance(values, tuple) else (values,))
+        for parameter, values in mark.kwargs.items()
+    )
+
+
+def has_users(item: pytest.Item) -> bool:
+    """Whether a case is about a registered method or scene that is not ours."""
+    names = {name for value in item.callspec.params.values() if isinstance(name := label(value), str)}
     return bool(names & {*METHODS, *SCENES} - OWN)
+
+
+def label(value: Any) -> Any:
+    return getattr(value, "name", value)
 
 
 @pytest.fixture

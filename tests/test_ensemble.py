@@ -68,7 +68,9 @@ LONG = [(scene, method) for scene, method in CASES if "body" in scene.kind and m
 @pytest.mark.parametrize(
     ("scene", "method"), few_slow(CASES, *LONG), ids=[f"{s.name}-{m.name}" for s, m in CASES]
 )
-@pytest.mark.share(3)
+@pytest.mark.quick(scene="central", method=("contact-bm6", "contact-rkn8", "herglotz2"))
+@pytest.mark.quick(scene=("rigid_body", "quadratic_damping", "user"), method="contact-bm4")
+@pytest.mark.quick(scene="tilted", method="rk4")
 def test_an_ensemble_is_its_single_solutions(scene, method):
     data, times = spread(scene, 3), [0.4, 1.0]
     out = cb.ensemble(scene, method.name, data, step=0.1, measure_at=times)
@@ -178,7 +180,7 @@ def test_statistics_are_those_of_the_members_and_need_not_keep_them(whole):
 
 
 @pytest.mark.parametrize("name", ["contact-rkn6", "contact-abc", "rk4", "herglotz2", "contact-bm4"])
-@pytest.mark.share(3)
+@pytest.mark.quick(name=("contact-rkn6", "contact-bm4"))
 def test_parameters_of_its_own_for_every_trajectory(name):
     scene = BODY if name == "contact-bm4" else PARTICLE
     values = {"gamma": np.array([0.0, 0.3, 40.0])} | ({} if scene is BODY else {"coupling": [0.2, 0.0, 0.1]})

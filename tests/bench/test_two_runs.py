@@ -29,5 +29,5 @@ def test_only_a_verdict_that_both_decide_can_turn_round(theirs, halves, turned, 
     loaded = folder(tmp_path / "loaded", 1.0, theirs, halves)
     assert main([quiet, loaded]) == (turned > 0)
     printed = capsys.readouterr().out
-    assert f"verdicts that turned round: {turned}" in printed
+    assert f"winners that turned round: {turned}" in printed
     assert f"Time, compiled: {inside} of 4 cells" in printed

@@ -21,7 +21,7 @@ from made_up import commit, folder, fresh, git, repository, setting
 
 @pytest.fixture
 def root(tmp_path, monkeypatch):
-    """A checkout of a branch that has left the main one, and is the folder we are in; this process is the base's gate."""
+    """A checkout of a branch that has left the main one, and is the folder we are in; we are the gate of its base."""
     made = repository(tmp_path / "project")
     git(made, "switch", "-q", "-c", "change")
     monkeypatch.chdir(made)
@@ -307,11 +307,11 @@ def rewritten(change):
 #: what is done to a file of a folder, and where the message says that it is damaged
 DAMAGE = {
     "no record": ("environment.json", lambda path: path.unlink(), "environment.json: missing"),
-    "odd record": ("environment.json", lambda path: path.write_text("[1]"), "run 1: '1' is no record"),
+    "odd record": ("environment.json", lambda path: path.write_text("[1]"), "no list of runs"),
     "no JSON": (
         "environment.json",
         lambda path: path.write_text('{\n"a": b}'),
-        "environment.json, line 2, column 6",
+        "line 2 column 6",
     ),
     "other types": (
         "environment.json",

@@ -23,7 +23,7 @@ from contactbench.measure.clock import (
     process_columns,
     time_columns,
 )
-from contactbench.results.statistics import Verdict, margin, verdict
+from contactbench.measure.statistics import Verdict, margin, verdict
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ def test_a_function_of_a_scene_is_in_its_digest_and_its_words_are_not():
 
 
 @pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda composition: composition.name)
-@pytest.mark.share(3)
+@pytest.mark.quick(composition=("contact-abc", "contact-rkn6", "contact-o8"))
 def test_every_coefficient_of_a_method_is_in_its_digest(composition):
     rows = [method_row(contact_method(each)) for each in (composition, *planted_faults.faulty(composition))]
     assert len({row["digest"] for row in rows}) == len(rows)

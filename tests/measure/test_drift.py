@@ -74,7 +74,7 @@ def test_the_actual_map_of_heyoka_drifts_forty_times_more_than_its_variational_r
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-4])
 @pytest.mark.parametrize("scene", [CENTRAL, cb.SCENES["particle"], USER], ids=lambda s: s.name)
-@pytest.mark.share(3)
+@pytest.mark.quick(scene="central")
 def test_derivative_through_the_choice_of_steps_agrees_with_differences(scene, rtol):
     run = cb.prepare(scene, "contact-adaptive", rtol=rtol, save_at=saved(scene))
     solution = run()
@@ -93,7 +93,7 @@ def test_both_engines_of_the_adaptive_contact_method_have_both_drifts(engine):
 
 
 @pytest.mark.parametrize("method", FIXED)
-@pytest.mark.share(3)
+@pytest.mark.quick(method=("contact-strang", "contact-rkn6", "herglotz2", "rk4"))
 def test_fixed_steps_have_one_derivative(method):
     solution = cb.solve(CENTRAL, method, step=0.1, save_at=saved(CENTRAL))
     np.testing.assert_array_equal(solution.differential.value, solution.frozen_differential.value)
@@ -133,7 +133,7 @@ def differenced(run):
 
 @pytest.mark.parametrize("method", ["contact-strang", "rk4"])
 @by_name(ALL_SCENES)
-@pytest.mark.share(3)
+@pytest.mark.quick(scene=("oscillator", "rigid_body", "kepler_drag"))
 def test_error_bar_of_differences_covers_their_distance_to_the_exact_derivative(scene, method, unlimited):
     """Bodies included; the derivative itself where the scene is no contact system."""
     scene = scene.with_(t_end=min(scene.t_end, 20.0))
@@ -246,7 +246,7 @@ def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
 # -- variational runs ------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", [*VARIATIONAL, *CYRK])
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.share(3)
+@pytest.mark.quick(method=("scipy-dop853", "cvode-bdf", "cyrk-vern8"))
 def test_frozen_drift_falls_with_the_tolerance(name, method):
     scene = cb.SCENES[name]
     drifts = []
@@ -306,7 +306,7 @@ def test_all_derivatives_agree_at_tight_tolerance(case, independent):
 
 @pytest.mark.parametrize("method", ["rk4", "contact-strang", "contact-bm4"])
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.share(3)
+@pytest.mark.quick(method="contact-bm4")
 def test_all_engines_give_the_same_derivative(name, method):
     """By dual numbers in a compiled loop, and by JAX's forward mode."""
     scene = cb.SCENES[name].with_(t_end=2.0)

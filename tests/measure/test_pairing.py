@@ -46,7 +46,7 @@ def test_of_several_estimates_the_two_that_agree_best_give_the_value_and_its_err
 
 
 @of_methods([m for m in cb.METHODS.values() if m.contact and m.control == "step"], MECHANICAL)
-@pytest.mark.share(6)
+@pytest.mark.quick(scene="particle")
 def test_contact_methods_pair_to_round_off_at_a_coarse_step(method, scene):
     scene = scene.with_(t_end=min(scene.t_end, 20.0))
     solution = cb.solve(

@@ -75,7 +75,7 @@ def largest(method, gamma, h, steps, at_once=50):
 
 @every
 @pytest.mark.parametrize("gamma", [0.0, 1.0, 10.0])
-@pytest.mark.share(3)
+@pytest.mark.quick(gamma=1.0)
 def test_orbits_are_bounded_below_the_limit_and_not_above(method, gamma):
     """The limit is told by orbits alone: a per mille below, and behind it, where a window may be narrow."""
     found = stability(method, gamma, 1.0)
@@ -169,7 +169,6 @@ def test_without_damping_limit_and_windows_are_roots_of_a_polynomial(method):
 
 
 @every
-@pytest.mark.share(3)
 def test_windows_at_random_damping_are_those_of_long_runs(method):
     """2³⁰ steps by squaring the matrix, at random steps none of which is next to a border."""
     rng = np.random.default_rng(5)

@@ -48,7 +48,7 @@ def test_every_mechanical_scene_is_solved_to_its_tolerance(scene):
 
 
 @pytest.mark.parametrize("scene", [KEPLER.with_(t_end=10.0), USER], ids=lambda s: s.name)
-@pytest.mark.share(2)
+@pytest.mark.quick(scene="user")
 def test_engines_agree(scene):
     runs = [
         cb.solve(scene, NAME, rtol=1e-5, save_at=[scene.t_end / 3, scene.t_end], engine=e)

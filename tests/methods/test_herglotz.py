@@ -117,7 +117,7 @@ def test_only_a_refusal_or_no_claim_at_all_is_without_a_conformal_factor(method,
 
 
 @pairs(FIXED, CONTACT_SCENES, claims_a_factor)
-@pytest.mark.share(16)
+@pytest.mark.quick(scene="particle")
 def test_claimed_conformal_factor_is_kept_to_round_off_over_many_steps(method, scene):
     """Φ*η = cⁿ η in float64 by AD, for every method and scene with a factor c."""
     step, n = 0.05, 20

@@ -49,7 +49,8 @@ def setting(method, fine=False):
 
 
 @pairs(cb.METHODS.values(), SCENES)
-@pytest.mark.share(4)
+@pytest.mark.quick(scene="particle")
+@pytest.mark.quick(scene="rigid_body", method=("contact-bm4", "contact-exact", "cvode-bdf"))
 def test_solution_approaches_the_reference(method, scene):
     """Every engine of every method, all fields carried; the bound is what its order or tolerance gives.
 
@@ -143,7 +144,6 @@ def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
 @pytest.mark.parametrize(
     "method", few_slow([m for m in ON_PARTICLE if "jax" in m.engines], *LONG), ids=lambda m: m.name
 )
-@pytest.mark.share(3)
 def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypatch):
     from contactbench.methods import compiled
 
@@ -246,7 +246,6 @@ def test_body_solution_has_a_rotation_matrix():
 
 
 @fixed
-@pytest.mark.share(3)
 def test_divergence_is_located_to_the_step(method):
     """One save at the very end and a save at every step must tell the same time."""
     times = []
@@ -260,7 +259,6 @@ def test_divergence_is_located_to_the_step(method):
 
 
 @fixed
-@pytest.mark.share(3)
 def test_the_step_that_diverges_is_the_last_one_counted(method):
     """Against steps taken one by one until a component is 10⁶ times the size of the initial (q, p)."""
     scene, step = cb.SCENES["escape"], cb.step_map("escape", method.name)

@@ -12,14 +12,14 @@ from mpmath import mp
 import contactbench as cb
 from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
-from contactbench.numbers.program import record
-from contactbench.numbers.recording import ALIASES, FUNCTIONS, CannotRecord
-from contactbench.numbers.source import executed
 from contactbench.peers.callback import recorded
 from contactbench.solution import Status
+from contactbench.trace.compiled import compiled
+from contactbench.trace.program import record
+from contactbench.trace.recording import ALIASES, FUNCTIONS, CannotRecord
+from contactbench.trace.source import executed
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 PARTICLE = cb.SCENES["particle"]
@@ -152,7 +152,8 @@ def test_derivatives_of_functions(name, mp50):
 
 # -- the engine ------------------------------------------------------------------------------------
 @pairs(FIXED, ALL_SCENES)
-@pytest.mark.share(6)
+@pytest.mark.quick(scene="particle")
+@pytest.mark.quick(method="contact-abc")
 def test_the_compiled_loop_is_the_same_map(method, scene):
     """As plain Python, to round-off: uneven saved times, other initial data, every field carried or none."""
     times = [0.0, 0.5, 0.75, 2.0]
@@ -166,7 +167,8 @@ def test_the_compiled_loop_is_the_same_map(method, scene):
 
 
 @pairs(FIXED, ALL_SCENES)
-@pytest.mark.share(3)
+@pytest.mark.quick(scene=("user", "rigid_body"))
+@pytest.mark.quick(method="contact-abc")
 def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
     run = cb.prepare(scene, method.name, engine="python", step=0.06, save_at=[0.5, 0.75, 2.0])
     y0, spans = run.start.tolist(), list(zip(run.h.tolist(), run.n.tolist(), strict=True))
@@ -176,7 +178,8 @@ def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
 
 
 @pairs(FIXED, ALL_SCENES)
-@pytest.mark.share(10)
+@pytest.mark.quick(scene="particle")
+@pytest.mark.quick(scene="rigid_body", method="contact-bm4")
 def test_the_tangent_loop_carries_the_derivative(method, scene):
     """Against differences of the compiled loop itself, of fourth order."""
     run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])
@@ -213,7 +216,8 @@ def test_one_program_serves_all_compositions_parameters_and_steps():
 
 
 @pairs(FIXED, ALL_SCENES)
-@pytest.mark.share(12)
+@pytest.mark.quick(scene="rigid_body")
+@pytest.mark.quick(scene="particle", method=("contact-rkn6", "herglotz2"))
 def test_what_is_computed_ahead_has_the_same_bits_in_python_and_compiled(method, scene):
     loop = cb.prepare(scene, method.name, engine="numba", step=0.1).loop
     spans = np.array([[h, n] for n in (1, 2, 7) for h in (1e-9, 0.03, 2.0 / 3, 4.1, 40.0)])
@@ -328,7 +332,8 @@ def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
 # -- ensembles -------------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", ["contact-bm4", "herglotz2", "rk4"])
 @by_name([scene for scene in ALL_SCENES if scene.name in ("particle", "rigid_body", "tilted", "user")])
-@pytest.mark.share(4)
+@pytest.mark.quick(scene="rigid_body", method="contact-bm4")
+@pytest.mark.quick(scene="particle", method="herglotz2")
 def test_an_ensemble_on_jax_is_the_same(method, scene, monkeypatch):
     """1000 trajectories: several tiles, the last one not full, on as many threads as there are devices."""
     if cb.METHODS[method].refuses(scene):

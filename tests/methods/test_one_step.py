@@ -23,7 +23,8 @@ def supported(names, scenes):
 
 
 @pytest.mark.parametrize(("scene", "method"), supported(STEPS, ["particle", "rigid_body"]))
-@pytest.mark.share(3)
+@pytest.mark.quick(method=("contact-abc", "contact-bm6", "rk4"))
+@pytest.mark.quick(method="herglotz2")
 def test_steps_one_after_another_are_a_run(scene, method):
     """Processed methods apart, which begin and end every run with stages of their own."""
     step = cb.step_map(scene, method)
@@ -67,7 +68,7 @@ def test_numpy_arrays_are_many_states_at_once(scene, method):
 
 
 @pytest.mark.parametrize(("scene", "method"), supported(SHORT, ["particle", "rigid_body"]))
-@pytest.mark.share(3)
+@pytest.mark.quick(scene="rigid_body")
 def test_numba_calls_it_in_a_compiled_loop(scene, method):
     import numba
 
@@ -148,7 +149,7 @@ def test_bad_input_is_named(call, says):
 
 
 def test_a_force_that_branches_on_values_runs_in_python_and_says_so_to_numba():
-    from contactbench.numbers.recording import CannotRecord
+    from contactbench.numbers.protocol import CannotRecord
 
     scene = cb.Mechanical(
         name="wall", q=(0.5,), p=(1.0,), gamma=0.1, t_end=1.0,

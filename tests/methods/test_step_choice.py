@@ -15,7 +15,8 @@ RTOLS = {1: (1e-3,), 2: (1e-3, 1e-5)}
 
 
 @pairs(FIXED, SCENES)
-@pytest.mark.share(3)
+@pytest.mark.quick(scene="oscillator")
+@pytest.mark.quick(scene="rigid_body", method="contact-bm4")
 def test_error_is_within_a_factor_of_ten_of_the_tolerance(method, scene):
     for rtol in RTOLS.get(method.order, (1e-3, 1e-6, 1e-8)):
         solution = cb.solve(scene, method.name, rtol=rtol, save_at=[scene.t_end], carry=())

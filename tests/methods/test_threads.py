@@ -70,7 +70,7 @@ STATEFUL = [("heyoka-taylor", "llvm"), ("cvode-bdf", "c"), ("contact-rkn6", "num
 
 @BY_TIMES
 @pytest.mark.parametrize(("method", "engine"), STATEFUL)
-@pytest.mark.share(2)
+@pytest.mark.quick(times="end")
 def test_threads_do_not_disturb_each_other(method, engine, times):
     for shared in (True, False):
         assert wrong(cb.METHODS[method], engine, times, QUICK, shared, chosen=True) == 0

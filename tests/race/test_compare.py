@@ -12,6 +12,7 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY
 from contactbench.measure.ladder import ENDS
+from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.compiled import _programs
 from contactbench.methods.engines import ENGINES
 from contactbench.race import comparison, show
@@ -19,7 +20,6 @@ from contactbench.race import scout as scouting
 from contactbench.race.keeping import kept
 from contactbench.race.scout import Attempt
 from contactbench.race.table import COLUMNS, cheapest, judged
-from contactbench.results.statistics import PROCESSES
 from contactbench.solution import Status
 from contactbench.truth import OutOfTime
 

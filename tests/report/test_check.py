@@ -67,7 +67,9 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.share(2)
+@pytest.mark.quick(
+    change=("a number in a document", "a figure of other data", "a document that no table gives")
+)
 def test_each_file_that_differs_is_named(change, results, capsys):
     name, why = CHANGES[change]
     path = (results / name).resolve()

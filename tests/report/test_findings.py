@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from contactbench.measure.statistics import Verdict
 from contactbench.report import (
     convergence,
     damping,
@@ -40,7 +41,6 @@ from contactbench.report.contest import (
 )
 from contactbench.report.contest_views import costs_view, duel_view, losses_view, winners_view
 from contactbench.report.figures import hard as figures_hard
-from contactbench.results.statistics import Verdict
 from frames import frames, row, table
 
 ROUND = 3e-15

@@ -18,7 +18,6 @@ AD = 1e-13  # a handful of float64 operations on numbers of size one
 
 
 @by_name(MECHANICAL)
-@pytest.mark.share(2)
 def test_gradient_and_hessian_are_the_derivatives_of_the_potential(scene):
     q = jnp.array(random_state(scene).q)
     gradient = jax.grad(lambda q: scene.V(tuple(q)))(q)

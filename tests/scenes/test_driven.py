@@ -208,13 +208,12 @@ def test_laws_over_a_span_take_the_integral_of_the_damping_and_not_its_rate():
 
 # -- order -----------------------------------------------------------------------------------------
 @pairs(CONTACT, [FORCED_OSCILLATOR, LANE_EMDEN[2]])
-@pytest.mark.share(6)
+@pytest.mark.quick(scene="forced_oscillator")
 def test_order_at_fifty_digits(method, scene):
     assert order_at(method, scene, 2.0, 64) == pytest.approx(method.order, abs=0.1)
 
 
 @pairs(CONTACT, [FORCED_PULSATING])
-@pytest.mark.share(3)
 def test_order_at_fifty_digits_where_the_damping_is_integrated_by_a_rule(method, scene):
     """Few steps, as the rule is dear at fifty digits."""
     assert order_at(method, scene, 2.0, 8) == pytest.approx(method.order, abs=0.1)
@@ -230,7 +229,8 @@ def test_order_of_the_others(name):
 
 
 @pairs([cb.METHODS[name] for name in ("contact-abc", "contact-rkn4", "rk4", "herglotz2")], DRIVEN)
-@pytest.mark.share(8)
+@pytest.mark.quick(method="contact-rkn4", scene=("forced_pulsating", "duffing"))
+@pytest.mark.quick(method="herglotz2", scene="lane_emden_0")
 def test_engines_agree(method, scene):
     numba, jax, python = (
         cb.solve(scene, method.name, step=0.1, engine=engine, save_at=[1.0, 2.0]).y
@@ -254,7 +254,7 @@ def test_solvers_with_a_tolerance_solve_them(scene, name):
 
 # -- contact form ----------------------------------------------------------------------------------
 @pairs(CONTACT, DRIVEN)
-@pytest.mark.share(16)
+@pytest.mark.quick(scene="forced_pulsating")
 def test_contact_methods_keep_the_contact_form_at_a_coarse_step(method, scene):
     """Up to t = 20 at most: beyond, the tangents of the chaotic scene magnify roundings more."""
     solution = cb.solve(scene, method.name, step=0.2, save_at=min(scene.t_end, 20.0) * np.arange(1, 6) / 5)
@@ -319,7 +319,7 @@ def test_laws_of_h_are_not_claimed_where_time_is_in_it():
 # -- wherever a scene may go ---------------------------------------------------------------------------
 @by_name(DRIVEN)
 @pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.share(3)
+@pytest.mark.quick(scene="duffing")
 def test_ensembles_are_the_runs_one_by_one_and_go_on_from_where_they_ended(scene, engine):
     q, h = np.linspace(0.95, 1.0, 3) * scene.q[0], scene.t_end / 200
     first = cb.ensemble(scene, "contact-rkn4", {"q": (q,)}, step=h, engine=engine)
@@ -337,7 +337,7 @@ def test_the_command_line_lists_them(capsys):
 
 
 @by_name([FORCED_PULSATING, LANE_EMDEN[1], DUFFING])
-@pytest.mark.share(3)
+@pytest.mark.quick(scene="forced_pulsating")
 def test_the_command_line_solves_them_by_name(scene, capsys):
     assert main(["solve", scene.name, "contact-rkn4", "--step", repr(scene.t_end / 400), "--laws"]) == 0
     said = capsys.readouterr().out
@@ -347,7 +347,7 @@ def test_the_command_line_solves_them_by_name(scene, capsys):
 
 
 @by_name([FORCED_PULSATING, DUFFING])
-@pytest.mark.share(2)
+@pytest.mark.quick(scene="duffing")
 def test_they_are_raced(scene):
     """Against their references; the structure is among the laws kept to round-off."""
     frame = cb.compare(scene.name, ["contact-rkn4", "rk4", "cyrk-vern8"], [1e-3, 1e-5], budget=60.0)
@@ -392,7 +392,6 @@ def test_what_does_not_fit_is_refused(changes, said):
         {"gamma": 0.0, "omega": 0.0, "drive": 0.0}, {"gamma": 0.0, "omega": 0.0},
     ],
 )  # fmt: skip
-@pytest.mark.share(2)
 def test_the_forced_oscillator_has_its_closed_form_where_denominators_vanish(changes):
     """No damping, critical damping, resonance, a constant force without a spring."""
     scene = FORCED_OSCILLATOR.with_(**changes)

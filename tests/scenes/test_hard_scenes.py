@@ -41,7 +41,7 @@ def test_every_hard_scene_has_a_truth_and_says_why(scene):
 
 
 @pytest.mark.parametrize("name", ["kepler_drag", "stiff_spring", "singular_damping_2", "needle"])
-@pytest.mark.share(2)
+@pytest.mark.quick(name=("kepler_drag", "singular_damping_2"))
 def test_other_parameters_are_solved_live(name):
     scene = cb.SCENES[name]
     other = scene.with_(s=0.5) if "s" in scene.optional else scene.with_(damping=(0.4, 0.0, 0.5))

@@ -25,7 +25,6 @@ every = pytest.mark.parametrize("method", [*EXACT_DRIFT, *SPLIT], ids=lambda m: 
 
 @each
 @pytest.mark.parametrize("inertia", [(2, 2, 2), (1, 2, 2), (2, 1, 1), (2, 3, 2)], ids=str)
-@pytest.mark.share(3)
 def test_a_symmetric_body_is_solved_exactly_at_any_step(method, inertia):
     """One of the two parts is then nothing."""
     scene = BODY.with_(inertia=inertia)
@@ -35,7 +34,7 @@ def test_a_symmetric_body_is_solved_exactly_at_any_step(method, inertia):
 
 @every
 @pytest.mark.parametrize("scene", [TUMBLING, NEEDLE, UNDAMPED, UNDERFLOW], ids=lambda s: s.name)
-@pytest.mark.share(5)
+@pytest.mark.quick(scene="needle")
 def test_momentum_attitude_and_contact_form_are_kept_on_hard_data(method, scene):
     """s carried; a hundred steps.  Round-off of the contact form grows with the derivative of the map,
     10⁶ for the unstable axis and 10³ for the needle."""

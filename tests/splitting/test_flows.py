@@ -75,7 +75,8 @@ def test_a_mechanical_scene_has_every_flow(scene):
 
 
 @pytest.mark.parametrize(("scene", "name"), FLOWS, ids=[f"{scene.name}-{name}" for scene, name in FLOWS])
-@pytest.mark.share(2)
+@pytest.mark.quick(name="drift_damp")
+@pytest.mark.quick(scene="user")
 def test_subflow_solves_its_own_equations_to_45_digits(scene, name, mp50):
     exact, x = in_mp(scene, random_state(scene, 7))
     flow = flows_of(scene)[name]

@@ -14,7 +14,8 @@ import contactbench as cb
 import properties
 from cases import in_mp, most_slow
 from contactbench.measure.pullback import growth
-from contactbench.methods.compiled import XlaNumbers
+from contactbench.numbers.protocol import Numbers, abilities
+from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import BodyState, dot, rotate, rotation_matrix
 from contactbench.solution import Status
 from contactbench.splitting import elliptic, free_body
@@ -29,11 +30,11 @@ EPSILON = 2.0**-53
 DIGITS = 45
 
 
-class Fixed:
+class Fixed(Numbers):
     """A namespace of plain numbers that takes the branches and loops of arrays."""
 
     def __init__(self, xp):
-        self.xp = xp
+        self.xp, self.abilities = xp, abilities(xp)._replace(branch=False)
 
     def __getattr__(self, name):
         return getattr(self.xp, name)
@@ -200,7 +201,7 @@ def compiled_motion(inertia, M, t):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.share(6)
+@pytest.mark.quick(kind=("generic", "separatrix", "oblate", "sphere"))
 def test_double_precision_is_right_to_what_the_data_determine(kind):
     """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
     phase); J = R M and the lengths of M and R to round-off."""
@@ -212,7 +213,7 @@ def test_double_precision_is_right_to_what_the_data_determine(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.share(6)
+@pytest.mark.quick(kind=("generic", "last axis", "nearly prolate"))
 def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
     """As above, axes in order (one program) and times ahead."""
     for inertia, M, t in motions(kind, 6):
@@ -345,7 +346,8 @@ BODIES = [
 
 @pytest.mark.parametrize("engine", most_slow(EXACT.engines, "numba", "python"))
 @pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
-@pytest.mark.share(3)
+@pytest.mark.quick(engine="python")
+@pytest.mark.quick(scene="rigid_body", engine="numba")
 def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
     times = scene.t_end * np.arange(11) / 10
     solution = cb.solve(scene, "contact-exact", save_at=times, engine=engine)

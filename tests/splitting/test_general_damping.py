@@ -68,7 +68,6 @@ def test_which_methods_take_it():
 
 @pytest.mark.parametrize("s", [0.0, 1e-12, -0.3, 0.7, 2.0])
 @pytest.mark.parametrize("h", [1e-3, 0.3, -0.2, 0.8])
-@pytest.mark.share(3)
 def test_quadrature_is_the_closed_form(s, h):
     """To round-off in doubles where Γ'h is below one, to 45 digits in mpmath; 2.5 are the largest here."""
     with mp.workdps(50):
@@ -83,7 +82,6 @@ def test_quadrature_is_the_closed_form(s, h):
 
 @both
 @pytest.mark.parametrize("s", ["0", "0.6", "-0.4"])
-@pytest.mark.share(3)
 def test_the_damping_flow_solves_its_equations_and_knows_its_factor(scene, s, mp50):
     """s' = −Γ, p' = −Γ'p, and ∂s(h)/∂s is the factor on p."""
     exact, x = in_mp(scene, scene.initial(("s",)))

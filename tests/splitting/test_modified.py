@@ -67,7 +67,7 @@ def test_second_order_terms_are_the_known_formulas(scene):
 
 
 @pytest.mark.parametrize("letters", ["".join(w) for k in (0, 1, 2) for w in product("AB", repeat=k)])
-@pytest.mark.share(4)
+@pytest.mark.quick(letters=("A", "BA"))
 def test_brackets_are_jacobis_on_the_whole_of_contact_space(letters):
     """By automatic differentiation of the full bracket in q, p and s."""
     from contactbench.xla import jax, jnp

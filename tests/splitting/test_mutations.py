@@ -218,7 +218,7 @@ def test_every_wrong_coefficient_is_noticed(composition, record_property):
 
 
 @pytest.mark.parametrize("composition", [c for c in COMPOSITIONS if c.palindromic], ids=lambda c: c.name)
-@pytest.mark.share(4)
+@pytest.mark.quick(composition=("contact-strang", "contact-rkn6"))
 def test_a_wrong_coefficient_that_keeps_the_sum_is_noticed_by_the_order(composition):
     """Not asked of `contact-printed`: of order 1 is any composition whose sums are right."""
     mutants = list(balanced(composition))

@@ -120,7 +120,7 @@ def on_engines():
 
 
 @pytest.mark.parametrize(("method", "engine"), list(on_engines()))
-@pytest.mark.share(6)
+@pytest.mark.quick(method=("contact-strang", "contact-o8"))
 def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
     """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
     for scene in (SCENE, SCENE.with_(gamma=0.2)):
@@ -152,7 +152,7 @@ def test_a_method_that_is_no_composition_of_contact_maps_has_no_factor_of_its_ow
     ("method", "n", "within"),
     [("contact-rkn4", 40, 0.02), ("contact-rkn6", 40, 0.02), ("contact-rkn8", 40, 0.05)],
 )
-@pytest.mark.share(3)
+@pytest.mark.quick(method="contact-rkn4")
 def test_nystrom_tables_keep_their_order_under_nonlinear_damping(method, n, within):
     """[B,[B,[B,A]]] = 0 also for A = T + γs + ½κs²; slopes at 50 digits over n, 2n and 4n steps to t = 2."""
     method = cb.METHODS[method]
@@ -169,7 +169,7 @@ SCENES = [
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.name)
 @pytest.mark.parametrize("method", CONTACT)
-@pytest.mark.share(3)
+@pytest.mark.quick(scene="quadratic_damping")
 def test_the_form_is_kept_with_the_factor_of_the_flows_to_40_digits(method, scene, mp50):
     """Φ*η = c η with c the product of the flows' own factors: the law that is structural here."""
     method = cb.METHODS[method]
@@ -206,7 +206,7 @@ def test_momentum_and_form_follow_the_own_factor_to_round_off(method):
         (-2.0, 1.5, "contact-abc"),
     ],
 )
-@pytest.mark.share(3)
+@pytest.mark.quick(engine="numba")
 def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, kappa, s, method):
     """No force: s' = T − ½κs² reaches infinity when its closed form does; T = 0 where κ > 0."""
     p = 0.0 if kappa > 0 else 0.8

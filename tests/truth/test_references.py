@@ -63,7 +63,7 @@ def test_manifest_matches_file_and_scene(name):
 
 
 @pytest.mark.parametrize("name", [name for name in ENTRIES if SCENES[name].hard])
-@pytest.mark.share(4)
+@pytest.mark.quick(name=("needle", "saddle_edge", "kepler_drag"))
 def test_frozen_solves_the_hard_scene_as_it_is_now(name):
     """As below, from the initial data, with steps of its own."""
     scene = SCENES[name]
@@ -197,7 +197,6 @@ def test_source(name, carry, changes, times, source):
 
 
 @pytest.mark.parametrize("change", [{"gamma": 0.3}, {"q": (1.0, 0.4)}, {"coupling": 0.2}, {"mass": 1.5}])
-@pytest.mark.share(2)
 def test_other_parameters_never_get_frozen_values(change):
     scene, t = SCENES["particle"].with_(**change), [4.0, 20.0]
     assert truth.frozen(scene, np.array(t), ("s",)) is None
@@ -212,7 +211,7 @@ def test_other_parameters_never_get_frozen_values(change):
 
 
 @each_scene
-@pytest.mark.share(4)
+@pytest.mark.quick(name=("oscillator", "rigid_body_anisotropic"))
 def test_live_equals_frozen(name):
     """The live path at its lower precision agrees with the files, at times in the first quarter."""
     scene = SCENES[name]
@@ -248,7 +247,6 @@ def test_division_by_three_is_not_trusted_to_heyoka():
 
 
 @pytest.mark.parametrize("times", [[0.0, 200.0], [200.0]])
-@pytest.mark.share(2)
 def test_decay_out_of_sight_keeps_relative_digits(times):
     """Body momentum e^{−6·200} of its start: digits come from the closed form, relative to itself."""
     scene = SCENES["rigid_body"].with_(gamma=6.0)

@@ -28,8 +28,8 @@ import pandas as pd
 from contactbench.errors import BadInput
 from contactbench.gate import revisions
 from contactbench.gate.findings import INCONCLUSIVE, Findings, rows_of
+from contactbench.measure.statistics import PairedRatio, paired_ratio
 from contactbench.methods import METHODS
-from contactbench.results.statistics import PairedRatio, paired_ratio
 from contactbench.solution import printed_setting
 
 LIMIT = 1.25

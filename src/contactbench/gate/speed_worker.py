@@ -55,12 +55,15 @@ def new_scene(cell: Request) -> Run:
 
     def run() -> Any:
         c = next(factors)
-        functions = {
-            "potential": lambda q: c * (q[0] ** 4 + q[1] ** 2 + q[0] * q[1]),
-            "gradient": lambda q: (c * (4 * q[0] ** 3 + q[1]), c * (2 * q[1] + q[0])),
-        }
-        scene = cb.Mechanical(name="mine", **functions, gamma=0.1, q=(1.0, 0.5), p=(0.0, 0.0), t_end=1.0)
-        return cb.solve(scene, cell["method"], engine=cell["engine"], step=cell["value"])
+        own = cb.Mechanical(
+            name="own",
+            potential=lambda q: c * (q[0] ** 4 + q[1] ** 2),
+            gamma=0.1,
+            q=(1.0, 0.5),
+            p=(0.0, 0.0),
+            t_end=1.0,
+        )
+        return cb.solve(own, cell["method"], engine=cell["engine"], step=cell["value"])
 
     return run
 

@@ -420,7 +420,9 @@ def judgements(
             measured.value, bound, measured.uncertainty or 0.0,
             measured.clamped is not None and measured.clamped >= len(solution.t), columns["solution_error"],
         )  # fmt: skip
-        answers = (bool(kept), bool(undecided), bound) if judged else (None, None, math.nan)
+        answers = (
+            (None if undecided else bool(kept), bool(undecided), bound) if judged else (None, None, math.nan)
+        )
         values = LAWS[name].claimed(solution), *answers
         row |= {f"{name}_{what}": value for what, value in zip(JUDGEMENT, values, strict=True)}
     return row

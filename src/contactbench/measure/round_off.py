@@ -28,10 +28,10 @@ OF_THE_STATE = ("momentum_law", "attitude_drift")
 #: what a row has of each structural law beside its value, with its meaning
 JUDGEMENT = {
     "claimed": "whether the method promises on this scene to keep it at every setting",
-    "kept": "whether the run keeps it to round-off; blank where the run is not judged, its solution being off by "
-    "more than a tenth",
-    "undecided": "whether the run cannot tell; blank as well",
-    "bound": "up to what its deviation is round-off; blank as well",
+    "kept": "whether the run keeps it to round-off; blank where that is undecided, or the run is not judged because "
+    "its solution is off by more than a tenth",
+    "undecided": "whether the run cannot tell; blank where it is not judged",
+    "bound": "up to what its deviation is round-off; blank where it is not judged",
 }
 #: a run whose solution error is larger does not follow the motion
 WRECKED = 0.1

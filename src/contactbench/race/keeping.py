@@ -15,7 +15,7 @@ from contactbench.measure.round_off import decided
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import prepare
 from contactbench.race.scout import Attempt, Question, Scouted
-from contactbench.report.kept import bound
+from contactbench.results.judgement import bound
 from contactbench.scene import Scene
 
 #: measures of a run that are no laws, or that another one covers

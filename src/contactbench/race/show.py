@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.laws import LAWS
+from contactbench.measure.statistics import PROCESSES, WIDEST, Verdict
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.contest import within
 from contactbench.report.curves import by_method, number_axis
@@ -19,7 +20,6 @@ from contactbench.report.figures.best import best_of_each, cheapest
 from contactbench.report.numbers import count, duration, names, percent, scientific
 from contactbench.report.page import Said, page
 from contactbench.report.rooms import Part, Room, Text
-from contactbench.results.statistics import PROCESSES, WIDEST, Verdict
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 #: of those that tie, so many are named

@@ -7,11 +7,11 @@ from typing import Any
 
 import pandas as pd
 
+from contactbench.measure.statistics import PROCESSES, Verdict, margin, verdict
 from contactbench.methods.base import METHODS
 from contactbench.race.keeping import kept, laws_shown
 from contactbench.race.scout import Attempt, Question, Scouted
 from contactbench.report.numbers import times as written
-from contactbench.results.statistics import PROCESSES, Verdict, margin, verdict
 
 #: types of the columns beside the laws
 COLUMNS = {

@@ -14,7 +14,7 @@ from enum import StrEnum
 
 import pandas as pd
 
-DASH = "—"
+from contactbench.report.numbers import DASH as DASH
 
 
 class Mark(StrEnum):

@@ -16,10 +16,7 @@ from statistics import median
 
 import pandas as pd
 
-from contactbench.report.cells import DASH
-from contactbench.report.numbers import count, duration, many, names, percent, power, times
-from contactbench.report.rooms import Frames
-from contactbench.results.statistics import (
+from contactbench.measure.statistics import (
     WIDEST,
     Verdict,
     envelope,
@@ -28,6 +25,9 @@ from contactbench.results.statistics import (
     process_spread,
     verdict,
 )
+from contactbench.report.cells import DASH
+from contactbench.report.numbers import count, duration, many, names, percent, power, times
+from contactbench.report.rooms import Frames
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)

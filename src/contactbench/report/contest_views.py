@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
+from contactbench.measure.statistics import FLOOR, WIDEST, Verdict
 from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, word
 from contactbench.report.contest import CONTACT, COUNTED, DECADES, TARGETS, Field, Kind, Lead, within
 from contactbench.report.numbers import percent, power, times
-from contactbench.results.statistics import FLOOR, WIDEST, Verdict
 
 #: how ties are told from what is undecided
 MARGINS = (

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import pandas as pd
 
+from contactbench.measure.statistics import Verdict, margin, verdict
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import COMPILED, LIMIT, MARGINAL, TARGETS, Kind, Lead, costs, within
 from contactbench.report.contest_views import CHEAPEST, DASHES, MARGINS, error_heads
@@ -15,7 +16,6 @@ from contactbench.report.figures import ensemble as figures
 from contactbench.report.numbers import count, duration, many, names, percent, power, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
-from contactbench.results.statistics import Verdict, margin, verdict
 from contactbench.results.tables import ENSEMBLE_TABLE
 
 SOURCE = "ensemble.csv"

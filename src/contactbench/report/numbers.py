@@ -6,7 +6,7 @@ import math
 
 import pandas as pd
 
-from contactbench.report.cells import DASH
+DASH = "—"
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

@@ -7,6 +7,7 @@ from statistics import median
 
 import pandas as pd
 
+from contactbench.measure.statistics import COVERED, process_spread
 from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
 from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
 from contactbench.report.contest_views import MARGINS, costs_view, duel_view
@@ -14,7 +15,6 @@ from contactbench.report.figures import work_precision as figures
 from contactbench.report.numbers import count, duration, many, percent, scientific, times
 from contactbench.report.raw import raw
 from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, once
-from contactbench.results.statistics import COVERED, process_spread
 from contactbench.results.tables import WORK_PRECISION
 
 SOURCE = "work_precision.csv"

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve
 from contactbench.report.look import look
-from contactbench.results.statistics import costs_to_reach
 
 #: curves in colour in one panel
 MOST = 8

@@ -1,4 +1,4 @@
-"""What reports and the gate compute from rows: costs at equal error, paired ratios, margins and ties."""
+"""Costs at equal error, paired ratios, margins and ties: what reports, the race and the gate judge costs by."""
 
 from __future__ import annotations
 

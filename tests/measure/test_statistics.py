@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from contactbench.errors import BadInput
-from contactbench.results.statistics import (
+from contactbench.measure.statistics import (
     FLOOR,
     PROCESSES,
     WIDEST,

@@ -1,0 +1,128 @@
+"""Tables to read: a DataFrame with labels; how a number is written, and what a cell is marked as, is decided here.
+
+Texts (`View.legend`, texts of cells) are inline Markdown of four kinds only: `code`, **strong**, *emphasis* and
+[text](address).  An address is a file beside the document, or #anchor inside it.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+
+import pandas as pd
+
+from contactbench.report.numbers import DASH, readable
+
+#: how a number is written
+type Show = Callable[[float], str]
+
+
+class Mark(StrEnum):
+    """What a cell is to be seen as; a renderer gives each its look."""
+
+    best = "best"  #: the best of its column or row, alone
+    tie = "tie"  #: no worse than the best by more than the noise
+    kept = "kept"  #: a law kept to round-off
+    exception = "exception"  #: contradicts what is claimed
+    holds = "holds"  #: verdicts of claims
+    corrected = "corrected"
+    refuted = "refuted"
+    right = "right"  #: a run that ended as the true motion does
+    bad = "bad"  #: a run that ended badly
+    none = "none"  #: nothing to measure: unsupported
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry of a view.
+
+    value : what it is sorted by; None: words are sorted by `text`, a missing number last.
+    link : an address the text leads to.
+    """
+
+    text: str
+    value: float | None = None
+    mark: Mark | None = None
+    link: str = ""
+
+
+@dataclass(frozen=True)
+class Head:
+    """A column: its label, its meaning (a tooltip), whether it holds words (left aligned), its group."""
+
+    label: str
+    meaning: str = ""
+    words: bool = False
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class View:
+    """A table to read.
+
+    name : unique over all chapters, [a-z0-9_].
+    frame : its entries are words, numbers or `Cell`s; the first column names the row.  Column names are labels, or
+        pairs of a group and a label.
+    legend : one or two sentences under the title; says what marks and dashes mean.
+    source : the CSV it is from.
+    show : how the numbers of a column are written, by label; "": of all other columns.
+    meanings : of columns, by label.
+    detail : rows by the hundred, for a page that folds and filters; a document names the CSV instead.
+    map : cells are to be seen at once, as a map of small marks; else an ordinary table.
+    """
+
+    name: str
+    title: str
+    frame: pd.DataFrame
+    legend: str = ""
+    source: str = ""
+    show: Mapping[str, Show] = field(default_factory=dict)
+    meanings: Mapping[str, str] = field(default_factory=dict)
+    detail: bool = False
+    map: bool = False
+
+    @cached_property
+    def rows(self) -> tuple[tuple[Cell, ...], ...]:
+        """The entries as cells."""
+        shows = [self.show.get(label, self.show.get("", readable)) for _, label in self.labels]
+        return tuple(
+            tuple(as_cell(value, show) for value, show in zip(row, shows, strict=True))
+            for row in self.frame.itertuples(index=False, name=None)
+        )
+
+    @cached_property
+    def columns(self) -> tuple[Head, ...]:
+        """The heads; a column without a number holds words."""
+        words = [all(row[i].value is None for row in self.rows) for i in range(len(self.labels))]
+        return tuple(
+            Head(label, self.meanings.get(label, ""), word, group)
+            for (group, label), word in zip(self.labels, words, strict=True)
+        )
+
+    @property
+    def labels(self) -> list[tuple[str, str]]:
+        """Group ("" for none) and label of each column."""
+        return [name if isinstance(name, tuple) else ("", str(name)) for name in self.frame.columns]
+
+
+def as_cell(value: object, show: Show = readable, mark: Mark | None = None) -> Cell:
+    """Return an entry as a cell: a missing one is a dash, infinite numbers sort beyond all finite ones."""
+    if isinstance(value, Cell):
+        return value
+    if isinstance(value, str):
+        return Cell(value, mark=mark)
+    if value is None or pd.isna(value):  # type: ignore[call-overload]
+        return Cell(DASH)
+    number = float(value)  # type: ignore[arg-type]
+    if math.isinf(number):
+        return Cell("∞" if number > 0 else "−∞", math.copysign(sys.float_info.max, number), mark)
+    return Cell(show(number), number, mark)
+
+
+def frame_of(rows: list[tuple[object, ...]], labels: list[str] | list[tuple[str, str]]) -> pd.DataFrame:
+    """Return rows of entries as a frame that keeps them as they are."""
+    return pd.DataFrame(rows, columns=pd.Index(labels, tupleize_cols=False), dtype=object)

@@ -1,0 +1,272 @@
+"""Cost at equal error: what each error costs every method, who is cheapest, and up to which ratio two costs tie.
+
+Three kinds of cost are compared and never mixed: evaluations (the engine does not matter), time of compiled engines,
+and time of solvers that call back into Python.  A method is of the family its rows declare.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import pandas as pd
+
+from contactbench.measure.statistics import Verdict, envelope, interpolate, margin, process_spread, verdict
+from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
+
+#: errors at which methods are compared, and those of the detailed tables
+TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
+DECADES = tuple(10.0**-k for k in range(3, 13))
+#: families that methods declare
+CONTACT = "contact"
+ESTABLISHED = "established"
+#: rows that do not compete: plain C loops
+LIMIT = "limit"
+#: the winner of a contest that no contact method wins
+OTHER = "other"
+CALLBACKS = ("python", "c+python")
+#: engines at extended precision, never timed
+UNTIMED = ("mpmath",)
+#: statuses of runs that our own limits ended: a finer setting might be more accurate
+CUT = ("budget", "timeout")
+#: one integrator of two makers: where engines do not matter one contestant
+SAME_INTEGRATOR = {"scipy-dop853": "dop853", "cyrk-dop853": "dop853"}
+#: two numbers of evaluations tie up to this ratio: counts repeat, but between two settings they are interpolated
+COUNTED = 1.15
+#: cells of an engine timed by two processes from which on it has a spread of its own
+ENOUGH = 8
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of cost.
+
+    cost : its column.  halves, processes : columns of the ratio of the cell's own halves, and of a second process to
+    the first.  resolved : a cost without halves is not resolved, and takes no part; nor does a closed form, which
+    costs the same for any span.
+    """
+
+    name: str
+    title: str
+    cost: str
+    engines: Literal["any", "compiled", "callbacks"]
+    about: str
+    timed: bool = True
+    halves: str = "time_halves_ratio"
+    processes: str = "time_process_ratio"
+    resolved: bool = False
+
+    def compares(self, rows: pd.DataFrame) -> pd.Series:
+        """Return which rows take part."""
+        called_back, chosen = rows["engine"].isin(CALLBACKS), ~rows["engine"].isin(UNTIMED)
+        if self.engines != "any":
+            chosen &= called_back if self.engines == "callbacks" else ~called_back
+        if self.resolved:
+            chosen &= (rows["control"] != "exact") & rows[self.halves].notna()
+        return chosen
+
+    def process_spread(self, rows: pd.DataFrame, engine: str = "") -> float:
+        """Return by what factor two processes differ on an engine; on all of them where few of its cells were timed
+        twice."""
+        if not self.timed:
+            return COUNTED
+        own = rows[rows["engine"] == engine]
+        sample = own if own[self.processes].notna().sum() >= ENOUGH else rows
+        return process_spread(*(sample[name].astype(float) for name in (self.processes, self.halves)))
+
+
+EVALUATIONS = Kind(
+    "evaluations",
+    "Evaluations",
+    "rhs_equivalents",
+    "any",
+    "Evaluations of the right-hand side or their equivalents, whatever the engine: a Taylor order counts as one, two "
+    f"rotations of the body as one, its free flow in closed form as {FREE_COST} rotations ({MOMENTUM_COST} where the "
+    "attitude is not carried). Jacobians are not counted.",
+    timed=False,
+)
+COMPILED = Kind(
+    "compiled",
+    "Time, compiled",
+    "time_min_s",
+    "compiled",
+    "Time of a call (least round) that is compiled as a whole.",
+)
+MARGINAL = Kind(
+    "marginal",
+    "Marginal time, compiled",
+    "marginal_s",
+    "compiled",
+    "Time of one more unit of the scene's time, compiled: from runs over a fifth of the span and all of it.",
+    halves="marginal_halves_ratio",
+    processes="marginal_process_ratio",
+    resolved=True,
+)
+CALLED_BACK = Kind(
+    "callbacks",
+    "Time, Python callbacks",
+    "time_min_s",
+    "callbacks",
+    "Time of a call (least round) that evaluates the right-hand side in Python. It is written into the loops of this "
+    "suite and called back by SciPy and scikit-sundae, which favours the former.",
+)
+KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
+
+
+def contestants(work: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows that compete: one setting of one method, not chosen by pilots, no C loops."""
+    return work[(work["family"] != LIMIT) & (work["variant"].fillna("") == "")]
+
+
+def costs(
+    rows: pd.DataFrame,
+    kind: Kind,
+    keys: Sequence[str] = ("scene", "method"),
+    targets: Sequence[float] = DECADES,
+) -> pd.DataFrame:
+    """Return the cost of each error for each method, on its best engine where times are compared.
+
+    One row per `keys` and error, with the columns
+
+    - family, engine
+    - cost : nan where the error is not reached.  reason : why no finer setting was tried, blank where none would help.
+    - bound : every setting is more accurate than the error; the cost is that of the cheapest.
+    - fixed : the share of the cost that does not grow with the run, nan where it was not measured.
+    - halves, processes : the ratios by which the halves of its visits, and two processes, differ.
+    """
+    part = rows[kind.compares(rows) & (rows["status"] != "unsupported")]
+    spreads = {str(engine): kind.process_spread(part, engine) for engine in part["engine"].unique()}
+    if not kind.timed:
+        part = part.assign(method=part["method"].replace(SAME_INTEGRATOR))
+    found: list[dict[str, Any]] = []
+    for key, own in part.groupby(list(keys), sort=False):
+        engines = [one for _, one in own.groupby("engine", sort=False)] if kind.timed else [own]
+        tried = [list(_costs_on(one, kind, targets, spreads[one["engine"].iloc[0]])) for one in engines]
+        lead = dict(zip(keys, key, strict=True)) | {"family": own["family"].iloc[0]}
+        found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
+    names = [
+        *keys, "family", "engine", "error", "cost", "bound", "reason", "fixed", "halves", "processes",
+    ]  # fmt: skip
+    return pd.DataFrame(found, columns=names)
+
+
+def _preference(row: dict[str, Any]) -> tuple[bool, float]:
+    """Return the order of engines: the cheapest, then those that were cut off."""
+    reached = not math.isnan(row["cost"])
+    return not reached, row["cost"] if reached else not row["reason"]
+
+
+def _costs_on(
+    rows: pd.DataFrame, kind: Kind, targets: Sequence[float], processes: float
+) -> Iterator[dict[str, Any]]:
+    """Yield what `costs` says of each error, interpolated log–log between the settings of one method on one engine."""
+    reason, rows = cut_off(rows), rows[rows["status"] == "ok"]
+    errors, spent = (_floats(rows[name]) for name in ("solution_error", kind.cost))
+    front = envelope(errors, spent)
+    ratios = [max(r, 1 / r) for r in _floats(rows[kind.halves])] if kind.timed else [1.0] * len(rows)
+    halves = interpolate(errors, ratios, front, targets)
+    shares = [math.nan] * len(rows)
+    if kind.timed and not kind.resolved and "fixed_s" in rows:
+        shares = _floats(rows["fixed_s"] / rows["time_min_s"])
+    loosest = max(errors, default=math.nan)
+    for target, cost, own in zip(targets, interpolate(errors, spent, front, targets), halves, strict=True):
+        reach = [(c, s) for e, c, s in zip(errors, spent, shares, strict=True) if e <= target and c == c]
+        yield {
+            "error": target,
+            "engine": rows["engine"].iloc[0] if len(rows) else "",
+            "cost": cost,
+            "bound": target > loosest,
+            "reason": reason if math.isnan(cost) else "",
+            "fixed": min(reach)[1] if reach else math.nan,
+            "halves": own,
+            "processes": processes,
+        }
+
+
+def cut_off(rows: pd.DataFrame) -> str:
+    """Return the status of a finer setting that our own limit ended, or "": no finer one would be more accurate.
+
+    rows : of one method on one scene.
+    """
+    runs = list(zip(rows["value"], rows["status"], rows["solution_error"].astype(float), strict=True))
+    best = min(
+        ((error, value) for value, status, error in runs if status == "ok"), default=(math.inf, math.inf)
+    )
+    ended = [(value, status) for value, status, _ in runs if status in CUT and value < best[1]]
+    return str(max(ended)[1]) if ended else ""
+
+
+def _floats(column: pd.Series) -> list[float]:
+    return column.to_numpy(dtype=float, na_value=math.nan).tolist()
+
+
+def pair_margin(one: Any, other: Any) -> float:
+    """Return the ratio up to which two costs cannot be told apart; each has `halves` and `processes`."""
+    return margin((one.halves, other.halves), max(one.processes, other.processes))
+
+
+def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd.DataFrame:
+    """Return the costs with their standing beside the least of the same scene and error, cheapest first.
+
+    Columns beside theirs: ratio and margin, to the least; verdict: of the least *win*, or *tie* or *undecided* where
+    it is not alone; of the others *tie*, *undecided* or *loss*; blank where the error is not reached.
+    """
+    parts = []
+    for _, part in costs.groupby(list(by), sort=False):
+        part = part.sort_values("cost", kind="stable")
+        ratios, margins, verdicts = [], [], []
+        least = next(part.itertuples())
+        for row in part.itertuples():
+            reached = not math.isnan(row.cost)
+            ratio = row.cost / least.cost if reached else math.nan
+            most = pair_margin(row, least) if reached else math.nan
+            ratios.append(ratio)
+            margins.append(most)
+            verdicts.append(str(verdict(ratio, most)) if reached else "")
+        if verdicts[0]:
+            alike = {Verdict(v) for v in verdicts[1:] if v} - {Verdict.loss}
+            verdicts[0] = str(max(alike, key=list(Verdict).index, default=Verdict.win))
+        parts.append(part.assign(ratio=ratios, margin=margins, verdict=verdicts))
+    return pd.concat(parts, ignore_index=True) if parts else costs.assign(ratio=[], margin=[], verdict=[])
+
+
+def contests(costs: pd.DataFrame, targets: Sequence[float] = TARGETS) -> pd.DataFrame:
+    """Return the best contact method beside the best other, one row per scene and error.
+
+    Only scenes on which both kinds of method ran.  Columns: contact, contact_cost, other, other_cost (blank and nan
+    where none reaches the error); ratio: the other's cost over the contact method's, inf and 0 where one is alone;
+    margin; winner: contact, other, tie, undecided, or blank where nobody reaches the error.
+    """
+    rows = []
+    for scene, here in costs.groupby("scene", sort=False):
+        if (here["family"] == CONTACT).nunique() < 2:
+            continue
+        for target in targets:
+            part = here[(here["error"] == target) & here["cost"].notna()].sort_values("cost", kind="stable")
+            ours, theirs = (
+                next(part[(part["family"] == CONTACT) == own].itertuples(), None) for own in (True, False)
+            )
+            rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
+    names = (
+        "scene", "error", "contact", "contact_cost", "other", "other_cost", "ratio", "margin", "winner",
+    )  # fmt: skip
+    return pd.DataFrame(rows, columns=list(names))
+
+
+def _contest(ours: Any, theirs: Any) -> dict[str, Any]:
+    """Return the columns of `contests` for the best of either, None where nobody reaches the error."""
+    row = {
+        "contact": ours.method if ours else "",
+        "contact_cost": ours.cost if ours else math.nan,
+        "other": theirs.method if theirs else "",
+        "other_cost": theirs.cost if theirs else math.nan,
+    }
+    if ours is None or theirs is None:
+        alone = (CONTACT, math.inf) if ours else (OTHER, 0.0) if theirs else ("", math.nan)
+        return row | {"ratio": alone[1], "margin": math.nan, "winner": alone[0]}
+    most = pair_margin(ours, theirs)
+    found = verdict(ours.cost / theirs.cost, most)
+    winner = {Verdict.win: CONTACT, Verdict.loss: OTHER}.get(found, str(found))
+    return row | {"ratio": theirs.cost / ours.cost, "margin": most, "winner": winner}

@@ -1,0 +1,100 @@
+"""Which runs keep a law: the judgement of every run that has a value of it, as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, UNSURE, judge, structural_bound
+from contactbench.results.contest import LIMIT
+from contactbench.results.schema import Column, Rule, Table
+from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
+
+#: the same law with the steps held fixed
+FROZEN = "_frozen"
+#: the tables whose rows are judged
+JUDGED_TABLES = ("laws", "stability")
+
+
+def laws_in(table: Table, view: str = "laws") -> dict[str, Column]:
+    """Return the laws that a table shows in a view, with their columns."""
+    return {name: column for name, column in table.columns.items() if view in column.shown}
+
+
+def structural_laws() -> dict[str, Column]:
+    """Return the laws of the map itself, which a method either keeps or not whatever its error."""
+    laws = laws_in(LAWS_TABLE).items()
+    return {n: c for n, c in laws if c.rule is Rule.structure and not n.endswith(FROZEN)}
+
+
+def laws_at_equal_cost() -> list[str]:
+    """Return the laws of the table at equal cost, in its order."""
+    own = [n for n in DECAY_LAWS.columns if n in laws_in(LAWS_TABLE) and not n.endswith(FROZEN)]
+    return [n for n in own if n != "solution_error"]
+
+
+def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
+    """Return a column as floats, `default` where it is blank or missing."""
+    if column not in rows:
+        return pd.Series(default, rows.index, dtype=float)
+    return pd.to_numeric(rows[column], errors="coerce").astype(float).fillna(default)
+
+
+def bound(rows: pd.DataFrame, law: str) -> pd.Series:
+    """Return up to what a deviation from a law is round-off, row by row.
+
+    The round-off of a law of the derivative grows with the numerical map where that was measured, else with the motion.
+    """
+    growth = pd.Series(1.0, rows.index)
+    if law not in OF_THE_STATE:
+        motion = numbers(rows, "condition_number", 1.0)
+        growth = np.maximum(1.0, numbers(rows, "map_growth").fillna(motion))
+    return structural_bound(growth, numbers(rows, "evaluations", 0.0))
+
+
+def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
+    """Return all runs of all tables that have a value of a law.
+
+    Columns: scene, method, family, setting, derivative, solution_error; value, uncertainty, clamped (at how many times
+    it is relative to a thousandth of the terms that cancel); frozen (with the steps held fixed); unsure (an upper bound
+    only); claimed, kept, undecided, bound; judged (the run follows the motion); broken (judged, and neither kept nor
+    undecided).  A law that is not structural has no judgement in the tables: it is computed here, and never claimed.
+    """
+    parts = []
+    for name in JUDGED_TABLES:
+        frame = frames.get(name)
+        if frame is not None and len(frame) and law in frame:
+            rows = frame[(frame["status"] == "ok") & frame[law].notna() & (frame["family"] != LIMIT)]
+            parts.append(_judged(rows, law))
+    flags = ["claimed", "kept", "undecided", "judged"]
+    names = [
+        "scene", "method", "family", "setting", "derivative", "solution_error", "value", "uncertainty", "clamped",
+        "frozen", "unsure", "bound", *flags,
+    ]  # fmt: skip
+    rows = pd.concat([part.reindex(columns=names) for part in parts], ignore_index=True) if parts else None
+    if rows is None:
+        rows = pd.DataFrame({name: [] for name in names})
+    rows = rows.astype(dict.fromkeys(flags, bool))
+    return rows.assign(broken=rows["judged"] & ~rows["kept"] & ~rows["undecided"])
+
+
+def _judged(rows: pd.DataFrame, law: str) -> pd.DataFrame:
+    """Return the rows of one table with the columns of `law_rows`."""
+    value, uncertainty = numbers(rows, law), numbers(rows, f"{law}_uncertainty", 0.0)
+    clamped = numbers(rows, f"{law}_clamped", 0.0)
+    rows = rows.assign(
+        value=value,
+        uncertainty=uncertainty,
+        clamped=clamped,
+        frozen=numbers(rows, law + FROZEN),
+        unsure=(uncertainty > 0) & (value <= UNSURE * uncertainty),
+    )
+    if f"{law}_bound" in rows:
+        columns = {name: rows[f"{law}_{name}"] for name in JUDGEMENT}
+        flags = {name: column.fillna(False) for name, column in columns.items() if name != "bound"}
+        return rows.assign(**flags, bound=columns["bound"], judged=columns["bound"].notna())
+    limit, faded = bound(rows, law), clamped >= numbers(rows, "saved_times", np.inf)
+    judged, kept, undecided = judge(value, limit, uncertainty, faded, numbers(rows, "solution_error"))
+    return rows.assign(bound=limit, judged=judged, kept=kept, undecided=undecided, claimed=False)

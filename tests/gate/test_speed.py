@@ -1,0 +1,251 @@
+"""The gate's speed part: which calls, in which order, what is red, what is not decided."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cases import REPOSITORY
+from contactbench.cli import main
+from contactbench.errors import BadInput
+from contactbench.gate import revisions, speed, speed_worker
+from contactbench.gate.speed import LIMIT, MANY, MOST_ROUNDS, PUBLIC, ROUNDS, Cell, workload
+from contactbench.measure.statistics import PairedRatio
+from contactbench.plugins import VARIABLE
+from made_up import commit, folder, git, row
+from planted_faults import plugin
+
+CELL = Cell("particle", "contact-strang", "python", "step", 0.05)
+PASS, STRADDLES, ABOVE = (PairedRatio(ratio, 0.9 * ratio, 1.1 * ratio, 15) for ratio in (1.0, 1.2, 1.5))
+
+
+# -- what is timed ---------------------------------------------------------------------------------
+def test_the_workload_is_the_finest_setting_that_is_short():
+    carry = {"carried": "q p", "variant": ""}
+    body = {"carried": "M R", "variant": "", "scene": "rigid_body", "engine": "numba"}
+    settings = {"step=0.2": 1e-5, "step=0.1": 2e-3, "step=0.05": 5e-3}
+    rows = [row(setting=setting, time_median_s=time, **body) for setting, time in settings.items()]
+    rows += [
+        row("cvode-adams", "rtol=1e-06", engine="c", time_median_s=1e-3, **carry),
+        row("scipy-radau", "rtol=0.001", time_median_s=5e-3, **carry),
+        row("contact-rkn6", "rtol=0.001", time_median_s=1e-5, **{**carry, "variant": "chosen"}),
+        row("limit-c", time_median_s=1e-5, **carry) | {"family": "limit"},
+    ]
+    central = {"scene": "central", "setting": "step=0.2", "time_median_s": 1e-4, **carry}
+    rows += [row(name, **central) for name in ("rk4", "contact-abc")]
+    rows += [row(engine=engine, time_median_s=1e-4, **carry) for engine in ("jax", "numba")]
+    cells = workload(pd.DataFrame(rows))
+    once = [cell for cell in cells if cell.saves == 1 and cell.call == "prepared"]
+    assert [(cell.scene, cell.method, cell.setting, cell.carry) for cell in once] == [
+        ("rigid_body", "rk4", "step=0.1", ("R",)),
+        ("particle", "cvode-adams", "rtol=1e-06", ()),
+        ("central", "rk4", "step=0.2", ()),
+        ("particle", "rk4", "step=0.1", ()),
+        ("particle", "rk4", "step=0.1", ()),
+    ]  # no long run, no C loop, no chosen step; elsewhere few methods
+    many = [(cell.method, cell.engine, cell.saves) for cell in cells if cell.saves > 1]
+    assert many == [("cvode-adams", "c", MANY), ("rk4", "numba", MANY)]
+    assert cells[-len(PUBLIC) :] == PUBLIC
+    assert {cell.call for cell in PUBLIC} == {*speed_worker.CALLS} - {"prepared"}
+
+
+def test_with_little_time_every_kind_comes_first():
+    cells = [Cell("particle", name, engine) for name in "abc" for engine in ("jax", "numba", "python")]
+    ordered = speed.kinds_first(cells)
+    assert sorted(map(repr, ordered)) == sorted(map(repr, cells))
+    assert [len({cell.method for cell in ordered[k : k + 3]}) for k in (0, 3, 6)] == [3, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("timed", "reasons"),
+    [
+        (range(6), []),
+        (range(3), []),
+        (range(2), ["only 2 of 6"]),
+        ([1, 2, 4], ["no cell timed of solve"]),
+        ([], ["only 0 of 6", "no cell timed of rk4, solve"]),
+    ],
+)
+def test_too_few_cells_are_inconclusive(timed, reasons):
+    cells = [Cell("particle", call="solve"), *[Cell("particle", "rk4")] * 5]
+    few = speed.too_few(cells, timed)
+    assert [found.startswith(reason) for found, reason in zip(few, reasons, strict=True)] == [True] * len(few)
+    assert speed.Findings(incomplete=few).status == (2 if reasons else 0)
+    assert (speed.Findings(incomplete=few) + speed.Findings(speed.rows_of({"red": True}))).status == 1
+
+
+# -- the judgement ---------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("first", "again", "result"),
+    [
+        (PASS, None, "pass"),
+        (STRADDLES, None, "inconclusive"),
+        (ABOVE, ABOVE, "slower"),
+        (ABOVE, STRADDLES, "inconclusive"),
+        (ABOVE, None, "inconclusive"),
+    ],
+)
+def test_slower_takes_two_intervals_above_the_limit(first, again, result):
+    assert speed.decide(first, again) == result
+
+
+@pytest.fixture
+def clocked(monkeypatch, tmp_path):
+    """Time cells of two trees by ``clock(tree's name, cell, readings so far)``; return the readings' order too."""
+
+    def compare(clock, count, until=None):
+        order = []
+
+        class Scripted(speed.Side):
+            def __init__(self, _python, tree, _cells, _seconds):
+                self.name = tree.name
+
+            def __exit__(self, *_):
+                pass
+
+            def refused(self):
+                return {}
+
+            def time(self, cell):
+                order.append((self.name, cell))
+                return clock(self.name, cell, len(order))
+
+        monkeypatch.setattr(speed, "Side", Scripted)
+        sides = [("python", tmp_path / name) for name in ("base", "head")]
+        return speed.time_pairs(sides, dict.fromkeys(range(count), CELL), until)[0], order
+
+    return compare
+
+
+def test_turns_are_shuffled_and_paired(clocked):
+    """Timed in turns by a clock that drifts: the ratio does not see the drift."""
+    factor = {"base": 1.0, "head": 1.5}
+    ratios, order = clocked(lambda name, cell, k: factor[name] * (1 + cell) * np.exp(k / 50), 4)
+    assert [ratio.ratio for ratio in ratios.values()] == pytest.approx([1.5] * 4, rel=0.03)
+    assert {ratio.rounds for ratio in ratios.values()} == {ROUNDS}
+    first = [order[i][0] for i in range(0, len(order), 2)]
+    assert 20 < first.count("base") < 40  # of 60 pairs either goes first
+    assert [cell for _, cell in order[:8:2]] != [cell for _, cell in order[8:16:2]]
+
+
+def test_what_is_undecided_gets_more_rounds(clocked):
+    """Of three cells with a noisy clock only the one near the limit."""
+    noise = np.random.default_rng(1).normal(size=10_000)
+    factor = [1.0, 1.02 * LIMIT, 2.0]
+    ratios, _ = clocked(
+        lambda name, cell, k: (factor[cell] if name == "head" else 1) * np.exp(0.1 * noise[k]), 3
+    )
+    assert [ratios[i].rounds for i in range(3)] == [ROUNDS, MOST_ROUNDS, ROUNDS]
+
+
+def test_rounds_end_with_the_time(clocked, monkeypatch):
+    readings = []
+    monkeypatch.setattr(speed, "perf_counter", lambda: len(readings))
+    ratios, _ = clocked(lambda *reading: readings.append(reading) or 1e-3, 3, until=3 * 2 * 3 - 1)
+    assert {ratio.rounds for ratio in ratios.values()} == {3}
+
+
+def test_the_estimate_is_the_repeat_that_nothing_interrupted(monkeypatch):
+    clock = iter([0.0, 1e-3, 1e-3, 7e-3, 7e-3, 8e-3])
+    monkeypatch.setattr(speed_worker, "perf_counter", lambda: next(clock))
+    assert min(speed_worker.seconds(lambda: None, 1e-3)) == pytest.approx(1e-3)
+
+
+# -- processes -------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """A repository with the sources as they are now, and made-up tables."""
+    path = folder(tmp_path_factory.mktemp("copy").resolve() / "results").parent
+    for name in ("src", "bench", "references"):
+        shutil.copytree(REPOSITORY / name, path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(REPOSITORY / name, path)
+    git(path, "init", "-q")
+    return commit(path, "all")
+
+
+def judge(copy, cells):
+    """The red rows of the tree beside its own commit."""
+    with revisions.checkout(copy, "HEAD") as tree:
+        moved = speed.judge_speed(copy, tree, cells).moved
+    return moved[moved["red"]]
+
+
+@contextmanager
+def patched(file, old, new):
+    """A source file with one passage replaced, for as long as the block lasts."""
+    original = file.read_text()
+    assert original.count(old) == 1
+    file.write_text(original.replace(old, new))
+    try:
+        yield
+    finally:
+        file.write_text(original)
+
+
+def test_the_same_code_is_not_slower_and_half_as_much_again_is(copy, tmp_path, monkeypatch):
+    """So many steps that a call costs little beside them."""
+    assert judge(copy, [CELL]).empty
+    call = f"slower(['contact-strang'], 1.5, {str(copy)!r})"
+    monkeypatch.setenv(VARIABLE, str(plugin(tmp_path / "slower.py", call)))
+    (after,) = judge(copy, [CELL])["after"]
+    assert float(after.split()[0].removeprefix("×")) == pytest.approx(1.5, rel=0.15)
+
+
+def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared(copy, tmp_path):
+    sides = [(sys.executable, copy)] * 2
+    ratios, refused = speed.time_pairs(sides, {0: CELL, 1: Cell("particle", "no-such-method")})
+    assert set(ratios) == {0}
+    assert refused[1].startswith("UnknownName")
+    (tmp_path / "src" / "contactbench").mkdir(parents=True)
+    (tmp_path / "src" / "contactbench" / "__init__.py").write_text("raise RuntimeError('broken')")
+    with pytest.raises(BadInput, match="timing process ended: RuntimeError: broken"):
+        speed.time_pairs([(sys.executable, copy), (sys.executable, tmp_path)], {0: CELL})
+
+
+def test_a_gate_without_time_is_inconclusive(copy, tmp_path, monkeypatch, capsys):
+    """From the command line, of a whole workload."""
+    root = tmp_path / "project"
+    git(copy, "clone", "-q", str(copy), str(root))
+    commit(root, "nothing more")
+    monkeypatch.chdir(root)
+    assert main(["gate", "--only", "speed", "--budget", "1", "--json"]) == 2
+    assert "only " in json.loads(capsys.readouterr().out)["incomplete"][0]
+
+
+#: at the end of the package's own module: what every public call does beside its work
+DELAYS = """
+import time
+from contactbench.ensembles import ensemble
+from contactbench.methods.base import Prepared
+
+def late(function, seconds, when=""):
+    def other(*given, **more):
+        if when in {"", *more}:
+            time.sleep(seconds)
+        return function(*given, **more)
+    return other
+
+time.sleep(1)
+solve, ensemble, reference = late(solve, 0.2), late(ensemble, 0.5), late(reference, 0.2)
+Prepared.__call__ = late(Prepared.__call__, 0.002, "q")
+"""
+QUICK = ("solve", "run(q=…)")
+
+
+@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_a_delay_of_every_public_call_is_found(quick, copy, monkeypatch):
+    """All of them planted in the sources of the head."""
+    monkeypatch.setattr(speed, "ROUNDS", 7)
+    cells = [cell for cell in PUBLIC if (cell.call in QUICK) is quick]
+    with patched(copy / "src/contactbench/__init__.py", "load_installed()\n", "load_installed()\n" + DELAYS):
+        found = judge(copy, cells)
+    assert {*zip(found["scene"], found["setting"], strict=True)} == {
+        (cell.scene, cell.setting) for cell in cells
+    }
