@@ -223,7 +223,7 @@ def test_a_gate_without_time_is_inconclusive(copy, tmp_path, monkeypatch, capsys
 DELAYS = """
 import time
 from contactbench.ensembles import ensemble
-from contactbench.methods.base import Prepared
+from contactbench.methods.prepared import Prepared
 
 def late(function, seconds, when=""):
     def other(*given, **more):

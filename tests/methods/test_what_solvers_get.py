@@ -318,14 +318,11 @@ def test_diffrax_in_ensembles(name, shape, monkeypatch):
 )
 @saved
 def test_the_budget_is_the_one_asked_for(name, engine, times):
-    """Enough for the run, and one step less is not; diffrax's is looked at above.
-
-    Of contact-adaptive the shortened steps to the saved times are not in it.
-    """
+    """Enough for the run, and one step less is not; diffrax's is looked at above."""
     options = {**tolerances(name), "save_at": times, "engine": engine}
     run = cb.prepare(SCENE, name, **options)
-    steps = run.count(run().counts).steps - (len(run.later) if name == "contact-adaptive" else 0)
-    assert cb.solve(SCENE, name, max_steps=steps + (name == "contact-adaptive"), **options).ok
+    steps = run.count(run().counts).steps
+    assert cb.solve(SCENE, name, max_steps=steps, **options).ok
     assert cb.solve(SCENE, name, max_steps=steps - 1, **options).status is Status.budget
 
 

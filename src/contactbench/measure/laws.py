@@ -362,6 +362,9 @@ def kept_by(solution: Solution) -> pd.DataFrame:
     ).rename_axis("law")
 
 
+Solution.judge = kept_by
+
+
 # -- all of them, as a row -------------------------------------------------------------------------
 #: what a row has beside the laws, with its meaning
 DRIFT_COLUMNS = {

@@ -14,10 +14,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Refused, Request
+from contactbench.methods.base import METHODS, Method, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.request import NO_NUMBER
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import NO_NUMBER, Outcome, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import stopwatch
+from contactbench.methods.request import NO_NUMBER
 from contactbench.methods.step_map import StepMap, identity, program_of, tangent_program
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key

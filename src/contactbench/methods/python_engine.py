@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactbench.methods.base import NO_NUMBER, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxSteps
 from contactbench.methods.numba_engine import NumbaLoop
+from contactbench.methods.prepared import stopwatch
+from contactbench.methods.request import NO_NUMBER
 from contactbench.methods.step_map import program_of, tangent_program, trajectory
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace.program import Program

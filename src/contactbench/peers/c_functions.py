@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import stopwatch
+from contactbench.methods.prepared import stopwatch
 from contactbench.numbers.dual import Dual, slope
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key

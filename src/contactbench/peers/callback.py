@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import Prepared, Request
+from contactbench.methods.base import Request
+from contactbench.methods.prepared import Prepared
 from contactbench.peers.variational import SOURCE, integrated, numerical_derivative, variational_request
 from contactbench.scene import System
 from contactbench.trace.recording import CannotRecord, Recorded, Tape, text_of

@@ -17,9 +17,10 @@ import numpy as np
 from contactbench.boundary import UserError
 from contactbench.measure.ladder import ENDS, carried, setting, tolerances, work_ladder
 from contactbench.measure.laws import observed
-from contactbench.methods.base import METHODS, Prepared, Refused
+from contactbench.methods.base import METHODS
 from contactbench.methods.engines import ENGINES
 from contactbench.methods.entry import prepare
+from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status
