@@ -20,7 +20,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import Prepared
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Scene
-from contactbench.splitting.composition import ONE, Composition, balanced, palindrome
+from contactbench.splitting.composition import ONE, Composition, balance, palindrome
 from contactbench.splitting.tables import COMPOSITIONS, STRANG
 
 LARGER = Fraction(1001, 1000)
@@ -63,14 +63,14 @@ def faulty(composition: Composition) -> list[Composition]:
     names, values = [name for name, _ in stages], [c for _, c in stages]
     if composition.palindromic and composition.two_part and len(stages) > 3:
         halves = one_larger(values[: len(stages) // 2 - 1])
-        kernels = [palindrome(names[0], names[1], half, len(stages)) for half in halves]
+        kernels = [palindrome(names[0], names[1], half) for half in halves]
     else:
         kernels = [tuple(zip(names, changed, strict=True)) for changed in one_larger(values)]
     wrong = [replace(composition, stages=kernel) for kernel in kernels]
     if processor:
         (first, _), (second, _) = processor[:2]
         for free in one_larger([c for _, c in processor[:-2]]):
-            wrong.append(replace(composition, processor=balanced(first, second, free)))
+            wrong.append(replace(composition, processor=balance(first, second, free)))
     return wrong
 
 

@@ -11,7 +11,7 @@ from mpmath import mp
 import contactbench as cb
 from cases import in_mp
 from contactbench.measure import precision
-from contactbench.splitting.dissipation import decayed
+from contactbench.splitting.dissipation import decay
 from contactbench.testing import check_scene
 
 GAMMA, C = 0.1, 0.25
@@ -67,10 +67,10 @@ def test_quadrature_is_the_closed_form(s, h):
     with mp.workdps(50):
         exact, _ = in_mp(QUADRATURE, QUADRATURE.initial(("s",)))
         true = cubic_flow(mp.mpf(s), mp.mpf(h), mp)
-        assert abs(decayed(exact, mp.mpf(s), mp.mpf(h), mp) - true) < mp.mpf(10) ** -45
+        assert abs(decay(exact, mp.mpf(s), mp.mpf(h), mp) - true) < mp.mpf(10) ** -45
     tolerance = 1e-15 * abs(s) if abs(s) < 1 else 1e-11
-    assert decayed(QUADRATURE, s, h, math) == pytest.approx(float(true), rel=0, abs=tolerance)
-    together = decayed(QUADRATURE, np.array([s, s]), h, np)
+    assert decay(QUADRATURE, s, h, math) == pytest.approx(float(true), rel=0, abs=tolerance)
+    together = decay(QUADRATURE, np.array([s, s]), h, np)
     np.testing.assert_allclose(together, float(true), rtol=0, atol=tolerance)
 
 

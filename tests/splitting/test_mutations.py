@@ -31,8 +31,8 @@ MUTATED = {
     "factors": (flows, "damp_log_factor linear_log_factor drift_damp_log_factor free_damp"),
     "elliptic functions": (elliptic, "jacobi carlson arc bent_part"),
     "free body": (free_body, "course free polar momentum precession phase sense attitude frame"),
-    "handedness": (free_body, "handedness circled"),
-    "quadrature": (dissipation, "damped_by by_quadrature survival"),
+    "handedness": (free_body, "handedness components"),
+    "quadrature": (dissipation, "phi by_quadrature survival"),
     "general damping": (flows, "damp_generally general_log_factor"),
     "herglotz": (herglotz, "explicit_kick implicit_kick"),
 }
