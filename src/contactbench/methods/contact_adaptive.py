@@ -44,8 +44,8 @@ from contactbench.splitting.composition import advance, own_equations, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compiled
+from contactbench.trace.python import executed
 from contactbench.trace.recording import CannotRecord, recorded
-from contactbench.trace.source import executed_on_lists
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
@@ -124,8 +124,8 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         super().__post_init__()
         r, elapsed, scene, self.loop = self.request, stopwatch(), cast("Mechanical", self.request.scene), None
         with suppress(CannotRecord):
-            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent=False))
-            self.loop = executed_on_lists(text)["run"]
+            loop = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent=False))
+            self.loop = executed(loop)
             self.compile_s = elapsed()
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
@@ -197,8 +197,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             scene: Any = r.scene
-            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
-            return compiled(text), elapsed()
+            loop = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
+            return compiled(loop), elapsed()
 
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 

@@ -106,14 +106,14 @@ class ExactNumba(ExactRun):
         return rows, [np.append(common, row) for row in which]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        after = np.empty(len(y0))
+        after = np.empty((1, len(y0)))
         self.run(y0, self.rows, self.shapes[-1], after)
-        return after
+        return after[0]
 
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
         y = np.empty((len(times), len(y0)))
         for k, shape in enumerate(self.shapes[-len(times) :]):
-            self.run(y0, self.rows, shape, y[k])
+            self.run(y0, self.rows, shape, y[k : k + 1])
         return y
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ class ExactNumba(ExactRun):
         for j, tangent in enumerate(tangents):
             start = np.concatenate([y0, tangent])
             for k, shape in enumerate(shapes):
-                loop.run(start, rows, shape, y[k, j])
+                loop.run(start, rows, shape, y[k, j : j + 1])
         return y[:, :, d:].transpose(0, 2, 1)
 
 

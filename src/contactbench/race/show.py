@@ -17,7 +17,7 @@ from contactbench.report.contest import within
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
-from contactbench.report.numbers import count, duration, names, percent, scientific
+from contactbench.report.numbers import count, duration, names, percent, scientific, times
 from contactbench.report.page import Said, page
 from contactbench.report.rooms import Part, Room, Text
 
@@ -31,7 +31,7 @@ def sentences(frame: pd.DataFrame) -> Iterator[str]:
     """Who is cheapest at each error, how the reference is known, what was not compared and why."""
     for kind, part in frame[frame["verdict"] != ""].groupby("kind", sort=False):
         for error, rows in part.groupby("error_asked", sort=False):
-            first = rows[rows["verdict"].isin(["cheapest", *ALIKE])].sort_values("time_s")
+            first = rows[rows["verdict"].isin(["win", *ALIKE])].sort_values("time_s")
             said = (
                 f"{within(ALIKE[first['verdict'].iloc[0]], first['margin'].max())}: "
                 if len(first) > 1
@@ -90,9 +90,10 @@ def cell(row: Any) -> Cell:
         return word(row.status)
     if math.isnan(row.time_s):
         return Cell("not timed")
-    mark = Mark.best if row.verdict == "cheapest" else Mark.tie if row.verdict in ALIKE else None
+    mark = Mark.best if row.verdict == "win" else Mark.tie if row.verdict in ALIKE else None
     hint = f"{row.setting}, error {row.error_reached:.1e}, {count(row.evaluations)} evaluations"
-    return Cell(f"{duration(row.time_s)} {row.verdict}", row.time_s, marks(mark), hint=hint)
+    beside = {"win": "cheapest", "loss": times(row.ratio)}.get(row.verdict, row.verdict)
+    return Cell(f"{duration(row.time_s)} {beside}", row.time_s, marks(mark), hint=hint)
 
 
 def kept_by(rows: pd.DataFrame) -> str:
