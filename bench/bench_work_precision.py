@@ -19,7 +19,7 @@ import contactbench as cb
 from c_loops import KERNELS, kernel
 from cells import cells, controlled, engines, outcome, step_budget, work_ladder
 from contactbench.measure.clock import Call, Part, seconds
-from contactbench.measure.ladder import ENDS, LOOSEST, carried, fields, tolerances
+from contactbench.measure.ladder import BETWEEN, ENDS, LOOSEST, carried, fields, tolerances
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
@@ -41,7 +41,7 @@ def ladder(profile):
             if method.control == EXACT:
                 values = [0.0]
             elif method.adaptive:
-                rungs = tolerances(method)
+                rungs = [r for r in tolerances(method) if "python" not in engine or r not in BETWEEN]
                 values = profile.choose([rtol for rtol in rungs if TIGHT <= rtol < LOOSEST])
                 if profile.points > 1:  # both ends of the range, whatever the profile
                     values = [r for r in rungs if r >= LOOSEST or r in values or r < TIGHT]

@@ -12,9 +12,9 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
 from contactbench.gate.speed_worker import handed_out
-from contactbench.methods import c_functions
 from contactbench.methods.engines import ENGINES
-from contactbench.peers.abi import cvode_library, cyrk_interface
+from contactbench.peers import c_functions
+from contactbench.peers.abi import cvode, cyrk
 from contactbench.solution import Status
 
 PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
@@ -162,10 +162,10 @@ def test_the_bare_call_is_the_run(method, engine):
 def test_cvode_counts_as_many_calls_as_the_c_functions(method):
     run = cb.prepare(PARTICLE, method, rtol=1e-9, engine="c", save_at=[4.0])
     counts = run().counts
-    lib, number = cvode_library.library(), ctypes.c_long()
+    lib, number = cvode.library(), ctypes.c_long()
     for name, found in (("NumRhsEvals", counts.evaluations), ("NumJacEvals", counts.jacobians),
                         ("NumSteps", counts.steps)):  # fmt: skip
-        getattr(lib, f"CVodeGet{name}")(run.solver.memory, ctypes.byref(number))
+        getattr(lib, f"CVodeGet{name}")(run.memory.memory, ctypes.byref(number))
         assert number.value == found > 0
 
 
@@ -262,10 +262,10 @@ def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
 @pytest.fixture
 def searched_anew():
     """The libraries are looked for once in a process; here again, and once more afterwards."""
-    for lookup in (cvode_library.library, cyrk_interface.why_not):
+    for lookup in (cvode.library, cyrk.why_not):
         lookup.cache_clear()
     yield
-    for lookup in (cvode_library.library, cyrk_interface.why_not):
+    for lookup in (cvode.library, cyrk.why_not):
         lookup.cache_clear()
 
 
@@ -280,7 +280,7 @@ def searched_anew():
     ids=["another version", "not installed", "no library"],
 )
 def test_without_its_library_cvode_in_c_is_unsupported(monkeypatch, name, value, reason):
-    monkeypatch.setattr(cvode_library, name, value)
+    monkeypatch.setattr(cvode, name, value)
     solution = cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c")
     assert solution.status is Status.unsupported
     assert reason in solution.message

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import pytest
@@ -10,6 +9,7 @@ import pytest
 import contactbench as cb
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.python_engine import PythonLoop
+from contactbench.numbers.protocol import abilities
 from contactbench.plugins import OWN
 from contactbench.testing import METHOD_RULES, MethodCase, Violation, check_method, method_cases
 from contactbench.testing.method import CASES, case_findings
@@ -117,7 +117,7 @@ class CostsNothing(Broken):
 
 def by_engine(scene, x, h, xp):
     """Other steps in compiled code."""
-    return RK4.step(scene, x, h if xp is math or hasattr(xp, "mpf") else h * (1 + 1e-9), xp)
+    return RK4.step(scene, x, h if abilities(xp).branch else h * (1 + 1e-9), xp)
 
 
 BROKEN = [

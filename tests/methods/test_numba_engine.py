@@ -12,14 +12,14 @@ from mpmath import mp
 import contactbench as cb
 from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
-from contactbench.numbers.program import record
-from contactbench.numbers.recording import ALIASES, FUNCTIONS, CannotRecord
-from contactbench.numbers.source import executed
 from contactbench.peers.callback import recorded
 from contactbench.solution import Status
+from contactbench.trace.compiled import compiled
+from contactbench.trace.program import record
+from contactbench.trace.recording import ALIASES, FUNCTIONS, CannotRecord
+from contactbench.trace.source import executed
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
 PARTICLE = cb.SCENES["particle"]

@@ -149,7 +149,7 @@ def test_bad_input_is_named(call, says):
 
 
 def test_a_force_that_branches_on_values_runs_in_python_and_says_so_to_numba():
-    from contactbench.numbers.recording import CannotRecord
+    from contactbench.numbers.protocol import CannotRecord
 
     scene = cb.Mechanical(
         name="wall", q=(0.5,), p=(1.0,), gamma=0.1, t_end=1.0,

@@ -18,8 +18,8 @@ from CyRK import pysolve_ivp
 
 import contactbench as cb
 import ensemble_peers
-from contactbench.methods import c_functions
-from contactbench.peers.abi.cvode_library import library
+from contactbench.peers import c_functions
+from contactbench.peers.abi.cvode import library
 from contactbench.solution import Status
 from contactbench.xla import jnp
 

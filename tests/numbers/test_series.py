@@ -4,7 +4,7 @@ import heyoka
 import numpy as np
 import pytest
 
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.series import Series, SeriesNumbers
 
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.methods.llvm import compiled
-from contactbench.numbers.formula import formula
 from contactbench.peers import heyoka
 from contactbench.scene import Mechanical, RigidBody
+from contactbench.trace.compiled import compiled
+from contactbench.trace.formula import formula
 
 STIFFNESS = 1.0
 
@@ -417,7 +417,7 @@ def test_many_components_compile(n):
 
 @pytest.mark.parametrize("method", ["cvode-adams", "cvode-bdf", "cyrk-dop853"])
 def test_programs_of_peers_grow_with_the_couplings_not_with_their_square(method):
-    from contactbench.methods.c_functions import source
+    from contactbench.peers.c_functions import source
 
     sizes = [len(source(chain(n).recorded(), ()).splitlines()) for n in (8, 16, 32, 64)]
     assert max(b / a for a, b in pairwise(sizes)) < 2.6

@@ -14,7 +14,8 @@ import contactbench as cb
 import properties
 from cases import in_mp, most_slow
 from contactbench.measure.pullback import growth
-from contactbench.methods.compiled import XlaNumbers
+from contactbench.numbers.protocol import Numbers, abilities
+from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import BodyState, dot, rotate, rotation_matrix
 from contactbench.solution import Status
 from contactbench.splitting import elliptic, free_body
@@ -29,11 +30,11 @@ EPSILON = 2.0**-53
 DIGITS = 45
 
 
-class Fixed:
+class Fixed(Numbers):
     """A namespace of plain numbers that takes the branches and loops of arrays."""
 
     def __init__(self, xp):
-        self.xp = xp
+        self.xp, self.abilities = xp, abilities(xp)._replace(branch=False)
 
     def __getattr__(self, name):
         return getattr(self.xp, name)

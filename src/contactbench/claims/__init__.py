@@ -7,8 +7,6 @@ from contactbench.claims import (
     beyond,
     body_equilibria,
     body_stability,
-    conservative_limit,
-    discrete_herglotz,
     experiment,
     geometry,
     integrator,

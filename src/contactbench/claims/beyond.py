@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from contactbench.claims.ledger import Evidence, at_least, at_most, claim
-from contactbench.claims.orders import ORDER_MISS, ORDER_WHY, PARTICLE, RK4, STRANG, slope
+from contactbench.claims.orders import ORDER, ORDER_MISS, PARTICLE, RK4, STRANG, slope
 from contactbench.measure.laws import LAWS
 from contactbench.measure.pullback import growth
 from contactbench.measure.round_off import round_off_bound
 from contactbench.methods import METHODS, solve
-from contactbench.results.schema import BEYOND
 from contactbench.scenes import SCENES
 from contactbench.splitting.modified import modified_hamiltonian
 
@@ -22,90 +21,76 @@ LADDER = tuple(BETWEEN / n for n in (2, 3, 4, 5, 6))
 
 
 def deviations(degree: int, **changes: Any) -> dict[float, float]:
-    """max |H̃e^{γt}/H̃(y₀) − 1| of contact-strang against the step, H̃ with brackets of up to `degree` parts; T = 20."""
+    """Return max |H̃e^{γt}/H̃(y₀) − 1| of contact-strang against the step; H̃ has brackets of up to `degree` parts."""
     scene, composition = SCENES[PARTICLE].with_(**changes), METHODS[STRANG].composition
     found = {}
     for h in LADDER:
         run = solve(scene, STRANG, step=h, save_at=BETWEEN * np.arange(1, 51))
-        value, start = (
-            modified_hamiltonian(scene, composition, x, h, degree) for x in (run.states(), run.start())
-        )
+        states = run.states(), run.start()
+        value, start = (modified_hamiltonian(scene, composition, x, h, degree) for x in states)
         found[h] = float(np.abs(value * np.exp(scene.gamma * run.t) / start - 1).max())
     return found
 
 
 def halves(method: str, law: str, gamma: float, steps: int) -> tuple[float, float]:
-    """The largest deviation from a law in the first half of a run with h = 0.1, and in the second."""
+    """Return the largest deviation from a law in the first half of a run with h = 0.1, and in the second."""
     scene = SCENES[PARTICLE].with_(gamma=gamma, t_end=0.1 * steps)
     run = solve(scene, method, step=0.1, save_at=scene.t_end * np.arange(1, 4001) / 4000)
     size = LAWS[law].along(run).size  # type: ignore[union-attr]
     return float(size[:2000].max()), float(size[2000:].max())
 
 
-@claim(
-    "X01", BEYOND,
-    "Near-conservation: to any power of h the steps of the splitting are the flow of a modified Hamiltonian "
-    "H̃ = H + h² H₂ + h⁴ H₄ + …, nested Jacobi brackets of its parts, which decays as e^{−γt}. So the deviation of H "
-    "from its decay is O(h²) of the terms H is the sum of, without a drift: of an underdamped motion about a rest with "
-    "V = 0, whose terms decay as H does, however long the run.",
-    scene="particle; T = 20, and 10⁶ steps of h = 0.1 in which H falls to 1/e", method="contact-strang beside rk4",
-)  # fmt: skip
+@claim("X01")
 def near_conservation(gamma: float = 0.1, weak: float = 1e-5, steps: int = 1_000_000) -> Evidence:
     """gamma : of the orders.  weak, steps : damping and length of the long run."""
-    orders = [
-        at_most(
-            f"|order − {expected}| of the deviation of {what} from e^{{−γt}}, γ = {gamma:g}",
-            abs(slope(deviations(degree, gamma=gamma)) - expected), ORDER_MISS, ORDER_WHY,
-        ) for what, degree, expected in (("H", 1, 2), ("H + h² H₂", 3, 4), ("H + h² H₂ + h⁴ H₄", 5, 6))
-    ]  # fmt: skip
+    orders = []
+    for what, degree, expected in (("H", 1, 2), ("H + h² H₂", 3, 4), ("H + h² H₂ + h⁴ H₄", 5, 6)):
+        quantity = f"|order − {expected}| of the deviation of {what} from e^{{−γt}}, γ = {gamma:g}"
+        orders.append(at_most(quantity, abs(slope(deviations(degree, gamma=gamma)) - expected), *ORDER))
     early, late = halves(STRANG, "modified_hamiltonian", weak, steps)
     plain, plain_late = halves(STRANG, "hamiltonian_law", weak, steps)
     drifting, drifted = halves(RK4, "hamiltonian_law", weak, steps)
-    grows = "a linear drift would double it"
-    return Evidence([
+    no_drift = 1.1, "a linear drift would double it"
+    fourth_order = 1e-3, "h⁴ = 10⁻⁴ times a constant of ten"
+    halves_of = f"deviation of H̃ up to h⁴ in the second half of {steps:.0e} steps over that in the first"
+    statement = [
         *orders,
-        at_most(f"deviation of H̃ up to h⁴ in the second half of {steps:.0e} steps over that in the first",
-                late / early, 1.1, grows),
-        at_most("the same of H", plain_late / plain, 1.1, grows),
-        at_most("deviation of H̃ up to h⁴ over that of H", late / plain_late, 1e-3, "h⁴ = 10⁻⁴ times a constant of ten"),
+        at_most(halves_of, late / early, *no_drift),
+        at_most("the same of H", plain_late / plain, *no_drift),
+        at_most("deviation of H̃ up to h⁴ over that of H", late / plain_late, *fourth_order),
         at_least("the same halves of H under rk4", drifted / drifting, 1.5, "a drift, linear until it bends"),
-    ])  # fmt: skip
+    ]
+    return Evidence(statement)
 
 
 STEPS, PEERS = (0.4, 0.2, 0.1, 0.05, 0.025), ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5")
 
 
 def pairing(method: str, **setting: float) -> tuple[float, float]:
-    """pairing_drift of a run of the chaotic scene, its steps held fixed, and what its round-off may amount to."""
+    """Return pairing_drift of a run of the chaotic scene, its steps held fixed, and the bound of its round-off."""
     scene = SCENES["duffing"]
     run = solve(scene, method, save_at=scene.t_end * np.arange(1, 6) / 5, **setting)
     drift = float(LAWS["pairing_drift_frozen"](run))
     return drift, round_off_bound(growth(run.frozen_differential), run.counts.evaluations or 0)
 
 
-@claim(
-    "X02", BEYOND,
-    "Pairing: the singular values of the tangent map of (q, p) come in pairs σ_i σ_{2n+1−i} = e^{−γt} at every time, "
-    "and so do the Lyapunov exponents in the limit, λ_i + λ_{2n+1−i} = −γ. The splitting keeps the pairs to round-off "
-    "at every step, on a chaotic motion too. Methods that are no contact maps keep them to their order or tolerance, "
-    "which at its tightest is round-off as well.",
-    scene="duffing, h from 0.025 to 0.4",
-    method="contact-strang, contact-rkn4, contact-rkn6; rk4, herglotz2, CyRK's explicit pairs",
-)  # fmt: skip
+@claim("X02")
 def pairs_kept(rough: float = 1e-4, fine: float = 1e-8) -> Evidence:
     """rough, fine : tolerances of the solvers that choose their steps."""
     kept = [pairing(name, step=h) for name in (STRANG, "contact-rkn4", "contact-rkn6") for h in STEPS]
     herglotz, rk4 = ({h: pairing(name, step=h)[0] for h in STEPS} for name in ("herglotz2", RK4))
     peers = {rtol: [pairing(name, rtol=rtol)[0] for name in PEERS] for rtol in (rough, fine)}
-    above = "a hundred times the round-off of the contact methods"
-    names = ", ".join(PEERS)
-    return Evidence([
-        at_most("pairing_drift over the bound of its round-off, the largest of the contact methods at all steps",
-                max(drift / bound for drift, bound in kept), 1, "ε times evaluations and growth of the map"),
-        at_most("|order of pairing_drift − 2|, herglotz2", abs(slope(herglotz) - 2), ORDER_MISS,
-                "its own factor is (1 − γh/2)/(1 + γh/2)"),
-        at_least("pairing_drift of rk4 at its finest step", rk4[min(STEPS)], 1e-11, above),
-        at_least(f"smallest pairing_drift at rtol = {fine:g}, {names}", min(peers[fine]), 1e-11, above),
-        at_least(f"smallest pairing_drift at rtol = {rough:g} over the largest at {fine:g}",
-                 min(peers[rough]) / max(peers[fine]), 10, "it follows the tolerance"),
-    ])  # fmt: skip
+    worst, ratio = max(drift / bound for drift, bound in kept), min(peers[rough]) / max(peers[fine])
+    rounding = 1, "ε times evaluations and growth of the map"
+    own_factor = ORDER_MISS, "its own factor is (1 − γh/2)/(1 + γh/2)"
+    above = 1e-11, "a hundred times the round-off of the contact methods"
+    ours = "pairing_drift over the bound of its round-off, the largest of the contact methods at all steps"
+    smallest = "smallest pairing_drift at rtol = "
+    statement = [
+        at_most(ours, worst, *rounding),
+        at_most("|order of pairing_drift − 2|, herglotz2", abs(slope(herglotz) - 2), *own_factor),
+        at_least("pairing_drift of rk4 at its finest step", rk4[min(STEPS)], *above),
+        at_least(f"{smallest}{fine:g}, {', '.join(PEERS)}", min(peers[fine]), *above),
+        at_least(f"{smallest}{rough:g} over the largest at {fine:g}", ratio, 10, "it follows the tolerance"),
+    ]
+    return Evidence(statement)

@@ -26,77 +26,77 @@ IDENTITY = ROUND_OFF, "round-off of automatic differentiation on numbers of size
 
 
 def points(dimension: int, count: int = POINTS, seed: int = SEED) -> np.ndarray:
-    """Random points of R^dimension, standard normal, shape (count, dimension)."""
+    """Return random points of R^dimension, standard normal, shape (count, dimension)."""
     return np.random.default_rng(seed).normal(size=(count, dimension))
 
 
 def everywhere(function: Callable[[Any], Any], at: np.ndarray) -> np.ndarray:
-    """The function at many points, compiled once."""
+    """Return the function at many points, compiled once."""
     return np.asarray(jax.jit(jax.vmap(function))(jnp.asarray(at)))
 
 
 def largest(function: Callable[[Any], Any], at: np.ndarray) -> float:
-    """max |function| over points and components."""
+    """Return max |function| over points and components."""
     return float(np.abs(everywhere(function, at)).max())
 
 
 # -- forms -----------------------------------------------------------------------------------------
 def canonical(y: Any) -> State:
-    """Coordinates (q, p, s) as a state."""
+    """Return the coordinates (q, p, s) as a state."""
     n = (len(y) - 1) // 2
     return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n])
 
 
-def packed(x: Any) -> Any:
-    """A state as a JAX vector."""
+def pack(x: Any) -> Any:
+    """Return a state as a JAX vector."""
     return jnp.stack(
         [jnp.asarray(c, dtype=float) for part in x if part is not None for c in jnp.ravel(jnp.asarray(part))]
     )
 
 
 def eta(y: Any) -> Any:
-    """The suite's own contact form on T*Rⁿ × R, as a covector at y."""
+    """Return the suite's own contact form on T*Rⁿ × R, as a covector at y."""
     form = SCENES["particle"].contact_form
     return jax.grad(lambda v: form(canonical(y), canonical(v)))(jnp.zeros(len(y)))
 
 
 def exterior(form: Field, y: Any) -> Any:
-    """dα as a matrix: dα(u, v) = D(α·v)[u] − D(α·u)[v]."""
+    """Return dα as a matrix: dα(u, v) = D(α·v)[u] − D(α·u)[v]."""
     derivative = jax.jacfwd(form)(y)  # [i, j] = ∂_j α_i
     return derivative.T - derivative
 
 
 def pullback(map_: Field, form: Field, y: Any) -> Any:
-    """(Φ*α)(y) = α(Φ(y))·DΦ(y)."""
+    """Return (Φ*α)(y) = α(Φ(y))·DΦ(y)."""
     return form(map_(y)) @ jax.jacfwd(map_)(y)
 
 
 def lie_derivative(field: Field, form: Field, y: Any) -> Any:
-    """L_X α, in components X^i ∂_i α_j + α_i ∂_j X^i."""
+    """Return L_X α, in components X^i ∂_i α_j + α_i ∂_j X^i."""
     return jax.jacfwd(form)(y) @ field(y) + form(y) @ jax.jacfwd(field)(y)
 
 
 def along(field: Field, function: Callable[[Any], Any], y: Any) -> Any:
-    """X(f), the derivative of f along X."""
+    """Return X(f), the derivative of f along X."""
     return jax.jvp(function, (y,), (field(y),))[1]
 
 
 # -- contact Hamiltonian vector fields -------------------------------------------------------------
 def reeb(form: Field, y: Any) -> Any:
-    """The vector with α(R) = 1 and ι_R dα = 0, by least squares on these equations."""
+    """Return the vector with α(R) = 1 and ι_R dα = 0, by least squares on these equations."""
     rows = jnp.vstack([exterior(form, y).T, form(y)])
     return jnp.linalg.lstsq(rows, jnp.zeros(len(y) + 1).at[-1].set(1.0))[0]
 
 
 def contact_field(form: Field, hamiltonian: Callable[[Any], Any], y: Any) -> Any:
-    """X_H solved from its definition ι_X dα = dH − R(H) α, ι_X α = −H  (§2.3, eq. (11))."""
+    """Return X_H solved from its definition ι_X dα = dH − R(H) α, ι_X α = −H  (§2.3, eq. (11))."""
     slope, covector = jax.grad(hamiltonian)(y), form(y)
     right = jnp.append(slope - (slope @ reeb(form, y)) * covector, -hamiltonian(y))
     return jnp.linalg.lstsq(jnp.vstack([exterior(form, y).T, covector]), right)[0]
 
 
 def contact_equations(hamiltonian: Callable[[Any], Any]) -> Field:
-    """X_H by the paper's coordinate formula (§2.3, eq. (23))."""
+    """Return X_H by the paper's coordinate formula (§2.3, eq. (23))."""
 
     def field(y: Any) -> Any:
         n = (len(y) - 1) // 2
@@ -108,7 +108,7 @@ def contact_equations(hamiltonian: Callable[[Any], Any]) -> Field:
 
 
 def random_polynomial(dimension: int, seed: int = SEED) -> Callable[[Any], Any]:
-    """A random cubic polynomial of y, all its coefficients of size one."""
+    """Return a random cubic polynomial of y, all its coefficients of size one."""
     rng = np.random.default_rng(seed)
     constant, linear, quadratic, cubic = (jnp.asarray(rng.normal(size=(dimension,) * k)) for k in range(4))
     return lambda y: constant + linear @ y + y @ quadratic @ y + jnp.einsum("ijk,i,j,k", cubic, y, y, y)
@@ -116,17 +116,17 @@ def random_polynomial(dimension: int, seed: int = SEED) -> Callable[[Any], Any]:
 
 # -- scenes in coordinates -------------------------------------------------------------------------
 def vector_field(scene: Mechanical) -> Field:
-    """The scene's right-hand side on (q, p, s)."""
-    return lambda y: packed(scene.rhs(canonical(y)))
+    """Return the scene's right-hand side on (q, p, s)."""
+    return lambda y: pack(scene.rhs(canonical(y)))
 
 
 def function_of(measure: Callable[[State], Any]) -> Callable[[Any], Any]:
-    """A function of the state as one of (q, p, s)."""
+    """Return a function of the state as one of (q, p, s)."""
     return lambda y: measure(canonical(y))
 
 
 def body_chart(y: Any) -> BodyState:
-    """Coordinates (θ, M, s) of T*SO(3) × R: the attitude is the rotation by the vector θ ≠ 0."""
+    """Return the coordinates (θ, M, s) of T*SO(3) × R: the attitude is the rotation by the vector θ ≠ 0."""
     theta = y[:3]
     angle = jnp.sqrt(theta @ theta)
     axis = jnp.sin(angle / 2) * theta / angle
@@ -134,7 +134,7 @@ def body_chart(y: Any) -> BodyState:
 
 
 def body_eta(scene: RigidBody) -> Field:
-    """The body's contact form in that chart."""
+    """Return the body's contact form in that chart."""
 
     def form(y: Any) -> Any:
         def on(v: Any) -> Any:
@@ -146,12 +146,12 @@ def body_eta(scene: RigidBody) -> Field:
     return form
 
 
-def turned_left(axis: Any, angle: Any, R: Any) -> Any:
-    """The attitude after a further rotation in space: R → Rot(axis, angle) R."""
+def rotate_in_space(axis: Any, angle: Any, R: Any) -> Any:
+    """Return the attitude after a further rotation in space: R → Rot(axis, angle) R."""
     half = angle / 2
     return quaternion_product((jnp.cos(half), *(jnp.sin(half) * c for c in axis)), R)
 
 
 def one_step(method: Any, scene: Any, h: float) -> Any:
-    """Φ_h as a JAX map of (q, p, s)."""
-    return lambda y: packed(method.advance(scene, canonical(y), h, 1, jnp))
+    """Return Φ_h as a JAX map of (q, p, s)."""
+    return lambda y: pack(method.advance(scene, canonical(y), h, 1, jnp))

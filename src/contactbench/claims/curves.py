@@ -49,7 +49,7 @@ def figure(draw: Callable[[], Iterator[Row]]) -> Callable[[], Iterator[Row]]:
 
 
 def rows(name: str) -> Iterator[dict[str, Any]]:
-    """The table's rows of a figure, points numbered along each curve."""
+    """Yield the rows of the table of a figure, points numbered along each curve."""
     count: dict[tuple[str, str], int] = {}
     for panel, curve, kind, x, y, z in FIGURES[name]():
         point = count[panel, curve] = count.get((panel, curve), -1) + 1
@@ -60,35 +60,34 @@ def rows(name: str) -> Iterator[dict[str, Any]]:
 def curve(
     panel: str, name: str, kind: str, x: Iterable[Any], y: Iterable[Any], z: Any = None
 ) -> Iterator[Row]:
-    """The rows of one curve."""
+    """Yield the rows of one curve."""
     x, y = list(x), list(y)
     for point in zip(x, y, [math.nan] * len(x) if z is None else z, strict=True):
         yield (panel, name, kind, *point)
 
 
 def numerical(scene: Any, method: str, step: float, count: int) -> Any:
-    """A run saved at `count` equal intervals, start included."""
-    return solve(
-        scene, method, step=step, save_at=np.linspace(0, scene.t_end, count + 1), carry=(), engine="python"
-    )
+    """Return a run saved at `count` equal intervals, start included."""
+    t = np.linspace(0, scene.t_end, count + 1)
+    return solve(scene, method, step=step, save_at=t, carry=(), engine="python")
 
 
 @figure
 def paper_2() -> Iterator[Row]:
-    """Phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
-    for gamma, kind, starts, end in (
-        (0.0, "conservative", (0.5, 1.0, 1.5), 2 * math.pi),
-        (0.2, "dissipative", (1.5,), 25.0),
+    """Yield the phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
+    orbit, spiral = np.linspace(0, 2 * math.pi, 161), np.linspace(0, 25.0, 301)
+    for gamma, kind, starts, t in (
+        (0.0, "conservative", (0.5, 1.0, 1.5), orbit),
+        (0.2, "dissipative", (1.5,), spiral),
     ):
         for q0 in starts:
-            scene = SCENES["oscillator"].with_(gamma=gamma, q=(q0,))
-            truth = reference(scene, np.linspace(0, end, 161 if gamma == 0 else 301), ()).states()
+            truth = reference(SCENES["oscillator"].with_(gamma=gamma, q=(q0,)), t, ()).states()
             yield from curve("phase", f"λ = {gamma:g}, q(0) = {q0:g}", kind, truth.q[0], truth.p[0])
 
 
 @figure
 def paper_3() -> Iterator[Row]:
-    """The momentum map of a rotation-invariant force along time, measured and by the law."""
+    """Yield the momentum map of a rotation-invariant force along time, measured and by the law."""
     for gamma in (0.0, 0.05, 0.1, 0.2, 0.4):
         scene = SCENES["central"].with_(gamma=gamma)
         run = numerical(scene, STRANG, 0.1, 40)
@@ -100,7 +99,7 @@ def paper_3() -> Iterator[Row]:
 
 @figure
 def paper_4() -> Iterator[Row]:
-    """Trajectories of the damped body in momentum space, from near each principal axis."""
+    """Yield trajectories of the damped body in momentum space, from near each principal axis."""
     tilt = 0.08
     for axis in range(3):
         M = np.full(3, tilt)
@@ -112,19 +111,17 @@ def paper_4() -> Iterator[Row]:
 
 @figure
 def paper_5() -> Iterator[Row]:
-    """Directions of the momentum: the flow of M/‖M‖, and its six equilibria with their stability."""
+    """Yield directions of the momentum: the flow of M/‖M‖, and its six equilibria with their stability."""
     scene = SCENES["rigid_body"]
     of_direction = direction_growths(scene)
     for axis in range(3):
         for sign in (1.0, -1.0):
             e = sign * np.eye(3)[axis]
             rate = of_direction[axis]  # the same for e and −e: γ is isotropic
-            kind = "unstable" if rate > 1e-9 else "stable"
-            yield from curve("sphere", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, *[[c] for c in e])
+            kind, name = "unstable" if rate > 1e-9 else "stable", f"axis {'+' if sign > 0 else '-'}{axis + 1}"
             residual = float(np.linalg.norm(momentum_rate(scene)(e)))
-            yield from curve(
-                "rate", f"axis {'+' if sign > 0 else '-'}{axis + 1}", kind, [axis + 1], [residual], [rate]
-            )
+            yield ("sphere", name, kind, *e)
+            yield ("rate", name, kind, axis + 1, residual, rate)
     free = scene.with_(gamma=0.0)
     for axis in (0, 2):
         for sign in (1.0, -1.0):
@@ -134,28 +131,28 @@ def paper_5() -> Iterator[Row]:
                 path = numerical(free.with_(M=tuple(M), t_end=60.0), ABC, 0.1, 300).M
                 turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
                 once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
-                yield from curve(
-                    "sphere", f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad", "flow", *path[: once + 1].T
-                )
+                name = f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad"
+                yield from curve("sphere", name, "flow", *path[: once + 1].T)
 
 
 @figure
 def paper_7() -> Iterator[Row]:
-    """Left: H0 along time at h = 0.01.  Right: error of H0 against the step, with fitted orders."""
+    """Yield, left, H0 along time at h = 0.01.  Right, the error of H0 against the step, with fitted orders."""
     scene = SCENES[PARTICLE]
     t = np.linspace(0, scene.t_end, 201)
     truth = scene.energy(reference(scene, t, ()).states())
-    law = truth[0] * np.exp(-scene.gamma * t)
+
+    def law(t: Any) -> Any:
+        return truth[0] * np.exp(-scene.gamma * t)
+
     yield from curve("energy", "true H0", "truth", t, truth)
-    yield from curve("energy", "H0(0) e^{-γt}", "law", t, law)
-    yield from curve("ratio", "true H0", "truth", t, truth / law - 1)
+    yield from curve("energy", "H0(0) e^{-γt}", "law", t, law(t))
+    yield from curve("ratio", "true H0", "truth", t, truth / law(t) - 1)
     for name in (PRINTED, RK4):
         run = numerical(scene, name, PAPER_STEP, 50)
         energy = scene.energy(run.states())
         yield from curve("energy", name, "method", run.t, energy)
-        yield from curve(
-            "ratio", name, "method", run.t, energy / (truth[0] * np.exp(-scene.gamma * run.t)) - 1
-        )
+        yield from curve("ratio", name, "method", run.t, energy / law(run.t) - 1)
     for name in NOMINAL:
         errors = energy_errors(name, scene, (4, 8, *ENERGY_LADDER))
         order = slope(errors)
@@ -164,7 +161,7 @@ def paper_7() -> Iterator[Row]:
 
 @figure
 def paper_8() -> Iterator[Row]:
-    """The splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
+    """Yield the splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
         scene = SCENES[PARTICLE].with_(gamma=gamma, t_end=60.0)
         run = numerical(scene, PRINTED, PAPER_STEP, 400)
@@ -182,7 +179,7 @@ REACH = (3.0, 1.0, 1.0)
 
 @figure
 def paper_stability() -> Iterator[Row]:
-    """Growth rate at M* = e_i in ker D, I = (1, 2, 3), over two slices of the symmetric D ≥ 0.
+    """Yield the growth rate at M* = e_i in ker D, I = (1, 2, 3), over two slices of the symmetric D ≥ 0.
 
     Panel "axis i, diagonal": over the two rates of a diagonal D.  Panel "axis i, full": equal rates d on
     the diagonal and −d ≤ d_jk ≤ d beside it.  The border is det = 0 of `linearisation.criterion`.

@@ -1,7 +1,8 @@
 """The ledger: what a claim is, what counts as evidence, and how a verdict follows from numbers.
 
-A claim is a function that measures and returns `Evidence`.  The numbers are computed and the verdict follows from
-them by `verdict`; of a claim that fails, whether its correction repairs or replaces it is argued, in its `correction`.
+A claim is a statement, in ``statements.toml``, and a function that measures it and returns `Evidence`.  The verdict
+follows from the numbers by `verdict`; whether a correction repairs or replaces a statement that fails is argued, in
+its `correction`.
 """
 
 from __future__ import annotations
@@ -9,15 +10,19 @@ from __future__ import annotations
 import inspect
 import math
 import operator
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib.resources import files
 from typing import Any
 
 from contactbench.errors import Registry
 from contactbench.results.schema import SEPARATOR
 
 CLAIMS = Registry("claim")
+#: by id: where, says, scene, method, figures, kind, correction, the fields of `Claim`
+STATEMENTS = tomllib.loads(files(__package__).joinpath("statements.toml").read_text(encoding="utf-8"))
 
 
 class Verdict(StrEnum):
@@ -58,7 +63,7 @@ class Measurement:
 
     @property
     def passes(self) -> bool:
-        """Whether the number keeps its bound (never, if it is not finite)."""
+        """Whether the number keeps its bound; never if it is not finite."""
         return math.isfinite(self.value) and RELATIONS[self.relation](self.value, self.bound)
 
     def __str__(self) -> str:
@@ -67,12 +72,12 @@ class Measurement:
 
 
 def at_most(quantity: str, value: Any, bound: float, why: str) -> Measurement:
-    """A number that must not exceed its bound."""
+    """Return a measurement that passes if the value does not exceed its bound."""
     return Measurement(quantity, float(value), "≤", float(bound), why)
 
 
 def at_least(quantity: str, value: Any, bound: float, why: str) -> Measurement:
-    """A number that must reach its bound."""
+    """Return a measurement that passes if the value reaches its bound."""
     return Measurement(quantity, float(value), "≥", float(bound), why)
 
 
@@ -83,12 +88,9 @@ class Evidence:
     statement: Sequence[Measurement]
     corrected: Sequence[Measurement] = ()
 
-    def __iter__(self) -> Any:
-        return iter([*self.statement, *self.corrected])
-
 
 def verdict(evidence: Evidence, correction: Correction | None) -> Verdict:
-    """The verdict that follows from the measurements.
+    """Return the verdict that follows from the measurements.
 
     The statement holds if all its measurements pass, and so does a correction.  A statement that fails
     is `corrected` if a correction that repairs it passes, and otherwise `refuted`.  A statement that
@@ -101,9 +103,18 @@ def verdict(evidence: Evidence, correction: Correction | None) -> Verdict:
     return Verdict.corrected if correction is Correction.repairs and mended else Verdict.refuted
 
 
-def shown(measurements: Sequence[Measurement]) -> Measurement | None:
-    """The measurement a row shows: the first that fails, else the first."""
-    return next((m for m in measurements if not m.passes), measurements[0] if measurements else None)
+def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, Any]:
+    """Return the columns of the measurement that a row shows: the first that fails, else the first."""
+    m = next((m for m in measurements if not m.passes), measurements[0])
+    fields = {
+        "quantity": m.quantity,
+        "measured": m.value,
+        "relation": m.relation,
+        "bound": m.bound,
+        "bound_reason": m.why,
+        "evidence": SEPARATOR.join(map(str, measurements)),
+    }
+    return {prefix + name: field for name, field in fields.items()}
 
 
 @dataclass(frozen=True)
@@ -128,11 +139,11 @@ class Claim:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What may be varied (seed, damping, inertia, …), with the values the table is measured at."""
+        """The parameters that may be varied (seed, damping, inertia, …), with the values of the table."""
         return {name: p.default for name, p in inspect.signature(self.measure).parameters.items()}
 
     def row(self, **parameters: Any) -> dict[str, Any]:
-        """The claim's row of the table, measured now; an exception becomes a row without a verdict.
+        """Measure the claim and return its row of the table; an exception becomes a row without a verdict.
 
         parameters : values other than the defaults, see `parameters`.
         """
@@ -149,50 +160,30 @@ class Claim:
             evidence = self.measure(**parameters)
         except Exception as error:
             return {**row, "status": "failed", "message": f"{type(error).__name__}: {error}"}
-        if not all(math.isfinite(m.value) for m in evidence):
-            broken = "; ".join(str(m) for m in evidence if not math.isfinite(m.value))
-            return {**row, "status": "failed", "message": f"not finite: {broken}"}
-        main, mended = shown(evidence.statement), shown(evidence.corrected)
-        assert main is not None
-        result = verdict(evidence, self.kind)
-        row |= {
-            "quantity": main.quantity,
-            "measured": main.value,
-            "relation": main.relation,
-            "bound": main.bound,
-            "bound_reason": main.why,
-            "verdict": str(result),
+        broken = [m for m in (*evidence.statement, *evidence.corrected) if not math.isfinite(m.value)]
+        if broken:
+            return {**row, "status": "failed", "message": f"not finite: {'; '.join(map(str, broken))}"}
+        row |= columns(evidence.statement) | {
+            "verdict": str(verdict(evidence, self.kind)),
             "correction_kind": str(self.kind or ""),
             "correction": self.correction,
-            "evidence": SEPARATOR.join(map(str, evidence.statement)),
             "status": "ok",
         }
-        if mended is not None:
-            row |= {
-                "corrected_quantity": mended.quantity,
-                "corrected_measured": mended.value,
-                "corrected_relation": mended.relation,
-                "corrected_bound": mended.bound,
-                "corrected_bound_reason": mended.why,
-                "corrected_evidence": SEPARATOR.join(map(str, evidence.corrected)),
-            }
-        return row
+        return row | columns(evidence.corrected, "corrected_") if evidence.corrected else row
 
 
-def claim(
-    name: str,
-    where: str,
-    says: str,
-    *,
-    scene: str,
-    method: str = "none: the equations themselves",
-    kind: Correction | None = None,
-    correction: str = "",
-    figures: tuple[str, ...] = (),
-) -> Callable[[Callable[..., Evidence]], Claim]:
-    """Decorator that registers a measuring function as the claim `name`."""
+def claim(name: str) -> Callable[[Callable[..., Evidence]], Claim]:
+    """Return a decorator that registers a measuring function for the statement `name`."""
+    statement = STATEMENTS[name]
+    text = {field: " ".join(statement.get(field, "").split()) for field in ("where", "says", "correction")}
+    about: dict[str, Any] = {
+        "scene": statement["scene"],
+        "method": statement.get("method", "none: the equations themselves"),
+        "kind": Correction(statement["kind"]) if "kind" in statement else None,
+        "figures": tuple(statement.get("figures", ())),
+    }
 
     def register(measure: Callable[..., Evidence]) -> Claim:
-        return CLAIMS.add(Claim(name, where, says, scene, method, measure, kind, correction, figures))
+        return CLAIMS.add(Claim(name=name, measure=measure, **text, **about))
 
     return register

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.claims.calculus import packed
+from contactbench.claims.calculus import pack
 from contactbench.scene import BodyState, RigidBody
 from contactbench.scenes import SCENES
 from contactbench.xla import jax
@@ -35,24 +35,30 @@ from contactbench.xla import jax
 ANISOTROPIC = "rigid_body_anisotropic"
 INERTIA = (1.0, 2.0, 3.0)
 SPECTRUM = 1e-12
-SPECTRUM_WHY = "round-off of the eigenvalues of a 3×3 matrix of size one"
-EIGENVALUES = SPECTRUM, SPECTRUM_WHY
+EIGENVALUES = SPECTRUM, "round-off of the eigenvalues of a 3×3 matrix of size one"
+BELOW_ZERO = -SPECTRUM, EIGENVALUES[1]
 RANKS = (0, 1, 2)  #: of a symmetric D ≥ 0 on R³ with a kernel
+Case = tuple[np.ndarray, Any, np.ndarray]  #: (D, inertia, M*)
 
 
 def momentum_rate(scene: RigidBody) -> Any:
-    """M' as a function of M, by the scene's right-hand side."""
-    return lambda M: packed(scene.rhs(BodyState(tuple(M))))
+    """Return M' as a function of M, by the scene's right-hand side."""
+    return lambda M: pack(scene.rhs(BodyState(tuple(M))))
 
 
 def body(D: Any, inertia: Sequence[float] = INERTIA) -> RigidBody:
-    """The body damped by D: three rates about the principal axes, or a symmetric 3×3 matrix ≥ 0."""
+    """Return the body damped by D: three rates about the principal axes, or a symmetric 3×3 matrix ≥ 0."""
     damping = tuple(map(tuple, D)) if np.ndim(D) == 2 else tuple(D)
     return SCENES[ANISOTROPIC].with_(damping=damping, inertia=tuple(inertia))
 
 
+def scenes_and_momenta(cases: Sequence[Case]) -> tuple[list[RigidBody], list[np.ndarray]]:
+    """Return the damped bodies of some cases, and their M*."""
+    return [body(D, inertia) for D, inertia, _ in cases], [M for *_, M in cases]
+
+
 def spectra(scenes: Sequence[RigidBody], momenta: Any) -> np.ndarray:
-    """Eigenvalues of the full 3×3 linearisations, by AD of the right-hand side; complex, (k, 3)."""
+    """Return the eigenvalues of the full 3×3 linearisations, by AD of the right-hand side; complex, (k, 3)."""
 
     def linearisations(some: list[RigidBody], at: np.ndarray) -> np.ndarray:
         rate = lambda numbers, M: jax.jacfwd(momentum_rate(some[0].with_numbers(list(numbers))))(M)  # noqa: E731
@@ -68,22 +74,22 @@ def spectra(scenes: Sequence[RigidBody], momenta: Any) -> np.ndarray:
 
 
 def across(values: np.ndarray) -> np.ndarray:
-    """The two transverse eigenvalues at each of many equilibria: all but the one nearest 0; (k, 2)."""
+    """Return the two transverse eigenvalues at each of many equilibria: all but the one nearest 0; (k, 2)."""
     return np.take_along_axis(values, np.argsort(np.abs(values), axis=1)[:, 1:], axis=1)
 
 
 def growths(scenes: Sequence[RigidBody], momenta: Any) -> np.ndarray:
-    """Largest real part of the transverse eigenvalues at equilibria M* on a principal axis in ker D."""
+    """Return the largest real part of the transverse eigenvalues at equilibria M* on a principal axis in ker D."""
     return across(spectra(scenes, momenta)).real.max(axis=1)
 
 
 def growth(D: Any, M: Any, inertia: Sequence[float] = INERTIA) -> float:
-    """The same for one case."""
+    """Return the growth rate of one case."""
     return float(growths([body(D, inertia)], [M])[0])
 
 
 def criterion(D: Any, M: Any, inertia: Sequence[float] = INERTIA) -> tuple[float, float]:
-    """(tr A, det A) at M* = m e_i with D e_i = 0, by the formulas above."""
+    """Return (tr A, det A) at M* = m e_i with D e_i = 0, by the formulas above."""
     D, a = np.asarray(D, dtype=float), 1 / np.asarray(inertia, dtype=float)
     i = int(np.argmax(np.abs(M)))
     j, k, m = (i + 1) % 3, (i + 2) % 3, float(M[i])
@@ -93,7 +99,7 @@ def criterion(D: Any, M: Any, inertia: Sequence[float] = INERTIA) -> tuple[float
 
 
 def border(inertia: Sequence[float], axis: int, size: float, common: Any) -> tuple[Any, Any]:
-    """The two d_jk at which det A = 0, for d_jj = d_kk = `common`."""
+    """Return the two d_jk at which det A = 0, for d_jj = d_kk = `common`."""
     a = 1 / np.asarray(inertia, dtype=float)
     j, k = (axis + 1) % 3, (axis + 2) % 3
     slope = size * (a[j] - a[k])
@@ -103,7 +109,7 @@ def border(inertia: Sequence[float], axis: int, size: float, common: Any) -> tup
 
 
 def random_damping(rng: np.random.Generator, rank: int, axis: int) -> np.ndarray:
-    """A symmetric D ≥ 0 of rank 0, 1 or 2 with D e_axis = 0 and a full transverse block."""
+    """Draw a symmetric D ≥ 0 of rank 0, 1 or 2 with D e_axis = 0 and a full transverse block."""
     D = np.zeros((3, 3))
     for _ in range(rank):
         column = rng.normal(size=3) * rng.uniform(0.2, 1.0)
@@ -113,12 +119,12 @@ def random_damping(rng: np.random.Generator, rank: int, axis: int) -> np.ndarray
 
 
 def random_inertia(rng: np.random.Generator) -> tuple[float, ...]:
-    """Three moments in ascending order, those a body can have (I₁ + I₂ ≥ I₃) and others."""
+    """Draw three moments in ascending order, those a body can have (I₁ + I₂ ≥ I₃) and others."""
     return tuple(np.sort(rng.uniform(0.5, 3.0, 3)).tolist())
 
 
-def random_equilibria(axes: Sequence[int], cases: int, seed: int) -> list[tuple[np.ndarray, Any, np.ndarray]]:
-    """(D, inertia, M*) with M* ≠ 0 on one of `axes` in ker D; every rank of D and both signs of M*."""
+def random_equilibria(axes: Sequence[int], cases: int, seed: int) -> list[Case]:
+    """Draw (D, inertia, M*) with M* ≠ 0 on one of `axes` in ker D; every rank of D and both signs of M*."""
     rng, found = np.random.default_rng(seed), []
     for number in range(cases):
         axis = axes[number % len(axes)]
@@ -127,12 +133,12 @@ def random_equilibria(axes: Sequence[int], cases: int, seed: int) -> list[tuple[
     return found
 
 
-def misjudged(cases: Sequence[tuple[np.ndarray, Any, np.ndarray]], slack: float) -> int:
-    """Cases that the signs of tr A and det A judge otherwise than the full 3×3 spectrum does.
+def count_misjudged(cases: Sequence[Case], slack: float) -> int:
+    """Count the cases that the signs of tr A and det A judge otherwise than the full 3×3 spectrum does.
 
     slack : an eigenvalue or its product this close to 0 counts as 0.
     """
-    values = across(spectra([body(D, inertia) for D, inertia, _ in cases], [M for *_, M in cases]))
+    values = across(spectra(*scenes_and_momenta(cases)))
     wrong = 0
     for (D, inertia, M), pair in zip(cases, values, strict=True):
         trace, determinant = criterion(D, M, inertia)

@@ -31,12 +31,12 @@ ENERGY_FLOOR = 1e-12
 
 # -- orders in high precision ----------------------------------------------------------------------
 def gap(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """max |a − b|."""
+    """Return max |a − b|."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
 def exact_numbers(scene: Mechanical) -> tuple[Any, Any]:
-    """A 50-digit number namespace, and the scene with such numbers."""
+    """Return a 50-digit number namespace, and the scene with such numbers."""
     context = decimal_context(DIGITS)
     return context, with_decimals(scene, context.mpf)
 
@@ -45,7 +45,7 @@ END, LADDER = 4, (32, 64, 128, 256)
 
 
 def exact_errors(method: FixedStep, **changes: Any) -> dict[float, float]:
-    """max ‖(q, p) − true‖ over t = 1, …, 4 against the step, everything in 50 digits.
+    """Return max ‖(q, p) − true‖ over t = 1, …, 4 against the step, everything in 50 digits.
 
     changes : of the particle, e.g. ``gamma``; its truth then costs a second or two.
     """
@@ -61,12 +61,12 @@ def exact_errors(method: FixedStep, **changes: Any) -> dict[float, float]:
 
 
 def slope(errors: dict[float, float]) -> float:
-    """The order, fitted over the asymptotic range."""
+    """Return the order, fitted over the asymptotic range."""
     return fit_order(list(errors), list(errors.values()), ENERGY_FLOOR).order
 
 
 def asymmetry(name: str, **changes: Any) -> float:
-    """|Φ_{−h} Φ_h x − x| in 50 digits for one step of h = 1/10."""
+    """Return |Φ_{−h} Φ_h x − x| in 50 digits for one step of h = 1/10."""
     context, twin = exact_numbers(SCENES[PARTICLE].with_(**changes))
     x, h = twin.initial(("s",)), context.mpf(1) / 10
     method = METHODS[name]
@@ -80,7 +80,7 @@ ENERGY_LADDER = (16, 32, 64, 128, 256, 512)  #: steps per unit of time
 def energy_errors(
     name: str, scene: Mechanical, counts: Sequence[int], energy: str = "energy"
 ) -> dict[float, float]:
-    """The paper's measure, max |E − E*| over 20 equal times, against the step (double precision).
+    """Return the paper's measure, max |E − E*| over 20 equal times, against the step (double precision).
 
     energy : "energy" for H0, "hamiltonian" for H.
     """
@@ -99,22 +99,11 @@ def energy_errors(
 BODY, BODY_STEPS = "rigid_body", (20, 40, 80, 160)
 
 
-def body_run(name: str, steps: int) -> Any:
-    """M at five times over the span of the body."""
+def body_error(law: str, name: str, steps: int) -> float:
+    """Return the error of a law at five times over the span of the body, which is run without R and s."""
     scene = SCENES[BODY]
     t = scene.t_end * np.arange(1, 6) / 5
-    return solve(scene, name, step=scene.t_end / steps, save_at=t, carry=())
-
-
-def body_energy_error(name: str, h: float) -> float:
-    """max |H0(t) e^{2γt}/H0(0) − 1|."""
-    run = body_run(name, round(SCENES[BODY].t_end / h))
-    return float(LAWS["energy_law_relative"](run))
-
-
-def body_errors(name: str) -> dict[float, float]:
-    """The solution error against the step."""
-    return {1 / n: float(LAWS["solution_error"](body_run(name, n))) for n in BODY_STEPS}
+    return float(LAWS[law](solve(scene, name, step=scene.t_end / steps, save_at=t, carry=())))
 
 
 LOCAL_STEPS = (0.008, 0.004, 0.002, 0.001)
@@ -123,23 +112,19 @@ LOCAL_STEPS = (0.008, 0.004, 0.002, 0.001)
 def local_errors(
     name: str, scene: Mechanical, measures: Sequence[Callable[[Any], Any]], starts: np.ndarray
 ) -> list[dict[float, float]]:
-    """The error of each measure of the state after one step from `starts` (k, 5), against the step.
+    """Return the error of each measure of the state after one step from `starts` (k, 5), against the step.
 
     The truth is integrated with SciPy's DOP853 at a tolerance of 10⁻¹³, far below these errors.
     """
 
     def state(y: np.ndarray) -> State:
-        y = y.reshape(-1, 5).T
-        return State((y[0], y[1]), (y[2], y[3]), y[4])
+        return scene.unpack(y.reshape(-1, 5).T, ("s",))
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
-        d = scene.rhs(state(y))
-        return np.stack([*d.q, *d.p, d.s]).T.ravel()
+        return np.stack(scene.pack(scene.rhs(state(y)))).T.ravel()
 
-    times = sorted(LOCAL_STEPS)
-    run = scipy.integrate.solve_ivp(
-        rate, (0, times[-1]), starts.ravel(), t_eval=times, method="DOP853", rtol=1e-13, atol=1e-15
-    )
+    times, solver = sorted(LOCAL_STEPS), {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
+    run = scipy.integrate.solve_ivp(rate, (0, times[-1]), starts.ravel(), t_eval=times, **solver)
     found: list[dict[float, float]] = [{} for _ in measures]
     for h, y in zip(times, run.y.T, strict=True):
         after = METHODS[name].advance(scene, state(starts), h, 1, np)

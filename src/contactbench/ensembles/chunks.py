@@ -26,7 +26,7 @@ from contactbench.methods.base import METHODS, Request
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import Division, FixedStepRun
 from contactbench.methods.numba_engine import loop_of
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 
 ENGINES = ("numba", "jax")
 #: trajectories in a task of an executor: how many workers share them nobody knows

@@ -13,8 +13,8 @@ from contactbench.ensembles.devices import Result
 from contactbench.ensembles.measures import DECAYING, furthest, within
 from contactbench.measure.deviation import conformal_deviation
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import Loop
+from contactbench.trace.compiled import compiled
 
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
 LANES = 32

@@ -9,10 +9,10 @@ import numpy as np
 
 from contactbench.ensembles.measures import DECAYING, furthest, within
 from contactbench.measure.deviation import conformal_deviation
-from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
 from contactbench.methods.step_map import identity
+from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene.cache import Cache, key
 
 #: trajectories a core integrates at a time: half a kilobyte per component

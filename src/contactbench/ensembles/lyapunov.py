@@ -23,12 +23,13 @@ from contactbench.measure.averages import Average, blocks, jackknife
 from contactbench.methods.base import Prepared, Refused
 from contactbench.methods.entry import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.llvm import compiled
 from contactbench.methods.numba_engine import loop_of
-from contactbench.numbers.recording import CannotRecord
-from contactbench.peers.abi.cyrk_interface import FACTS, KNOWN
-from contactbench.peers.cyrk import SUCCESS, CyrkRun
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.peers.abi import FACTS, KNOWN
+from contactbench.peers.abi.cyrk import SUCCESS
+from contactbench.peers.cyrk import CyrkRun
 from contactbench.scene import Scene
+from contactbench.trace.compiled import compiled
 
 #: ``(x, v) -> (x, v, evaluations)``: states (d, n) and tangents (m, d, n) over one interval, and what it cost, (n,)
 TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]

@@ -19,6 +19,8 @@ COARSEST = 0.8
 RTOLS = [10.0**-k for k in range(3, 15)]
 #: beside the tolerances of `RTOLS`: some methods are a thousand times more accurate than asked
 LOOSEST = 1e-1
+#: below 1e-13, and for methods that choose their order: from one decade to the next their cost doubles or falls
+BETWEEN = [3e-14, 3e-15, 1e-15]
 
 
 def steps(scene: Scene, count: int) -> list[float]:
@@ -44,9 +46,10 @@ def work_ladder(scene: Scene, order: int) -> list[float]:
 
 
 def tolerances(method: Any) -> list[float]:
-    """The decades within the range of an adaptive method, the loosest first, and the end of the range."""
+    """Return the decades within the range of an adaptive method, the loosest first, and the end of the range."""
     low, high = method.rtol_range
-    return [*(rtol for rtol in (LOOSEST, *RTOLS) if low < rtol <= high), low]
+    rungs = [LOOSEST, *RTOLS, *(BETWEEN if method.order is None else [])]
+    return [*sorted((rtol for rtol in rungs if low < rtol <= high), reverse=True), low]
 
 
 def save_times(scene: Scene) -> np.ndarray:

@@ -10,7 +10,7 @@ from enum import Enum
 from contactbench.boundary import reported
 from contactbench.errors import BadInput
 from contactbench.measure.deviation import Deviation
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution
 

@@ -13,12 +13,12 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from contactbench.methods import METHODS
+from contactbench.numbers.protocol import Numbers
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
 
@@ -31,8 +31,17 @@ SHORTEST, LONGEST, SCANNED = 1e-3, 1e3, 5600
 ISLAND = 0.01
 #: brackets shrink to so many parts in one look; an extremum takes so many looks, a border more
 PARTS, ZOOMS, CLOSE = 8, 11, 17
+
+
 #: plain elementwise functions: a vector of step sizes is then a scalar like any other
-ELEMENTWISE = SimpleNamespace(exp=np.exp, expm1=np.expm1, sin=np.sin, cos=np.cos, where=np.where, inf=np.inf)
+class Elementwise(Numbers):
+    """NumPy's functions, without vectors of stages: the steps are the entries of arrays themselves."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name)
+
+
+ELEMENTWISE = Elementwise()
 
 
 def oscillator(gamma: float, omega: float = 1.0) -> Mechanical:

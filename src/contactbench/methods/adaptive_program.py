@@ -7,10 +7,10 @@ from typing import Any
 from contactbench.methods.base import SHORTEST
 from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.recording import Block, Recorded, RecordedNumbers, Tape, text_of
 from contactbench.scene import Mechanical, dot
 from contactbench.solution import DIVERGENCE
 from contactbench.splitting.composition import Composition, advance
+from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, text_of
 
 
 def recorded_loop(

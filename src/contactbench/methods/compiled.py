@@ -11,29 +11,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from contactbench.methods.base import Prepared, stopwatch
-from contactbench.numbers.recording import advised
 from contactbench.scene.cache import Cache, key
+from contactbench.trace.recording import advised
 
 _programs: Cache[tuple[Any, float]] = Cache(1024)
-
-
-class XlaNumbers:
-    """`jax.numpy`, and what compiled code has beside it (see numbers/control.py)."""
-
-    def __getattr__(self, name: str) -> Any:
-        from contactbench.xla import jax
-
-        return jax.lax.optimization_barrier if name == "settle" else getattr(jax.numpy, name)
-
-    def scan(self, body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int) -> tuple[Any, Any]:
-        from contactbench.xla import lax
-
-        return lax.scan(lambda x, _: body(x), x, None, length=turns)
-
-    def unwind(self, body: Callable[[Any, Any], Any], x: Any, outs: Any) -> Any:
-        from contactbench.xla import lax
-
-        return lax.scan(lambda x, out: (body(x, out), None), x, outs, reverse=True)[0]
 
 
 class CompiledRun(Prepared):

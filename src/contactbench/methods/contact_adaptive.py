@@ -41,17 +41,18 @@ from contactbench.methods.base import (
     Request,
     stopwatch,
 )
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
-from contactbench.methods.llvm import compiled
+from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.step_density import first_density, next_density
-from contactbench.numbers.recording import CannotRecord, recorded
-from contactbench.numbers.source import executed_on_lists
+from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Mechanical, Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
 from contactbench.splitting.composition import advance, own_equations, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
+from contactbench.trace.compiled import compiled
+from contactbench.trace.recording import CannotRecord, recorded
+from contactbench.trace.source import executed_on_lists
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
@@ -60,10 +61,7 @@ AIM = 3.0
 class ScalarNumbers(XlaNumbers):
     """Without arrays: constants that change at every step are cheaper one by one, in the loop's own kernel."""
 
-    def __getattr__(self, name: str) -> Any:
-        if name == "asarray":
-            raise AttributeError(name)
-        return super().__getattr__(name)
+    abilities = XlaNumbers.abilities._replace(vectors=False)
 
 
 @dataclass

@@ -15,11 +15,12 @@ from typing import Any, cast
 import numpy as np
 
 from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Refused, Request
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.composition import own_equations

@@ -14,12 +14,12 @@ from contactbench.methods.base import METHODS, Method, Prepared, Refused, Reques
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.first_step import try_step
 from contactbench.methods.grid import default_times, long_enough, saved_times
-from contactbench.methods.llvm import compiles
 from contactbench.methods.step_map import StepMap
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
 from contactbench.solution import Solution
+from contactbench.trace.compiled import compiles
 
 DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6

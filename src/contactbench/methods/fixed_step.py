@@ -14,7 +14,7 @@ from contactbench.methods.numba_engine import NumbaLoop
 from contactbench.methods.python_engine import PythonLoop
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.methods.step_map import Step, StepMap
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 
 ENGINES: dict[str, type[FixedStepRun]] = {"numba": NumbaLoop, "jax": JaxLoop, "python": PythonLoop}
 

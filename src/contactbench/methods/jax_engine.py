@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import Outcome
-from contactbench.methods.compiled import CompiledRun, XlaNumbers
+from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.step_map import identity
 from contactbench.numbers.control import Repeat
+from contactbench.numbers.xla import XlaNumbers
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:

@@ -11,13 +11,13 @@ import numpy as np
 
 from contactbench.methods.base import NO_NUMBER, Outcome, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.llvm import compiled
 from contactbench.methods.step_map import StepMap, identity, program_of, tangent_program
-from contactbench.numbers.program import Program
-from contactbench.numbers.source import executed_on_lists
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Status
+from contactbench.trace.compiled import compiled
+from contactbench.trace.program import Program
+from contactbench.trace.source import executed_on_lists
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22

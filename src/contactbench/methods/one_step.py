@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import BadInput, unknown_name
-from contactbench.methods.compiled import XlaNumbers
 from contactbench.methods.entry import lookup
 from contactbench.methods.step_map import StepMap, is_fixed
-from contactbench.numbers.formula import Formula, formula
-from contactbench.numbers.recording import (
+from contactbench.numbers.xla import XlaNumbers
+from contactbench.scene import Scene
+from contactbench.trace.formula import Formula, formula
+from contactbench.trace.recording import (
     CannotRecord,
     Recorded,
     RecordedNumbers,
@@ -24,8 +25,7 @@ from contactbench.numbers.recording import (
     recorded,
     text_of,
 )
-from contactbench.numbers.source import PREAMBLE, needed
-from contactbench.scene import Scene
+from contactbench.trace.source import PREAMBLE, needed
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,9 +13,9 @@ from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxSteps
 from contactbench.methods.numba_engine import NumbaLoop
 from contactbench.methods.step_map import program_of, tangent_program, trajectory
-from contactbench.numbers.program import Program
-from contactbench.numbers.recording import CannotRecord
-from contactbench.numbers.source import executed_on_lists
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.trace.program import Program
+from contactbench.trace.source import executed_on_lists
 
 Span = tuple[float, int]  #: a step size, and how many steps
 

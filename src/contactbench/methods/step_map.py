@@ -12,10 +12,10 @@ from contactbench.methods.base import Method
 from contactbench.methods.engines import CALLBACKS
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.numbers.program import Program, record
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import DIVERGENCE
+from contactbench.trace.program import Program, record
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step

@@ -1,8 +1,6 @@
 """Choices and loops on every kind of number.
 
-Plain numbers (floats, mpmath) may be looked at; arrays and traced numbers may not.  A namespace says what
-it has of its own: `where` chooses entry by entry, `settle` computes a value once, `scan` and `unwind` are
-compiled loops.
+Plain numbers (floats, mpmath) may be looked at; arrays and traced numbers may not: see `Abilities`.
 """
 
 from __future__ import annotations
@@ -10,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+from contactbench.numbers.protocol import abilities
 
 #: turns after which a loop over plain numbers is given up: a thousand digits take forty
 ENDLESS = 200
@@ -40,14 +40,9 @@ def turns(n: int, body: Callable[[Any], Any], x: Any) -> Any:
 repeat = Repeat(turns)
 
 
-def plain(xp: Any) -> bool:
-    """Whether values may be looked at."""
-    return not hasattr(xp, "where")
-
-
 def choose(condition: Any, yes: Any, no: Any, xp: Any) -> Any:
     """yes or no, entry by entry for arrays.  Both have been computed: neither may divide by zero."""
-    if plain(xp):
+    if abilities(xp).branch:
         return yes if condition else no
     return xp.where(condition, yes, no)
 
@@ -55,8 +50,7 @@ def choose(condition: Any, yes: Any, no: Any, xp: Any) -> Any:
 def settled(x: Any, xp: Any) -> Any:
     """x, computed once: XLA would redo divisions and sines for every later component that reads them,
     which grows exponentially along a chain of flows."""
-    settle = getattr(xp, "settle", None)
-    return x if settle is None else settle(x)
+    return xp.settle(x) if abilities(xp).barrier else x
 
 
 def negligible(x: Any) -> bool:
@@ -71,22 +65,23 @@ def scan(
 
     Raises `ArithmeticError` if it never is.
     """
-    if hasattr(xp, "scan"):
+    can = abilities(xp)
+    if can.loops:
         return xp.scan(body, x, turns)
     outs = []
-    for _ in range(ENDLESS if plain(xp) else turns):
+    for _ in range(ENDLESS if can.branch else turns):
         x, out = body(x)
         outs.append(out)
-        if plain(xp) and negligible(rest(x)):
+        if can.branch and negligible(rest(x)):
             return x, outs
-    if plain(xp):
+    if can.branch:
         raise ArithmeticError(f"no convergence in {ENDLESS} turns")
     return x, outs
 
 
 def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:
     """x after ``x = body(x, out)`` for the outs of a `scan`, last to first."""
-    if hasattr(xp, "unwind"):
+    if abilities(xp).loops:
         return xp.unwind(body, x, outs)
     for out in reversed(outs):
         x = body(x, out)

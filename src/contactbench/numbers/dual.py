@@ -8,8 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from contactbench.numbers.functions import namespace
+from contactbench.numbers.protocol import Abilities, Number, Numbers, abilities
 
-class Dual:
+
+class Dual(Number):
     """Value `a` and derivative `b`."""
 
     __slots__ = ("a", "b")
@@ -17,6 +20,10 @@ class Dual:
 
     def __init__(self, a: Any, b: Any) -> None:
         self.a, self.b = a, b
+
+    @property
+    def numbers(self) -> DualNumbers:
+        return DualNumbers(namespace(self.a))
 
     def __add__(self, other: Any) -> Dual:
         return Dual(self.a + value(other), self.b + slope(other))
@@ -109,11 +116,15 @@ DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
 }
 
 
-class DualNumbers:
+class DualNumbers(Numbers):
     """A number namespace for dual numbers of the numbers of another one, `base`."""
 
     def __init__(self, base: Any) -> None:
         self.base = base
+
+    @property
+    def abilities(self) -> Abilities:  # type: ignore[override]
+        return abilities(self.base)
 
     def __getattr__(self, name: str) -> Any:
         function = getattr(self.base, name)

@@ -18,9 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.dual import Dual, DualNumbers
-from contactbench.numbers.recording import Recorded, RecordedNumbers
-from contactbench.numbers.series import Series, SeriesNumbers
+from contactbench.numbers.protocol import Number
 
 __all__ = [
     "acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp", "log", "pi", "sin", "sinh",
@@ -34,14 +32,10 @@ def namespace(x: Any) -> Any:
     """The functions that fit a number: a module, or an object with the names of one."""
     if isinstance(x, int | float):
         return math
-    if isinstance(x, Dual):
-        return DualNumbers(namespace(x.a))
-    if isinstance(x, Recorded):
-        return RecordedNumbers(x.tape)
+    if isinstance(x, Number):
+        return x.numbers
     if isinstance(x, complex):
         return cmath
-    if isinstance(x, Series):
-        return SeriesNumbers()
     package = type(x).__module__.partition(".")[0]
     if package in ("jax", "jaxlib"):
         from contactbench.xla import jnp

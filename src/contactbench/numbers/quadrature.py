@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.numbers.protocol import abilities
+
 STAGES = 8
 #: of the coefficients on doubles
 DIGITS = 30
@@ -47,7 +49,7 @@ def gauss_on_doubles() -> Rule:
 
 def rule(xp: Any) -> Rule:
     """The coefficients as numbers of a namespace: of its digits in mpmath, else Python floats."""
-    return gauss(xp.dps) if hasattr(xp, "mpf") else gauss_on_doubles()
+    return gauss(xp.dps) if abilities(xp).digits else gauss_on_doubles()
 
 
 def weighted(weights: list[Any], values: list[Any]) -> Any:

@@ -10,13 +10,13 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from contactbench.numbers.recording import LARGEST_POWER, Recorded
+from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
 
 #: what a run says that has no step at all
 NO_SERIES = "heyoka has no series of the root and other fractional powers of x, nor of |x|, at x = 0"
 
 
-class Series:
+class Series(Unknown):
     """A heyoka expression under arithmetic: `expression` is what it stands for."""
 
     __slots__ = ("expression",)
@@ -24,6 +24,10 @@ class Series:
 
     def __init__(self, expression: Any) -> None:
         self.expression = expression
+
+    @property
+    def numbers(self) -> SeriesNumbers:
+        return SeriesNumbers()
 
     def __repr__(self) -> str:
         return f"<series {self.expression}>"
@@ -48,6 +52,9 @@ class Series:
     def __pos__(self) -> Series:
         return self
 
+    def __abs__(self) -> Series:
+        raise CannotRecord("heyoka has no |x|")
+
 
 def bare(x: Any) -> Any:
     """The expression of a series; any other number as it is."""
@@ -69,20 +76,16 @@ for _name in ("add", "sub", "mul", "truediv"):
     setattr(Series, f"__{_name}__", _forward)
     setattr(Series, f"__r{_name}__", _reflected)
 
-#: what asks for a value, or for the truth of a comparison, is refused in the words of `Recorded`
-for _name in ("bool", "float", "int", "index", "complex", "iter"):
-    setattr(Series, f"__{_name}__", getattr(Recorded, f"__{_name}__"))
-for _name in ("eq", "ne", "lt", "le", "gt", "ge"):
-    setattr(Series, f"__{_name}__", Recorded.__bool__)
 
-
-class SeriesNumbers:
+class SeriesNumbers(Numbers):
     """The number namespace that goes with them: heyoka's functions."""
 
     def __getattr__(self, name: str) -> Callable[..., Series]:
         import heyoka
 
-        function = getattr(heyoka, name)
+        function = getattr(heyoka, name, None)
+        if function is None:
+            raise CannotRecord(f"heyoka has no function {name!r}")
         return lambda *numbers: Series(function(*map(bare, numbers)))
 
 

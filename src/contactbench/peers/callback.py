@@ -1,4 +1,4 @@
-"""What the solvers that call back into Python share: right-hand sides and Jacobians of plain floats.
+"""Solvers that call back into Python: right-hand sides and Jacobians of plain floats.
 
 They are as lean as what a user would write for one problem: the scene is recorded once as a plain Python
 function, its numbers written in as constants.  Where it cannot be recorded (a force that branches on values)
@@ -8,14 +8,43 @@ it is called as it is, at four times the cost.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
-from contactbench.methods.base import Request
-from contactbench.numbers.recording import CannotRecord, Recorded, Tape, text_of
-from contactbench.numbers.recording import recorded as within
-from contactbench.numbers.source import executed
-from contactbench.peers.variational import numerical_derivative, variational_request
+import numpy as np
+
+from contactbench.methods.base import Prepared, Request
+from contactbench.peers.variational import SOURCE, integrated, numerical_derivative, variational_request
 from contactbench.scene import System
+from contactbench.trace.recording import CannotRecord, Recorded, Tape, text_of
+from contactbench.trace.recording import recorded as within
+from contactbench.trace.source import executed
+
+Rows = list[list[float]]
+
+
+@dataclass
+class CallbackPeer(Prepared):
+    """A run of a solver whose right-hand side, and Jacobian if it takes one, are Python."""
+
+    solver: str
+    #: whether it solves its steps by Newton's iteration, and takes a Jacobian
+    newton: bool = True
+
+    sensitivity_source = SOURCE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        scene, carry = self.request.scene, self.request.carry
+        self.rhs = flat_rhs(scene, carry)
+        self.jacobian = flat_jacobian(scene, carry) if self.newton else None
+
+    def packed(self, rows: list[np.ndarray], y: np.ndarray, start: float) -> np.ndarray:
+        """Return the packed states of those reached at the saved times; y : the first."""
+        return self.insert_clock(np.reshape(rows, (-1, len(y))), start, self.request.save_at[: len(rows)])
+
+    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return integrated(replace(self, request=variational(self.request)), y0)
 
 
 def recorded(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
@@ -44,14 +73,10 @@ def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, .
 
 def flat_rhs(scene: System, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
     """``f(t, y) -> slopes`` on a list of floats."""
-    if (lean := recorded(scene, "rhs", carry)) is not None:
-        return lean
-    return scene.on_lists(carry)
+    return recorded(scene, "rhs", carry) or scene.on_lists(carry)
 
 
-def flat_jacobian(
-    scene: System, carry: tuple[str, ...]
-) -> Callable[[float, Sequence[float]], list[list[float]]] | None:
+def flat_jacobian(scene: System, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Rows] | None:
     """``J(t, y) -> rows`` on plain floats, or None when the scene has no Hessian."""
     if not scene.has_jacobian:
         return None

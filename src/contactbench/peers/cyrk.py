@@ -5,10 +5,9 @@ ODEs I, §II.5 (DOP853) and II, §IV.8 (Radau); Verner, Numer. Algorithms 53, 38
 doi:10.1007/s11075-009-9290-3; Tsitouras, Comput. Math. Appl. 62, 770 (2011), doi:10.1016/j.camwa.2011.06.002;
 Petzold, SIAM J. Sci. Stat. Comput. 4, 136 (1983), doi:10.1137/0904010 (LSODA).
 
-The scene is a C function (c_functions.py).  CyRK's documented `nbsolve2_ivp` costs 5 µs a call from compiled
-code and a hundred more from Python, nearly all of it for boxing its arguments and its result; so it is
-called from compiled code, through the C entry it wraps (cyrk_driver.py).  That entry takes no
-Jacobian: Radau and LSODA difference the right-hand side, and the calls they make for it are counted.
+CyRK's documented `nbsolve2_ivp` costs 5 µs a call from compiled code and a hundred more from Python, nearly all of it
+for boxing its arguments and its result; so it is called from compiled code, through the C entry it wraps.  That entry
+takes no Jacobian: Radau and LSODA difference the right-hand side, and the calls they make for it are counted.
 """
 
 from __future__ import annotations
@@ -16,113 +15,58 @@ from __future__ import annotations
 import importlib.util
 from dataclasses import dataclass
 
-import numpy as np
-
-from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Outcome, Prepared, Refused, Request
-from contactbench.methods.c_functions import c_functions, clock_of, derivative
-from contactbench.numbers.recording import CannotRecord
-from contactbench.peers.abi.cyrk_interface import KNOWN, why_not
-from contactbench.peers.variational import SOURCE, integrated, variational_request
+from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Prepared, Refused, Request
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.peers.abi import KNOWN
+from contactbench.peers.abi.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, why_not
+from contactbench.peers.compiled import CompiledPeer
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
-#: CyRK's status codes
-SUCCESS, TOO_MANY_STEPS = 1, (-52, -53)
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
 
 
 @dataclass
-class CyrkRun(Prepared):
-    solver: str
+class CyrkRun(CompiledPeer):
     #: evaluations of an attempted step, whether accepted or not; None where that varies
-    stages: int | None
+    stages: int | None = None
 
-    sensitivity_source = SOURCE
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        from contactbench.peers.abi import cyrk_driver
+    def connect(self) -> None:
+        from contactbench.peers.abi import cyrk_calls
 
         r = self.request
-        functions = c_functions(r.scene, r.carry)
-        self.compile_s, self.rhs = functions.compile_s, functions.rhs
-        self.data = functions.data(r.scene.numbers())
-        self.number, self.message = cyrk_driver.number(self.solver), cyrk_driver.message
-        self.to_end, self.at_times = cyrk_driver.to_end, cyrk_driver.at_times
-        self.end, self.size, self.clock = float(r.save_at[-1]), len(self._own_start), clock_of(r.scene)
-        self.final_only = len(self.later) == 1
-
-    def _bare(self, y0: np.ndarray) -> np.ndarray:
-        r = self.request
-        return self.to_end(
-            self.rhs, self.number, y0, self.data, self.clock, self.end, r.rtol, r.atol, r.max_steps
+        self.calls, self.message = cyrk_calls, cyrk_calls.message
+        method = cyrk_calls.number(self.solver)
+        self.arguments = (
+            *(self.functions.rhs, method, self.data, self.clock, self.end),
+            *(r.rtol, r.atol, r.max_steps),
         )
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        """The solver's own call: a packed state in, the packed state at the end out."""
-        return self._bare(y0)[KNOWN:]
+    def ending(self, flag: int) -> tuple[Status, str]:
+        if flag == SUCCESS:
+            return Status.ok, ""
+        if flag in (TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR):
+            return Status.budget, f"max_steps = {self.request.max_steps} spent"
+        return Status.failed, self.message(flag)
 
-    def many(self, starts: np.ndarray) -> np.ndarray:
-        """Facts and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
-        from contactbench.peers.abi.cyrk_driver import in_a_loop
+    def counts(self, steps: int, evaluations: int, jacobians: int, rejected: float) -> Counts:
+        """Rejected steps follow from the evaluations, unless an interpolation asks for some of its own."""
+        known = self.stages and self.final_only
+        return Counts(steps, evaluations, 0, self.rejected(steps, evaluations) if known else None)
 
-        r, rows = self.request, np.ascontiguousarray(starts)  # CyRK reads a state where it begins
-        return in_a_loop(
-            self.rhs, self.number, rows, self.data, self.clock, self.end, r.rtol, r.atol, r.max_steps
-        )
-
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        if self.final_only:
-            told = self._bare(y0)
-            status, reached, saved, steps, evaluations, *end = told.tolist()
-            rows = told[None, KNOWN:]
-            if status == SUCCESS and self._saves == 1:
-                return self.at_end(y0, end, rows, self.counted(int(steps), int(evaluations)))
-        r, later = self.request, self.later
-        if not self.final_only:
-            rows = np.empty((len(later), self.size))
-            told = self.at_times(
-                self.rhs, self.number, y0, self.data, self.clock, later, r.rtol, r.atol, r.max_steps, rows
-            )
-            status, reached, saved, steps, evaluations = told[:KNOWN].tolist()
-        exhausted = status in TOO_MANY_STEPS
-        if status != SUCCESS and not exhausted:
-            steps -= 1  # CyRK counts the step that failed
-        if saved < len(later):
-            rows = rows[: int(saved)]
-        rows = self.from_start(y0, rows)
-        counts = self.counted(int(steps), int(evaluations))
-        if not self.final_only:
-            counts = counts._replace(rejected=None)
-        if status == SUCCESS:
-            return self.finished(y0, rows, counts)
-        message = f"max_steps = {r.max_steps} spent" if exhausted else self.message(int(status))
-        return self.finished(
-            y0, rows, counts, Status.budget if exhausted else Status.failed, f"{message} (t = {reached:.6g})",
-            (reached, told[KNOWN:]),
-        )  # fmt: skip
-
-    def counted(self, steps: int, evaluations: int) -> Counts:
-        """The counts of a run without interpolation, which asks for evaluations of its own."""
-        rejected = (evaluations - BEFORE) // self.stages - steps if self.stages else None
-        return Counts(steps, evaluations, 0, rejected)
-
-    def variational(self) -> CyrkRun:
-        """The same run of the scene together with its tangent vectors."""
-        carry = self.request.carry
-        larger = variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
-        return CyrkRun(self.method, larger, self.solver, self.stages)
-
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return integrated(self.variational(), y0)
+    def rejected(self, steps: int, evaluations: int) -> int:
+        """Return the rejected steps of a method with `stages`."""
+        assert self.stages is not None
+        return (evaluations - BEFORE) // self.stages - steps
 
     def count(self, counts: Counts) -> Counts:
         """With the rejected steps of a run to the last time."""
         if counts.rejected is None and self.stages:
-            status, _, _, steps, evaluations = map(int, self._bare(self._own_start)[:KNOWN])
-            if status == SUCCESS:
-                return counts._replace(rejected=self.counted(steps, evaluations).rejected)
+            facts = self.calls.to_end(self._own_start, *self.arguments)
+            flag, _, _, steps, evaluations = map(int, facts[: KNOWN - 2])
+            if flag == SUCCESS:
+                return counts._replace(rejected=self.rejected(steps, evaluations))
         return counts
 
 
@@ -143,11 +87,10 @@ class CyrkMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        why = why_not()
-        if why:
+        if why := why_not():
             return Refused(self.name, request, why)
         try:
-            return CyrkRun(self.name, request, self.solver, self.stages)
+            return CyrkRun(self.name, request, self.solver, stages=self.stages)
         except CannotRecord as reason:
             return Refused(self.name, request, str(reason))
 

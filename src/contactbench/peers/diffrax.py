@@ -23,7 +23,7 @@ from contactbench.methods.base import (
     Request,
 )
 from contactbench.methods.compiled import CompiledRun
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -99,29 +99,34 @@ class DiffraxRun(CompiledRun):
             slopes = scene.slopes(start + t, list(x), r.carry)
             return jnp.stack(slopes) if as_array else tuple(slopes)
 
+        # recorded once: diffrax calls it at a dozen places of an implicit step, and traces it anew at each
+        term = diffrax.ODETerm(jax.jit(field, inline=True))
+        grid = [diffrax.SubSaveAt(t1=True), diffrax.SubSaveAt(ts=times)]
+        pid = diffrax.PIDController(rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False)
         solution = diffrax.diffeqsolve(
-            # recorded once: diffrax calls it at a dozen places of an implicit step, and traces it anew at each
-            diffrax.ODETerm(jax.jit(field, inline=True)), self.method_.solver(rtol, atol), 0.0, times[-1], None,
+            term,
+            self.method_.solver(rtol, atol),
+            0.0,
+            times[-1],
+            None,
             jnp.stack(y) if as_array else tuple(y),
-            saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=[
-                diffrax.SubSaveAt(t1=True), diffrax.SubSaveAt(ts=times),
-            ]),
-            stepsize_controller=Budgeted(
-                diffrax.PIDController(rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False),
-                max_steps, times[-1],
-            ),
+            saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=grid),
+            stepsize_controller=Budgeted(pid, max_steps, times[-1]),
             max_steps=None,
             adjoint=diffrax.ForwardMode(),
             throw=False,
-        )  # fmt: skip
-        stats = solution.stats
-        info = jnp.array([
-            stats["num_accepted_steps"], stats["num_rejected_steps"],
-            solution.result == diffrax.RESULTS.successful,
-            solution.result == diffrax.RESULTS.max_steps_reached,
-            solution.result == diffrax.RESULTS.dt_min_reached,
-            (solution.ts if self.final_only else solution.ts[0])[0],
-        ])  # fmt: skip
+        )
+        stats, results = solution.stats, diffrax.RESULTS
+        info = jnp.array(
+            [
+                stats["num_accepted_steps"],
+                stats["num_rejected_steps"],
+                solution.result == results.successful,
+                solution.result == results.max_steps_reached,
+                solution.result == results.dt_min_reached,
+                (solution.ts if self.final_only else solution.ts[0])[0],
+            ]
+        )
 
         def packed(y: Any, t: Any) -> Any:
             components = list(y.T) if as_array else list(y)

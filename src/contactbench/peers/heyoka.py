@@ -26,12 +26,12 @@ from contactbench.methods.base import (
     Request,
     stopwatch,
 )
-from contactbench.numbers.recording import CannotRecord, advised
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.peers.variational import SOURCE, integrated, variational_request
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
+from contactbench.trace.recording import CannotRecord, advised
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
@@ -79,11 +79,10 @@ class TaylorRun(Prepared):
 
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
-            integrator = heyoka.taylor_adaptive(
-                taylor_system(r.scene, r.carry, heyoka), self.split_clock(self._own_start)[1], tol=r.rtol,
-                compact_mode=len(self._own_start) > UNROLLED,
-            )  # fmt: skip
-            return integrator, elapsed()
+            system = taylor_system(r.scene, r.carry, heyoka)
+            _, start = self.split_clock(self._own_start)
+            compact = len(self._own_start) > UNROLLED
+            return heyoka.taylor_adaptive(system, start, tol=r.rtol, compact_mode=compact), elapsed()
 
         numbers = tuple(r.scene.numbers())
         program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)

@@ -20,7 +20,7 @@ from contactbench.measure.laws import observed
 from contactbench.methods.base import METHODS, Prepared, Refused
 from contactbench.methods.engines import ENGINES
 from contactbench.methods.entry import prepare
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import Reference
@@ -185,8 +185,13 @@ def ladder(question: Question, found: Scouted, limit: Limit) -> Iterator[Attempt
 
 
 def spent(found: Scouted) -> bool:
-    """Whether the last setting was hardly more accurate than the one before: what is left is round-off."""
-    before, last = found.attempts[-2:]
+    """Return whether the last setting was hardly more accurate than the one before: what is left is round-off.
+
+    The one before is most of a decade of tolerances away at least.
+    """
+    *others, last = found.attempts
+    apart = 5 if METHODS[found.method].adaptive else 1
+    before = next((a for a in reversed(others) if a.value >= apart * last.value), others[-1])
     return before.ok and last.ok and not last.error < STILL_BETTER * before.error
 
 

@@ -12,10 +12,10 @@ from typing import Any, ClassVar, Self
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, finite, function, shown, switch, text, unknown_name
-from contactbench.numbers.formula import Formula, formula
 from contactbench.numbers.nested import leaves
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
+from contactbench.trace.formula import Formula, formula
 
 #: by how much a function of floats may differ from its formula: powers are products there
 SAME = 1e-6

@@ -18,10 +18,10 @@ import numpy as np
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, is_real, shown
-from contactbench.numbers.formula import Formula
 from contactbench.scene.base import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.scene.mechanical import Mechanical, derived_gradient
+from contactbench.trace.formula import Formula
 
 #: points besides the initial one, and how far from it, in parts of the size of each component
 POINTS, SPREAD = 3, 0.1

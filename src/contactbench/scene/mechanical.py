@@ -13,10 +13,10 @@ import numpy as np
 
 from contactbench.boundary import is_ours, user_error
 from contactbench.errors import BadInput, finite, function, is_real, positive, shown, switch, vector
-from contactbench.numbers.formula import Formula, formula
-from contactbench.numbers.recording import CannotRecord
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Scene
+from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
 LARGEST_HESSIAN = 32

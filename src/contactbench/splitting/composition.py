@@ -22,6 +22,7 @@ from fractions import Fraction
 from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.protocol import abilities
 from contactbench.scene import BodyState, RigidBody, Scene
 from contactbench.splitting.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
 
@@ -117,7 +118,7 @@ def merged(stages: Iterable[Stage]) -> tuple[Stage, ...]:
 
 def number(coefficient: Fraction, xp: Any) -> Any:
     """A coefficient as a number of the namespace: exact in mpmath, else a Python float."""
-    if hasattr(xp, "mpf"):
+    if abilities(xp).digits:
         return xp.mpf(coefficient.numerator) / coefficient.denominator
     return float(coefficient)
 
@@ -273,7 +274,7 @@ def stage_constants(
     entry for each member of an ensemble.
     """
     flows, distinct = flows_of(scene), list(dict.fromkeys(stages))
-    if not hasattr(xp, "asarray"):
+    if not abilities(xp).vectors:
         scalars = {(f, c): flows[f].constants(scene, number(c, xp) * h, xp) for f, c in distinct}
         return lambda some: [scalars[stage] for stage in some].__getitem__
     coefficients = {name: [c for f, c in distinct if f == name] for name, _ in distinct}
@@ -361,6 +362,6 @@ def scaled(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
     values = [number(c, xp) for c in coefficients]
     return (
         xp.multiply.outer(xp.asarray(values), factor)
-        if hasattr(xp, "asarray")
+        if abilities(xp).vectors
         else [c * factor for c in values]
     )

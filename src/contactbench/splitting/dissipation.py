@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.numbers.control import choose, plain, scan
+from contactbench.numbers.control import choose, scan
+from contactbench.numbers.protocol import abilities
 
 NODES, ITERATIONS = 16, 6
 #: parts of a step, each with a rate r of its own
@@ -65,17 +66,17 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
 
     def spent(tau: Any) -> Any:
         """The integral of k up to tau."""
-        if hasattr(xp, "quad"):
+        if abilities(xp).digits:
             return xp.quad(pace, [0, tau])
         return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
 
     def nearer(tau: Any) -> Any:
         return tau - (spent(tau) - h) / pace(tau)
 
-    if not plain(xp):
+    if not abilities(xp).branch:
         return at(scan(lambda tau: (nearer(tau), tau), h, ITERATIONS, lambda _: 0.0, xp)[0])
     before, tau = 0 * h, h
-    for _ in range(ITERATIONS if not hasattr(xp, "quad") else 2 * ITERATIONS):
+    for _ in range(ITERATIONS if not abilities(xp).digits else 2 * ITERATIONS):
         before, tau = tau, nearer(tau)
         if tau == before:
             break

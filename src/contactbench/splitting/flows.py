@@ -21,6 +21,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from contactbench.numbers.control import choose, settled
+from contactbench.numbers.protocol import abilities
 from contactbench.scene import (
     BodyState,
     Driven,
@@ -60,7 +61,7 @@ class Flow(NamedTuple):
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     """φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
     undamped = gamma == 0
-    if not hasattr(xp, "where"):  # math, mpmath: plain numbers
+    if abilities(xp).branch:
         return h if undamped else -xp.expm1(-gamma * h) / gamma
     return xp.where(undamped, h, -xp.expm1(-gamma * h) / xp.where(undamped, 1.0, gamma))
 
@@ -78,7 +79,7 @@ def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
     """
     strong = gamma * h > STRONG
     factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)
-    if not hasattr(xp, "where"):
+    if abilities(xp).branch:
         return (factor, 0.0) if strong else (1.0, loss)
     return xp.where(strong, factor, 1.0), xp.where(strong, 0.0, loss)
 
@@ -289,13 +290,13 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
     if x.R is None:
         return BodyState(x.M, None, s)
     still = square == 0
-    if hasattr(xp, "where"):
+    if abilities(xp).branch:
+        size = xp.sqrt(square)
+        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
+    else:
         size = xp.sqrt(xp.where(still, 1.0, square))  # 1: no derivative of √0 is taken
         scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
         cos = xp.where(still, 1.0, xp.cos(a * size / 2))
-    else:
-        size = xp.sqrt(square)
-        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
     return settled(BodyState(x.M, R, s), xp)
 

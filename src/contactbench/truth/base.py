@@ -15,8 +15,8 @@ import numpy as np
 
 from contactbench.boundary import is_ours
 from contactbench.errors import BadInput, array
-from contactbench.numbers.formula import Formula
 from contactbench.scene import Scene
+from contactbench.trace.formula import Formula
 
 
 class BlowUp(BadInput):

@@ -21,10 +21,7 @@ import numpy as np
 from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
 from contactbench.numbers.nested import leaves, rebuilt
-
-
-class CannotRecord(TypeError):
-    """What is computed depends on a number that is known only when the recorded program runs."""
+from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
 
 
 class Block:
@@ -134,13 +131,6 @@ def text_of(x: Any, kind: str = "f") -> str:
     return "nan" if math.isnan(value) else "inf" if value > 0 else "(-inf)"
 
 
-def _value_needed(what: str) -> Callable[..., Any]:
-    def refuse(self: Recorded, *_: Any) -> Any:
-        raise CannotRecord(f"{what} a number that is known only when the program runs")
-
-    return refuse
-
-
 def _comparison(sign: str) -> Callable[..., Any]:
     def compare(self: Recorded, other: Any) -> Any:
         if isinstance(other, Dual):
@@ -150,7 +140,7 @@ def _comparison(sign: str) -> Callable[..., Any]:
     return compare
 
 
-class Recorded:
+class Recorded(Unknown):
     """A value of the recorded program, known by its name there."""
 
     __slots__ = ("block", "kind", "name", "tape")
@@ -160,6 +150,10 @@ class Recorded:
 
     def __repr__(self) -> str:
         return f"<recorded {self.name}>"
+
+    @property
+    def numbers(self) -> RecordedNumbers:
+        return RecordedNumbers(self.tape)
 
     # -- arithmetic --------------------------------------------------------------------------------
     def _binary(self, sign: str, a: Any, b: Any, commutes: bool = False) -> Any:
@@ -225,13 +219,6 @@ class Recorded:
     __hash__ = None  # type: ignore[assignment]
 
     # -- what cannot be recorded -------------------------------------------------------------------
-    __bool__ = _value_needed("`if`, `and`, `min` or `max` asks for the truth of")
-    __float__ = _value_needed("a function of `math`, or float(), asks for the value of")
-    __int__ = _value_needed("int() asks for the value of")
-    __index__ = _value_needed("an index or range() asks for the value of")
-    __complex__ = _value_needed("complex arithmetic asks for the value of")
-    __iter__ = _value_needed("a loop asks for the components of")
-
     def __array__(self, *_: Any, **__: Any) -> Any:
         raise CannotRecord("an array cannot hold a number that is known only when the program runs")
 
@@ -257,9 +244,6 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     "greater": operator.gt, "greater_equal": operator.ge,
     "square": lambda x: x * x, "reciprocal": lambda x: 1 / x,
 }  # fmt: skip
-
-#: longest product a power is written as
-LARGEST_POWER = 16
 
 
 def is_constant(x: Any, value: float) -> bool:
@@ -295,7 +279,7 @@ ALIASES = {
 }  # fmt: skip
 
 
-class RecordedNumbers:
+class RecordedNumbers(Numbers):
     """The number namespace of recorded numbers.  Plain numbers go through `math`."""
 
     inf, nan, pi, e = math.inf, math.nan, math.pi, math.e

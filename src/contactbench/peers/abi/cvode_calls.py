@@ -1,23 +1,23 @@
 """Compiled code between CVODE's C library and a scene's C functions.  Importing it loads both numba and the library.
 
-`to_end` is the bare call: a state in, the state at the end out.  Numbers are copied one by one: numba takes seconds
-to compile the first assignment of a slice, for the text of the error that arrays of different lengths raise.
+Numbers are copied one by one: numba takes seconds to compile the first assignment of a slice, for the text of the
+error that arrays of different lengths raise.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import llvmlite.binding
 import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from contactbench.methods.c_functions import JACOBIAN_CALLS, RHS_CALLS
-from contactbench.peers.abi.cvode_library import KNOWN, NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
-from contactbench.peers.abi.native_time import join, split
+from contactbench.peers.abi import KNOWN
+from contactbench.peers.abi.cvode import FUNCTIONS, NORMAL, ONE_STEP, TOO_MUCH_WORK, Library, library
+from contactbench.peers.abi.native import external, join, split
+from contactbench.peers.c_functions import JACOBIAN_CALLS, RHS_CALLS
 
 _found = library()
 assert isinstance(_found, Library), _found
@@ -26,22 +26,20 @@ _library: Library = _found
 pointer, integer, real = types.intp, types.int32, types.float64
 
 
-def _function(name: str, result: Any, *arguments: Any) -> Any:
-    """A function of the library that compiled code can call."""
-    llvmlite.binding.add_symbol(name, _library.address(name))
-    return types.ExternalFunction(name, result(*arguments))
+def _function(name: str) -> Any:
+    return external(name, _library.address(name), FUNCTIONS[name])
 
 
-array_of = _function("N_VGetArrayPointer", pointer, pointer)
-entries_of = _function("SUNDenseMatrix_Data", pointer, pointer)
-reinitialise = _function("CVodeReInit", integer, pointer, real, pointer)
-set_stop_time = _function("CVodeSetStopTime", integer, pointer, real)
-set_max_steps = _function("CVodeSetMaxNumSteps", integer, pointer, types.long_)
-advance = _function("CVode", integer, pointer, real, pointer, pointer, integer)
-interpolate = _function("CVodeGetDky", integer, pointer, real, integer, pointer)
-steps_of = _function("CVodeGetNumSteps", integer, pointer, pointer)
-error_failures_of = _function("CVodeGetNumErrTestFails", integer, pointer, pointer)
-newton_failures_of = _function("CVodeGetNumStepSolveFails", integer, pointer, pointer)
+array_of = _function("N_VGetArrayPointer")
+entries_of = _function("SUNDenseMatrix_Data")
+reinitialise = _function("CVodeReInit")
+set_stop_time = _function("CVodeSetStopTime")
+set_max_steps = _function("CVodeSetMaxNumSteps")
+advance = _function("CVode")
+interpolate = _function("CVodeGetDky")
+steps_of = _function("CVodeGetNumSteps")
+error_failures_of = _function("CVodeGetNumErrTestFails")
+newton_failures_of = _function("CVodeGetNumStepSolveFails")
 
 
 @intrinsic
@@ -83,7 +81,7 @@ RHS, JACOBIAN = _rhs.address, _jacobian.address
 
 
 @numba.njit(cache=True)
-def restart(memory, vector, y, start, data, clock, end):  # type: ignore[no-untyped-def]
+def restart(start, memory, vector, y, data, clock, end):  # type: ignore[no-untyped-def]
     """Back to t = 0 and a state; the calls counted from zero."""
     split(start, y, data, clock)
     data[RHS_CALLS] = data[JACOBIAN_CALLS] = 0.0
@@ -92,50 +90,49 @@ def restart(memory, vector, y, start, data, clock, end):  # type: ignore[no-unty
 
 
 @numba.njit(cache=True)
-def told(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-untyped-def]
-    """How a run ended and what it took, in the order of `FACTS`, and the state reached."""
-    facts = np.empty(KNOWN + len(y) + (clock >= 0))
+def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state reached, in one vector: a call returns one array sooner than two."""
+    out = np.empty(KNOWN + len(y) + (clock >= 0))
     count = np.zeros(3, np.int64)
     place = count.ctypes.data
     steps_of(memory, place)
     error_failures_of(memory, place + 8)
     newton_failures_of(memory, place + 16)
-    facts[0], facts[1], facts[2], facts[3] = flag, reached, saved, count[0]
-    facts[4], facts[5], facts[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
-    join(y, reached, data, clock, facts[KNOWN:])
-    return facts
+    out[0], out[1], out[2], out[3] = flag, reached, saved, count[0]
+    out[4], out[5], out[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
+    join(y, reached, data, clock, out[KNOWN:])
+    return out
 
 
 @numba.njit(cache=True)
-def to_end(memory, vector, y, start, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """`FACTS` and the state at the end, in one vector: a call returns one array sooner than two."""
-    restart(memory, vector, y, start, data, clock, end)
+def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state at the end."""
+    restart(start, memory, vector, y, data, clock, end)
     set_max_steps(memory, max_steps)
     reached = np.zeros(1)
     flag = advance(memory, end, vector, reached.ctypes.data, NORMAL)
-    return told(memory, y, data, clock, flag, reached[0], flag >= 0)
+    return facts(memory, y, data, clock, flag, reached[0], flag >= 0)
 
 
 @numba.njit(cache=True)
-def in_a_loop(memory, vector, y, starts, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
-        row = to_end(memory, vector, y, starts[k], data, clock, end, max_steps)
+        row = to_end(starts[k], memory, vector, y, data, clock, end, max_steps)
         for i in range(len(row)):
             out[k, i] = row[i]
     return out
 
 
 @numba.njit(cache=True)
-def at_times(memory, vector, y, start, data, clock, times, max_steps, out):  # type: ignore[no-untyped-def]
+def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
     """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
 
     One internal step at a time, so that the steps are those of `to_end`: in CVODE's other mode the first
     step depends on the first time asked for.
     """
-    end = times[-1]
-    restart(memory, vector, y, start, data, clock, end)
+    restart(start, memory, vector, y, data, clock, end)
     saved, flag, now = 0, np.int32(TOO_MUCH_WORK), np.zeros(1)
     for _ in range(max_steps):
         flag = advance(memory, end, vector, now.ctypes.data, ONE_STEP)
@@ -152,4 +149,4 @@ def at_times(memory, vector, y, start, data, clock, times, max_steps, out):  # t
         if saved == len(times):
             break
         flag = np.int32(TOO_MUCH_WORK)
-    return told(memory, y, data, clock, flag, now[0], saved)
+    return facts(memory, y, data, clock, flag, now[0], saved)

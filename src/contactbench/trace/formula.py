@@ -18,7 +18,7 @@ from typing import Any
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
 from contactbench.numbers.dual import DERIVATIVES
-from contactbench.numbers.recording import (
+from contactbench.trace.recording import (
     FUNCTIONS,
     CannotRecord,
     Recorded,

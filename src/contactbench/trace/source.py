@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from contactbench.numbers.recording import FUNCTIONS
+from contactbench.trace.recording import FUNCTIONS
 
 NAMES = re.compile(r"[a-z]+\d+")
 #: what the program imports

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.recording import Block, CannotRecord, Recorded, RecordedNumbers, Tape, recorded
+from contactbench.numbers.protocol import Abilities
+from contactbench.trace.recording import Block, CannotRecord, Recorded, RecordedNumbers, Tape, recorded
 
 
 class Program(NamedTuple):
@@ -146,6 +147,8 @@ class ProgramTape(Tape):
 
 class RecordedArrays(RecordedNumbers):
     """The namespace of recorded programs, with vectors for the constants of stages."""
+
+    abilities = Abilities(vectors=True)
 
     class multiply:
         @staticmethod

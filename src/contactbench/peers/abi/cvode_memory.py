@@ -8,30 +8,35 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.c_functions import CFunctions
-from contactbench.peers.abi.cvode_library import Library, library
+from contactbench.peers.abi import cvode_calls
+from contactbench.peers.abi.cvode import Library, library
+from contactbench.peers.c_functions import CFunctions
 
 
-class Solver:
+class Memory:
     """CVODE's memory for one scene, method and tolerance; freed with the object.
 
-    functions, data : the scene's C functions and their argument; size : of the state; longest, shortest : bounds
+    functions, data : the scene's C functions and their argument; size : of the state; shortest, longest : bounds
     on the step.
     """
 
     def __init__(
-        self, kind: int, functions: CFunctions, data: np.ndarray, size: int, rtol: float, atol: float,
-        longest: float, shortest: float,
-    ) -> None:  # fmt: skip
-        from contactbench.peers.abi import cvode_driver
-
+        self,
+        kind: int,
+        functions: CFunctions,
+        data: np.ndarray,
+        size: int,
+        tolerances: tuple[float, float],
+        shortest: float,
+        longest: float,
+    ) -> None:
         lib = library()
         assert isinstance(lib, Library)
         self.y, self.data, self.functions = np.zeros(size), data, functions
         self.user = np.array([functions.rhs, functions.jacobian, data.ctypes.data], dtype=np.intp)
         context = c_void_p()
-        _checked(lib.SUNContext_Create(0, byref(context)), "SUNContext_Create")
-        _checked(lib.SUNContext_ClearErrHandlers(context), "SUNContext_ClearErrHandlers")
+        _check(lib.SUNContext_Create(0, byref(context)), "SUNContext_Create")
+        _check(lib.SUNContext_ClearErrHandlers(context), "SUNContext_ClearErrHandlers")
         self.vector = lib.N_VMake_Serial(size, self.y.ctypes.data, context)
         self.memory = lib.CVodeCreate(kind, context)
         matrix = lib.SUNDenseMatrix(size, size, context)
@@ -40,21 +45,21 @@ class Solver:
             raise MemoryError("CVODE could not allocate its memory")
         weakref.finalize(self, _free, lib, self.memory, linear, matrix, self.vector, context)
         settings: tuple[tuple[Any, ...], ...] = (
-            ("CVodeInit", cvode_driver.RHS, 0.0, self.vector),
-            ("CVodeSStolerances", rtol, atol),
+            ("CVodeInit", cvode_calls.RHS, 0.0, self.vector),
+            ("CVodeSStolerances", *tolerances),
             ("CVodeSetUserData", self.user.ctypes.data),
             ("CVodeSetLinearSolver", linear, matrix),
-            *([("CVodeSetJacFn", cvode_driver.JACOBIAN)] if functions.jacobian else []),
+            *([("CVodeSetJacFn", cvode_calls.JACOBIAN)] if functions.jacobian else []),
             ("CVodeSetMinStep", shortest),
             ("CVodeSetMaxStep", longest),
         )
         for name, *values in settings:
-            _checked(getattr(lib, name)(self.memory, *values), name)
+            _check(getattr(lib, name)(self.memory, *values), name)
 
 
-def _checked(flag: int, what: str) -> None:
+def _check(flag: int, call: str) -> None:
     if flag:
-        raise RuntimeError(f"{what} returned {flag}")
+        raise RuntimeError(f"{call} returned {flag}")
 
 
 def _free(lib: Library, memory: int, linear: int, matrix: int, vector: int, context: c_void_p) -> None:

@@ -1,0 +1,86 @@
+"""What scenes and flows ask of the numbers they run on, and of the namespace of functions that goes with them.
+
+A namespace is `math`, `numpy`, `jax.numpy`, an mpmath context, or a `Numbers` of this package.  `abilities` of any of
+them says what its kind of number can do.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+
+class Abilities(NamedTuple):
+    """What a kind of number can do.
+
+    branch : a comparison is a bool, so that `if` chooses; otherwise ``where`` chooses, entry by entry.
+    vectors : ``asarray`` and ``multiply.outer`` make one vector of the constants of many stages.
+    digits : as many as wanted: ``mpf``, ``dps`` and ``quad`` of mpmath.
+    loops : ``scan`` and ``unwind`` are compiled loops.
+    barrier : ``settle`` has a value computed once.
+    """
+
+    branch: bool = False
+    vectors: bool = False
+    digits: bool = False
+    loops: bool = False
+    barrier: bool = False
+
+
+#: the largest power that is written as a product
+LARGEST_POWER = 16
+#: of the namespaces that are not ours, by their package; of all others, arrays
+FOREIGN = {"math": Abilities(branch=True), "mpmath": Abilities(branch=True, digits=True)}
+ARRAYS = Abilities(vectors=True)
+
+
+class Numbers:
+    """A namespace of this package: functions of one kind of number, and what that kind can do."""
+
+    abilities = Abilities()
+
+
+def abilities(xp: Any) -> Abilities:
+    """Return what the numbers of a namespace can do."""
+    if isinstance(xp, Numbers):
+        return xp.abilities
+    package = getattr(xp, "__name__", type(xp).__module__).partition(".")[0]
+    return FOREIGN.get(package, ARRAYS)
+
+
+class Number:
+    """A kind of number of this package."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def numbers(self) -> Numbers:
+        """The namespace that goes with it."""
+
+
+class CannotRecord(TypeError):
+    """A computation depends on a number that is known only when the recorded program runs."""
+
+
+def _refuse(question: str) -> Callable[..., Any]:
+    def refuse(self: Any, *_: Any) -> Any:
+        raise CannotRecord(f"{question} a number that is known only when the program runs")
+
+    return refuse
+
+
+class Unknown(Number):
+    """A number that stands for a value: whatever asks for the value raises `CannotRecord`."""
+
+    __slots__ = ()
+
+    __bool__ = _refuse("`if`, `and`, `min` or `max` asks for the truth of")
+    __float__ = _refuse("a function of `math`, or float(), asks for the value of")
+    __int__ = _refuse("int() asks for the value of")
+    __index__ = _refuse("an index or range() asks for the value of")
+    __complex__ = _refuse("complex arithmetic asks for the value of")
+    __iter__ = _refuse("a loop asks for the components of")
+    __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = __bool__  # type: ignore[assignment]
+    __hash__ = None  # type: ignore[assignment]

@@ -1,0 +1,128 @@
+"""Compiled code between CyRK's C++ solvers and a scene's C functions.  Importing it loads CyRK and numba.
+
+Every call makes and frees a result of its own.  Numbers are copied one by one, as in cvode_calls.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from CyRK import get_error_message
+from CyRK.cy.pyhelpers import find_ode_method_int
+from CyRK.nb import numba_c_api
+
+from contactbench.peers.abi import KNOWN
+from contactbench.peers.abi.cyrk import GETTERS, SOLVE, SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
+from contactbench.peers.abi.native import external, join, split
+from contactbench.peers.c_functions import RHS_CALLS
+
+
+def _getter(ours: str) -> Any:
+    name, _, word = GETTERS[ours]
+    return external(f"contactbench_cyrk_{ours}", getattr(numba_c_api, name)(), word)
+
+
+integrate = external("contactbench_cyrk_solve", numba_c_api.get_solve_func_ptr(), SOLVE)
+status_of, size_of, steps_of = _getter("status"), _getter("size"), _getter("steps")
+states_of, arguments_of = _getter("states"), _getter("arguments")
+time_of, state_of = _getter("time"), _getter("state")
+free = _getter("free")
+
+#: no limit on memory but the number of steps; megabytes
+UNLIMITED = 1_000_000
+#: what CyRK is not given: an expected size, extra outputs, a function before the right-hand side, events
+NOTHING = 0
+
+
+@numba.njit(cache=True)
+def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """CyRK's result; times : where states are wanted, none for every step."""
+    tolerances = np.array([rtol, atol])
+    place = tolerances.ctypes.data
+    # no output between the times; no bound on the step, the first chosen by the solver, which is kept: it knows
+    # where it stopped
+    saves = (max_steps, UNLIMITED, False, times.ctypes.data, times.size, NOTHING, NOTHING, NOTHING)
+    rest = saves + (place, 1, place + 8, 1, np.inf, 0.0, True)  # noqa: RUF005, numba's tuples
+    return integrate(
+        rhs,
+        0.0,
+        end,
+        start.ctypes.data,
+        len(start),
+        method,
+        NOTHING,
+        NOTHING,
+        data.ctypes.data,
+        data.size * 8,
+        *rest,
+    )
+
+
+@numba.njit(cache=True)
+def facts(result, y, data, clock, saved):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state reached; frees the result.  CyRK counts a step that failed, and no rejected ones."""
+    out = np.empty(KNOWN + len(y) + (clock >= 0))
+    status = status_of(result)
+    failed = status != SUCCESS and status != TOO_MANY_STEPS and status != TOO_MANY_STEPS_SO_FAR
+    out[0], out[1], out[2], out[3] = status, time_of(result), saved, steps_of(result) - failed
+    out[4] = arguments_of(result)[RHS_CALLS]  # CyRK works on a copy of the data
+    out[5], out[6] = 0.0, np.nan
+    join(state_of(result), out[1], data, clock, out[KNOWN:])
+    free(result)
+    return out
+
+
+@numba.njit(cache=True)
+def separate(start, data, clock):  # type: ignore[no-untyped-def]
+    """What CyRK is given of a packed state: the vector less the time, and data of the run's own with it."""
+    y, own = np.empty(len(start) - (clock >= 0)), data.copy()
+    split(start, y, own, clock)
+    return y, own
+
+
+@numba.njit(cache=True)
+def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state at the end."""
+    y, own = separate(start, data, clock)
+    result = solve(rhs, method, y, own, np.empty(0), end, rtol, atol, max_steps)
+    return facts(result, y, own, clock, status_of(result) == SUCCESS)
+
+
+@numba.njit(cache=True)
+def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """`to_end` for one start (n, d) after the other, a row each."""
+    out = np.empty((len(starts), KNOWN + starts.shape[1]))
+    for k in range(len(starts)):
+        row = to_end(starts[k], rhs, method, data, clock, end, rtol, atol, max_steps)
+        for i in range(len(row)):
+            out[k, i] = row[i]
+    return out
+
+
+@numba.njit(cache=True)
+def at_times(start, times, out, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached."""
+    y, own = separate(start, data, clock)
+    d, row = len(y), np.empty(len(y))
+    result = solve(rhs, method, y, own, times, end, rtol, atol, max_steps)
+    saved: Any = min(np.int64(size_of(result)), len(times))
+    states = states_of(result)
+    for k in range(saved):
+        for i in range(d):
+            row[i] = states[k * d + i]
+        join(row, times[k], own, clock, out[k])
+    if saved == len(times):  # the last time is the solver's own, no interpolation
+        join(state_of(result), times[-1], own, clock, out[saved - 1])
+    return facts(result, y, own, clock, saved)
+
+
+def number(method: str) -> int:
+    """Return CyRK's number of a method."""
+    return int(find_ode_method_int(method))
+
+
+def message(status: int) -> str:
+    """Return what a status means, in CyRK's words."""
+    return str(get_error_message(status)).rstrip(".")
