@@ -33,6 +33,8 @@ LETTER, APART = 0.1, 0.2
 #: a curve of more points than this has markers at some of them
 MARKED = 16
 OTHERS = "other methods"
+#: numbers with more digits than are seen
+DIGITS = re.compile(r"-?\d+\.\d{3,}")
 RC: dict[Any, Any] = {
     "font.size": 10.5,
     "axes.titlesize": 10.5,
@@ -106,7 +108,9 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
             (x, y) for x, y in zip(curve.x, curve.y, strict=True) if left <= x <= right and low <= y <= high
         ]
         if curve.label and not curve.muted and inside:
-            at = max(inside, key=lambda point: axes.transLimits.transform(axes.transScale.transform(point))[0])
+            at = max(
+                inside, key=lambda point: axes.transLimits.transform(axes.transScale.transform(point))[0]
+            )
             ends[curve.label] = (
                 axes.transLimits.transform(axes.transScale.transform(at))[1],
                 curve,
@@ -168,7 +172,9 @@ def seen(panel: Panel, which: str) -> list[float]:
 
     values = list(getattr(panel.heat, which)) if panel.heat else []
     for curve in panel.curves:
-        bars = zip(curve.low, curve.high, strict=True) if curve.low and not curve.muted else [()] * len(curve.x)
+        bars = (
+            zip(curve.low, curve.high, strict=True) if curve.low and not curve.muted else [()] * len(curve.x)
+        )
         for x, y, bar in zip(curve.x, curve.y, bars, strict=True):
             if inside(panel.x, x) and inside(panel.y, y):
                 values += [x] if which == "x" else [v for v in (y, *bar) if inside(panel.y, v)]
@@ -242,7 +248,9 @@ def shade(axes: Axes, span: Span) -> None:
 def sphere(axes: Any) -> None:
     """Draw a faint wire sphere of radius one."""
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 17), np.linspace(0, np.pi, 9))
-    axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color="#dddddd", linewidth=0.4)
+    axes.plot_wireframe(
+        np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color="#dddddd", linewidth=0.4
+    )
 
 
 def heat(axes: Axes, data: Heat) -> None:
@@ -298,11 +306,18 @@ def svg(figure: Figure) -> str:
         drawing.savefig(file, format="svg", metadata={"Date": None})
     plt.close(drawing)
     text = re.sub(r"\s*<metadata>.*?</metadata>|\s*<!--.*?-->", "", file.getvalue(), flags=re.DOTALL)
-    text = re.sub(r"-?\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), text)
+    text = re.sub("<[^>]*>", lambda tag: DIGITS.sub(shortened, tag[0]), text)
     styles: dict[str, str] = {}
-    text = re.sub(r'style="([^"]*)"', lambda style: f'class="{styles.setdefault(style[1], f"s{len(styles)}")}"', text)
+    text = re.sub(
+        r'style="([^"]*)"', lambda style: f'class="{styles.setdefault(style[1], f"s{len(styles)}")}"', text
+    )
     rules = "".join(f".{name}{{{style}}}" for style, name in styles.items())
     return text.replace("<defs>", f"<style>{rules}</style>\n <defs>", 1)
+
+
+def shortened(number: re.Match[str]) -> str:
+    """Return a number with two decimals: hundredths of a point."""
+    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
 
 
 def save(figure: Figure, folder: Path, png: bool = False) -> list[Path]:

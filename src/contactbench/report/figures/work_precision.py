@@ -35,9 +35,8 @@ def panel(rows: pd.DataFrame, title: str, column: str, named: Sequence[str] = ()
     """
     label, size = AXES[column]
     known = rows[rows[column].notna() & (rows[column] > 0)]
-    curves = by_method(known.sort_values(column, kind="stable"), "solution_error", column, size)
+    curves = by_method(known, "solution_error", column, size)
     x = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=ERRORS)
-
 
     def score(curve: Curve, own: Sequence[Curve]) -> float:
         return cheapest(curve, own) + len(DECADES) * (curve.method in named)
@@ -62,7 +61,9 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     panels = tuple(panel(rows, kind.title, kind.cost, named) for kind, rows in parts.items() if len(rows))
     if not panels:
         return None
-    caption = f"Cheaper below. {COLOURS} Costs beyond 30 times the least of the contest are outside the panels."
+    caption = (
+        f"Cheaper below. {COLOURS} Costs beyond 30 times the least of the contest are outside the panels."
+    )
     name = f"work_precision_{scene}"
     return Figure(name, title, panels, caption, source=SOURCE)
 
@@ -79,7 +80,8 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     at = f"at {power(row['error'])}"
     if row["winner"] not in (CONTACT, "other"):
         return f"{scene}: {row['contact']} and {row['other']} take about the same time {at}", [
-            row["contact"], row["other"]
+            row["contact"],
+            row["other"],
         ]
     first, second, ratio = row["contact"], row["other"], row["ratio"]
     if row["winner"] != CONTACT:
@@ -97,9 +99,11 @@ def live(frames: dict[str, pd.DataFrame]) -> Live | None:
                 panels[str(scene), kind.title] = panel(rows, f"{scene}: {kind.title}", kind.cost)
     for scene in dict.fromkeys(hard["scene"]):
         rows = hard[(hard["scene"] == scene) & (hard["status"] == "ok") & hard["rhs_equivalents"].notna()]
-        rows = rows[rows["solution_error"].notna()]
+        rows = rows[rows["solution_error"].notna()].sort_values("rhs_equivalents", kind="stable")
         if len(rows) and (str(scene), EVALUATIONS.title) not in panels:
-            panels[str(scene), EVALUATIONS.title] = panel(rows, f"{scene}: {EVALUATIONS.title}", "rhs_equivalents")
+            panels[str(scene), EVALUATIONS.title] = panel(
+                rows, f"{scene}: {EVALUATIONS.title}", "rhs_equivalents"
+            )
     if not panels:
         return None
     return Live("Cost against error", panels, f"Cheaper below. {COLOURS} Click a method to hide it.")
