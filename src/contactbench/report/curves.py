@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,9 +20,8 @@ def number_axis(label: str, inverted: bool = False) -> Axis:
     return Axis(label.partition(";")[0], "log", inverted)
 
 
-def round_off(axis: Literal["x", "y"]) -> Span:
-    """Return the span of deviations that are round-off."""
-    return Span(axis, FLOOR, STRUCTURE, "round-off")
+#: deviations that are round-off
+ROUND_OFF = Span(FLOOR, STRUCTURE, "round-off")
 
 
 def floats(values: Iterable[Any]) -> tuple[float, ...]:

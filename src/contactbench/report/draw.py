@@ -7,6 +7,7 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,8 @@ from contactbench.report.numbers import SUPERSCRIPTS
 
 #: inches: a figure's width by its panels in a row, the height of a panel
 WIDTHS, HEIGHT = {1: 8.0, 2: 9.6, 3: 11.0}, 4.2
-#: inches of a character of the title, and between names in the margin
-LETTER, APART = 0.1, 0.2
+#: inches of a character of the title, between names in the margin, and of a line of title or legend
+LETTER, APART, LINE = 0.1, 0.2, 0.24
 #: a curve of more points than this has markers at some of them
 MARKED = 16
 OTHERS = "other methods"
@@ -44,6 +45,8 @@ RC: dict[Any, Any] = {
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
+    "legend.fontsize": 9.5,
+    "legend.handlelength": 3,
     "figure.constrained_layout.w_pad": 0.08,
     "lines.scale_dashes": True,
     "svg.hashsalt": "contactbench",
@@ -93,56 +96,36 @@ def add(axes: Axes, curve: Curve, three: bool) -> None:
 
 def entries(curves: Iterable[Curve]) -> dict[str, Line2D]:
     """Return a line for the legend for each label, in the order met; the muted ones share one."""
-    curves = list(curves)
-    named = {plain(c.label): Line2D([], [], **properties(c)) for c in curves if c.label and not c.muted}
-    muted = {OTHERS: Line2D([], [], **properties(c)) for c in curves if c.muted}
-    return named | muted
+    ordered = sorted(curves, key=lambda curve: curve.muted)
+    named = {OTHERS if curve.muted else plain(curve.label): curve for curve in ordered}
+    return {label: Line2D([], [], **properties(curve)) for label, curve in named.items() if label}
 
 
 def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
     """Write the name of each curve right of the axes, beside its last point where there is room."""
-    (left, right), (low, high) = (sorted(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
-    ends: dict[str, tuple[float, Curve, tuple[float, float]]] = {}
+    ends = []
     for curve in curves:
-        inside = [
-            (x, y) for x, y in zip(curve.x, curve.y, strict=True) if left <= x <= right and low <= y <= high
-        ]
-        if curve.label and not curve.muted and inside:
-            at = max(
-                inside, key=lambda point: axes.transLimits.transform(axes.transScale.transform(point))[0]
-            )
-            ends[curve.label] = (
-                axes.transLimits.transform(axes.transScale.transform(at))[1],
-                curve,
-                at,
-            )
-    gap = APART / HEIGHT
-    heights = spread([height for height, _, _ in ends.values()], gap)
-    for (_, curve, at), height in zip(ends.values(), heights, strict=True):
+        points = np.column_stack([curve.x, curve.y])
+        places = axes.transLimits.transform(axes.transScale.transform(points))
+        inside = np.flatnonzero((places >= 0).all(axis=1) & (places <= 1).all(axis=1))
+        if curve.label and not curve.muted and len(inside):
+            last = inside[np.argmax(places[inside, 0])]
+            ends.append((places[last, 1], points[last], curve))
+    heights = spread([height for height, _, _ in ends], APART / HEIGHT)
+    for (_, point, curve), height in zip(ends, heights, strict=True):
         color = properties(curve)["color"]
         line = {"arrowstyle": "-", "color": color, "linewidth": 0.7, "alpha": 0.6, "shrinkB": 4, "shrinkA": 1}
-        axes.annotate(
-            plain(curve.label),
-            at,
-            (1.03, height),
-            textcoords="axes fraction",
-            va="center",
-            fontsize=10,
-            color=color,
-            arrowprops=line,
-        )
+        place = {"xytext": (1.03, height), "textcoords": "axes fraction", "va": "center"}
+        axes.annotate(plain(curve.label), point, **place, color=color, arrowprops=line, gid="name")
     if any(curve.muted for curve in curves):
-        axes.text(
-            1.03, min([*heights, 2 * gap]) - 1.5 * gap, f"grey: {OTHERS}", transform=axes.transAxes, fontsize=9,
-            color="#777777", va="center",
-        )  # fmt: skip
+        axes.text(1.03, -0.06, f"grey: {OTHERS}", transform=axes.transAxes, fontsize=9, color="#777777")
 
 
 def spread(heights: Sequence[float], gap: float) -> list[float]:
     """Return heights that are at least `gap` apart and below one, in the same order, moved as little as is simple."""
-    order = np.argsort(heights, kind="stable")
     placed = np.array(heights, dtype=float)
-    for below, above in zip(order, order[1:], strict=False):
+    order = np.argsort(placed, kind="stable")
+    for below, above in pairwise(order):
         placed[above] = max(placed[above], placed[below] + gap)
     ceiling = 1.0
     for i in order[::-1]:
@@ -229,20 +212,12 @@ def draw_panel(axes: Any, panel: Panel) -> None:
 
 
 def shade(axes: Axes, span: Span) -> None:
-    """Draw a span, and its label where it is seen: in the first corner of the span, above a line."""
-    low, high = sorted(axes.get_ylim() if span.axis == "y" else axes.get_xlim())
-    draw = {("x", True): axes.axvline, ("y", True): axes.axhline, ("x", False): axes.axvspan}
-    line = span.low == span.high
-    ends = [span.low] if line else [span.low, span.high]
-    look = {"color": "#bbbbbb", "linewidth": 0.9} if line else {"color": "#f0f4ff"}
-    draw.get((span.axis, line), axes.axhspan)(*ends, zorder=0, **look)
-    place = (0.01, span.high)
-    room = axes.transAxes.inverted().transform(axes.transData.transform((1.0, span.high)))[1]
-    if span.axis == "y" and (0.08 if not line else 0) < room < 1:
-        axes.text(
-            *place, plain(span.label), transform=axes.get_yaxis_transform(), color="#5566aa", fontsize=9,
-            va="bottom" if line else "top",
-        )  # fmt: skip
+    """Draw a horizontal band, and its label in its first corner where enough of it is seen."""
+    axes.axhspan(span.low, span.high, zorder=0, color="#f0f4ff")
+    top = axes.transAxes.inverted().transform(axes.transData.transform((1.0, span.high)))[1]
+    if 0.08 < top < 1:
+        style: dict[str, Any] = {"color": "#5566aa", "fontsize": 9, "va": "top"}
+        axes.text(0.01, span.high, plain(span.label), transform=axes.get_yaxis_transform(), **style)
 
 
 def sphere(axes: Any) -> None:
@@ -257,10 +232,8 @@ def heat(axes: Axes, data: Heat) -> None:
     """Draw a colour map, with the contour where its values are zero."""
     values = np.array(data.values)
     limit = float(np.nanmax(np.abs(values))) or 1.0
-    image = axes.pcolormesh(
-        data.x, data.y, values, cmap="RdBu_r", norm=TwoSlopeNorm(0.0, -limit, limit), shading="nearest",
-        rasterized=True,
-    )  # fmt: skip
+    style: dict[str, Any] = {"cmap": "RdBu_r", "norm": TwoSlopeNorm(0.0, -limit, limit), "rasterized": True}
+    image = axes.pcolormesh(data.x, data.y, values, shading="nearest", **style)
     if data.zero and np.nanmin(values) < 0 < np.nanmax(values):
         axes.contour(data.x, data.y, values, [0.0], colors="#DDAA33", linewidths=4)
     axes.grid(visible=False)
@@ -270,21 +243,20 @@ def heat(axes: Axes, data: Heat) -> None:
 # -- figures ---------------------------------------------------------------------------------------
 def render(figure: Figure) -> Drawing:
     """Return a matplotlib figure."""
+    panels = figure.panels
+    across = min(figure.across, len(panels))
+    down = -(-len(panels) // across)
+    width = WIDTHS[across]
+    title = textwrap.fill(plain(figure.title), int(width / LETTER))
+    legend = entries(curve for panel in panels for curve in panel.curves)
+    margin = len(panels) == 1 and not panels[0].equal and all(curve.line for curve in panels[0].curves)
+    columns = max(1, int(width / (0.8 + LETTER * max(map(len, legend), default=1))))
+    rows = 0 if margin or figure.legend == "each" else -(-len(legend) // columns)
+    height = down * min(HEIGHT, 0.8 * width / across) + LINE * (title.count("\n") + 1 + rows)
     with plt.rc_context(RC):
-        across = min(figure.across, len(figure.panels))
-        down = -(-len(figure.panels) // across)
-        width = WIDTHS.get(across, 3.7 * across)
-        legend = entries(c for panel in figure.panels for c in panel.curves)
-        one = len(figure.panels) == 1 and not figure.panels[0].equal
-        margin = one and all(curve.line for curve in figure.panels[0].curves)
-        below = figure.legend == "shared" and not margin and len(legend) > 0
-        columns = max(1, int(width / (0.8 + LETTER * max(map(len, legend), default=1))))
-        title = textwrap.fill(plain(figure.title), int(width / LETTER))
-        height = HEIGHT if one else min(HEIGHT, 0.8 * width / across)
-        total = down * height + 0.24 * (title.count("\n") + 1) + 0.24 * below * -(-len(legend) // columns)
-        drawing = plt.figure(figsize=(width, total), layout="constrained")
+        drawing = plt.figure(figsize=(width, height), layout="constrained")
         drawing.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
-        for i, panel in enumerate(figure.panels):
+        for i, panel in enumerate(panels):
             axes = drawing.add_subplot(down, across, i + 1, projection="3d" if panel.z is not None else None)
             draw_panel(axes, panel)
             own = entries(panel.curves)
@@ -292,11 +264,9 @@ def render(figure: Figure) -> Drawing:
                 axes.legend(own.values(), own.keys(), fontsize=9)
             elif margin:
                 name_in_margin(axes, panel.curves)
-        if below:
-            drawing.legend(
-                legend.values(), legend.keys(), loc="outside lower left", ncols=columns, fontsize=9.5, handlelength=3
-            )  # fmt: skip
-        return drawing
+        if rows:
+            drawing.legend(legend.values(), legend.keys(), loc="outside lower left", ncols=columns)
+    return drawing
 
 
 def svg(figure: Figure) -> str:

@@ -59,9 +59,8 @@ class Curve:
 
 @dataclass(frozen=True)
 class Span:
-    """A shaded range of one axis, behind the curves; low = high: a line.  label: written in it."""
+    """A shaded range of y, behind the curves.  label: written in it."""
 
-    axis: Literal["x", "y"]
     low: float
     high: float
     label: str = ""

@@ -6,7 +6,7 @@ import math
 
 import pandas as pd
 
-from contactbench.report.curves import by_method, number_axis, round_off
+from contactbench.report.curves import ROUND_OFF, by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, in_colour, like, lowest, structure_class
 from contactbench.report.numbers import power
@@ -45,7 +45,7 @@ def along_time(frame: pd.DataFrame, scene: str, laws: pd.DataFrame) -> Figure:
             Axis("t"),
             number_axis(label),
             like(closest, by_method(rows, "t", column)),
-            spans=(round_off("y"),),
+            spans=(ROUND_OFF,),
         )
         for column, (title, label) in ALONG_TIME.items()
         if rows[column].notna().any()

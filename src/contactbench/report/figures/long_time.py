@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from contactbench.report.curves import by_method, round_off
+from contactbench.report.curves import ROUND_OFF, by_method
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import power
 from contactbench.results.contest import CONTACT
@@ -26,7 +26,7 @@ def pairs(frame: pd.DataFrame) -> Iterator[Figure]:
     if len(rows):
         curves = by_method(rows, "evaluations_per_time", "pairing_defect")
         x, y = Axis("evaluations per unit of time", "log"), Axis("pairing defect per unit of time", "log")
-        panel = Panel("", x, y, curves, spans=(round_off("y"),))
+        panel = Panel("", x, y, curves, spans=(ROUND_OFF,))
         caption = "Root mean square of $λ_1 + λ_2 + γ$ over one period. Shaded: round-off."
         yield Figure("pairing", message(rows), (panel,), caption, source="long_time.csv")
 

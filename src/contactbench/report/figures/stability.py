@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from contactbench.report.curves import by_method, floats
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.curves import by_method
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, family_and_order, highest
 
 
@@ -34,6 +34,6 @@ def message(rows: pd.DataFrame) -> str:
     best = finite.loc[finite["scaled"].idxmax()]
     free = ", ".join(last[np.isinf(last["scaled"])]["method"])
     return (
-        f"At γ = {best['ratio']:g} ω {best['method']} is stable to {best['scaled']:.2g}/ω an evaluation, the median "
+        f"At γ = {best['ratio']:g} ω {best['method']} is stable to {best['scaled']:.3g}/ω an evaluation, the median "
         f"method to {last['scaled'].median():.2g}/ω" + (f"; {free} at any step" if free else "")
     )

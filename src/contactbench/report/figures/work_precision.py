@@ -12,9 +12,8 @@ from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
 from contactbench.report.figures.best import TARGETS as DECADES
 from contactbench.report.figures.best import best_of_each, cheapest, contest_ends
 from contactbench.report.numbers import power
-from contactbench.results.contest import (
-    CONTACT, COMPILED, EVALUATIONS, KINDS, TARGETS, Kind, contestants, contests, costs,
-)  # fmt: skip
+from contactbench.results import contest
+from contactbench.results.contest import COMPILED, EVALUATIONS, KINDS, Kind, contestants
 
 SOURCE = "work_precision.csv"
 #: where errors begin and end: beyond one there is nothing left of the motion, below round-off nothing is known
@@ -31,7 +30,8 @@ COLOURS = "In colour: the method of each family that is cheapest at most errors;
 def panel(rows: pd.DataFrame, title: str, column: str, named: Sequence[str] = ()) -> Panel:
     """Return error on x, cost on y; the axis of cost ends where the contest ends.
 
-    named : methods to be in colour, whatever others of their families cost.  A difference of two times that is not positive is noise, and no cost.
+    named : methods to be in colour, whatever others of their families cost.
+    A difference of two times that is not positive is noise, and no cost.
     """
     label, size = AXES[column]
     known = rows[rows[column].notna() & (rows[column] > 0)]
@@ -72,19 +72,19 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     """Return the title and the methods it names: the best contact method beside the best other, compiled, at the
     middle of the errors that both reach."""
     rows = contestants(work)
-    table = contests(costs(rows[rows["scene"] == scene], COMPILED, targets=TARGETS))
+    table = contest.contests(contest.costs(rows[rows["scene"] == scene], COMPILED, targets=contest.TARGETS))
     table = table[np.isfinite(table["ratio"]) & (table["ratio"] > 0)]
     if not len(table):
         return f"{scene}: cost against error", []
     row = table.iloc[(len(table) - 1) // 2]
     at = f"at {power(row['error'])}"
-    if row["winner"] not in (CONTACT, "other"):
+    if row["winner"] not in (contest.CONTACT, contest.OTHER):
         return f"{scene}: {row['contact']} and {row['other']} take about the same time {at}", [
             row["contact"],
             row["other"],
         ]
     first, second, ratio = row["contact"], row["other"], row["ratio"]
-    if row["winner"] != CONTACT:
+    if row["winner"] == contest.OTHER:
         first, second, ratio = second, first, 1 / ratio
     return f"{scene}: {first} needs {1 / ratio:.0%} of the time of {second} {at}", [first, second]
 
