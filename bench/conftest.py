@@ -1,4 +1,4 @@
-"""Collects the rows the experiments make, journals them, and folds them into the result tables."""
+"""Keeps the rows of every cell as it is finished, and merges them into the result tables."""
 
 from __future__ import annotations
 
@@ -24,18 +24,16 @@ from contactbench.errors import BadInput
 from contactbench.measure.clock import MOST_VISITS, VISITS
 from contactbench.methods import METHODS
 from contactbench.methods.engines import ENGINES
-from contactbench.results import journal, provenance
+from contactbench.results import provenance
+from contactbench.results.cells import Cell, Cells
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import TABLES
 from contactbench.results.store import OldTable, read
-from contactbench.results.tables import WORK_PRECISION
 
 SHUFFLE_SEED = 20
 #: what this process may use before it is bound to one of them
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 REPOSITORY = Path(__file__).resolve().parents[1]
-#: what the untimed cells of this run that have one row have made, by their identity
-MADE = pytest.StashKey[dict[journal.Cell, dict[str, Any]]]()
 
 
 @dataclass(frozen=True)
@@ -82,16 +80,17 @@ def pytest_configure(config: pytest.Config) -> None:
     config.profile = PROFILES[config.getoption("--profile")]
     worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
     config.controls = worker is None
-    config.stash[MADE] = {}
+    config.begun = False
     if worker or not config.getoption("numprocesses", None):
         pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
-    run_id = worker["run_id"] if worker else provenance.new_run_id()
-    config.journal = journal.Journal(config.getoption("--results").resolve(), run_id)
+    run = worker["run"] if worker else (provenance.new_run_id(), selection(config))
+    config.cells = Cells(config.getoption("--results").resolve(), config.profile.name, *run)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    node.workerinput["run_id"] = node.config.journal.run_id
+    cells = node.config.cells
+    node.workerinput["run"] = (cells.run, cells.selection)
 
 
 def pin_to_one_core(which: int) -> None:
@@ -162,47 +161,45 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 @cache
 def programs_of(module: str, config: pytest.Config) -> dict[str, Any]:
     """What the programs of all cells of an experiment depend on, by the names pytest gives the cells."""
-    tests = [test for test in vars(import_module(module)).values() if hasattr(test, "cells")]
     return {
         f"{test.__name__}[{name}]": family(cell)
-        for test in tests
+        for test in tests_of(module)
         for name, cell in named(test, config).items()
     }
 
 
 @pytest.hookimpl(tryfirst=True)  # before a worker of pytest-xdist says what it has collected
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """What --resume leaves out; a new run takes its cells off the list of what is done."""
-    if not session.config.getoption("collectonly"):
-        with full_disk():
-            leave_out_what_is_done(session.config, session.items)
-
-
-def leave_out_what_is_done(config: pytest.Config, items: list[pytest.Item]) -> None:
-    results, name = config.journal.results, config.profile.name
-    if not selection(config):
-        config.journal.expect(
-            cell for module in {item.module for item in items} for cell in all_of(module, config)
-        )
-    if not config.getoption("--resume"):
-        journal.begin_anew(results, name, map(_identity, items), selection(config))
+    """Leave out what is done already, if the run is one that resumes."""
+    config, items = session.config, session.items
+    if config.getoption("collectonly"):
         return
-    done = journal.done(results, name, selection(config))
-    config.hook.pytest_deselected(items=[item for item in items if _identity(item) in done])
-    items[:] = [item for item in items if _identity(item) not in done]
-    if any(item.function.times for item in items):
-        config.stash[MADE] |= journal.rows_of(WORK_PRECISION, done, results, name)
+    with full_disk():
+        if not config.getoption("--resume"):
+            config.cells.begin_anew()
+            return
+    done = config.cells.done()
+    config.hook.pytest_deselected(items=[item for item in items if identity(item) in done])
+    items[:] = [item for item in items if identity(item) not in done]
 
 
-def _identity(item: pytest.Item) -> journal.Cell:
+def identity(item: pytest.Item) -> Cell:
     return (item.path.name, item.name)
 
 
-def all_of(module: Any, config: pytest.Config) -> list[journal.Cell]:
-    """The identities of all cells of an experiment, as pytest names them."""
-    tests = [test for test in vars(module).values() if hasattr(test, "cells")]
-    file = Path(module.__file__).name
-    return [(file, f"{test.__name__}[{name}]") for test in tests for name in named(test, config)]
+def all_cells(config: pytest.Config) -> list[Cell]:
+    """Return all cells of all experiments, as pytest names them."""
+    files = sorted(Path(__file__).parent.glob("bench_*.py"))
+    return [
+        (file.name, f"{test.__name__}[{name}]")
+        for file in files
+        for test in tests_of(file.stem)
+        for name in named(test, config)
+    ]
+
+
+def tests_of(module: str) -> list[Any]:
+    return [test for test in vars(import_module(module)).values() if hasattr(test, "cells")]
 
 
 def selection(config: pytest.Config) -> str:
@@ -218,23 +215,22 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if not config.controls or config.getoption("collectonly"):
         return
-    results = config.journal.results
     try:
         for each in TABLES.values():  # refused now rather than after ten minutes
             readable(each, config)
-        journal.fold_dead_runs(results)
-        config.journal.open(provenance.environment(config.profile.name, SHUFFLE_SEED))
+        config.cells.begin(provenance.environment(config.profile.name, SHUFFLE_SEED))
     except (BadInput, OSError) as error:
-        raise pytest.UsageError(f"--results {results}: {error}") from None
+        raise pytest.UsageError(f"--results {config.cells.results}: {error}") from None
+    config.begun = True
 
 
 def readable(table: Any, config: pytest.Config) -> None:
     """Refuse files that are no tables, and, before a part of them is run, tables of another version: a whole
     run replaces those."""
     try:
-        read(table, config.journal.results)
+        read(table, config.cells.results)
     except OldTable:
-        if selection(config):
+        if config.cells.selection:
             raise
 
 
@@ -246,16 +242,14 @@ def pytest_runtest_call(item: pytest.Item) -> Any:
         finished = True
         return result
     finally:
-        if finished and len(item.rows) == 1:
-            item.config.stash[MADE][_identity(item)] = item.rows[0][1]
         with full_disk():
-            if item.rows or not item.later:
-                item.config.journal.append(item.rows, _identity(item) if finished else None)
+            if item.rows or (finished and not item.later):
+                item.config.cells.save(item.rows, identity(item), finished)
 
 
 @contextmanager
 def full_disk() -> Iterator[None]:
-    """A disk that takes no more ends the run in one line; what was journalled before is there."""
+    """End the run in one line where the disk takes no more; what was finished before is there."""
     try:
         yield
     except OSError as error:
@@ -302,7 +296,8 @@ def record(record_all: Callable[..., None]) -> Callable[..., None]:
 def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
     """The row that the untimed test of a timed cell has made in this run; None where it was left out."""
     name = f"{request.function.times.__name__}[{request.node.callspec.id}]"
-    return request.config.stash[MADE].get((request.node.path.name, name))
+    rows = request.config.cells.rows((request.node.path.name, name))
+    return rows[0][1] if rows else None
 
 
 def engine_of(item: pytest.Item) -> str:
@@ -321,7 +316,7 @@ def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
         for each in request.session.items
         if each.module is request.module and "clock" in each.fixturenames
     ]
-    table = Timetable({_identity(item): engine_of(item) for item in items}, request.config.profile.visits)
+    table = Timetable({identity(item): engine_of(item) for item in items}, request.config.profile.visits)
     try:
         yield table
         if not table.ahead:  # else the run was interrupted
@@ -339,16 +334,16 @@ def clock(request: pytest.FixtureRequest, timetable: Timetable | None, record: C
     def later(which: Any, row: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
         """Record the row of this cell when its times are known: it is done then."""
         item.later = True
-        journal, made = item.config.journal, complete(which, row, profile)
-        return lambda columns: journal.append([(which, made | columns)], _identity(item))
+        untimed = complete(which, row, profile)
+        return lambda columns: item.config.cells.save([(which, untimed | columns)], identity(item))
 
     benchmark = None
     if timetable is not None:
-        timetable.ahead.discard(_identity(item))
+        timetable.ahead.discard(identity(item))
         if item.config.pluginmanager.hasplugin("benchmark"):
             benchmark = request.getfixturevalue("benchmark")
             benchmark.group = item.path.stem
-    return Clock(timetable, _identity(item), record, later, benchmark)
+    return Clock(timetable, identity(item), record, later, benchmark)
 
 
 @pytest.fixture
@@ -358,16 +353,16 @@ def profile(request: pytest.FixtureRequest) -> Profile:
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     config = session.config
-    if not config.controls or not config.journal.alive.is_locked:
+    if not config.begun:
         return
     with full_disk():
-        config.journal.close()
+        config.cells.merge(() if config.cells.selection else all_cells(config))
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:  # all done, or none in this phase of the run
         session.exitstatus = pytest.ExitCode.OK
     if config.getoption("--report"):
         try:
             with full_disk():
-                write_report(config.journal.results)
+                write_report(config.cells.results)
         except BadInput as error:  # a table that this run did not make is of another version
             config.get_terminal_writer().line(f"\nno report: {error}", red=True)
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

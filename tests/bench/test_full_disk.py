@@ -13,7 +13,7 @@ FULL = """
 import errno
 import contactbench as cb
 from contactbench.methods import METHODS
-from contactbench.results import journal
+from contactbench.results import cells
 
 METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))
 
@@ -26,11 +26,11 @@ def full(once):
         return once(*arguments)
     return write
 
-journal.{name} = full(journal.{name})
+cells.{name} = full(cells.{name})
 """
 
 
-@pytest.mark.parametrize(("name", "after"), few_slow([("Journal.append", 1), ("merge", 0)], ("merge", 0)))
+@pytest.mark.parametrize(("name", "after"), few_slow([("Cells.save", 1), ("merge", 0)], ("merge", 0)))
 def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, tmp_path):
     fault, results = tmp_path / "full.py", tmp_path / "results"
     fault.write_text(FULL.format(name=name, after=after))

@@ -330,10 +330,10 @@ def damaged(name, old, new):
 #: what is done to a folder, and the one line that comes of it
 DAMAGE = {
     "no environment": (lambda r: (r / "environment.json").unlink(), "environment.json: missing; the folder holds no"),
-    "odd environment": (lambda r: (r / "environment.json").write_text("[1]"), "run 1: '1' is no record"),
+    "odd environment": (lambda r: (r / "environment.json").write_text("[1]"), "no list of runs"),
     "broken environment": (
         lambda r: (r / "environment.json").write_text('{"runs": [\n{"profile": smoke}]}'),
-        "environment.json, line 2, column 13: Expecting value",
+        "Expecting value: line 2 column 13",
     ),
     "a record with other types": (
         damaged("environment.json", '"packages": {"jax": "1"}', '"packages": "jax"'), "run 1: 'packages'",

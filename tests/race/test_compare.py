@@ -325,11 +325,11 @@ def test_text_page_and_plot_say_the_same(frame, tmp_path):
     assert "not claimed" in text
     assert "contact-exact: unsupported" in text
     assert "src=" not in page  # one file, nothing to fetch
-    from contactbench.report.draw import drawn
+    from contactbench.report.draw import render
 
     figure = show.figure(frame)
     assert [panel.title for panel in figure.panels] == ["Compiled", "Calling back into Python", "Evaluations"]
-    drawn(figure).savefig(tmp_path / "plot.svg")
+    render(figure).savefig(tmp_path / "plot.svg")
     assert (tmp_path / "plot.svg").stat().st_size > 10_000
 
 

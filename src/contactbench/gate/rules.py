@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.cells import DASH
+from contactbench.report.numbers import DASH
 from contactbench.results.round_off import STRUCTURE, floor
 from contactbench.results.schema import PROFILES, SPREAD, Rule
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 
-from contactbench.report.cells import DASH
 from contactbench.report.markdown import escaped, grid
+from contactbench.report.numbers import DASH
 
 #: lines that are not red listed at most
 LISTED = 20

@@ -34,6 +34,8 @@ LETTER, APART, LINE = 0.1, 0.2, 0.24
 #: a curve of more points than this has markers at some of them
 MARKED = 16
 OTHERS = "other methods"
+#: the mark of a file that was made here
+MADE_HERE = '<style id="contactbench">'
 #: numbers with more digits than are seen
 DIGITS = re.compile(r"-?\d+\.\d{3,}")
 RC: dict[Any, Any] = {
@@ -198,8 +200,9 @@ def draw_panel(axes: Any, panel: Panel) -> None:
         heat(axes, panel.heat)
     for curve in panel.curves:
         add(axes, curve, three)
-    scale(axes, "x", panel.x, seen(panel, "x"))
-    scale(axes, "y", panel.y, seen(panel, "y"))
+    free = panel.equal and panel.heat is None  # the aspect decides
+    scale(axes, "x", panel.x, [] if free else seen(panel, "x"))
+    scale(axes, "y", panel.y, [] if free else seen(panel, "y"))
     for span in panel.spans:
         shade(axes, span)
     if panel.z is not None:
@@ -282,7 +285,7 @@ def svg(figure: Figure) -> str:
         r'style="([^"]*)"', lambda style: f'class="{styles.setdefault(style[1], f"s{len(styles)}")}"', text
     )
     rules = "".join(f".{name}{{{style}}}" for style, name in styles.items())
-    return text.replace("<defs>", f"<style>{rules}</style>\n <defs>", 1)
+    return text.replace("<defs>", f"{MADE_HERE}{rules}</style>\n <defs>", 1)
 
 
 def shortened(number: re.Match[str]) -> str:

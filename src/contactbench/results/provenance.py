@@ -24,16 +24,15 @@ from contactbench.plugins import LOADED
 from contactbench.results.schema import TABLES
 from contactbench.results.store import replacing
 
-PACKAGES = (
-    "contactbench", "numpy", "scipy", "numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka",
-    "cyrk", "pandas", "matplotlib", "mpmath",
-)  # fmt: skip
+SOLVERS = ("numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka", "cyrk")
+PACKAGES = ("contactbench", "numpy", "scipy", *SOLVERS, "pandas", "matplotlib", "mpmath")
 #: what a benchmark itself writes: not a change of the sources
 MADE = ("results", "README.md")
-THREADS = (
-    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "XLA_FLAGS",
+CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", ".")
+THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + [
+    "XLA_FLAGS",
     "JAX_PLATFORMS",
-)  # fmt: skip
+]
 
 
 def environment(profile: str, seed: int) -> dict[str, Any]:
@@ -57,17 +56,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "threads": {name: os.environ.get(name, "") for name in THREADS},
         "commit": _git(root, "rev-parse", "HEAD"),
-        "dirty": bool(
-            _git(
-                root,
-                "status",
-                "--porcelain",
-                "--untracked-files=no",
-                "--",
-                ".",
-                *(f":!{made}" for made in MADE),
-            )
-        ),
+        "dirty": bool(_git(root, *CHANGES, *(f":!{made}" for made in MADE))),
         "plugins": dict(LOADED),
         "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
     }
@@ -106,7 +95,7 @@ def new_run_id() -> str:
 
 
 def runs(results: Path) -> list[dict[str, Any]]:
-    """The runs behind the tables of a folder, the oldest first; none where there is no record.
+    """Return the runs behind the tables of a folder, the oldest first; none where there is no record.
 
     Each is a record of `environment` with "run", its name, and "tables": table name → "whole" or "part".
     Raises `BadInput` for a file that is no such list.
@@ -116,43 +105,31 @@ def runs(results: Path) -> list[dict[str, Any]]:
         return []
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        at = f"line {error.lineno}, column {error.colno}"
-        raise BadInput(f"{path}, {at}: {error.msg}: not the record of a benchmark run; restore it") from None
-    except (OSError, UnicodeDecodeError, RecursionError) as error:
+        listed: Any = found.get("runs") if isinstance(found, dict) else None
+        why = fault(listed)
+    except (OSError, ValueError, RecursionError) as error:
         why = " ".join(str(error).split())[:100]
-        raise BadInput(f"{path}: {why}: not the record of a benchmark run; restore it") from None
-    if isinstance(found, dict):
-        found = (
-            found["runs"]
-            if "runs" in found
-            else [{"run": k, **v} for k, v in found.items() if isinstance(v, dict)]
-        )
-    if not isinstance(found, list) or not found:
-        raise BadInput(f"{path}: no list of runs: not the record of a benchmark run; restore it")
-    for k, run in enumerate(found):
-        wrong = odd(run)
-        if wrong:
-            raise BadInput(f"{path}, run {k + 1}: {wrong}: not the record of a benchmark run; restore it")
-    return [{"run": f"run {k + 1}", "tables": {}, **run} for k, run in enumerate(found)]
+    if why:
+        raise BadInput(f"{path}: {why}: not the record of a benchmark run; restore it")
+    return [{"run": f"run {k}", "tables": {}, **run} for k, run in enumerate(listed, start=1)]
 
 
-#: what a record has, as far as it is read
-TYPES = {
-    "run": str, "profile": str, "utc": str, "python": str, "cpu": str, "isa": str, "system": str, "commit": str,
-    "references": str, "packages": dict, "tables": dict, "threads": dict, "plugins": dict, "dirty": bool,
-    "cores": int, "cores_used": int,
-}  # fmt: skip
+#: types of what is read of a record; not every run has all of it, but each has a profile
+TYPES = {str: "run profile utc commit isa references", dict: "packages tables threads plugins", bool: "dirty"}
 
 
-def odd(run: Any) -> str:
-    """What is wrong with a record, empty where nothing is; not every run need have everything but a profile."""
-    if not isinstance(run, dict):
-        return f"{str(run)[:40]!r} is no record"
-    if "profile" not in run:
-        return "no 'profile'"
-    wrong = [name for name, type_ in TYPES.items() if name in run and not isinstance(run[name], type_)]
-    return f"{wrong[0]!r} is {str(run[wrong[0]])[:40]!r}" if wrong else ""
+def fault(listed: Any) -> str:
+    """Return what is wrong with a list of records, empty where nothing is."""
+    if not isinstance(listed, list) or not listed:
+        return "no list of runs"
+    for k, run in enumerate(listed, start=1):
+        if not isinstance(run, dict) or "profile" not in run:
+            return f"run {k}: no record with a profile"
+        for type_, names in TYPES.items():
+            for name in names.split():
+                if not isinstance(run.get(name, type_()), type_):
+                    return f"run {k}: {name!r} is {str(run[name])[:40]!r}"
+    return ""
 
 
 def save_run(
@@ -165,11 +142,9 @@ def save_run(
     mine = {"run": name, **record, "tables": {table: "whole" if table in whole else "part" for table in made}}
     before = []
     for run in runs(results):
-        if run["run"] == name:  # folded in several goes
+        if run["run"] == name:  # merged in several goes
             mine["tables"] = {**run["tables"], **mine["tables"]}
-        elif alike(run, mine):
-            continue
-        else:
+        elif not alike(run, mine):
             there = {table: part for table, part in run["tables"].items() if table in TABLES}
             kept = {table: part for table, part in there.items() if table not in whole}
             before += [{**run, "tables": kept}] if kept else []
@@ -179,8 +154,6 @@ def save_run(
 
 
 def alike(run: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Runs that differ in nothing but when they were: the later one speaks for both."""
-    clock = ("run", "utc")
-    return {k: v for k, v in run.items() if k not in clock} == {
-        k: v for k, v in other.items() if k not in clock
-    }
+    """Return whether two runs differ in nothing but when they were: the later one speaks for both."""
+    clock = {"run": "", "utc": ""}
+    return {**run, **clock} == {**other, **clock}

@@ -6,7 +6,7 @@ what a rerun reproduces, NAME_times.csv the key and what the clock said.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -89,14 +89,14 @@ SPREAD = "evaluations_spread"
 class Table:
     """A result table.
 
-    key : the columns that name a row.  whole : leading key columns of what is always made as a whole, a
-    new run replaces all its rows.  version : goes up when columns change so that old files mislead;
-    a column more or less does not (see `store.read`).
+    declared : its columns, or a function that returns them, where they depend on what is registered.  key : the
+    columns that name a row.  whole : leading key columns of what is always made as a whole, a new run replaces all
+    its rows.  version : goes up when columns change so that old files mislead; a column more or less does not.
     """
 
     name: str
     about: str
-    columns: Mapping[str, Column]
+    declared: Mapping[str, Column] | Callable[[], Mapping[str, Column]]
     key: tuple[str, ...] = KEY
     whole: tuple[str, ...] = ()
     version: int = 3
@@ -105,6 +105,11 @@ class Table:
         odd = [name for name in self.key if name not in self.columns or self.columns[name].timed]
         if odd:
             raise BadInput(f"table {self.name!r}: key columns {odd} must be columns without a clock")
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The table's own columns."""
+        return self.declared() if callable(self.declared) else self.declared
 
     @cached_property
     def every_column(self) -> dict[str, Column]:
@@ -140,8 +145,6 @@ class Table:
 TABLES: dict[str, Table] = Registry("table", Table)
 
 
-def table(name: str, about: str, columns: Mapping[str, Column], **options: Any) -> Table:
-    """A table, registered."""
-    made = Table(name, about, columns, **options)
-    TABLES.add(made)  # type: ignore[attr-defined]
-    return made
+def table(name: str, about: str, columns: Any, **options: Any) -> Table:
+    """Register a table and return it."""
+    return TABLES.add(Table(name, about, columns, **options))  # type: ignore[attr-defined]

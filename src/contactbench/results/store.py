@@ -12,7 +12,7 @@ import csv
 import logging
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,19 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.results.round_off import floor
-from contactbench.results.schema import Column, Table, Type
+from contactbench.results.schema import Column, Table
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
-FLAGS = {"True": True, "False": False}
+FLAGS = {"True": True, "False": False, True: True, False: False}
 DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool", "answer": "boolean"}
+#: entries of a column, in a message
+WORDS = {
+    "number": "finite number",
+    "whole": "whole number",
+    "flag": "True or False",
+    "answer": "True or False",
+}
 LOG = logging.getLogger("contactbench")
-_said: set[str] = set()
 
 
 class OldTable(BadInput):
@@ -37,14 +43,14 @@ class OldTable(BadInput):
 
 # -- reading ---------------------------------------------------------------------------------------
 def read(table: Table, results: Path) -> pd.DataFrame:
-    """The table's rows, typed, timed columns included; empty if there is no file.
+    """Return the table's rows, typed, timed columns included; none if there is no file.
 
     Columns that the files lack are blank, columns that the table does not know are left out with a note.
     Raises `OldTable` for a file of another version and `BadInput` for one that is not this table.
     """
     untimed, *times = table.files(results)
     if not untimed.exists():
-        return no_rows(tuple((name, column.type) for name, column in table.every_column.items())).copy()
+        return no_rows(table)
     frame = part(table, untimed)
     for path in times:
         if path.exists():
@@ -54,8 +60,13 @@ def read(table: Table, results: Path) -> pd.DataFrame:
     return typed(frame.reindex(columns=[*table.every_column]), table)
 
 
+def no_rows(table: Table) -> pd.DataFrame:
+    """Return the table without rows."""
+    return typed(pd.DataFrame(columns=[*table.every_column]), table)
+
+
 def part(table: Table, path: Path) -> pd.DataFrame:
-    """The rows of one of the table's files, keys typed, the rest as text."""
+    """Return the rows of one of the table's files, typed."""
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
@@ -63,10 +74,9 @@ def part(table: Table, path: Path) -> pd.DataFrame:
         raise BadInput(f"{path}: not a readable CSV ({why}); move it away or restore it") from None
     if "schema" not in frame or not set(table.key) & set(frame.columns):
         raise BadInput(f"{path}: columns are not those of table {table.name!r}; move it away or restore it")
-    short = frame["schema"].isna() | (frame["schema"] == "")  # every row ends with it
-    if short.any():
-        at = line(path, int(np.flatnonzero(short)[0]))
-        raise BadInput(f"{path}, line {at}: cut short; restore the file")
+    check(
+        path, frame, frame["schema"].isin(["", np.nan]), "cut short; restore the file"
+    )  # every row ends with it
     old = sorted(set(frame["schema"]) - {str(table.version)})
     if old:
         raise OldTable(
@@ -82,150 +92,122 @@ def part(table: Table, path: Path) -> pd.DataFrame:
         note(f"{path}: columns {unknown} are not known to this version and left out")
     frame = frame.drop(columns=unknown)
     for name in frame:
-        bad = damaged(frame[name], table.every_column[name])
-        if bad is not None:
-            what = f"{path}, line {line(path, bad)}, column {name!r}: {frame[name].iloc[bad]!r}"
-            raise BadInput(f"{what[:200]} is no {WORDS[table.every_column[name].type]}; restore the file")
+        column = table.every_column[name]
+        damaged = ~fits(frame[name], column)
+        check(path, frame, damaged, f"is no {WORDS.get(column.type)}; restore the file", name)
     frame = typed(frame, table)
     double = frame.duplicated(list(table.key))
-    if double.any():
-        at = line(path, int(np.flatnonzero(double)[0]))
-        raise BadInput(
-            f"{path}, line {at}: the key {table.key} of an earlier row; move it away or restore it"
-        )
+    check(path, frame, double, f"the key {table.key} of an earlier row; move it away or restore it")
     return frame
 
 
-#: what the entries of a column are, in a message
-WORDS = {
-    "text": "text",
-    "number": "finite number",
-    "whole": "whole number",
-    "flag": "True or False",
-    "answer": "True or False",
-}
-
-
-def damaged(values: pd.Series, column: Column) -> int | None:
-    """The first row of a column read as text whose entry is not of its type; blanks are no damage."""
-    text = values.to_numpy(dtype=object)
-    filled = np.flatnonzero(text != "")
-    if column.type == "text" or not len(filled):
-        return None
-    given = text[filled]
-    if column.type in ("flag", "answer"):
-        wrong = np.array([entry not in FLAGS for entry in given])
-    else:
-        numbers = pd.to_numeric(given, errors="coerce").astype(float)
-        wrong = ~np.isfinite(numbers)
-        if column.type == "whole":
-            wrong |= (numbers != np.round(numbers)) | (np.abs(numbers) > 2**53)
-        if column.infinite:
-            wrong &= (given != "inf") & (given != "-inf")
-    return int(filled[wrong][0]) if wrong.any() else None
-
-
-def line(path: Path, row: int) -> int:
-    """The line of a file on which a row ends; the header is the first."""
+def check(path: Path, frame: pd.DataFrame, wrong: pd.Series, why: str, column: str = "") -> None:
+    """Raise `BadInput` with the line of the first row that is wrong, if one is; the header is the first line."""
+    if not wrong.any():
+        return
+    row = int(np.flatnonzero(wrong)[0])
     with path.open(encoding="utf-8", newline="") as file:
         lines = csv.reader(file)
-        for number, _ in enumerate(lines):
-            if number > row:
-                break
-        return lines.line_num
+        for _ in range(row + 2):
+            next(lines)
+        at = f"{path}, line {lines.line_num}"
+    if column:
+        raise BadInput(f"{f'{at}, column {column!r}: {frame[column].iloc[row]!r}'[:200]} {why}")
+    raise BadInput(f"{at}: {why}")
 
 
+@cache
 def note(message: str) -> None:
-    """Say it once."""
-    if message not in _said:
-        _said.add(message)
-        LOG.warning(message)
+    """Log a message once."""
+    LOG.warning(message)
+
+
+def fits(values: pd.Series, column: Column) -> pd.Series:
+    """Return which entries of a column that was read as text are of its type; blanks are of every type."""
+    blank = values == ""
+    if column.type == "text":
+        return blank | True
+    if column.type in ("flag", "answer"):
+        return blank | values.isin([*FLAGS])
+    numbers = pd.to_numeric(values, errors="coerce").astype(float)
+    if column.type == "whole":
+        return blank | ((numbers == numbers.round()) & (numbers.abs() <= 2**53))
+    return blank | np.isfinite(numbers) | (column.infinite & values.isin(["inf", "-inf"]))
 
 
 def typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """The frame with its columns in the types of the table."""
-    columns = table.every_column
-    if frame.empty:
-        return pd.DataFrame({name: pd.Series(dtype=DTYPES[columns[name].type]) for name in frame})
-    for name in frame.columns:
-        values = frame[name]
-        try:
-            right = converted(values, columns[name])
-        except (ValueError, TypeError) as error:
-            raise BadInput(f"table {table.name!r}, column {name!r}: {error}") from None
-        if right is not values:
-            frame[name] = right
-    return frame
+    """Return the frame with its columns in the types of the table."""
+    try:
+        return pd.DataFrame({name: converted(frame[name], table.every_column[name]) for name in frame})
+    except (ValueError, TypeError) as error:
+        raise BadInput(f"table {table.name!r}, column {error}") from None
 
 
 def converted(values: pd.Series, column: Column) -> pd.Series:
-    """The values in the type of a column; blanks are missing, and empty text stays text.
+    """Return the values in the type of a column; blanks are missing, and missing text is empty.
 
-    Infinity is blank as well, where it is no value of the column.
+    No flag is not set, no answer is missing.  Infinity is blank as well, where it is no value of the column.
     """
-    if values.dtype == DTYPES[column.type] and (column.type != "text" or not values.hasnans):
-        if column.type != "number" or column.infinite or not np.isinf(values).any():
-            return values
-        return values.mask(np.isinf(values))
+    if (
+        values.dtype == DTYPES[column.type]
+        and column.type != "number"
+        and not (column.type == "text" and values.hasnans)
+    ):
+        return values
     if column.type == "text":
         return values.astype(object).where(values.notna(), "").astype(str)
-    objects = values.to_numpy(dtype=object)
-    filled = np.flatnonzero(~pd.isna(objects))
-    filled = filled[objects[filled] != ""]
-    if column.type in ("flag", "answer"):  # no flag is not set, no answer is none
-        answers = pd.Series(
-            False if column.type == "flag" else pd.NA, values.index, dtype=DTYPES[column.type]
-        )
-        for i in filled:
-            if str(objects[i]) not in FLAGS:
-                raise ValueError("neither True nor False")
-            answers.iloc[i] = FLAGS[str(objects[i])]
-        return answers
-    numbers = np.full(len(values), np.nan)
-    numbers[filled] = pd.to_numeric(objects[filled])
+    if values.dtype == object or values.dtype == "str":
+        values = values.mask(values == "")
+    if column.type in ("flag", "answer"):
+        answers = values.map(FLAGS).astype("boolean")
+        if (answers.isna() & values.notna()).any():
+            raise ValueError(f"{values.name!r}: neither True nor False")
+        return answers.fillna(False).astype(bool) if column.type == "flag" else answers
+    numbers = pd.to_numeric(values)
     if column.type == "whole":
-        return pd.Series(numbers, values.index).astype("Int64")
-    if not column.infinite:
-        numbers[np.isinf(numbers)] = np.nan
-    return pd.Series(numbers, values.index)
-
-
-@cache
-def no_values(kind: Type) -> pd.Series:
-    """A column of this type without rows."""
-    return converted(pd.Series([], dtype=object), Column("", kind))
-
-
-@cache
-def no_rows(columns: tuple[tuple[str, Type], ...]) -> pd.DataFrame:
-    """A table without rows; shared, so to be copied."""
-    return pd.DataFrame({name: no_values(kind) for name, kind in columns})
+        try:
+            return numbers.astype("Int64")
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{values.name!r}: {error}") from None
+    numbers = numbers.astype(float)
+    return numbers if column.infinite else numbers.mask(np.isinf(numbers))
 
 
 # -- writing ---------------------------------------------------------------------------------------
-def merge(table: Table, rows: Iterable[Mapping[str, Any]], results: Path) -> pd.DataFrame:
-    """Fold rows into the table's files; returns the merged table.
+def merge(
+    table: Table,
+    rows: Iterable[Mapping[str, Any]],
+    results: Path,
+    made: Iterable[tuple[Any, ...]] | None = None,
+    profiles: Sequence[str] = (),
+) -> pd.DataFrame:
+    """Put rows into the table's files; return the merged table.
 
-    A file of an older version is replaced: what it says can no longer be read.
+    made : the keys of all rows of these profiles, where the table was made as a whole: others are dropped.
+    A file of an older version is replaced: nobody can read it any more.
     """
     try:
         old = read(table, results)
     except OldTable as error:
         note(f"{error}; replaced")
-        old = pd.DataFrame(columns=[*table.every_column])
+        old = no_rows(table)
     new = canonical(table, rows)
-    if new.empty:
-        return old
     replaced = list(table.whole or table.key)
-    kept = old[~index(old, replaced).isin(index(new, replaced))]
-    frame = new if kept.empty else pd.concat([kept, new], ignore_index=True)
+    frame = pd.concat([old[~index(old, replaced).isin(index(new, replaced))], new], ignore_index=True)
+    if made is not None:
+        stale = frame["profile"].isin(profiles) & ~index(frame, list(table.key)).isin(
+            pd.Index(made, tupleize_cols=False)
+        )
+        frame = frame[~stale]
+    if new.empty and len(frame) == len(old):
+        return old
     frame = typed(in_order(frame, table), table)
     write(frame, table, results)
     return frame
 
 
 def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Rows as the table has them: typed, with the digits that are written, the last of each key."""
+    """Return rows as the table has them: typed, with the digits that are written, the last of each key."""
     frame = pd.DataFrame(list(rows))
     unknown = set(frame.columns) - set(table.every_column)
     if unknown:
@@ -236,20 +218,9 @@ def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
-    """The key of each row as it stands in the table; of all rows at once, a thousand times as fast as of each."""
+    """Return the key of each row as it stands in the table."""
     named = pd.DataFrame([{name: row.get(name) for name in table.key} for row in rows], columns=[*table.key])
     return list(index(rounded(typed(named, table), table), list(table.key)))
-
-
-def forget(table: Table, made: set[tuple[Any, ...]], profiles: Iterable[str], results: Path) -> int:
-    """Remove the rows of these profiles whose key is not among those made; returns how many."""
-    frame = read(table, results)
-    mine = frame["profile"].isin(list(profiles)).to_numpy(dtype=bool)
-    known = np.array([key in made for key in index(frame, list(table.key))], dtype=bool)
-    stale = mine & ~known
-    if stale.any():
-        write(frame[~stale], table, results)
-    return int(stale.sum())
 
 
 def index(frame: pd.DataFrame, names: list[str]) -> pd.Index:
@@ -317,15 +288,19 @@ def rounded(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Any]:
-    """A text file that takes the place of `path` when the block ends without an exception."""
+def replacing(path: Path, sync: bool = True) -> Iterator[Any]:
+    """Open a text file that takes the place of `path` when the block ends without an exception.
+
+    sync : whether it is on the disk then, so that not even a failure of power takes it away.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
+            if sync:
+                os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except BaseException:

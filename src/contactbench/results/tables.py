@@ -1,39 +1,28 @@
-"""The tables of the benchmark, one per question, and the columns they have in common."""
+"""The tables of the benchmark, one per question."""
 
 from __future__ import annotations
 
-from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
+from contactbench.measure.laws import LAWS
 from contactbench.results.columns import (
     COMMON,
     COUNTS,
+    DRIFTS,
     ERROR,
     ONE_CELL,
+    SOLVER,
     TIMING,
+    law_column,
+    law_columns,
     length_timing,
     number,
+    same,
     seconds,
     whole,
     words,
 )
-from contactbench.results.law_columns import WithLaws, law_column
 from contactbench.results.schema import KEY, SPREAD, Column, Rule, table
 
-#: why an error bar has no rule
-ROUND_OFF = "an estimate of round-off, no reproducible number"
-
-
-def drift_column(name: str, meaning: str) -> Column:
-    """What belongs to the drifts: error bars, clamps, and where the derivative is from."""
-    if name.endswith("_clamped"):
-        return whole(meaning, Rule.count)
-    if name.endswith("_uncertainty"):
-        return number(meaning, ungated=ROUND_OFF)
-    return Column(meaning, rule=Rule.same) if name == "derivative" else number(meaning, Rule.value)
-
-
 SAVED_TIMES = whole("number of saved times", Rule.same)
-DRIFTS = {name: drift_column(name, meaning) for name, meaning in DRIFT_COLUMNS.items()}
-
 
 CONVERGENCE = table(
     "convergence",
@@ -46,15 +35,14 @@ CONVERGENCE = table(
         "in_fit": Column(
             "whether the order rests on this point",
             "flag",
-            ungated="the last points of a fit come and go with rounding; the order itself is compared",
+            ungated="the last points come and go with rounding",
         ),
         "order": number(
-            "order of the method on this scene, extrapolated from the pairwise slopes (the same in every row)",
-            Rule.order,
+            "order on this scene, extrapolated from the pairwise slopes (the same in every row)", Rule.order
         ),
         "last_slope": number("pairwise slope of the two finest points the order rests on", Rule.order),
         "order_uncertainty": number(
-            "of the order: from the spread of successive extrapolations, and round-off",
+            "of the order: the spread of successive extrapolations, and round-off",
             ungated="an estimate of the error of a number that is compared",
         ),
         "order_nominal": whole("order the method claims", Rule.same),
@@ -66,7 +54,7 @@ CONVERGENCE = table(
 LAWS_TABLE = table(
     "laws",
     "decay laws and drifts over the whole run, maxima over the saved times",
-    WithLaws({**COMMON, "saved_times": SAVED_TIMES}, {**DRIFTS, **COUNTS}),
+    lambda: {**COMMON, "saved_times": SAVED_TIMES, **law_columns(), **DRIFTS, **COUNTS},
     whole=ONE_CELL,
 )
 
@@ -86,6 +74,7 @@ LAWS_TIME = table(
     whole=ONE_CELL,
 )
 
+AT_EQUAL_COST = ("energy_law", "hamiltonian_law", "momentum_law", "contact_drift")
 DECAY_LAWS = table(
     "decay_laws",
     "errors and decay laws of every method at equal cost, the largest at five times",
@@ -94,10 +83,7 @@ DECAY_LAWS = table(
         "value": number("the step or tolerance that meets the cost", Rule.value, exact=True),
         "cost": number("right-hand sides per unit of time asked for", Rule.same),
         "solution_error": ERROR,
-        **{
-            name: law_column(LAWS[name])
-            for name in ("energy_law", "hamiltonian_law", "momentum_law", "contact_drift")
-        },
+        **{name: law_column(LAWS[name]) for name in AT_EQUAL_COST},
         **DRIFTS,
         **COUNTS,
     },
@@ -109,19 +95,18 @@ WORK_PRECISION = table(
     "time and evaluations against error",
     {
         **COMMON,
-        "carried": Column("fields integrated", rule=Rule.same),
+        "carried": same("fields integrated"),
         "solution_error": number(
             "max ‖y − y*‖ / max ‖y*‖ over five end times, each the end of its own run", Rule.error
         ),
         **COUNTS,
         SPREAD: number(
-            "largest over fewest evaluations, less 1, of runs whose initial data differ by a few roundings; of "
-            "solvers that choose their order",
+            "largest over fewest evaluations, less 1, of runs whose initial data differ by a few roundings; of solvers "
+            "that choose their order",
             ungated="it is what the gate allows the counts",
         ),
         "compile_s": seconds(
-            "trace and compile, once per scene structure (once per tolerance for heyoka); a program that an "
-            "earlier process has compiled is loaded"
+            "trace and compile, once per scene structure (once per tolerance for heyoka), or load"
         ),
         "first_call_s": seconds("first call after compilation"),
         **TIMING,
@@ -147,15 +132,17 @@ ENSEMBLE_TABLE = table(
             "max ‖y(T) − y*(T)‖ / max ‖y*(T)‖ over the first four trajectories", Rule.error
         ),
         "member_deviation": number(
-            "max ‖y(T) − y₁(T)‖ / max ‖y₁(T)‖ over all trajectories, y₁ the run of each by itself: with the same fixed "
+            "max ‖y(T) − y₁(T)‖ / max ‖y₁(T)‖ over all trajectories, y₁ the run of each by itself with the same fixed "
             "steps; of a method that chooses them the most accurate run of heyoka-taylor; blank where that takes long",
             Rule.structure,
         ),
-        "steps": whole("accepted steps of one trajectory, the most taken by any where they differ", Rule.count),
+        "steps": whole(
+            "accepted steps of one trajectory, the most taken by any where they differ", Rule.count
+        ),
         "evaluations": whole(
             "evaluations of evaluation_kind for one trajectory, where the solver says", Rule.count
         ),
-        "evaluation_kind": Column("gradient, rhs or taylor", rule=Rule.same),
+        "evaluation_kind": same("gradient, rhs or taylor"),
         "first_call_s": seconds("first call, compilation included"),
         **TIMING,
         **length_timing(
@@ -165,7 +152,7 @@ ENSEMBLE_TABLE = table(
     },
     key=(*KEY, "question", "trajectories", "cores"),
     version=4,
-)  # fmt: skip
+)
 
 DEFINITIONS = table(
     "definitions",
@@ -173,10 +160,9 @@ DEFINITIONS = table(
     {
         "scene": Column("name of the scene; blank in the row of a method"),
         "method": Column("name of the method; blank in the row of a scene"),
-        "declared": Column("what it declares, as data", rule=Rule.same),
-        "digest": Column(
-            "of a scene's numbers and functions, of a method's steps, with 50 digits: the same on every machine",
-            rule=Rule.same,
+        "declared": same("what it declares, as data"),
+        "digest": same(
+            "of a scene's numbers and functions, of a method's steps, with 50 digits: alike everywhere"
         ),
     },
     key=("scene", "method"),
@@ -190,35 +176,31 @@ CLAIMS_TABLE = table(
         "id": Column("number of the claim"),
         "where": words("section, equation or figure of the paper, or beyond it"),
         "claim": words("what is claimed, in our words"),
-        "scene": Column("what it is measured on", rule=Rule.same),
-        "method": Column("integrator, or how the equations themselves are tested", rule=Rule.same),
+        "scene": same("what it is measured on"),
+        "method": same("integrator, or how the equations themselves are tested"),
         "quantity": words("what was measured; of several measurements the first that fails, else the first"),
         "measured": number("its value", Rule.measured),
-        "relation": Column("how it must compare with the bound for the claim to hold", rule=Rule.same),
+        "relation": same("how it must compare with the bound for the claim to hold"),
         "bound": number("the bound", Rule.value),
         "bound_reason": words("why the bound is what it is"),
-        "verdict": Column(
-            "holds; holds, corrected; refuted: computed from the measurements", rule=Rule.same
-        ),
-        "correction_kind": Column(
-            "repairs (substance survives), replaces (contradicts), sharpens, extends", rule=Rule.same
-        ),
+        "verdict": same("holds; holds, corrected; refuted: computed from the measurements"),
+        "correction_kind": same("repairs (substance survives), replaces (contradicts), sharpens, extends"),
         "correction": words("the corrected statement"),
         "corrected_quantity": words("what was measured of it"),
         "corrected_measured": number("its value", Rule.measured),
-        "corrected_relation": Column("how it must compare with its bound", rule=Rule.same),
+        "corrected_relation": same("how it must compare with its bound"),
         "corrected_bound": number("its bound", Rule.value),
         "corrected_bound_reason": words("why that bound"),
         "evidence": words("all measurements of the claim, separated by //"),
         "corrected_evidence": words("all measurements of the corrected statement, separated by //"),
-        "figures": Column("the paper's figures drawn for it", rule=Rule.same),
+        "figures": same("the paper's figures drawn for it"),
         "command": words("the command that measures it again"),
-        "status": Column("ok, or failed: not measured, no verdict", rule=Rule.same),
-        "message": Column("why, when the status is not ok", ungated="a solver's words, which change with its version"),
+        "status": same("ok, or failed: not measured, no verdict"),
+        "message": Column("why, when the status is not ok", ungated=SOLVER),
     },
     key=("id",),
     version=2,
-)  # fmt: skip
+)
 
 PAPER_FIGURES = table(
     "paper_figures",
@@ -228,10 +210,7 @@ PAPER_FIGURES = table(
         "panel": Column("panel of the figure"),
         "curve": Column("curve in the panel"),
         "point": whole("number of the point along its curve"),
-        "kind": Column(
-            "what it is: truth, law, method, conservative, dissipative, flow, criterion; or its stability",
-            rule=Rule.same,
-        ),
+        "kind": same("truth, law, method, conservative, dissipative, flow, criterion; or its stability"),
         "x": number("abscissa", Rule.point),
         "y": number("ordinate", Rule.point),
         "z": number("third coordinate, fitted order or growth rate where the figure has one", Rule.point),
@@ -241,33 +220,33 @@ PAPER_FIGURES = table(
     version=2,
 )
 
+BEFORE_LAWS = {
+    **COMMON,
+    "saved_times": SAVED_TIMES,
+    "end_time": number("how far the run got", Rule.end),
+    "blow_up_time": number("when the true motion reaches infinity, if it does", Rule.value),
+    "condition_number": number(
+        "max ‖∂x(t)/∂x(0)‖₂ of the true motion, where stored: what errors grow to", Rule.value
+    ),
+    "end_error": number(
+        "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left", Rule.error
+    ),
+}
+CALL_TIME = seconds(
+    "fastest of a few public calls, of a long one the first or second; other work may run beside it"
+)
 STABILITY = table(
     "stability",
     "the hard scenes: how every method ends, its errors and laws, at a fixed ladder of costs",
-    WithLaws(
-        {
-        **COMMON,
-        "saved_times": SAVED_TIMES,
-        "end_time": number("how far the run got", Rule.end),
-        "blow_up_time": number("when the true motion reaches infinity, if it does", Rule.value),
-        "condition_number": number(
-            "max ‖∂x(t)/∂x(0)‖₂ of the true motion, where stored: what errors grow to", Rule.value
-        ),
-        "end_error": number(
-            "‖(q, p) − (q, p)*‖ / ‖(q, p)*‖ at the end (a body: M), relative to what is left then", Rule.error
-        ),
-        },
-        {
-        **DRIFTS,
-        **COUNTS,
-        "time_s": seconds(
-            "fastest of a few public calls, of a long one the first or second, 25 saved times; other work may run "
-            "beside it"
-        ),
-        },
-    ),
+    lambda: {**BEFORE_LAWS, **law_columns(), **DRIFTS, **COUNTS, "time_s": CALL_TIME},
     whole=ONE_CELL,
-)  # fmt: skip
+)
+
+
+def value(meaning: str) -> Column:
+    """Return a column of a number that may be infinite."""
+    return number(meaning, Rule.value, infinite=True)
+
 
 STABILITY_LIMITS = table(
     "stability_limits",
@@ -277,29 +256,20 @@ STABILITY_LIMITS = table(
         "family": COMMON["family"],
         "gamma": number("damping γ"),
         "omega": number("frequency ω"),
-        "limit": number(
-            "first loss of stability: the step from which an eigenvalue of the one-step map leaves the unit circle",
-            Rule.value,
-            infinite=True,
+        "limit": value(
+            "first loss of stability: where an eigenvalue of the one-step map leaves the unit circle"
         ),
-        "limit_kernel": number(
-            "of a processed method saved at the end only: its kernel's limit", Rule.value, infinite=True
-        ),
-        "limit_saved": number("of a processed method saved at every step", Rule.value, infinite=True),
-        "windows": Column(
-            "intervals of unstable steps below the last stable step, a…b; blank: none", rule=Rule.same
-        ),
-        "last": number(
-            "the last stable step; islands of stability shorter than a hundredth of the step not counted",
-            Rule.value,
-            infinite=True,
-        ),
-        "theory": number("what theory gives, where it does", Rule.value, infinite=True),
-        "per_evaluation": number("the limit over the evaluations of a step", Rule.value, infinite=True),
+        "limit_kernel": value("of a processed method saved at the end only: its kernel's limit"),
+        "limit_saved": value("of a processed method saved at every step"),
+        "windows": same("intervals of unstable steps below the last stable step, a…b; blank: none"),
+        "last": value("the last stable step; islands of stability shorter than 1 % of the step not counted"),
+        "theory": value("what theory gives, where it does"),
+        "per_evaluation": value("the limit over the evaluations of a step"),
     },
     key=("method", "gamma", "omega"),
 )
 
+RADIUS = value("largest |eigenvalue| of the one-step map, of a processed method that of its kernel")
 ONE_STEP = table(
     "one_step",
     "spectral radius of the one-step map of the oscillator, ω = 1, beside that of the exact flow",
@@ -308,14 +278,8 @@ ONE_STEP = table(
         "family": COMMON["family"],
         "gamma": number("damping γ"),
         "step": number("step size h", Rule.value),
-        "radius": number(
-            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel",
-            Rule.value,
-            infinite=True,
-        ),
-        "radius_saved": number(
-            "the same of a processed method where every step is saved", Rule.value, infinite=True
-        ),
+        "radius": RADIUS,
+        "radius_saved": value("the same of a processed method where every step is saved"),
         "true_radius": number(
             "of the exact flow: e^{−γh/2}, e^{−λh} with the slow rate λ where overdamped", Rule.value
         ),
@@ -323,6 +287,7 @@ ONE_STEP = table(
     key=("method", "gamma", "step"),
 )
 
+SAME_NUMBER = "rate_error is the same number, and counts its round-off"
 DAMPING_RATES = table(
     "damping_rates",
     "measured damping rates: the slow rate of the overdamped oscillator, the rate of weak damping",
@@ -332,11 +297,9 @@ DAMPING_RATES = table(
         "t_end": number("span of the run", Rule.same),
         "damping_per_step": number("γh, fixed steps", Rule.value),
         "evaluations": whole("evaluations in one run", Rule.count),
-        "rate": number("measured rate", ungated="rate_error is the same number, and counts its round-off"),
+        "rate": number("measured rate", ungated=SAME_NUMBER),
         "true_rate": number("the same measured on the truth", Rule.value),
-        "ratio": number(
-            "measured over true", ungated="rate_error is the same number, and counts its round-off"
-        ),
+        "ratio": number("measured over true", ungated=SAME_NUMBER),
         "rate_error": number("|measured/true − 1|", Rule.error),
         "q_error": number("|q/q* − 1| at the end, overdamped", Rule.error),
         "p_error": number("|p/p* − 1| at the end, overdamped: what is kicked last is not damped", Rule.error),
@@ -361,12 +324,10 @@ STRONG_DAMPING = table(
             Rule.error,
             infinite=True,
         ),
-        "error_saved": number("the same of a processed method where every step is saved", Rule.error, infinite=True),
-        "radius": number(
-            "largest |eigenvalue| of the one-step map, of a processed method that of its kernel",
-            Rule.value,
-            infinite=True,
+        "error_saved": number(
+            "the same of a processed method where every step is saved", Rule.error, infinite=True
         ),
+        "radius": RADIUS,
     },
     key=("method", "gamma", "damping_per_evaluation"),
-)  # fmt: skip
+)

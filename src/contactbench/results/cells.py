@@ -1,0 +1,179 @@
+"""Finished cells: a file each, there as a whole or not at all, and merged into the tables.
+
+A process that has finished a cell puts all rows of it into a file of its own in ``results/.cells/PROFILE``, which
+takes its name last: a kill leaves a cell finished or not.  A merge rewrites the tables under a lock and only then
+renames the files it has read; to merge a file twice does no harm, so that a kill of the merge loses nothing either.
+The files stay, and say which cells are done.
+
+Once all cells of an experiment are done, the rows of its tables that none of them has made are dropped: their
+benchmark no longer exists.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock
+
+from contactbench.results.provenance import save_run
+from contactbench.results.schema import PROFILES, TABLES, Table
+from contactbench.results.store import keys, merge, read, replacing
+
+FOLDER = ".cells"
+#: of a file that is not merged yet, of one that is, and of the time at which a selection was last begun
+NEW, DONE, BEGUN = ".new", ".done", ".begun"
+
+type Cell = tuple[str, str]  #: the file of an experiment and the name of one of its cells
+type Rows = list[tuple[str, dict[str, Any]]]  #: each with the name of its table
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The rows of a cell in a file; cell : None for rows of one that failed, which is not done."""
+
+    path: Path
+    run: str
+    cell: Cell | None
+    rows: Rows
+
+
+class Cells:
+    """The cells of one run, which one or several processes finish, and those of the runs before it.
+
+    profile, selection : what is run, and which part of it was asked for (empty: all).  A cell is done if it was
+    finished since a run with this selection last began anew.  A run in several goes (first what is not timed, then,
+    resumed, what is) begins with the first of them.
+    """
+
+    def __init__(self, results: Path, profile: str, run: str, selection: str = "") -> None:
+        self.results, self.profile, self.run, self.selection = results, profile, run, selection
+        self.folder = results / FOLDER / profile
+
+    # -- one cell ----------------------------------------------------------------------------------
+    def save(
+        self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell, finished: bool = True
+    ) -> None:
+        """Keep the rows of a cell: no kill takes them away when this returns (a failure of power may)."""
+        entry = {
+            "run": self.run,
+            "cell": cell if finished else None,
+            "rows": [[table.name, dict(row)] for table, row in rows],
+        }
+        with replacing(self.folder / f"{_digest(*cell)}-{self.run}{NEW}", sync=False) as file:
+            json.dump(entry, file, default=_plain)
+
+    def rows(self, cell: Cell) -> Rows | None:
+        """Return the rows of a cell that is done, None of another one."""
+        for path in (
+            self.folder / f"{_digest(*cell)}-{self.run}{NEW}",
+            self.folder / f"{_digest(*cell)}{DONE}",
+        ):
+            if path.exists() and path.stat().st_mtime >= self._begun() and (entry := _read(path)):
+                return entry.rows
+        return None
+
+    # -- all of them -------------------------------------------------------------------------------
+    def begin(self, record: Mapping[str, Any]) -> None:
+        """Keep where and with what the run is made, and merge what killed runs have left."""
+        with replacing(self._record(self.run)) as file:
+            json.dump(record, file)
+        self.merge()
+
+    def begin_anew(self) -> None:
+        """Take no cell for done, whatever an earlier run of this selection has finished."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._mark().touch()
+
+    def done(self) -> dict[Cell, Rows]:
+        """Return the cells that are done, with their rows."""
+        begun = self._begun()
+        files = (path for path in self.folder.glob(f"*{DONE}") if path.stat().st_mtime >= begun)
+        return {entry.cell: entry.rows for entry in map(_read, files) if entry and entry.cell}
+
+    def merge(self, expected: Iterable[Cell] = ()) -> None:
+        """Put all new cells into the tables, whichever run has finished them.
+
+        expected : all cells of the experiments that are run as a whole.
+        """
+        (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
+        with FileLock(self.results / FOLDER / "lock"):
+            paths = sorted((self.results / FOLDER).glob(f"*/*{NEW}"), key=lambda path: path.stat().st_mtime)
+            entries = [entry for entry in map(_read, paths) if entry]
+            rows: dict[str, list[dict[str, Any]]] = {}
+            for entry in entries:
+                for name, row in entry.rows:
+                    rows.setdefault(name, []).append(row)
+            whole = self._whole(set(expected), entries)
+            profiles = PROFILES[: PROFILES.index(self.profile) + 1]
+            for name in [each for each in TABLES if each in rows or each in whole]:
+                made = keys(TABLES[name], whole[name]) if name in whole else None
+                merge(TABLES[name], rows.get(name, ()), self.results, made, profiles)
+            for run in sorted({entry.run for entry in entries} | {self.run}):
+                self._save_run(run, entries, whole if run == self.run else {}, profiles)
+            for entry in entries:
+                if entry.cell:
+                    os.replace(entry.path, entry.path.with_name(f"{_digest(*entry.cell)}{DONE}"))
+                else:
+                    entry.path.unlink()
+
+    def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
+        """Return the rows of tables whose experiments are all done, by table; every table is made by one file."""
+        if not expected:
+            return {}
+        done = self.done()
+        done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
+        unfinished = {file for file, name in expected if (file, name) not in done}
+        rows: dict[str, list[dict[str, Any]]] = {}
+        for cell in expected:
+            for name, row in done[cell] if cell[0] not in unfinished else ():
+                rows.setdefault(name, []).append(row)
+        return rows
+
+    def _save_run(
+        self, run: str, entries: Iterable[Entry], whole: Iterable[str], profiles: Iterable[str]
+    ) -> None:
+        record = self._record(run)
+        if record.exists():
+            made = {name for entry in entries if entry.run == run for name, _ in entry.rows}
+            # rows of a larger profile stay, and with them the run that made them
+            alone = [n for n in whole if read(TABLES[n], self.results)["profile"].isin(profiles).all()]
+            save_run(run, json.loads(record.read_text(encoding="utf-8")), made, alone, self.results)
+
+    def _record(self, run: str) -> Path:
+        return self.results / FOLDER / f"{run}.json"
+
+    def _mark(self) -> Path:
+        return self.folder / f"{_digest(self.selection)}{BEGUN}"
+
+    def _begun(self) -> float:
+        mark = self._mark()
+        return mark.stat().st_mtime if mark.exists() else 0.0
+
+
+def _digest(*names: str) -> str:
+    """Return a file name for names of whatever length and letters."""
+    return hashlib.sha256("\n".join(names).encode()).hexdigest()[:24]
+
+
+def _read(path: Path) -> Entry | None:
+    """Return what a file says; None where a failure of power has left nothing to read."""
+    with contextlib.suppress(json.JSONDecodeError, FileNotFoundError):
+        entry = json.loads(path.read_text(encoding="utf-8"))
+        cell = entry["cell"] and tuple(entry["cell"])
+        return Entry(path, entry["run"], cell, entry["rows"])
+    return None
+
+
+def _plain(value: Any) -> Any:
+    """Return NumPy scalars as JSON has them."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{value!r} cannot be put in a table")

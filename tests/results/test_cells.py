@@ -1,0 +1,312 @@
+"""Runs that are killed, at any moment, and runs at the same time: no row lost, doubled or half-written."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import contactbench as cb
+from cases import bench, finished, most_slow
+from contactbench.results.cells import FOLDER, Cells
+from contactbench.results.provenance import runs
+from contactbench.results.schema import TABLES
+from contactbench.results.store import read
+from contactbench.results.tables import CONVERGENCE, LAWS_TABLE, WORK_PRECISION
+
+LARGE = "particle and not long and not limit and (strang or cvode-adams)"
+#: without what is compiled by JAX and numba: a kill is one whatever it interrupts
+SMALL = f"{LARGE} and not weak and not jax and not numba"
+LARGE_TIMED = 5  # contact-strang on its three engines, cvode-adams on its two
+TIMED = 3
+#: convergence of one, decay and laws of both; errors and times
+CELLS = 5 + 2 * TIMED
+
+
+def finish(results, *names, run="one", profile="smoke", selection="", merged=(), **more):
+    """A run that finishes cells, each with a row of a method of its name, and merges them unless merged is None."""
+    cells = Cells(results, profile, run, selection)
+    cells.begin({"profile": profile})
+    for name in names:
+        cells.save([(CONVERGENCE, row(name, **more))], ("bench.py", name))
+    if merged is not None:
+        cells.merge([("bench.py", name) for name in merged])
+    return cells
+
+
+def methods(results, table=CONVERGENCE):
+    return list(read(table, results)["method"])
+
+
+def row(method="rk4", setting="step=0.1", **more):
+    return {
+        "scene": "particle", "method": method, "engine": "jax", "setting": setting, "status": "ok",
+        "message": "", "profile": "smoke", **more,
+    }  # fmt: skip
+
+
+def test_a_run_ends_in_the_tables(tmp_path):
+    cells = Cells(tmp_path, "smoke", "one")
+    cells.begin({"profile": "smoke"})
+    cells.save([(CONVERGENCE, row()), (LAWS_TABLE, row())], ("bench.py", "a"))
+    cells.save([(CONVERGENCE, row("contact-abc", status="failed"))], ("bench.py", "b"), finished=False)
+    cells.merge()
+    assert methods(tmp_path) == ["contact-abc", "rk4"]
+    (run,) = runs(tmp_path)
+    assert (run["run"], run["tables"]) == ("one", {"convergence": "part", "laws": "part"})
+    assert set(cells.done()) == {("bench.py", "a")}
+    assert [name for name, _ in cells.rows(("bench.py", "a"))] == ["convergence", "laws"]
+    assert cells.rows(("bench.py", "b")) is None
+    assert not Cells(tmp_path, "standard", "two").done()
+
+
+def test_cells_are_done_until_their_selection_begins_anew(tmp_path):
+    finish(tmp_path, "a")
+    part = Cells(tmp_path, "smoke", "two", "-k a")
+    assert set(part.done()) == {("bench.py", "a")}
+    time.sleep(0.02)
+    part.begin_anew()
+    assert not part.done()
+    assert set(Cells(tmp_path, "smoke", "three").done()) == {("bench.py", "a")}  # of the whole
+
+
+def test_a_file_that_a_failure_of_power_has_emptied_is_no_cell(tmp_path):
+    cells = finish(tmp_path, "a", "b", merged=None)
+    next(cells.folder.glob("*.new")).write_text("")
+    cells.merge()
+    assert len(methods(tmp_path)) == len(cells.done()) == 1
+
+
+def test_what_is_merged_is_not_merged_again(tmp_path):
+    """Rows of a later run, or of a restored table, stay."""
+    finish(tmp_path, "a", status="ok")
+    finish(tmp_path, "a", run="two", profile="standard", status="failed")
+    finish(tmp_path, "b", run="three")
+    assert list(read(CONVERGENCE, tmp_path)["status"]) == ["failed", "ok"]
+
+
+def test_a_run_merges_what_other_runs_have_finished(tmp_path):
+    living = finish(tmp_path, "rk4", run="living", merged=None)
+    finish(tmp_path, "contact-abc", run="other")
+    living.save([(CONVERGENCE, row("contact-strang"))], ("bench.py", "c"))
+    living.merge()
+    assert methods(tmp_path) == ["contact-abc", "contact-strang", "rk4"]
+    assert len(living.done()) == 3
+
+
+KILLED_WHILE_MERGING = """
+import os, sys
+from pathlib import Path
+from contactbench.results import cells, provenance, store, tables
+row = {"scene": "particle", "method": "rk4", "engine": "jax", "setting": "step=0.1", "status": "ok", "message": ""}
+two = [(t, row) for t in (tables.CONVERGENCE, tables.LAWS_TABLE)]
+timed = (tables.WORK_PRECISION, {**row, "time_median_s": 1.0})
+calls = []
+def killed(results, steps):
+    run = cells.Cells(results, "smoke", "killed")
+    run.begin({"profile": "smoke"})
+    run.save([*two, (tables.LAWS_TIME, {**row, "t": 1.0}), timed], ("bench.py", "a"))
+    run.save([(tables.CONVERGENCE, {**row, "method": "contact-abc"})], ("bench.py", "b"))
+    replace = os.replace
+    def dying(*paths):
+        calls.append(paths)
+        if len(calls) > steps:
+            os._exit(9)
+        replace(*paths)
+    os.replace = dying
+    run.merge()
+    os._exit(0)
+for steps in map(int, sys.argv[2:]):  # a process each, without importing everything each time
+    child = os.fork()
+    if not child:
+        killed(Path(sys.argv[1]) / str(steps), steps)
+    print(steps, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+#: files that take their names: five of four tables, the list of runs, two cells that are merged
+STEPS = range(9)
+
+
+@pytest.fixture(scope="module")
+def killed_while_merging(tmp_path_factory):
+    """A folder of results for every number of files renamed before the kill, and how each process ended."""
+    folder = tmp_path_factory.mktemp("killed")
+    command = [sys.executable, "-c", KILLED_WHILE_MERGING, str(folder), *map(str, STEPS)]
+    printed = subprocess.run(command, timeout=120, capture_output=True, text=True, check=True).stdout
+    return folder, dict(tuple(map(int, line.split())) for line in printed.splitlines())
+
+
+@pytest.mark.parametrize("steps", STEPS)
+def test_a_kill_while_merging_loses_and_doubles_nothing(killed_while_merging, steps):
+    folder, codes = killed_while_merging
+    results = folder / str(steps)
+    assert codes[steps] == (9 if steps < STEPS[-1] else 0)
+    cells = Cells(results, "smoke", "next")
+    cells.begin({"profile": "smoke"})
+    assert methods(results) == ["contact-abc", "rk4"]
+    for table in (LAWS_TABLE, WORK_PRECISION):
+        assert methods(results, table) == ["rk4"]
+    assert list(read(WORK_PRECISION, results)["time_median_s"]) == [1.0]
+    assert [run["run"] for run in runs(results)] == ["killed"]
+    assert set(cells.done()) == {("bench.py", "a"), ("bench.py", "b")}
+    assert not list(results.glob(f"{FOLDER}/*/*.new"))
+
+
+def finished_cells(results):
+    """The entries of all cells that runs have finished, merged or not."""
+    entries = []
+    for path in results.glob(f"{FOLDER}/*/*"):
+        if path.suffix in (".new", ".done"):
+            entries.append(json.loads(path.read_text()))
+    return entries
+
+
+def kill_after(process, results, moment):
+    """Kill a run as soon as it has finished so many cells more than there were."""
+    deadline, before = time.monotonic() + 120, len(finished_cells(results))
+    while process.poll() is None and len(finished_cells(results)) < before + moment:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    alive = process.poll() is None
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    return alive
+
+
+def assert_there_once(results, entries):
+    """Every row of a finished cell is in its table, once, with its numbers."""
+    for name, one in [pair for entry in entries for pair in entry["rows"]]:
+        frame = read(TABLES[name], results)
+        key = [column for column in TABLES[name].key if column in one]
+        mine = frame[(frame[key] == [one[column] for column in key]).all(axis=1)]
+        assert len(mine) == 1, (name, one)
+        for column in ("solution_error", "evaluations", "steps"):
+            if one.get(column) is not None:
+                assert mine[column].iloc[0] == pytest.approx(one[column], rel=1e-5, nan_ok=True), column
+
+
+@pytest.mark.parametrize("moment", most_slow([0, 1, 4], 1), ids="killed after {} cells".format)
+def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
+    process = bench(tmp_path, SMALL)
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob(f"{FOLDER}/*.json")):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    kill_after(process, tmp_path, moment)
+    kept = finished_cells(tmp_path)
+    output = finished(bench(tmp_path, SMALL, "--resume"))
+    assert f"{CELLS - len(kept)} passed" in output
+    assert_there_once(tmp_path, kept)
+    assert len(read(WORK_PRECISION, tmp_path)) == TIMED
+    assert set(methods(tmp_path, LAWS_TABLE)) == {"contact-strang", "cvode-adams"}
+
+
+@pytest.mark.slow
+def test_workers_resume_what_is_left(tmp_path):
+    """The same with the cells handed out to worker processes, as in the untimed phase of a run."""
+    workers = ("-m", "not timed", "-n", "2")
+    finished(bench(tmp_path, f"{SMALL} and strang", *workers))
+    resumed = finished(bench(tmp_path, SMALL, "--resume", *workers))
+    assert "4 passed" in resumed  # decay and laws of the other method, errors of its two engines
+    assert set(methods(tmp_path, LAWS_TABLE)) == {"contact-strang", "cvode-adams"}
+
+
+@pytest.mark.slow
+def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
+    first, second = bench(tmp_path, f"{SMALL} and cvode"), bench(tmp_path, f"{SMALL} and strang")
+    for process in (first, second):
+        finished(process)
+    assert set(methods(tmp_path, WORK_PRECISION)) == {"contact-strang", "cvode-adams"}
+
+
+def test_a_whole_run_removes_rows_whose_benchmark_no_longer_exists(tmp_path):
+    finish(tmp_path, "a", "gone", merged=["a", "gone"])
+    assert methods(tmp_path) == ["a", "gone"]
+    time.sleep(0.02)
+    Cells(tmp_path, "smoke", "two").begin_anew()
+    finish(tmp_path, "b", run="two")  # a part keeps the rest
+    finish(tmp_path, run="three", merged=["a", "b"])  # a has not been done again
+    assert methods(tmp_path) == ["a", "b", "gone"]
+    finish(tmp_path, "a", run="four", merged=["a", "b"])  # resumed: now all are done
+    assert methods(tmp_path) == ["a", "b"]
+    assert runs(tmp_path)[-1]["tables"] == {"convergence": "whole"}
+
+
+def test_the_run_behind_rows_of_a_larger_profile_stays_on_record(tmp_path):
+    large = finish(tmp_path, run="large", profile="standard", merged=None)
+    large.save([(CONVERGENCE, row("a")), (CONVERGENCE, row("b", profile="standard"))], ("bench.py", "a"))
+    large.merge([("bench.py", "a")])
+    finish(tmp_path, "a", run="small", merged=["a"])
+    assert methods(tmp_path) == ["a", "b"]
+    assert {run["run"]: run["tables"]["convergence"] for run in runs(tmp_path)} == {
+        "large": "whole",
+        "small": "part",
+    }
+
+
+@pytest.mark.slow
+def test_a_rerun_changes_what_the_clock_says_and_nothing_else(tmp_path):
+    """Two runs on one machine: the same bytes in every table but those of times."""
+    few = "particle and not long and not limit and strang and (laws or work_precision or convergence) and not jax"
+    finished(bench(tmp_path, few))
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
+    finished(bench(tmp_path, few))
+    after = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
+    assert {"convergence.csv", "laws.csv", "laws_time.csv", "work_precision.csv"} < set(before) == set(after)
+    assert {name for name in before if before[name] != after[name]} == {"work_precision_times.csv"}
+
+
+@pytest.mark.parametrize("content", ["a,b\n1,2\n", "not a table"])
+def test_a_foreign_file_is_refused_at_once_and_kept(tmp_path, content):
+    path = CONVERGENCE.path(tmp_path)
+    path.write_text(content)
+    process = bench(tmp_path, SMALL)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 4
+    assert f"{path}: columns are not those of table 'convergence'; move it away or restore it" in output
+    assert path.read_text() == content
+
+
+def test_cells_whose_tables_are_foreign_stay(tmp_path):
+    cells = finish(tmp_path, "rk4", merged=None)
+    path = CONVERGENCE.path(tmp_path)
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(cb.BadInput, match="columns are not those"):
+        cells.merge()
+    shutil.move(path, tmp_path / "elsewhere")
+    cells.merge()
+    assert methods(tmp_path) == ["rk4"]
+
+
+KILLS = 30
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_thirty_kills_lose_and_double_nothing(tmp_path):
+    """One run, killed and resumed: before its first cell, after one or two more, in the timed phase too.
+
+    Every other kill comes as soon as the process has begun, so that there are cells left for all of them.
+    """
+    killed, timed, resume = 0, False, False
+    kept: list = []
+    while killed < KILLS or not timed:
+        assert killed < 2 * KILLS  # of which none met the timed phase
+        process = bench(tmp_path, LARGE, *(["--resume"] if resume else []))
+        before = finished_cells(tmp_path)
+        if not killed % 2:
+            time.sleep(0.2 * (killed % 16))
+        resume = kill_after(process, tmp_path, killed % 2)  # else all is done, and begun anew
+        killed += resume
+        new = [entry for entry in finished_cells(tmp_path) if entry not in before]
+        timed |= any(row.get("time_median_s") for entry in new for _, row in entry["rows"])
+        kept += new
+    finished(bench(tmp_path, LARGE, "--resume"))
+    assert_there_once(tmp_path, kept)
+    for table in (WORK_PRECISION, LAWS_TABLE, CONVERGENCE):
+        assert not read(table, tmp_path).duplicated(list(table.key)).any()
+    assert len(read(WORK_PRECISION, tmp_path)) == LARGE_TIMED
