@@ -50,9 +50,9 @@ def compare(arguments: argparse.Namespace) -> int:
     if arguments.html:
         arguments.html.write_text(race.html(frame), encoding="utf-8")
     if arguments.plot and (figure := race.figure(frame)) is not None:
-        from contactbench.report.draw import drawn
+        from contactbench.report.draw import render
 
-        drawn(figure).savefig(arguments.plot)
+        render(figure).savefig(arguments.plot)
     print(as_json(frame) if arguments.json else race.text(frame))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
 
