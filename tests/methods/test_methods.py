@@ -11,7 +11,7 @@ import pytest
 import contactbench as cb
 from cases import USER, few_slow, pairs
 from contactbench.methods.entry import _tolerances as tolerances_of
-from contactbench.methods.grid import steps_in
+from contactbench.methods.request import steps_in
 from contactbench.peers import diffrax
 from contactbench.solution import Status
 from contactbench.xla import jax

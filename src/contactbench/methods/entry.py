@@ -12,10 +12,9 @@ from contactbench.boundary import reported
 from contactbench.errors import BadInput, positive, shown, text, whole
 from contactbench.methods.base import METHODS, Method, Request
 from contactbench.methods.engines import CALLBACKS
-from contactbench.methods.first_step import try_step
-from contactbench.methods.grid import default_times, long_enough, saved_times
 from contactbench.methods.prepared import Prepared, Refused, begins
-from contactbench.methods.step_map import StepMap
+from contactbench.methods.request import default_times, long_enough, saved_times
+from contactbench.methods.step_map import StepMap, try_step
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
