@@ -277,7 +277,7 @@ def test_callback_counts_are_the_calls_really_made(method, hessian):
 def test_diffrax_counts_what_it_evaluates(name, monkeypatch):
     """Of explicit methods by a formula, of the implicit one by the transformed program: every Newton iteration."""
     calls = []
-    monkeypatch.setattr(diffrax, "evaluated", lambda: calls.append(1))
+    monkeypatch.setattr(diffrax, "mark", lambda: calls.append(1))
     run = cb.prepare(PARTICLE, name, rtol=1e-8, save_at=[4.0])
     jax.block_until_ready(jax.jit(partial(run._solve, marked=True))(run.start, run.fixed))
     jax.effects_barrier()

@@ -43,7 +43,7 @@ class CvodeRun(CallbackPeer):
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
             yp[:] = rhs(start + t, y.tolist())
 
-        def counted(t: float, y: np.ndarray, yp: np.ndarray) -> None:
+        def counting(t: float, y: np.ndarray, yp: np.ndarray) -> None:
             assert calls is not None
             calls[0] += 1
             f(t, y, yp)
@@ -53,7 +53,7 @@ class CvodeRun(CallbackPeer):
             J[:, :] = jacobian(start + t, y.tolist())
 
         return CVODE(
-            f if calls is None else counted,
+            f if calls is None else counting,
             jacfn=None if jacobian is None else jac,
             method=self.solver,
             rtol=r.rtol,
@@ -72,7 +72,7 @@ class CvodeRun(CallbackPeer):
             rows, steps, result = (self._to_the_end if self._saves == 1 else self._step_by_step)(solver, y)
         except NO_NUMBER as error:
             message = f"{type(error).__name__}: {error}"
-            return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
+            return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
         status, message = Status.ok, ""
         if not result.success or len(rows) < len(r.save_at):
             exhausted = result.success or result.status == TOO_MUCH_WORK
@@ -81,7 +81,7 @@ class CvodeRun(CallbackPeer):
             message = f"{reason} (t = {float(result.t):.6g})"
         counts = Counts(steps, calls[0] or result.nfev, result.njev, None)
         stopped = (float(result.t), np.array(result.y))
-        return self.finished(y0, self.packed(rows, y, start), counts, status, message, stopped)
+        return self.finish(y0, self.packed(rows, y, start), counts, status, message, stopped)
 
     def _to_the_end(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
         """Straight to the last time, in CVODE's fastest mode, which does not tell the steps."""
