@@ -69,7 +69,7 @@ class CvodeRun(CallbackPeer):
         # CVODE's nfev leaves out the calls that difference the Jacobian
         solver = self._solver(start, calls if self.jacobian is None else None)
         try:
-            rows, steps, result = (self._to_the_end if self._saves == 1 else self._step_by_step)(solver, y)
+            rows, steps, result = self._step_by_step(solver, y)
         except NO_NUMBER as error:
             message = f"{type(error).__name__}: {error}"
             return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
@@ -83,13 +83,7 @@ class CvodeRun(CallbackPeer):
         stopped = (float(result.t), np.array(result.y))
         return self.finish(y0, self.packed(rows, y, start), counts, status, message, stopped)
 
-    def _to_the_end(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
-        """Straight to the last time, in CVODE's fastest mode, which does not tell the steps."""
-        solver.init_step(0.0, y0)
-        result = solver.step(self._end, tstop=self._end)
-        return ([result.y] if result.success else []), None, result
-
-    def _step_by_step(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
+    def _step_by_step(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int, Any]:
         """One internal step at a time, so that steps are counted; saved times are interpolated."""
         times, budget, end = self.request.save_at, self.request.max_steps, self._end
         rows, steps, reached = ([y0] if self.saves_start else []), 0, 0.0
@@ -105,14 +99,6 @@ class CvodeRun(CallbackPeer):
                 at = float(times[len(rows)])
                 rows.append(result.y if at == reached else solver.step(at, tstop=end).y)
         return rows, steps, result
-
-    def count(self, counts: Counts) -> Counts:
-        """With the steps of a run to the last time."""
-        if counts.steps is None:
-            start, y = self.split_clock(self._own_start)
-            _, steps, _ = self._step_by_step(self._solver(start), y)
-            counts = counts._replace(steps=steps)
-        return counts
 
 
 class CompiledCvodeRun(CompiledPeer):
