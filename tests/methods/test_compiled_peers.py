@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
-from contactbench.gate.speed_worker import handed_out
+from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_state
 from contactbench.peers import c_functions
 from contactbench.peers.abi import cvode, cyrk
 from contactbench.solution import Status
