@@ -66,7 +66,7 @@ def deviations(laws: Any) -> dict[str, float | None]:
 
 def plot(solution: Any, path: Path) -> None:
     """The motion and the energies against time."""
-    from contactbench.report.draw import drawn
+    from contactbench.report.draw import render
     from contactbench.report.drawing import Axis, Curve, Figure, Panel
 
     t, scene, states = tuple(solution.t.tolist()), solution.scene, solution.states()
@@ -89,7 +89,7 @@ def plot(solution: Any, path: Path) -> None:
         for group in [*groups, energies]
     ]  # fmt: skip
     title = f"{scene.name}: {solution.method}, {solution.setting}"
-    drawn(Figure("run", title, tuple(panels), legend="each", across=2)).savefig(path)
+    render(Figure("run", title, tuple(panels), legend="each", across=2)).savefig(path)
 
 
 def summary(solution: Any) -> dict[str, Any]:
