@@ -27,7 +27,7 @@ def report(arguments: argparse.Namespace) -> int:
     if arguments.readme:  # refused now if it has no computed part
         write.parts_beside(arguments.readme)
         writable("--readme", arguments.readme)
-    for path in write.report(arguments.results, registries, arguments.readme):
+    for path in write.report(arguments.results, registries, arguments.readme, arguments.png):
         print(path)
     return 0
 
@@ -44,6 +44,7 @@ def add(command: Command) -> None:
     """Add the command and its options."""
     write = command("report", report, "markdown, figures and report.html from the CSV tables alone", EXAMPLES)
     write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
+    write.add_argument("--png", action="store_true", help="save the figures as .png too")
     write.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
     check = "write nothing; name each file that is not what the tables give, exit status 1 if there is one"
     write.add_argument("--check", action="store_true", help=check)

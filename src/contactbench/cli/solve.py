@@ -49,7 +49,7 @@ def deviations(laws: Any) -> dict[str, float | None]:
 
 def plot(solution: Any, path: Path) -> None:
     """Draw the motion and the energies against time."""
-    from contactbench.report.draw import drawn
+    from contactbench.report.draw import render
     from contactbench.report.drawing import Axis, Curve, Figure, Panel
 
     t, scene, states = tuple(solution.t.tolist()), solution.scene, solution.states()
@@ -73,7 +73,7 @@ def plot(solution: Any, path: Path) -> None:
         for group in groups.values()
     )
     title = f"{scene.name}: {solution.method}, {solution.setting}"
-    drawn(Figure("run", title, panels, legend="each", across=2)).savefig(path)
+    render(Figure("run", title, panels, legend="each", across=2)).savefig(path)
 
 
 def summary(solution: Any) -> dict[str, Any]:
