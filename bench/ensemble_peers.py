@@ -15,7 +15,7 @@ import numpy as np
 
 import contactbench as cb
 from c_loops import ensemble_kernel
-from contactbench.methods.base import Refused
+from contactbench.methods.prepared import Refused
 
 #: trajectories integrated together: the fastest of 64, 256 and all, for vmap and for shared steps
 TILE = 64

@@ -10,7 +10,9 @@ import time
 import numpy as np
 
 import contactbench as cb
-from contactbench.methods.base import METHODS, Adaptive, Outcome, Prepared
+from contactbench.methods.base import METHODS, Adaptive
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared
 from contactbench.solution import Counts, Status
 
 

@@ -6,23 +6,21 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import contactbench as cb
 from contactbench.methods import METHODS
-from contactbench.methods.base import Prepared, Request
+from contactbench.methods.base import Request
 from contactbench.methods.contact import ContactMethod, contact_method
 from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.prepared import Prepared
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Scene
-from contactbench.splitting.composition import ONE, Composition, balanced, palindrome
+from contactbench.splitting.composition import ONE, Composition, balance, palindrome
 from contactbench.splitting.tables import COMPOSITIONS, STRANG
 
 LARGER = Fraction(1001, 1000)
@@ -65,14 +63,14 @@ def faulty(composition: Composition) -> list[Composition]:
     names, values = [name for name, _ in stages], [c for _, c in stages]
     if composition.palindromic and composition.two_part and len(stages) > 3:
         halves = one_larger(values[: len(stages) // 2 - 1])
-        kernels = [palindrome(names[0], names[1], half, len(stages)) for half in halves]
+        kernels = [palindrome(names[0], names[1], half) for half in halves]
     else:
         kernels = [tuple(zip(names, changed, strict=True)) for changed in one_larger(values)]
     wrong = [replace(composition, stages=kernel) for kernel in kernels]
     if processor:
         (first, _), (second, _) = processor[:2]
         for free in one_larger([c for _, c in processor[:-2]]):
-            wrong.append(replace(composition, processor=balanced(first, second, free)))
+            wrong.append(replace(composition, processor=balance(first, second, free)))
     return wrong
 
 
@@ -157,34 +155,3 @@ def slower(names: Sequence[str], factor: float, tree: str) -> None:
     if Path(cb.__file__).is_relative_to(tree):
         for name in names:
             put(Slower(METHODS[name], factor - 1))
-
-
-class Dearer:
-    """A method whose preparation takes longer, and whose every run leaves something behind."""
-
-    def __init__(self, method: Any, seconds: float, leak: int) -> None:
-        self.method, self.seconds, self.leak = method, seconds, leak
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.method, name)
-
-    def prepare(self, request: Request) -> Prepared:
-        busy_until = time.process_time() + self.seconds
-        while time.process_time() < busy_until:
-            pass
-        run, kept = self.method.prepare(request), []
-        once = run.integrate
-
-        def integrate(y0: Any) -> Any:
-            if self.leak:
-                kept.append(np.ones(self.leak // 8))
-            return once(y0)
-
-        run.integrate = integrate
-        return run
-
-
-def dearer(name: str, tree: str, seconds: float = 0.0, leak: int = 0) -> None:
-    """A method takes `seconds` more to be compiled, or leaves `leak` bytes behind with every run, in one tree."""
-    if Path(cb.__file__).is_relative_to(tree):
-        put(Dearer(METHODS[name], seconds, leak))

@@ -162,7 +162,7 @@ LINES = {
     "a method's": (lambda: cb.solve("particle", FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
     "a bell": (lambda: cb.SCENES["particle"].with_(about="\a"), "about = '\\x07': must be"),
     "no end": (
-        lambda: cb.reference(cb.SCENES["particle"].with_(gamma=0.11), [1e9], seconds=3.0), "for all): allow it more",
+        lambda: cb.reference(cb.SCENES["particle"].with_(gamma=0.11), [1e9], seconds=3.0), "more): allow it more",
     ),
 }  # fmt: skip
 

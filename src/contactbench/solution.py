@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -113,6 +114,8 @@ class Run(Protocol):
 
     @property
     def steps_follow_state(self) -> bool: ...
+    @property
+    def atol(self) -> float | None: ...
     def differential(self, y0: np.ndarray, out: Any, frozen: bool) -> Differential: ...
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None: ...
     def modified_hamiltonian(self, x: Any) -> Any | None: ...
@@ -141,6 +144,9 @@ class Solution:
     message: str = ""
     counts: Counts = field(default_factory=Counts)
     end_time: float = float("nan")
+    #: measures a solution's laws; set by `contactbench.measure.laws`, which knows them
+    judge: ClassVar[Callable[[Solution], pd.DataFrame]]
+
     #: the initial state y was integrated from, packed
     y0: np.ndarray | None = None
     #: the run that made it, which can be differentiated
@@ -170,7 +176,7 @@ class Solution:
     @property
     def _tolerance(self) -> str:
         """The absolute tolerance, where the run had one."""
-        atol = getattr(self.run, "atol", None)
+        atol = None if self.run is None else self.run.atol
         return "" if atol is None else f", atol={atol:.6g}"
 
     @property
@@ -189,10 +195,8 @@ class Solution:
         return pd.DataFrame({"t": self.t, **dict(zip(self.labels, self.y.T, strict=True))})
 
     def laws(self) -> pd.DataFrame:
-        """Every law that applies to this run: see `contactbench.measure.laws.kept_by`."""
-        from contactbench.measure.laws import kept_by
-
-        return kept_by(self)
+        """Return how far the run is from every law that applies to it: see `contactbench.measure.laws.kept_by`."""
+        return Solution.judge(self)
 
     @cached_property
     def differential(self) -> Differential:

@@ -15,8 +15,8 @@ from contactbench.measure.laws import row
 from contactbench.measure.pullback import pullback
 from contactbench.measure.round_off import round_off_bound
 from contactbench.methods import differences as by_differences
-from contactbench.methods.base import Outcome
 from contactbench.methods.differences import INCREMENTS, differences
+from contactbench.methods.outcome import Outcome
 from contactbench.solution import SAFETY, Counts, Differential, Status
 
 SCENES = ("particle", "rigid_body")

@@ -71,10 +71,3 @@ def test_every_evaluation_counts_once_and_changes_nothing(function, expected, x)
 def test_what_has_no_rule_is_refused(function, where):
     with pytest.raises(NotImplementedError, match=where):
         counted(function, 0.5)
-
-
-def test_outputs_keep_their_shape():
-    y, number = counted(lambda x: {"a": (marked(x), x)}, jnp.arange(3.0))
-    assert y["a"][0].tolist() == [1.0, 2.5, 4.0]
-    assert y["a"][1].tolist() == [0.0, 1.0, 2.0]
-    assert int(number) == 1

@@ -39,11 +39,12 @@ class Jumps(cb.Mechanical):
 
 def pendulum(kind=cb.Mechanical, **changes):
     """V = q⁴/4, or what changes it."""
-    given = {
-        "name": "planted", "potential": lambda q: q[0] * q[0] * q[0] * q[0] / 4,
-        "gradient": lambda q: (q[0] * q[0] * q[0],), "hessian": lambda q: ((3 * q[0] * q[0],),),
-        "gamma": 0.3, "q": (0.7,), "p": (0.4,), "s": 0.1, "t_end": 2.0,
-    }  # fmt: skip
+    functions = {
+        "potential": lambda q: q[0] * q[0] * q[0] * q[0] / 4,
+        "gradient": lambda q: (q[0] * q[0] * q[0],),
+        "hessian": lambda q: ((3 * q[0] * q[0],),),
+    }
+    given = {"name": "planted", **functions, "gamma": 0.3, "q": (0.7,), "p": (0.4,), "s": 0.1, "t_end": 2.0}
     return kind(**{**given, **changes})
 
 

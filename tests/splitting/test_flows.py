@@ -7,12 +7,11 @@ import math
 import heyoka
 import numpy as np
 import pytest
-import scipy.linalg
 from mpmath import mp
 
 import contactbench as cb
-from cases import CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
-from contactbench.splitting.flows import BODY, MECHANICAL, body_damp, damped_time, flows_of, rotation, spin
+from cases import CONTACT_SCENES, USER, by_name, in_mp, random_state
+from contactbench.splitting.flows import MECHANICAL, damped_time, flows_of, spin
 from contactbench.xla import jax, jnp
 
 BITS = 180
@@ -83,40 +82,6 @@ def test_subflow_solves_its_own_equations_to_45_digits(scene, name, mp50):
         assert abs(a - b) < DIGITS * 10
 
 
-def turned_about(x, omega, h, xp):
-    """M' = M × ω, R' = R ω̂ with ω constant, by matrix exponentials: M and R after time h."""
-    a, b, c = omega
-    hat = xp.matrix([[0, -c, b], [c, 0, -a], [-b, a, 0]])
-    left = xp.matrix([[0, -a, -b, -c], [a, 0, c, -b], [b, -c, 0, a], [c, b, -a, 0]]) / 2  # q' = ½ q ⊗ (0, ω)
-    return [*(xp.expm(-h * hat) * xp.matrix(list(x.M))), *(xp.expm(h * left) * xp.matrix(list(x.R)))]
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_rotation_is_the_flow_of_a_square_of_one_component(axis, mp50):
-    """½ a M_i²: ω = a M_i e_i is constant, and s' = M·ω − ½ a M_i²."""
-    _, x = in_mp(RIGID_BODY, random_state(RIGID_BODY, 8))
-    a = mp50.mpf(H)
-    out = rotation(x, axis, a, mp50)
-    omega = [x.M[axis] * (i == axis) for i in range(3)]
-    for mine, truth in zip([*out.M, *out.R], turned_about(x, omega, a, mp50), strict=True):
-        assert abs(mine - truth) < DIGITS
-    assert abs(out.s - x.s - a * x.M[axis] ** 2 / 2) < DIGITS
-
-
-def test_spin_is_the_flow_of_the_square_of_the_momentum(mp50):
-    """½ a ‖M‖²: ω = a M is constant since M × M = 0; it commutes with every rotation."""
-    exact, x = in_mp(RIGID_BODY, random_state(RIGID_BODY, 8))
-    a = mp50.mpf(H)
-    out = spin(x, a, mp50)
-    for mine, truth in zip([*out.M, *out.R], turned_about(x, x.M, a, mp50), strict=True):
-        assert abs(mine - truth) < DIGITS
-    assert abs(out.s - x.s - a * sum(m * m for m in x.M) / 2) < DIGITS
-    for axis in range(3):
-        there, back = rotation(out, axis, a, mp50), spin(rotation(x, axis, a, mp50), a, mp50)
-        for one, other in zip(exact.pack(there), exact.pack(back), strict=True):
-            assert abs(one - other) < DIGITS
-
-
 def test_spin_of_a_body_at_rest_is_nothing_and_has_a_derivative():
     """d(½ a M)/dM in the quaternion, by AD at the point where the axis is undefined."""
     body = RIGID_BODY.with_(M=(0.0, 0.0, 0.0))
@@ -124,14 +89,6 @@ def test_spin_of_a_body_at_rest_is_nothing_and_has_a_derivative():
     assert body.pack(spin(x, 0.3, math)) == body.pack(x)
     slope = jax.jacfwd(lambda M: jnp.stack(spin(x._replace(M=tuple(M)), 0.3, jnp).R))(jnp.zeros(3))
     np.testing.assert_allclose(slope, 0.15 * np.eye(4)[:, 1:], atol=1e-15)
-
-
-@pytest.mark.parametrize("body", [cb.SCENES["rigid_body_anisotropic"], TILTED], ids=["diagonal", "tilted"])
-def test_anisotropic_damping_is_the_matrix_exponential(body):
-    x = random_state(body, 9)
-    out = body_damp(body, x, BODY["damp"].constants(body, 0.8, math), math)
-    np.testing.assert_allclose(out.M, scipy.linalg.expm(-0.8 * np.array(body.damping)) @ x.M, rtol=1e-14)
-    assert out.R == x.R
 
 
 @pytest.mark.parametrize("scene", [*CONTACT_SCENES, *DAMPINGS[1:]], ids=lambda scene: scene.name)
@@ -170,13 +127,6 @@ def test_flows_that_may_be_merged_form_one_parameter_groups(scene, name, mp50):
     twice = flowed(exact, name, flowed(exact, name, x, back, mp50), there, mp50)
     for a, b in zip(scene.pack(twice), scene.pack(flowed(exact, name, x, once, mp50)), strict=True):
         assert abs(a - b) < DIGITS
-
-
-def test_damped_time_is_exactly_h_without_damping_and_smooth_towards_it():
-    for xp in (math, np, jnp):
-        assert damped_time(0.0, 0.3, xp) == 0.3
-        assert abs(damped_time(1e-12, 0.3, xp) - 0.3) < 1e-12
-    assert float(jax.jit(lambda g: damped_time(g, 0.3, jnp))(0.0)) == 0.3
 
 
 @pytest.mark.parametrize("xp", [math, np, jnp], ids=["floats", "numpy", "jax"])

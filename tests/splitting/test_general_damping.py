@@ -11,8 +11,7 @@ from mpmath import mp
 import contactbench as cb
 from cases import in_mp
 from contactbench.measure import precision
-from contactbench.splitting.dissipation import decayed, survival
-from contactbench.splitting.flows import flows_of
+from contactbench.splitting.dissipation import decay
 from contactbench.testing import check_scene
 
 GAMMA, C = 0.1, 0.25
@@ -68,32 +67,11 @@ def test_quadrature_is_the_closed_form(s, h):
     with mp.workdps(50):
         exact, _ = in_mp(QUADRATURE, QUADRATURE.initial(("s",)))
         true = cubic_flow(mp.mpf(s), mp.mpf(h), mp)
-        assert abs(decayed(exact, mp.mpf(s), mp.mpf(h), mp) - true) < mp.mpf(10) ** -45
+        assert abs(decay(exact, mp.mpf(s), mp.mpf(h), mp) - true) < mp.mpf(10) ** -45
     tolerance = 1e-15 * abs(s) if abs(s) < 1 else 1e-11
-    assert decayed(QUADRATURE, s, h, math) == pytest.approx(float(true), rel=0, abs=tolerance)
-    together = decayed(QUADRATURE, np.array([s, s]), h, np)
+    assert decay(QUADRATURE, s, h, math) == pytest.approx(float(true), rel=0, abs=tolerance)
+    together = decay(QUADRATURE, np.array([s, s]), h, np)
     np.testing.assert_allclose(together, float(true), rtol=0, atol=tolerance)
-
-
-@both
-@pytest.mark.parametrize("s", ["0", "0.6", "-0.4"])
-def test_the_damping_flow_solves_its_equations_and_knows_its_factor(scene, s, mp50):
-    """s' = −Γ, p' = −Γ'p, and ∂s(h)/∂s is the factor on p."""
-    exact, x = in_mp(scene, scene.initial(("s",)))
-    flow, h, delta = flows_of(exact)["damp"], mp50.mpf("0.4"), mp50.mpf(10) ** -15
-    x = x._replace(s=mp50.mpf(s))
-
-    def at(h, x=x):
-        return flow.apply(exact, x, h, mp50)
-
-    here, ahead, behind = at(h), at(h + delta), at(h - delta)
-    assert abs((ahead.s - behind.s) / (2 * delta) + cubic(here.s)) < mp50.mpf(10) ** -25
-    for a, b, p in zip(ahead.p, behind.p, here.p, strict=True):
-        assert abs((a - b) / (2 * delta) + cubic_slope(here.s) * p) < mp50.mpf(10) ** -25
-    factor = mp50.exp(flow.log_factor(exact, x, h, mp50))
-    moved = [at(h, x._replace(s=x.s + d)).s for d in (delta, -delta)]
-    assert abs((moved[0] - moved[1]) / (2 * delta) - factor) < mp50.mpf(10) ** -25
-    assert abs(survival(exact, x.s, here.s, h, mp50) - factor) < mp50.mpf(10) ** -45
 
 
 @pytest.mark.parametrize("method", ["contact-abc", "contact-bm4", "contact-bm6"])
@@ -134,13 +112,3 @@ def test_blow_up_ends_as_diverged_with_the_time(engine):
 def test_gamma_and_kappa_beside_it_are_refused(given):
     with pytest.raises(cb.BadInput, match=next(iter(given))):
         SCENE.with_(**given)
-
-
-def test_h_and_j_decay_at_the_rate_of_the_moment():
-    """H' = −Γ'(s) H: the laws of quadratic damping apply, with the true rate."""
-    solution = cb.solve(SCENE, "scipy-dop853", rtol=1e-12, save_at=[1.0, 4.0])
-    for name in ("hamiltonian_law", "momentum_law"):
-        assert cb.LAWS[name](solution) < 1e-9
-    rough = cb.solve(SCENE, "contact-abc", step=0.2, save_at=[1.0, 4.0])
-    assert cb.LAWS["momentum_law"](rough) > 1e-5
-    assert cb.LAWS["own_factor_drift"](rough) < 1e-12

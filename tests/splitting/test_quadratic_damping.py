@@ -12,7 +12,7 @@ import contactbench as cb
 import decimals
 from cases import random_state
 from contactbench.measure import precision
-from contactbench.measure.laws import decay_rate, laws_of
+from contactbench.measure.laws import decay_rate
 from contactbench.splitting import composition, flows
 from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax, jnp
@@ -51,12 +51,6 @@ def test_the_laws_take_their_rate_from_the_truth():
     grid = SCENE.t_end * np.arange(201) / 200
     integral = np.trapezoid(SCENE.kappa * cb.reference(SCENE, grid).states().s, grid)
     assert rate[-1] * SCENE.t_end == pytest.approx(integral, rel=1e-3)
-
-
-def test_laws_of_a_constant_rate_do_not_apply():
-    names = {law.name for law in laws_of(SCENE)}
-    assert {"hamiltonian_law", "momentum_law", "contact_drift"} <= names
-    assert not names & {"momentum_balance", "energy_increases"}
 
 
 def test_rate_is_finite_at_a_saved_start():

@@ -244,10 +244,11 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     printed, palindromes = local(PRINTED), [local(name) for name in (ABC, STRANG)]
     worst = [min(powers) for powers in zip(*palindromes, strict=True)]
 
-    coarse, law = {"step": 0.5, "save_at": np.arange(1, 41) / 2, "engine": "python"}, LAWS["momentum_law"]
-    central, body = (
-        solve(SCENES[name].with_(gamma=gamma), PRINTED, **coarse) for name in ("central", "rigid_body")
-    )
+    def coarse(name):
+        other = SCENES[name].with_(gamma=gamma)
+        return solve(other, PRINTED, step=0.5, save_at=np.arange(1, 41) / 2, engine="python")
+
+    central, body, law = coarse("central"), coarse("rigid_body"), LAWS["momentum_law"]
     size = np.linalg.norm(body.M, axis=1) * np.exp(gamma * body.t) / np.linalg.norm(body.scene.M)
     exact = ROUND_OFF, "round-off of the steps taken"
     first, least = (2 - ORDER_MISS, "order 1 (C25): h² per step"), (3 - ORDER_MISS, ORDER_WHY)

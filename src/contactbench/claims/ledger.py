@@ -174,16 +174,13 @@ class Claim:
 
 def claim(name: str) -> Callable[[Callable[..., Evidence]], Claim]:
     """Return a decorator that registers a measuring function for the statement `name`."""
-    statement = STATEMENTS[name]
-    text = {field: " ".join(statement.get(field, "").split()) for field in ("where", "says", "correction")}
-    about: dict[str, Any] = {
-        "scene": statement["scene"],
-        "method": statement.get("method", "none: the equations themselves"),
-        "kind": Correction(statement["kind"]) if "kind" in statement else None,
-        "figures": tuple(statement.get("figures", ())),
-    }
+    fields: dict[str, Any] = {"method": "none: the equations themselves", **STATEMENTS[name]}
+    fields |= {field: " ".join(text.split()) for field, text in fields.items() if isinstance(text, str)}
+    fields["figures"] = tuple(fields.get("figures", ()))
+    if "kind" in fields:
+        fields["kind"] = Correction(fields["kind"])
 
     def register(measure: Callable[..., Evidence]) -> Claim:
-        return CLAIMS.add(Claim(name=name, measure=measure, **text, **about))
+        return CLAIMS.add(Claim(name=name, measure=measure, **fields))
 
     return register

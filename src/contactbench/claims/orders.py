@@ -118,7 +118,7 @@ def local_errors(
     """
 
     def state(y: np.ndarray) -> State:
-        return scene.unpack(y.reshape(-1, 5).T, ("s",))
+        return scene.unpack(tuple(y.reshape(-1, 5).T), ("s",))
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
         return np.stack(scene.pack(scene.rhs(state(y)))).T.ravel()

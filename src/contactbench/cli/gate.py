@@ -21,9 +21,8 @@ def seconds(text: str) -> float:
 
 def gate(arguments: argparse.Namespace) -> int:
     """Compare with the committed tables and time against another revision; 1 if something regressed."""
-    from contactbench.gate.accuracy import accuracy
-    from contactbench.gate.judge import PARTS, Question, by_base
-    from contactbench.gate.judge import gate as judge
+    from contactbench.gate import judge
+    from contactbench.gate.compare import compare_folders
 
     signal.signal(
         signal.SIGTERM, lambda *_: sys.exit(143)
@@ -31,18 +30,18 @@ def gate(arguments: argparse.Namespace) -> int:
     if arguments.baseline is not None:
         if arguments.fresh is None or arguments.only == "speed":
             raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
-        verdict = accuracy(arguments.baseline, arguments.fresh)
+        found = compare_folders(arguments.baseline, arguments.fresh)
     else:
-        question = Question(
+        question = judge.Question(
             Path.cwd(), arguments.results, arguments.fresh, arguments.base,
-            (arguments.only,) if arguments.only else PARTS, arguments.tables_changed, arguments.budget,
+            (arguments.only,) if arguments.only else judge.PARTS, arguments.tables_changed, arguments.budget,
         )  # fmt: skip
-        status = by_base(question, arguments.json)
+        status = judge.by_base(question, arguments.json)
         if status is not None:
             return status
-        verdict = judge(question)
-    print(verdict.as_json() if arguments.json else verdict.as_markdown())
-    return verdict.status
+        found = judge.gate(question)
+    print(found.as_json() if arguments.json else found.as_markdown())
+    return found.status
 
 
 def add(command: Command) -> None:

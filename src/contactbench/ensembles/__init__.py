@@ -20,10 +20,11 @@ from contactbench.ensembles.chunks import ENGINES, Task, results
 from contactbench.ensembles.measures import ENERGY, Statistic, decaying, overall, tally
 from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, shown, switch, whole
-from contactbench.methods.base import METHODS, Refused
+from contactbench.methods.base import METHODS
 from contactbench.methods.entry import asked, lookup
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import Division
+from contactbench.methods.prepared import Refused
 from contactbench.scene import BodyState, DrivenState, Scene, State
 from contactbench.solution import Counts, Status
 

@@ -1,7 +1,8 @@
-"""The loop of `contact-adaptive` (see there) as recorded source: over its steps and the saved times."""
+"""The loop of `contact-adaptive` (see there) as a recorded function: over its steps and the saved times."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from contactbench.methods.base import SHORTEST
@@ -10,13 +11,14 @@ from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.scene import Mechanical, dot
 from contactbench.solution import DIVERGENCE
 from contactbench.splitting.composition import Composition, advance
-from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, text_of
+from contactbench.trace.form import Assign, Element, Function, Loop, Operation, Store, Update, While
+from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, operand_of
 
 
 def recorded_loop(
     composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool, moving: bool = False
-) -> str:
-    """Source of ``run(start, numbers, options, times, y, facts)``, the loop over steps and saved times.
+) -> Function:
+    """``run(start, numbers, options, times, y, facts)``, the loop over steps and saved times.
 
     options : ε, the span, the budget of steps.  y : states at the saved times, NaN where not reached.
     facts : time, density and steps at the end of the sequence, and the state there.
@@ -27,11 +29,13 @@ def recorded_loop(
     outer = tape.root
     interval = Block(outer)
     inner = Block(interval)
+    after = Block(inner)
     size = d * (1 + tangent)
+    states = tuple(f"x{i}" for i in range(size))
     twin: Any = scene.with_numbers(
-        [tape.assign(f"numbers[{i}]", "f", outer) for i in range(len(scene.numbers()))]
+        [tape.assign(Element("numbers", (i,)), "f", outer) for i in range(len(scene.numbers()))]
     )
-    epsilon, span, budget = (tape.assign(f"options[{i}]", "f", outer) for i in range(3))
+    epsilon, span, budget = (tape.assign(Element("options", (i,)), "f", outer) for i in range(3))
     xp: Any = RecordedNumbers(tape)
     largest = DualNumbers(xp).maximum if moving else xp.maximum
 
@@ -40,66 +44,71 @@ def recorded_loop(
         plain = Recorded(tape, name, "f", block)
         return Dual(plain, Recorded(tape, f"d{name}", "f", block)) if moving else plain
 
-    def assigned(name: str, number: Any) -> list[str]:
-        lines = [f"{name} = {text_of(value(number))}"]
-        return [*lines, f"d{name} = {text_of(slope(number))}"] if moving else lines
+    def update(block: Block, name: str, number: Any) -> None:
+        names = (name, f"d{name}") if moving else (name,)
+        parts = (value(number), slope(number))[: len(names)]
+        block.statements.append(Update(names, tuple(map(operand_of, parts))))
 
-    def carried(block: Block) -> tuple[list[Recorded], Any, Any, Recorded]:
-        x = [Recorded(tape, f"x{i}", "f", block) for i in range(size)]
-        return x, variable("time", block), variable("density", block), Recorded(tape, "steps", "f", block)
+    def state(block: Block) -> list[Recorded]:
+        return [Recorded(tape, name, "f", block) for name in states]
 
-    def advanced(x: list[Any], h: Any) -> list[str]:
+    def advanced(x: list[Any], h: Any) -> tuple[Any, ...]:
         """One step of size h."""
         numbers: Any = xp
         if tangent:
             x, numbers = list(map(Dual, x[:d], x[d:])), DualNumbers(xp)
         end = scene.pack(advance(composition, twin, scene.unpack(x, carry), h, 1, numbers))
-        return [text_of(c) for c in ([*map(value, end), *map(slope, end)] if tangent else end)]
+        return tuple(map(operand_of, [*map(value, end), *map(slope, end)] if tangent else end))
 
     def followed(x: list[Recorded]) -> Any:
         """The state whose density is asked for."""
         return scene.unpack(list(map(Dual, x[:d], x[d:])) if moving else x[:d], carry)
 
-    def going(x: list[Any], time: Any, density: Any, steps: Any, due: Any) -> tuple[Any, Any]:
-        time, density = value(time), value(density)
+    def going(block: Block, x: list[Any], time: Any, density: Any, due: Any) -> tuple[Any, Any]:
+        time, density, steps = value(time), value(density), Recorded(tape, "steps", "f", block)
         healthy = (steps < budget) & (epsilon > SHORTEST * span * density)
         for c in x[: scene.motion]:
             healthy = healthy & (c * c <= bound)
         return time + epsilon / density <= due, healthy
 
-    start = [tape.assign(f"start[{i}]", "f", outer) for i in range(size)]
+    start = [tape.assign(Element("start", (i,)), "f", outer) for i in range(size)]
     square = dot(start[: scene.motion], start[: scene.motion])
     bound = DIVERGENCE**2 * xp.where(square > 0, square, 1.0)
     first = first_density(twin, followed(start), epsilon, span, largest)
-    outer.add(*(f"x{i} = {text_of(c)}" for i, c in enumerate(start)))
-    outer.add("steps = 0.0", *assigned("time", 0.0), *assigned("density", first))
+    outer.statements += [Update(states, tuple(map(operand_of, start))), Update(("steps",), (0.0,))]
+    update(outer, "time", 0.0)
+    update(outer, "density", first)
 
     # a step of the sequence
-    x, time, density, steps = carried(inner)
-    due = tape.assign("times[j]", "f", interval)
-    ahead, healthy = going(x, time, density, steps, due)
-    inner.add(f"if not ({text_of(ahead)} and {text_of(healthy)}):", "    break")
+    x, time, density = state(inner), variable("time", inner), variable("density", inner)
+    due = tape.assign(Element("times", ("j",)), "f", interval)
+    ahead, healthy = going(inner, x, time, density, due)
+    more = Operation("and", (operand_of(ahead), operand_of(healthy)))
+    inner.statements.append(Assign("more", more))
+    tests = len(inner.statements)
     h = epsilon / density
-    end = advanced(x, h)
-    inner.add(f"{', '.join(f'x{i}' for i in range(size))} = {', '.join(end)}", *assigned("time", time + h))
-    inner.add("steps = steps + 1.0")
-    after = Block(inner, inner.indent)
-    moved = [Recorded(tape, f"x{i}", "f", after) for i in range(size)]
-    following = assigned("density", next_density(twin, followed(moved), density, epsilon, span, largest))
-    inner.lines += after.lines
-    inner.add(*following)
+    inner.statements.append(Update(states, advanced(x, h)))
+    update(inner, "time", time + h)
+    inner.statements.append(Assign("next", Operation("add", ("steps", 1.0))))
+    inner.statements.append(Update(("steps",), ("next",)))
+    following = next_density(twin, followed(state(after)), density, epsilon, span, largest)
+    inner.statements += after.statements
+    update(inner, "density", following)
+    test, body = tuple(inner.statements[:tests]), tuple(inner.statements[tests:])
 
     # the shortened one to the saved time
-    interval.add("while True:")
-    interval.lines += inner.lines
-    x, time, density, steps = carried(interval)
-    ahead, healthy = going(x, time, density, steps, due)
+    interval.statements.append(While(test, "more", body))
+    x, time, density = state(interval), variable("time", interval), variable("density", interval)
+    ahead, healthy = going(interval, x, time, density, due)
     complete = healthy & ~ahead
-    there = advanced(x, due - time)
-    interval.add(*(f"y[j, {i}] = {c} if {text_of(complete)} else nan" for i, c in enumerate(there)))
+    for i, c in enumerate(advanced(x, due - time)):
+        reached = Operation("where", (operand_of(complete), c, math.nan))
+        interval.statements += [Assign(f"end{i}", reached), Store(Element("y", ("j", i)), f"end{i}")]
 
-    outer.add("for j in range(len(times)):")
-    outer.lines += interval.lines
-    outer.add("facts[0] = time", "facts[1] = density", "facts[2] = steps")
-    outer.add(*(f"facts[{3 + i}] = x{i}" for i in range(size)), "return 0")
-    return "\n".join(["def run(start, numbers, options, times, y, facts):", *outer.lines, ""])
+    ends = [
+        Store(Element("facts", (i,)), name) for i, name in enumerate(("time", "density", "steps", *states))
+    ]
+    saves = Assign("saves", Operation("len", ("times",)))
+    loop = Loop("j", "saves", tuple(interval.statements))
+    arguments = ("start", "numbers", "options", "times", "y", "facts")
+    return Function("run", arguments, (*outer.statements, saves, loop, *ends))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from contactbench.methods.base import Prepared, stopwatch
+from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.scene.cache import Cache, key
 from contactbench.trace.recording import advised
 

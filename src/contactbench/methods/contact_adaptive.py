@@ -30,18 +30,11 @@ from typing import Any, cast
 import numpy as np
 
 from contactbench.methods.adaptive_program import recorded_loop
-from contactbench.methods.base import (
-    METHODS,
-    NO_NUMBER,
-    SHORTEST,
-    Adaptive,
-    Outcome,
-    Prepared,
-    Refused,
-    Request,
-    stopwatch,
-)
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared, Refused, stopwatch
+from contactbench.methods.request import NO_NUMBER
 from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Mechanical, Scene
@@ -51,8 +44,8 @@ from contactbench.splitting.composition import advance, own_equations, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compiled
+from contactbench.trace.python import executed
 from contactbench.trace.recording import CannotRecord, recorded
-from contactbench.trace.source import executed_on_lists
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
@@ -77,6 +70,8 @@ class AdaptiveContactRun(Prepared):
         scene: Any = r.scene
         #: gradients that the curvature of a state costs where the scene has no Hessian
         self.by_gradients = len(scene.q) if scene.hessian is None else 0
+        #: of steps of the sequence; the shortened ones, one to every saved time, come out of `max_steps` first
+        self.budget = max(r.max_steps - len(r.save_at) + 1, 0)
         self.epsilon, self.span = AIM * r.rtol ** (1 / self.composition.order), float(r.save_at[-1])
 
     #: how `sensitivity` with frozen=False differentiates
@@ -105,7 +100,7 @@ class AdaptiveContactRun(Prepared):
         if reached == len(y):
             return self.finished(y0, y, counts)
         status, message = Status.budget, f"max_steps = {r.max_steps} spent (t = {time:.6g})"
-        if steps < r.max_steps:
+        if steps < self.budget:
             status = Status.failed
             message = f"step {self.epsilon / density:.3g} below the resolution of time (t = {time:.6g})"
         return self.finished(y0, y[:reached], counts, status, message, (time, np.array(last)))
@@ -129,8 +124,8 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         super().__post_init__()
         r, elapsed, scene, self.loop = self.request, stopwatch(), cast("Mechanical", self.request.scene), None
         with suppress(CannotRecord):
-            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent=False))
-            self.loop = executed_on_lists(text)["run"]
+            loop = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent=False))
+            self.loop = executed(loop)
             self.compile_s = elapsed()
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
@@ -140,7 +135,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         if self.loop is not None:
             r = self.request
             y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0] * (3 + len(y0))
-            options = self.epsilon, self.span, r.max_steps
+            options = self.epsilon, self.span, self.budget
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
                 self.loop(y0.tolist(), r.scene.numbers(), options, r.save_at.tolist(), y, facts)
                 time, density, steps, *last = facts
@@ -160,7 +155,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
             for k, due in enumerate(r.save_at.tolist()):
                 while time + epsilon / density <= due:
                     step = epsilon / density
-                    if steps == r.max_steps or not step > SHORTEST * span:
+                    if steps == self.budget or not step > SHORTEST * span:
                         break
                     if not all(c * c <= bound for part in x[:2] for c in part):
                         break
@@ -168,7 +163,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
                     density = next_density(scene, x, density, epsilon, span, max)
                     time, steps = time + step, steps + 1
                 else:
-                    if steps == r.max_steps:
+                    if steps == self.budget:
                         break
                     y[k] = scene.pack(advance(self.composition, scene, x, due - time, 1, math))
                     continue
@@ -191,7 +186,7 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         super().__post_init__()
         r = self.request
         self.numbers = np.array(r.scene.numbers())
-        self.options = np.array([self.epsilon, self.span, r.max_steps])
+        self.options = np.array([self.epsilon, self.span, self.budget])
         self.times = np.ascontiguousarray(r.save_at)
         self.run, self.compile_s = self.loop()
 
@@ -202,8 +197,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             scene: Any = r.scene
-            text = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
-            return compiled(text), elapsed()
+            loop = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
+            return compiled(loop), elapsed()
 
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 
@@ -238,7 +233,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
 
         super().__post_init__()
         r = self.request
-        options = [self.epsilon, self.span, r.max_steps]
+        options = [self.epsilon, self.span, self.budget]
         self.fixed = jax.device_put(self.together(r.scene.numbers(), options, self.times()))
         self.program, self.compile_s = self.compiled(
             "run", self.flat(self._solve), self._own_start, self.fixed

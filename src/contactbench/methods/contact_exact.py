@@ -14,10 +14,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, NO_NUMBER, Method, Outcome, Prepared, Refused, Request
+from contactbench.methods.base import METHODS, Method, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.request import NO_NUMBER
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
@@ -103,14 +106,14 @@ class ExactNumba(ExactRun):
         return rows, [np.append(common, row) for row in which]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        after = np.empty(len(y0))
+        after = np.empty((1, len(y0)))
         self.run(y0, self.rows, self.shapes[-1], after)
-        return after
+        return after[0]
 
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
         y = np.empty((len(times), len(y0)))
         for k, shape in enumerate(self.shapes[-len(times) :]):
-            self.run(y0, self.rows, shape, y[k])
+            self.run(y0, self.rows, shape, y[k : k + 1])
         return y
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
@@ -120,7 +123,7 @@ class ExactNumba(ExactRun):
         for j, tangent in enumerate(tangents):
             start = np.concatenate([y0, tangent])
             for k, shape in enumerate(shapes):
-                loop.run(start, rows, shape, y[k, j])
+                loop.run(start, rows, shape, y[k, j : j + 1])
         return y[:, :, d:].transpose(0, 2, 1)
 
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from contactbench.boundary import reported
 from contactbench.errors import BadInput, positive, shown, text, whole
-from contactbench.methods.base import METHODS, Method, Prepared, Refused, Request, begins
+from contactbench.methods.base import METHODS, Method, Request
 from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.first_step import try_step
 from contactbench.methods.grid import default_times, long_enough, saved_times
+from contactbench.methods.prepared import Prepared, Refused, begins
 from contactbench.methods.step_map import StepMap
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_at
@@ -97,7 +98,8 @@ def asked(
             raise BadInput(f"step = {shown(step)}: {chosen.name} chooses its own steps; give rtol")
         if atol is not None and not chosen.takes_atol:
             raise BadInput(f"atol = {shown(atol)}: {chosen.name} takes rtol alone")
-        step, rtol, atol = None, *_tolerances(chosen, rtol, atol)
+        rtol, own = _tolerances(chosen, rtol, atol)
+        atol = own if chosen.takes_atol else None
     else:
         if step is not None and rtol is not None:
             raise BadInput(

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactbench.errors import NAME, BadInput, function, shown, switch, text, whole
-from contactbench.methods.base import FAMILIES, METHODS, Prepared, Refused, Request
+from contactbench.methods.base import FAMILIES, METHODS, Request
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxLoop
 from contactbench.methods.numba_engine import NumbaLoop
+from contactbench.methods.prepared import Prepared, Refused
 from contactbench.methods.python_engine import PythonLoop
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.methods.step_map import Step, StepMap

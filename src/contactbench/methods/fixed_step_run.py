@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import Outcome, Prepared
 from contactbench.methods.grid import UNCOUNTED, steps_in
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared
 from contactbench.methods.step_map import StepMap
 from contactbench.solution import Counts, Status
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import Outcome
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.outcome import Outcome
 from contactbench.methods.step_map import identity
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.xla import XlaNumbers

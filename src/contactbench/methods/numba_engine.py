@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import NO_NUMBER, Outcome, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import stopwatch
+from contactbench.methods.request import NO_NUMBER
 from contactbench.methods.step_map import StepMap, identity, program_of, tangent_program
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Status
 from contactbench.trace.compiled import compiled
 from contactbench.trace.program import Program
-from contactbench.trace.source import executed_on_lists
+from contactbench.trace.python import executed
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22
@@ -45,7 +47,7 @@ class Loop:
 
     @cached_property
     def in_python(self) -> Any:
-        return executed_on_lists(self.program.setup)["setup"]
+        return executed(self.program.setup)
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
@@ -103,7 +105,7 @@ class NumbaLoop(FixedStepRun):
 
     def divide(self, step: float) -> None:
         super().divide(step)
-        self.size = len(self.n) * len(self._own_start)
+        self.size = len(self.n), len(self._own_start)
         if self.short(self.n):
             self.rows, self.shape = self.loop.rows(self.numbers, self.h, self.n)
 
@@ -118,14 +120,14 @@ class NumbaLoop(FixedStepRun):
     def bare(self, y0: np.ndarray) -> np.ndarray:
         after = np.empty(self.size)
         self.run(y0, self.rows, self.shape, after)
-        return after if len(after) == len(y0) else after[-len(y0) :]
+        return after[-1]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         if self.saves_start or self.needed > self.request.max_steps or not self.short(self.n):
             return super().integrate(y0)
         after = np.empty(self.size)
         if self.run(y0, self.rows, self.shape, after) < 0:  # nothing to look for
-            return Outcome(after.reshape(-1, len(y0)), self.totals, Status.ok, "", self._end, True)
+            return Outcome(after, self.totals, Status.ok, "", self._end, True)
         return super().integrate(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
@@ -141,7 +143,7 @@ class NumbaLoop(FixedStepRun):
                 rows, shape = self.rows, self.shape
             else:
                 rows, shape = loop.rows(self.numbers, h[part], n[part])
-            loop.run(y0, rows, shape, y[part].ravel())  # a view
+            loop.run(y0, rows, shape, y[part])
             y0 = y[part][-1]
         return y
 

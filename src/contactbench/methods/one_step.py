@@ -14,18 +14,13 @@ import numpy as np
 from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.entry import lookup
 from contactbench.methods.step_map import StepMap, is_fixed
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Scene
+from contactbench.trace.form import Element, Function, needed
 from contactbench.trace.formula import Formula, formula
-from contactbench.trace.recording import (
-    CannotRecord,
-    Recorded,
-    RecordedNumbers,
-    Tape,
-    recorded,
-    text_of,
-)
-from contactbench.trace.source import PREAMBLE, needed
+from contactbench.trace.python import SCOPE, source
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, operands, recorded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,23 +89,23 @@ class OneStep:
         Raises `CannotRecord` where scene or method branch on values.
         """
         tape = Tape()
-        y = tuple(tape.assign(f"y[{i}]", "f", tape.root) for i in range(len(self.labels)))
-        numbers = [tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(len(self.scene.numbers()))]
+        y, numbers = (
+            [tape.assign(Element(name, (i,)), "f", tape.root) for i in range(size)]
+            for name, size in (("y", len(self.labels)), ("numbers", len(self.names)))
+        )
         h = Recorded(tape, "h", "f", tape.root)
-        end = recorded(lambda: self.applied(y, h, numbers, RecordedNumbers(tape)))
-        tape.root.add(f"out = ({', '.join(map(text_of, end))},)")
-        lines = "\n".join(needed(tape.root.lines))
-        own = tuple(map(float, self.scene.numbers()))
-        return f"def step(y, h, numbers={own!r}):\n{lines}\n    return out\n"
+        end = operands(recorded(lambda: self.applied(tuple(y), h, numbers, RecordedNumbers(tape))))
+        own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
+        return source(Function("step", ("y", "h", own), needed(tape.root.statements, end), end))
 
     @cached_property
     def compiled(self) -> Any:
         """The same as a function compiled by numba."""
         import numba
 
-        scope: dict[str, Any] = {}
-        exec(PREAMBLE + self.source, scope)
-        return numba.njit(scope["step"], error_model="numpy")
+        names = dict(SCOPE)
+        exec(self.source, names)
+        return numba.njit(names["step"], error_model="numpy")
 
     @property
     def _numba_type_(self) -> Any:

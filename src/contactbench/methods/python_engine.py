@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactbench.methods.base import NO_NUMBER, stopwatch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxSteps
 from contactbench.methods.numba_engine import NumbaLoop
+from contactbench.methods.prepared import stopwatch
+from contactbench.methods.request import NO_NUMBER
 from contactbench.methods.step_map import program_of, tangent_program, trajectory
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace.program import Program
-from contactbench.trace.source import executed_on_lists
+from contactbench.trace.python import executed
 
 Span = tuple[float, int]  #: a step size, and how many steps
 
@@ -33,7 +34,7 @@ class PythonLoop(FixedStepRun):
         self.program: Program | None = None
         with suppress(CannotRecord):
             self.program = program_of(self.method_, self.request.scene, self.request.carry)
-            self.functions = executed_on_lists(self.program.setup + self.program.run)
+            self.functions = executed(self.program.setup), executed(self.program.run)
             self.compile_s = elapsed()
         self.with_tangent = tangent_program(self.method_, self.request.scene, self.request.carry)
         super().__post_init__()
@@ -55,16 +56,16 @@ class PythonLoop(FixedStepRun):
 
     def recorded(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
         """States after each interval, by the recorded loop."""
-        setup, run = self.functions["setup"], self.functions["run"]
+        setup, run = self.functions
         numbers, data, shape = self.request.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
         for span in spans:
             if span != last:
                 setup(numbers, [span], data, shape, w)
                 last = span
-            after = [0.0] * len(y)
+            after = [[0.0] * len(y)]
             run(y, w, [*shape, 0], after)
-            rows.append(y := after)
+            rows.append(y := after[0])
         return rows
 
     def as_written(self, y: list[float], spans: list[Span]) -> list[list[float]]:

@@ -13,8 +13,9 @@ from threading import Lock
 
 import numpy as np
 
-from contactbench.methods.base import Outcome, Prepared
 from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared
 from contactbench.methods.step_map import StepMap
 from contactbench.solution import Status
 

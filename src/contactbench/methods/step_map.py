@@ -138,7 +138,14 @@ def identity(method: StepMap, scene: Scene, carry: tuple[str, ...]) -> Hashable 
         program = program_of(method, scene, carry)
     except CannotRecord:
         return None
-    return program.setup, program.run, program.data.tobytes(), program.shape.tobytes(), own, carry
+    return (
+        program.setup.digest,
+        program.run.digest,
+        program.data.tobytes(),
+        program.shape.tobytes(),
+        own,
+        carry,
+    )
 
 
 def trajectory(method: StepMap, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:

@@ -9,16 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import Prepared, Request
+from contactbench.methods.base import Request
+from contactbench.methods.prepared import Prepared
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.variational import SOURCE, integrated, numerical_derivative, variational_request
 from contactbench.scene import System
-from contactbench.trace.recording import CannotRecord, Recorded, Tape, text_of
+from contactbench.trace.form import Function, Unpack
+from contactbench.trace.python import executed
+from contactbench.trace.recording import Recorded, Tape, operands
 from contactbench.trace.recording import recorded as within
-from contactbench.trace.source import executed
 
 Rows = list[list[float]]
 
@@ -48,21 +52,16 @@ class CallbackPeer(Prepared):
 
 
 def recorded(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
-    """``f(t, y)`` on a list of floats: the list of slopes, or rows of a Jacobian; None if it cannot be had."""
+    """``f(t, y)`` on a list of floats: the slopes, or rows of a Jacobian; None if it cannot be had."""
     tape = Tape()
-    names = [f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry))))]
+    names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
+    slopes = scene.slopes if what == "rhs" else partial(motion_jacobian, scene)
     try:
-        if what == "rhs":
-            rows = [within(lambda: scene.slopes(t, y, carry))]
-        else:
-            rows = within(lambda: motion_jacobian(scene, t, y, carry))
-        texts = [f"[{', '.join(map(text_of, row))}]" for row in rows]
+        results = operands(within(lambda: slopes(t, y, carry)))
     except (CannotRecord, TypeError):
         return None
-    lines = [f"def {what}(t, y):", f"    {', '.join(names)}, = y", *tape.root.lines]
-    result = texts[0] if what == "rhs" else f"[{', '.join(texts)}]"
-    return executed("\n".join([*lines, f"    return {result}", ""]))[what]
+    return executed(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
 
 
 def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:

@@ -9,7 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from contactbench.methods.base import Outcome, Prepared
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared
 from contactbench.peers.abi import KNOWN
 from contactbench.peers.c_functions import c_functions, clock_of, derivative
 from contactbench.peers.variational import SOURCE, integrated, variational_request

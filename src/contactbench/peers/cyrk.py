@@ -15,7 +15,8 @@ from __future__ import annotations
 import importlib.util
 from dataclasses import dataclass
 
-from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Prepared, Refused, Request
+from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Request
+from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi import KNOWN
 from contactbench.peers.abi.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, why_not

@@ -12,17 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import (
-    METHODS,
-    ROUNDING,
-    SHORTEST,
-    Adaptive,
-    Outcome,
-    Prepared,
-    Refused,
-    Request,
-)
+from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status

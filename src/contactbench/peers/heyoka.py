@@ -16,16 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import (
-    METHODS,
-    ROUNDING,
-    Adaptive,
-    Outcome,
-    Prepared,
-    Refused,
-    Request,
-    stopwatch,
-)
+from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Request
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared, Refused, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.peers.variational import SOURCE, integrated, variational_request
 from contactbench.scene import Scene

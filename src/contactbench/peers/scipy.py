@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import CLAMPED, METHODS, NO_NUMBER, Adaptive, Outcome, Prepared, Request
+from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Request
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared
+from contactbench.methods.request import NO_NUMBER
 from contactbench.peers.callback import CallbackPeer
 from contactbench.solution import Counts, Status
 

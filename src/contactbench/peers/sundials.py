@@ -14,17 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import (
-    METHODS,
-    NO_NUMBER,
-    ROUNDING,
-    SHORTEST,
-    Adaptive,
-    Outcome,
-    Prepared,
-    Refused,
-    Request,
-)
+from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Request
+from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.request import NO_NUMBER
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi.cvode import ADAMS, BDF, TOO_MUCH_WORK, Library, library
 from contactbench.peers.callback import CallbackPeer

@@ -101,8 +101,8 @@ def parts(frames: Frames) -> list[Part]:
         drawn = figures.figure(work, PICTURED)
         found += [replace(drawn, caption="")] if drawn else []
         legend = (
-            "In brackets the best contact method, where it is not the cheapest. Bold: a contact method is the cheapest; "
-            "italic: it ties. [Scene by scene](work_precision.md); [hard scenes](stability.md)."
+            "In brackets the best contact method, where it is not the cheapest. Bold: a contact method is the "
+            "cheapest; italic: it ties. [Scene by scene](work_precision.md); [hard scenes](stability.md)."
         )
         tables = (
             replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}", own.kind.title), legend="")

@@ -17,7 +17,7 @@ from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Live, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
 from contactbench.report.law_cells import law_label
-from contactbench.report.numbers import DASH, count, duration, names, percent, scientific
+from contactbench.report.numbers import DASH, count, duration, names, percent, scientific, times
 from contactbench.report.page import page
 from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.judgement import structural_laws
@@ -34,7 +34,7 @@ def answers(frame: pd.DataFrame) -> pd.DataFrame:
     """Return who is cheapest at each error."""
     lines = []
     for (kind, error), rows in frame[frame["verdict"] != ""].groupby(["kind", "error_asked"], sort=False):
-        first = rows[rows["verdict"].isin(["cheapest", *ALIKE])].sort_values("time_s")
+        first = rows[rows["verdict"].isin(["win", *ALIKE])].sort_values("time_s")
         if len(first):
             who = names(list(first["method"]), 4)
             least = duration(first["time_s"].min())
@@ -104,8 +104,9 @@ def time_cell(row: Any) -> Cell:
         return Cell(row.status)
     if math.isnan(row.time_s):
         return Cell("not timed")
-    mark = Mark.best if row.verdict == "cheapest" else Mark.tie if row.verdict in ALIKE else None
-    return Cell(f"{duration(row.time_s)} {row.verdict}", row.time_s, mark)
+    mark = Mark.best if row.verdict == "win" else Mark.tie if row.verdict in ALIKE else None
+    beside = {"win": "cheapest", "loss": times(row.ratio)}.get(row.verdict, row.verdict)
+    return Cell(f"{duration(row.time_s)} {beside}", row.time_s, mark)
 
 
 def kept_by(rows: pd.DataFrame) -> str:

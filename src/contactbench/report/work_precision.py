@@ -254,7 +254,7 @@ def parts(frames: Frames) -> list[Part]:
             scene,
             (
                 figures.figure(work, scene),
-                *(costs_view(own, scene) for own in found.values() if scene in own.scenes),
+                *(costs_view(own, scene) for own in found.values() if scene in set(own.standings["scene"])),
             ),
             choice="scene",
         )

@@ -173,47 +173,89 @@ _LAWS = ("convergence", "laws")
 _COST = (*_LAWS, "decay_laws", "work_precision")
 
 FORCED_OSCILLATOR = Driven(
-    name="forced_oscillator", experiments=_COST,
+    name="forced_oscillator",
+    experiments=_COST,
     about="a damped oscillator under a sinusoidal force: a transient and a steady motion, both in closed form",
-    potential=forced, gradient=forced_gradient, parameters={"omega": 1.0, "force": 0.3, "drive": 0.7},
-    gamma=0.1, q=(1.0,), p=(0.0,), t_end=20.0, exact=forced_oscillator,
-)  # fmt: skip
+    potential=forced,
+    gradient=forced_gradient,
+    parameters={"omega": 1.0, "force": 0.3, "drive": 0.7},
+    gamma=0.1,
+    q=(1.0,),
+    p=(0.0,),
+    t_end=20.0,
+    exact=forced_oscillator,
+)
 
 FORCED_PULSATING = Driven(
-    name="forced_pulsating", experiments=_LAWS,
+    name="forced_pulsating",
+    experiments=_LAWS,
     about="the forced oscillator under a damping γ₀(1 + a sin νt) that changes its sign: no step of it in closed form, "
     "the damping is integrated over each step by Gauss's rule",
-    potential=forced, gradient=forced_gradient, rate=pulsating, q=(1.0,), p=(0.0,), t_end=20.0,
+    potential=forced,
+    gradient=forced_gradient,
+    rate=pulsating,
+    q=(1.0,),
+    p=(0.0,),
+    t_end=20.0,
     parameters={**FORCED_OSCILLATOR.parameters, "friction": 0.1, "depth": 1.5, "pulse": 1.3},
-)  # fmt: skip
+)
 
 _LANE_EMDEN = "the Lane–Emden equation, γ = 2/t, of index"
 _SPHERICAL: Any = {"rate": spherical, "span": spherical_span}
 LANE_EMDEN = (
     Driven(
-        name="lane_emden_0", about=f"{_LANE_EMDEN} 0: 1 − t²/6 in closed form",
+        name="lane_emden_0",
+        about=f"{_LANE_EMDEN} 0: 1 − t²/6 in closed form",
         experiments=("laws",),  # under a constant force most methods have no error but round-off
-        potential=constant_pull, gradient=constant_pull_gradient, exact=lane_emden_0,
-        q=(0.94,), p=(-0.2,), t=0.6, t_end=2.0, **_SPHERICAL,
+        potential=constant_pull,
+        gradient=constant_pull_gradient,
+        exact=lane_emden_0,
+        q=(0.94,),
+        p=(-0.2,),
+        t=0.6,
+        t_end=2.0,
+        **_SPHERICAL,
     ),
     Driven(
-        name="lane_emden_1", about=f"{_LANE_EMDEN} 1: sin t/t in closed form", experiments=_LAWS,
-        potential=square_well, gradient=square_well_gradient, exact=lane_emden_1,
-        q=(0.8414709848078965,), p=(-0.30116867893975674,), t=1.0, t_end=20.0, **_SPHERICAL,
+        name="lane_emden_1",
+        about=f"{_LANE_EMDEN} 1: sin t/t in closed form",
+        experiments=_LAWS,
+        potential=square_well,
+        gradient=square_well_gradient,
+        exact=lane_emden_1,
+        q=(0.8414709848078965,),
+        p=(-0.30116867893975674,),
+        t=1.0,
+        t_end=20.0,
+        **_SPHERICAL,
     ),
     Driven(
-        name="lane_emden_5", about=f"{_LANE_EMDEN} 5: 2(1 + 16t²/3)^(−1/2), one of its solutions in closed form",
-        potential=sextic, gradient=sextic_gradient, exact=lane_emden_5, experiments=_COST,
-        q=(1.0,), p=(-1.0,), t=0.75, t_end=20.0, **_SPHERICAL,
+        name="lane_emden_5",
+        about=f"{_LANE_EMDEN} 5: 2(1 + 16t²/3)^(−1/2), one of its solutions in closed form",
+        potential=sextic,
+        gradient=sextic_gradient,
+        exact=lane_emden_5,
+        experiments=_COST,
+        q=(1.0,),
+        p=(-1.0,),
+        t=0.75,
+        t_end=20.0,
+        **_SPHERICAL,
     ),
-)  # fmt: skip
+)
 
 DUFFING = Driven(
-    name="duffing", experiments=(*_LAWS, "decay_laws"),
+    name="duffing",
+    experiments=(*_LAWS, "decay_laws"),
     about="a damped double well under a sinusoidal force: chaotic; up to the end time errors grow about fortyfold, "
     "long after it only laws and averages of a run mean anything",
-    potential=double_well, gradient=double_well_gradient, parameters={"force": 0.4, "drive": 1.0},
-    gamma=0.25, q=(1.0,), p=(0.0,), t_end=25.0,
-)  # fmt: skip
+    potential=double_well,
+    gradient=double_well_gradient,
+    parameters={"force": 0.4, "drive": 1.0},
+    gamma=0.25,
+    q=(1.0,),
+    p=(0.0,),
+    t_end=25.0,
+)
 
 DRIVEN = (FORCED_OSCILLATOR, FORCED_PULSATING, *LANE_EMDEN, DUFFING)

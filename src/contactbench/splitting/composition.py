@@ -58,38 +58,32 @@ class Composition:
         return {name for name, _ in self.stages} == {"kick", "drift_damp"}
 
     def alphas(self) -> list[Fraction]:
-        """The coefficients of χ and χ* in turn (two-part compositions)."""
+        """Return the coefficients of χ and χ* in turn (two-part compositions)."""
         alphas: list[Fraction] = []
         for _, coefficient in self.stages[:-1]:
             alphas.append(coefficient - (alphas[-1] if alphas else 0))
         return alphas
 
     def run(self, n: int) -> tuple[Stage, ...]:
-        """The stages of n steps, one list from start to end."""
-        return merged((*self.processor, *self.stages * n, *reversed(self.processor)))
+        """Return the stages of n steps, one list from start to end."""
+        return merge((*self.processor, *self.stages * n, *reversed(self.processor)))
 
 
-def palindrome(first: str, second: str, half: Sequence[Any], total: int) -> tuple[Stage, ...]:
-    """A palindromic two-part list of `total` stages from the coefficients printed for its first half.
+def palindrome(first: str, second: str, half: Sequence[Any]) -> tuple[Stage, ...]:
+    """Return a palindromic two-part list of stages from the coefficients printed for its first half.
 
-    Consistency supplies the rest: the coefficients of each part add up to one.  `half` alternates
-    first, second, first, …; what is missing is the middle pair.
+    `half` alternates first, second, first, … up to the middle pair, which consistency supplies: the
+    coefficients of each part add up to one.
     """
-    printed = [Fraction(str(c)) for c in half]
-    middle = total // 2
-    names = [(first, second)[i % 2] for i in range(total)]
-    given: dict[str, Fraction] = {first: Fraction(0), second: Fraction(0)}
-    for name, coefficient in zip(names, printed, strict=False):
-        given[name] += coefficient
-    beside = HALF - given[names[middle - 1]]  # stands twice
-    centre = ONE - 2 * given[names[middle]]  # stands once
-    left = [*printed, beside]
-    assert len(left) == middle
-    return tuple(zip(names, [*left, centre, *reversed(left)], strict=True))
+    left = [Fraction(str(c)) for c in half]
+    sums = sum(left[::2], Fraction(0)), sum(left[1::2], Fraction(0))
+    beside, centre = HALF - sums[len(left) % 2], ONE - 2 * sums[(len(left) + 1) % 2]
+    left.append(beside)
+    return tuple(((first, second)[i % 2], c) for i, c in enumerate((*left, centre, *reversed(left))))
 
 
-def balanced(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stage, ...]:
-    """A two-part list whose coefficients of each part add up to nothing: two more than the ones printed."""
+def balance(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stage, ...]:
+    """Return a two-part list whose coefficients of each part add up to zero: two more than the printed ones."""
     stages = [((first, second)[i % 2], Fraction(str(c))) for i, c in enumerate(coefficients)]
     for _ in range(2):
         name = (first, second)[len(stages) % 2]
@@ -98,15 +92,15 @@ def balanced(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stag
 
 
 def strang_composition(gammas: Iterable[Any]) -> tuple[Stage, ...]:
-    """Strang steps of sizes γ1, γ2, … one after another, neighbouring kicks merged."""
+    """Return Strang steps of sizes γ1, γ2, … one after another, neighbouring kicks merged."""
     stages: list[Stage] = []
     for gamma in map(Fraction, gammas):
         stages += [("kick", gamma / 2), ("drift_damp", gamma), ("kick", gamma / 2)]
-    return merged(stages)
+    return merge(stages)
 
 
-def merged(stages: Iterable[Stage]) -> tuple[Stage, ...]:
-    """Neighbours of the same flow added up."""
+def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
+    """Add up neighbours of the same flow."""
     out: list[Stage] = []
     for name, coefficient in stages:
         if out and out[-1][0] == name:
@@ -117,7 +111,7 @@ def merged(stages: Iterable[Stage]) -> tuple[Stage, ...]:
 
 
 def number(coefficient: Fraction, xp: Any) -> Any:
-    """A coefficient as a number of the namespace: exact in mpmath, else a Python float."""
+    """Return a coefficient as a number of the namespace: exact in mpmath, else a Python float."""
     if abilities(xp).digits:
         return xp.mpf(coefficient.numerator) / coefficient.denominator
     return float(coefficient)
@@ -125,14 +119,14 @@ def number(coefficient: Fraction, xp: Any) -> Any:
 
 # -- a composition on a scene ----------------------------------------------------------------------
 def own_equations(scene: Scene) -> str | None:
-    """Why flows of a kind of scene do not solve one that writes its equations anew, or None."""
+    """Return why flows of a kind of scene do not solve one that writes its equations anew, or None."""
     if not (anew := scene.own_equations):
         return None
     return f"its flows are those of {scene.kind}, and {type(scene).__name__} has {', '.join(anew)} of its own"
 
 
 def refusal(composition: Composition, scene: Scene) -> str | None:
-    """Why the composition does not have its order on this scene, or None."""
+    """Return why the composition does not have its order on this scene, or None."""
     if composition.nystrom and "drift_damp" not in flows_of(scene):
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
     return own_equations(scene)
@@ -140,18 +134,18 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
 
 #: the flows χ is made of, in their order, by kind of scene
 PARTS = {
-    "mechanical": ("kick", "drift_damp"), "driven": ("kick", "drift_damp"),
+    "mechanical": ("kick", "drift_damp"),
+    "driven": ("kick", "drift_damp"),
     "general damping": ("kick", "drift", "damp"),
-    "isotropic body": ("turn", "top"), "body": ("turn", "damp", "top"),
-}  # fmt: skip
-
-
+    "isotropic body": ("turn", "top"),
+    "body": ("turn", "damp", "top"),
+}
 #: the paper's A, the flow of the kinetic energy, and C on a body, which has no B
 ON_BODY = {"drift": "free", "damp": "damp"}
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
-    """The stages of one step on a scene."""
+    """Return the stages of one step on a scene."""
     if {name for name, _ in composition.stages} <= flows_of(scene).keys():
         return composition.stages
     if composition.two_part:
@@ -159,8 +153,8 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
         stages = []
         for k, alpha in enumerate(composition.alphas()):
             stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
-        return merged(stages)
-    return merged((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
+        return merge(stages)
+    return merge((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
 
 
 @dataclass(frozen=True)
@@ -173,7 +167,7 @@ class Plan:
     joint: tuple[Stage, ...]
 
     def count(self, flows: dict[str, Flow], kinds: Collection[str], n: int) -> int:
-        """How many operations of some kinds n steps take."""
+        """Return how many operations of some kinds n steps take."""
 
         def cost(stages: tuple[Stage, ...]) -> int:
             return sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
@@ -182,23 +176,23 @@ class Plan:
 
 
 def plan(composition: Composition, scene: Scene) -> Plan:
-    """The composition on a scene, with the merged joint where first and last flow are the same."""
+    """Return the composition on a scene, with the merged joint where first and last flow are the same."""
     stages, before = stages_on(composition, scene), composition.processor
     first, last = stages[0], stages[-1]
     if len(stages) == 1 or first[0] != last[0]:
         return Plan(before, stages, before[::-1], ())
-    inner, joint = stages[1:-1], merged((last, first))
+    inner, joint = stages[1:-1], merge((last, first))
     if not (before or by_the_clock(composition, scene)):
         return Plan((first,), inner, (last,), joint)
     # the last joint runs one first stage too far, which is taken back at the end
     back = (first[0], -first[1])
-    return Plan(merged((*before, first)), (*inner, *joint), merged((back, *before[::-1])), ())
+    return Plan(merge((*before, first)), (*inner, *joint), merge((back, *before[::-1])), ())
 
 
 def advance(
     composition: Composition, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
 ) -> Any:
-    """n ≥ 1 steps of size h from state x.
+    """Advance the state x by n ≥ 1 steps of size h.
 
     Merging at the joints leaves the map unchanged up to round-off.
     """
@@ -211,7 +205,7 @@ def advance(
     rolled = repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
-        """The stages one after another: written out, or a loop over the period of their flows."""
+        """Apply the stages one after another: written out, or a loop over the period of their flows."""
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
             return run(stages[1:], run(stages[:1], x))
         flows_in_turn = [name for name, _ in stages]
@@ -237,7 +231,7 @@ def advance(
 
 
 def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Any) -> Any:
-    """The log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
+    """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
     flows, total = flows_of(scene), 0.0
     for name, coefficient in run_on(composition, scene, n):
         flow, span = flows[name], number(coefficient, xp) * h
@@ -247,7 +241,7 @@ def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp:
 
 
 def run_on(composition: Composition, scene: Scene, n: int) -> Iterator[Stage]:
-    """The stages of n steps on a scene, one after another."""
+    """Return the stages of n steps on a scene, one after another."""
     steps = plan(composition, scene)
     yield from steps.opening
     for k in range(n):
@@ -258,7 +252,7 @@ def run_on(composition: Composition, scene: Scene, n: int) -> Iterator[Stage]:
 
 
 def shortest_period(names: list[str]) -> int:
-    """The length of the shortest list whose repetition is `names`."""
+    """Return the length of the shortest list whose repetition is `names`."""
     size = len(names)
     return next(p for p in range(1, size + 1) if size % p == 0 and names == names[:p] * (size // p))
 
@@ -266,7 +260,7 @@ def shortest_period(names: list[str]) -> int:
 def stage_constants(
     stages: Iterable[Stage], scene: Any, h: Any, xp: Any
 ) -> Callable[[Sequence[Stage]], Callable[[Any], Any]]:
-    """The constants of every stage, computed once: ``constants(some)(k)`` are those of the k-th of some
+    """Return the constants of every stage, computed once: ``constants(some)(k)`` are those of the k-th of some
     stages of one flow.
 
     For array namespaces all stages of a flow are one vector: an exponential for all of them costs what
@@ -295,14 +289,14 @@ def stage_constants(
 
 
 def entry(constants: Any, i: Any) -> Any:
-    """Entry i of constants that are a vector, None, or a tuple of such; several for an array i."""
+    """Return entry i of constants that are a vector, None, or a tuple of such; several for an array i."""
     if isinstance(constants, tuple):
         return tuple(entry(c, i) for c in constants)
     return None if constants is None else constants[i]
 
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
-    """Whether `advance_by_the_clock` is the way."""
+    """Return whether `advance_by_the_clock` applies."""
     ends_as_it_begins = len(composition.stages) % 2 == 1  # and so do its turns
     return composition.two_part and ends_as_it_begins and scene.kind == "isotropic body"
 
@@ -310,7 +304,7 @@ def by_the_clock(composition: Composition, scene: Scene) -> bool:
 def advance_by_the_clock(
     composition: Composition, scene: RigidBody, x: BodyState, h: Any, n: Any, xp: Any, repeat: Repeat
 ) -> BodyState:
-    """The free body and isotropic damping together, without splitting the two.
+    """Advance the free body and isotropic damping together, without splitting the two.
 
     Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ,
     dτ = e^{−γt} dt, of which a step from t takes e^{−γt} φ(h).  What is left of damping is one factor on M
@@ -322,16 +316,16 @@ def advance_by_the_clock(
     tau = damped_time(gamma, h, xp)
     smallest, middle, largest = scene.by_inertia
     first, *turns = (c for name, c in stages if name == "turn")
-    opening = scaled([first], tau * turn_rate(scene), xp)[0]
-    turned = scaled(turns, tau * turn_rate(scene), xp)
-    topped = scaled((c for name, c in stages if name == "top"), tau * top_rate(scene), xp)
+    opening = scale([first], tau * turn_rate(scene), xp)[0]
+    turned = scale(turns, tau * turn_rate(scene), xp)
+    topped = scale((c for name, c in stages if name == "top"), tau * top_rate(scene), xp)
     rounds = len(turns)
 
     def both(x: BodyState, about_largest: Any, about_smallest: Any) -> BodyState:
         return rotation(rotation(x, largest, about_largest, xp), smallest, about_smallest, xp)
 
     def first_rounds(x: BodyState, clock: Any) -> BodyState:
-        """All rounds of a step but its last: written out, or a loop where short code matters more."""
+        """Advance by all rounds of a step but its last: written out, or a loop where short code matters more."""
         if not repeat.over_stages:
             for k in range(rounds - 1):
                 x = both(x, clock * topped[k], clock * turned[k])
@@ -357,11 +351,9 @@ def advance_by_the_clock(
     return BodyState(tuple(total * m for m in x.M), x.R, None if x.s is None else total * x.s)
 
 
-def scaled(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
-    """The coefficients times a factor: one vector for array namespaces, else a list."""
+def scale(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
+    """Return the coefficients times a factor: one vector for array namespaces, else a list."""
     values = [number(c, xp) for c in coefficients]
-    return (
-        xp.multiply.outer(xp.asarray(values), factor)
-        if abilities(xp).vectors
-        else [c * factor for c in values]
-    )
+    if abilities(xp).vectors:
+        return xp.multiply.outer(xp.asarray(values), factor)
+    return [c * factor for c in values]

@@ -27,20 +27,20 @@ PANELS = 2
 
 @cache
 def rule() -> tuple[list[float], list[float]]:
-    """Points and weights of Gauss's rule on [0, 1]; computed when first used."""
+    """Return points and weights of Gauss's rule on [0, 1]; computed when first used."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     return ((1 + x) / 2).tolist(), (w / 2).tolist()
 
 
-def damped_by(r: Any, tau: Any, xp: Any) -> Any:
-    """φ_r(τ) = (1 − e^{−rτ})/r, τ for r = 0."""
+def phi(r: Any, tau: Any, xp: Any) -> Any:
+    """Return φ_r(τ) = (1 − e^{−rτ})/r, τ for r = 0."""
     still = r == 0
     safe = choose(still, 1.0, r, xp)
     return choose(still, tau, -xp.expm1(-safe * tau) / safe, xp)
 
 
-def decayed(scene: Any, s: Any, h: Any, xp: Any) -> Any:
-    """s(h) from s at 0; not finite where s reaches infinity before."""
+def decay(scene: Any, s: Any, h: Any, xp: Any) -> Any:
+    """Return s(h) from s at 0; not finite where s reaches infinity before."""
     if scene.damping_flow is not None:
         return scene.damping_flow(s, h, xp)
     for _ in range(PANELS):
@@ -49,29 +49,29 @@ def decayed(scene: Any, s: Any, h: Any, xp: Any) -> Any:
 
 
 def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
-    """The same in one panel."""
+    """Return s(h) by quadrature in one panel."""
     start = scene.dissipation(s)
-    r = scene.dissipation_rate(s - start * damped_by(scene.dissipation_rate(s), h / 2, xp))
+    r = scene.dissipation_rate(s - start * phi(scene.dissipation_rate(s), h / 2, xp))
     resting = start == 0
 
     def at(tau: Any) -> Any:
-        return s - start * damped_by(r, tau, xp)
+        return s - start * phi(r, tau, xp)
 
     def pace(tau: Any) -> Any:
-        """k."""
+        """Return k."""
         there = scene.dissipation(at(tau))
         gone = there == 0
         ratio = choose(resting, 1.0, start, xp) / choose(gone, 1.0, there, xp)
         return choose(resting, 1.0, choose(gone, 1.0, xp.exp(-r * tau) * ratio, xp), xp)
 
-    def spent(tau: Any) -> Any:
-        """The integral of k up to tau."""
+    def elapsed(tau: Any) -> Any:
+        """Return the integral of k up to tau."""
         if abilities(xp).digits:
             return xp.quad(pace, [0, tau])
         return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
 
     def nearer(tau: Any) -> Any:
-        return tau - (spent(tau) - h) / pace(tau)
+        return tau - (elapsed(tau) - h) / pace(tau)
 
     if not abilities(xp).branch:
         return at(scan(lambda tau: (nearer(tau), tau), h, ITERATIONS, lambda _: 0.0, xp)[0])
@@ -84,7 +84,7 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
 
 
 def survival(scene: Any, s: Any, after: Any, h: Any, xp: Any) -> Any:
-    """∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ."""
+    """Return ∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ."""
     start = scene.dissipation(s)
     resting = start == 0
     ratio = scene.dissipation(after) / choose(resting, 1.0, start, xp)

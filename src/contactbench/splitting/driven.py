@@ -20,16 +20,16 @@ def damp(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
 
 
 def damping_over(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
-    """G = ∫γ from x.t to x.t + h."""
+    """Return G = ∫γ from x.t to x.t + h."""
     return scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0]
 
 
 def log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
-    """−G."""
+    """Return −G."""
     return -damping_over(scene, x, h, xp)
 
 
 def damping(scene: Driven, x: DrivenState, h: Any, xp: Any) -> tuple[Any, ...]:
-    """The constants of the flow AC, φ/m, φ and `flows.damping`, from x.t to x.t + h."""
+    """Return the constants of the flow AC, φ/m, φ and `flows.damping`, from x.t to x.t + h."""
     total, phi = scene.spent(x.t, h, xp)
     return phi * scene.inverse_mass, phi, 1.0, -xp.expm1(-total)

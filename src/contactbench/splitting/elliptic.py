@@ -19,7 +19,7 @@ LANDEN_STEPS, DUPLICATIONS = 12, 13
 
 
 def jacobi(u: Any, m: Any, m1: Any, xp: Any) -> tuple[Any, Any, Any, Any]:
-    """sn, cn, dn of (u | m), and the quarter period K(m).
+    """Return sn, cn, dn of (u | m), and the quarter period K(m).
 
     Descending Landen transformations, DLMF 22.7.2–22.7.4 with 22.7.1 for the moduli: k → (1 − k')/(1 + k'),
     until sn, cn, dn are sin, cos, 1.  All terms are of one sign, so that cn and dn keep their relative
@@ -49,7 +49,7 @@ def jacobi(u: Any, m: Any, m1: Any, xp: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Any) -> Any:
-    """R_J(x, y, 1, p) from √x and √y; 0 ≤ x ≤ 1, 0 < y ≤ 1 ≤ p.
+    """Return R_J(x, y, 1, p) from √x and √y; 0 ≤ x ≤ 1, 0 < y ≤ 1 ≤ p.
 
     excess : (p − x)(p − y)(p − 1) ≥ 0, which the caller knows without cancellation.
     Duplication: Carlson, Numer. Algorithms 10, 13 (1995), doi:10.1007/BF02198293, algorithm for R_J;
@@ -71,7 +71,7 @@ def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Any) -> Any:
         return ((x, y, z, p, mean), roots, fourth / 4, excess / 64, total), None
 
     def left_out(carried: Any) -> Any:
-        """The size of the first term beyond the series; that of p is at most 3/2 of the largest here."""
+        """Return the size of the first term beyond the series; that of p is at most 3/2 of the largest here."""
         (*_, mean), _, fourth, _, _ = carried
         return (2 * fourth * max(map(abs, away)) / mean) ** 8
 
@@ -84,23 +84,21 @@ def carlson(root_x: Any, root_y: Any, p: Any, excess: Any, xp: Any) -> Any:
     E3 = product + 2 * E2 * P + 4 * P * P * P
     E4 = (2 * product + E2 * P + 3 * P * P * P) * P
     E5 = product * P * P
-    series = (
-        1 - 3 * E2 / 14 + E3 / 6 + 9 * E2 * E2 / 88 - 3 * E4 / 22 - 9 * E2 * E3 / 52 + 3 * E5 / 26
-        - E2 * E2 * E2 / 16 + 3 * E3 * E3 / 40 + 3 * E2 * E4 / 20 + 45 * E2 * E2 * E3 / 272
-        - 9 * (E3 * E4 + E2 * E5) / 68
-    )  # fmt: skip
+    series = 1 - 3 * E2 / 14 + E3 / 6 + 9 * E2 * E2 / 88 - 3 * E4 / 22 - 9 * E2 * E3 / 52 + 3 * E5 / 26
+    series = series - E2 * E2 * E2 / 16 + 3 * E3 * E3 / 40 + 3 * E2 * E4 / 20 + 45 * E2 * E2 * E3 / 272
+    series = series - 9 * (E3 * E4 + E2 * E5) / 68
     return fourth * series / (mean * xp.sqrt(mean)) + 6 * total
 
 
 def arc(e: Any, xp: Any) -> Any:
-    """R_C(1, 1 + e) = atan(√e)/√e, e ≥ 0."""
+    """Return R_C(1, 1 + e) = atan(√e)/√e, e ≥ 0."""
     flat = e == 0
     root = xp.sqrt(choose(flat, 1.0, e, xp))  # 1: no derivative of √0 is taken
     return choose(flat, 1.0, xp.atan(root) / root, xp)
 
 
 def bent_part(sn: Any, cn: Any, dn: Any, m: Any, bend: Any, xp: Any) -> Any:
-    """∫₀ᵘ sn²/(1 + ν sn²) du at the u ∈ [−K, K] of these sn, cn ≥ 0, dn; ν = bend ≥ 0.
+    """Return ∫₀ᵘ sn²/(1 + ν sn²) du at the u ∈ [−K, K] of these sn, cn ≥ 0, dn; ν = bend ≥ 0.
 
     It is (u − Π(−ν; u | m))/ν without the cancellation: sn³ R_J(cn², dn², 1, 1 + ν sn²)/3, DLMF 19.25.14.
     """

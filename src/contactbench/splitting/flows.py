@@ -34,12 +34,12 @@ from contactbench.scene import (
     quaternion_product,
 )
 from contactbench.splitting import driven
-from contactbench.splitting.dissipation import decayed, survival
+from contactbench.splitting.dissipation import decay, survival
 from contactbench.splitting.free_body import free
 
 
 def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
-    """The log of the conformal factor of a flow whose Hamiltonian does not contain s."""
+    """Return the log of the conformal factor of a flow whose Hamiltonian does not contain s."""
     return 0.0
 
 
@@ -59,7 +59,7 @@ class Flow(NamedTuple):
 
 
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
-    """φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
+    """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
     undamped = gamma == 0
     if abilities(xp).branch:
         return h if undamped else -xp.expm1(-gamma * h) / gamma
@@ -71,7 +71,7 @@ STRONG = 1.5
 
 
 def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
-    """e^{−γh} as a pair (keep, lose): damped(p) = keep·p − lose·p.
+    """Return e^{−γh} as a pair (keep, lose): damped(p) = keep·p − lose·p.
 
     With keep = 1 and lose = 1 − e^{−γh} the rounding of the coefficient matters only through the
     small loss, so that 10⁶ steps do not drift by 10⁶ roundings of the factor; and the loss joins the
@@ -122,13 +122,13 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
 
 
 def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
-    """1/D of `damp`, infinite where D ≤ 0."""
+    """Return 1/D of `damp`, infinite where D ≤ 0."""
     D = 1 + half_kappa * x.s
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
 def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    """−∫Γ'(s) along the flow C: −γh − 2 log D."""
+    """Return −∫Γ'(s) along the flow C: −γh − 2 log D."""
     linear = -scene.gamma * h
     if not scene.nonlinear_damping:
         return linear
@@ -142,7 +142,7 @@ def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
 
 
 def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
-    """−γh, of a flow whose Hamiltonian contains γs."""
+    """Return −γh, of a flow whose Hamiltonian contains γs."""
     return -scene.gamma * h
 
 
@@ -166,15 +166,12 @@ def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
     a, over_y, path = _pinney(scene, x, constants, xp)
     q = tuple(q + phi_over_m * path * p for q, p in zip(x.q, x.p, strict=True))
     s = a * x.s + phi * scene.kinetic(x.p)
-    return settled(
-        State(
-            q, tuple((keep * p - lose * p) * over_y for p in x.p), (keep * s - lose * s) * over_y
-        ), xp
-    )  # fmt: skip
+    p = tuple((keep * p - lose * p) * over_y for p in x.p)
+    return settled(State(q, p, (keep * s - lose * s) * over_y), xp)
 
 
 def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, Any, Any]:
-    """a, 1/y and atan2(b, a)/b of `drift_damp`; 1/y is infinite from the time of blow-up on.
+    """Return a, 1/y and atan2(b, a)/b of `drift_damp`; 1/y is infinite from the time of blow-up on.
 
     For κ < 0 with b² = −kφT: y = a² − b², factored because both factors are positive until s reaches
     infinity, and log((a + b)/(a − b))/2b.  For κ > 0 only p = 0 blows up, any other goes round.
@@ -199,7 +196,7 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
 
 
 def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    """−∫Γ'(s) along the flow AC: −γh − log y."""
+    """Return −∫Γ'(s) along the flow AC: −γh − log y."""
     linear = linear_log_factor(scene, x, h, xp)
     if not scene.nonlinear_damping:
         return linear
@@ -216,7 +213,7 @@ MECHANICAL = {
 
 
 def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
-    """h, and the constants of `drift_damp` where γ is constant."""
+    """Return h, and the constants of `drift_damp` where γ is constant."""
     return (h,) if scene.rate_changes else (h, *_drift_damp_constants(scene, h, xp))
 
 
@@ -236,14 +233,14 @@ DRIVEN = {
 
 def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
     """C for any Γ(s): s follows s' = −Γ(s), and p the derivative of s(h), both solving p' = −Γ'(s) p."""
-    s = decayed(scene, x.s, h, xp)
+    s = decay(scene, x.s, h, xp)
     factor = survival(scene, x.s, s, h, xp)
     return settled(State(x.q, tuple(factor * p for p in x.p), s), xp)
 
 
 def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
-    """−∫Γ'(s) along it."""
-    return xp.log(survival(scene, x.s, decayed(scene, x.s, h, xp), h, xp))
+    """Return −∫Γ'(s) along it."""
+    return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
 
 #: no merged flow is known, hence three parts
@@ -302,13 +299,13 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
 
 
 def turn_rate(scene: RigidBody) -> Any:
-    """1/I_min − 1/I_mid, the part of the energy that `turn` is the flow of, as ½ a M_min²."""
+    """Return 1/I_min − 1/I_mid, the part of the energy that `turn` is the flow of, as ½ a M_min²."""
     smallest, middle, _ = scene.by_inertia
     return scene.inverse_inertia[smallest] - scene.inverse_inertia[middle]
 
 
 def top_rate(scene: RigidBody) -> Any:
-    """1/I_max − 1/I_mid, by which the symmetric top of `top` differs from a sphere."""
+    """Return 1/I_max − 1/I_mid, by which the symmetric top of `top` differs from a sphere."""
     _, middle, largest = scene.by_inertia
     return scene.inverse_inertia[largest] - scene.inverse_inertia[middle]
 
@@ -350,7 +347,7 @@ def _free_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
 
 
 def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodyState:
-    """The free body and isotropic damping together: free for the time φ(h), then damped.
+    """Advance the free body and isotropic damping together: free for the time φ(h), then damped.
 
     C rescales time: e^{γt} M and R move as if undamped in the time φ(t), and s' = ½M·Ω − γs gives
     s(h) = e^{−γh} (s + φ H0).  The whole flow of the scene, for any h.
@@ -375,12 +372,16 @@ ISOTROPIC = BODY | {"free_damp": Flow(_free_damp_constants, free_damp, FREE_COST
 
 
 FLOWS = {
-    "mechanical": MECHANICAL, "driven": DRIVEN, "general damping": GENERAL, "isotropic body": ISOTROPIC, "body": BODY,
-}  # fmt: skip
+    "mechanical": MECHANICAL,
+    "driven": DRIVEN,
+    "general damping": GENERAL,
+    "isotropic body": ISOTROPIC,
+    "body": BODY,
+}
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
-    """The subflows a scene has, by name; a body has no potential, hence no kick.
+    """Return the subflows a scene has, by name; a body has no potential, hence no kick.
 
     The paper's A on a body is `free`; compositions of higher order are made of `turn`, `top` and `damp`
     instead, because the free body in closed form costs many rotations.

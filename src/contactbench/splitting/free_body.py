@@ -53,13 +53,13 @@ class Course(NamedTuple):
 
 
 def handedness(scene: RigidBody) -> int:
-    """1 if the axes of smallest, middle and largest moment are right-handed in this order, else −1."""
+    """Return 1 if the axes of smallest, middle and largest moment are right-handed in this order, else −1."""
     smallest, middle, _ = scene.by_inertia
     return 1 if middle == (smallest + 1) % 3 else -1
 
 
 def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
-    """The motion that starts at the direction z of M."""
+    """Return the motion that starts at the direction z of M."""
     I1, I2, I3 = (scene.inertia[axis] for axis in scene.by_inertia)
     z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
     a12, a23, a13 = (I2 - I1) / (I1 * I2), (I3 - I2) / (I2 * I3), (I3 - I1) / (I1 * I3)
@@ -75,14 +75,13 @@ def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
     m1 = a13 * choose(first, D, -D, xp) / square
     m1 = choose(m1 > SMALLEST, m1, SMALLEST, xp)
     about_k = choose(V == 0, choose(W == 0, zk * zk <= zi * zi, W >= V, xp), W >= V, xp)
-    return Course(
-        first, about_k, i2, k2, a13, V, W, xp.sqrt(square),
-        choose(still, 0.0, k2 * V / square, xp), choose(still, 1.0, m1, xp), still,
-    )  # fmt: skip
+    rate = xp.sqrt(square)
+    m, m1 = choose(still, 0.0, k2 * V / square, xp), choose(still, 1.0, m1, xp)
+    return Course(first, about_k, i2, k2, a13, V, W, rate, m, m1, still)
 
 
 def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
-    """The exact flow of ½ M·I⁻¹M for any time t, up to round-off of the phase λt.
+    """Return the exact flow of ½ M·I⁻¹M for any time t, up to round-off of the phase λt.
 
     ‖M‖ and J = R M are kept to round-off.  On the middle axis exactly the body stays there.
     """
@@ -102,7 +101,7 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
 
 
 def polar(v: Vector, xp: Any) -> tuple[Any, Vector, Any]:
-    """‖v‖, v/‖v‖, and whether v is zero: 1 and the first axis then, so that no derivative of √0 is taken.
+    """Return ‖v‖, v/‖v‖, and whether v is zero: 1 and the first axis then, so that no derivative of √0 is taken.
 
     No square underflows, and the direction has length one where ‖v‖ itself has hardly any digits left.
     """
@@ -117,18 +116,18 @@ def polar(v: Vector, xp: Any) -> tuple[Any, Vector, Any]:
     return largest * size, tuple(c / size for c in scaled), zero
 
 
-def circled(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
-    """The components of z along axes i, 2, k."""
+def components(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
+    """Return the components of z along axes i, 2, k."""
     z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
     return choose(motion.first, z1, z3, xp), z2, choose(motion.first, z3, z1, xp)
 
 
-def held(v: Any, xp: Any) -> Any:
-    """v, but no farther than FARTHEST."""
+def clamp(v: Any, xp: Any) -> Any:
+    """Return v, but no farther than FARTHEST."""
     return choose(v > FARTHEST, FARTHEST, choose(v < -FARTHEST, -FARTHEST, v, xp), xp)
 
 
-class Passed(NamedTuple):
+class Argument(NamedTuple):
     """The argument v = λ·tau, sn, cn and dn of it, and the quarter period K."""
 
     v: Any
@@ -138,13 +137,13 @@ class Passed(NamedTuple):
     K: Any
 
 
-def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> tuple[Vector, Passed]:
-    """The direction of M at time tau, and what has passed till then."""
+def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> tuple[Vector, Argument]:
+    """Return the direction of M at time tau, and the elapsed argument."""
     _, _, i2, k2, ik, _, _, rate, m, m1, still = motion
-    zi, z2, zk = circled(scene, motion, z, xp)
-    v = choose(zi == 0, held(rate * tau, xp), rate * tau, xp)
+    zi, z2, zk = components(scene, motion, z, xp)
+    v = choose(zi == 0, clamp(rate * tau, xp), rate * tau, xp)
     sn, cn, dn, K = jacobi(v, m, m1, xp)
-    passed = Passed(v, sn, cn, dn, K)
+    passed = Argument(v, sn, cn, dn, K)
     S, cn, dn = (choose(still, a, b, xp) for a, b in ((tau, sn / rate), (1.0, cn), (1.0, dn)))
     side = handedness(scene) * S
     over = 1 / (cn * cn + ik * i2 * zi * zi * S * S)
@@ -152,30 +151,23 @@ def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> 
     newk = (zk * cn - side * i2 * z2 * zi * dn) * over
     newi = (zi * dn - side * k2 * z2 * zk * cn) * over
     over = 1 / xp.sqrt(newi * newi + new2 * new2 + newk * newk)
-    placed: list[Any] = [None] * 3
-    for axis, value in zip(
-        scene.by_inertia,
-        (choose(motion.first, newi, newk, xp), new2, choose(motion.first, newk, newi, xp)),
-        strict=True,
-    ):
-        placed[axis] = value * over
-    return tuple(placed), passed
+    by_inertia = (choose(motion.first, newi, newk, xp), new2, choose(motion.first, newk, newi, xp))
+    moved = dict(zip(scene.by_inertia, (c * over for c in by_inertia), strict=True))
+    return tuple(moved[axis] for axis in range(3)), passed
 
 
 def precession(
-    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Passed, xp: Any
+    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Argument, xp: Any
 ) -> Any:
-    """ψ, the angle by which the frame has turned about M.
+    """Return ψ, the angle by which the frame has turned about M.
 
     Of the bent part from u₀ to u₀ + v, that from 0 to v is an integral, and the addition theorem for Π has
     the rest, DLMF 19.11(i) written with Jacobi's functions; for ν ≤ 1 its arctangent never wraps.
     """
     first, about_k, i2, k2, ik, V, W, rate, m, m1, still = motion
     smallest, _, largest = (scene.inverse_inertia[axis] for axis in scene.by_inertia)
-    # ratios whose denominators vanish only where nothing moves
-    bend = choose(
-        about_k, V / choose(W == 0, 1.0, W, xp), k2 / choose(i2 == 0, 1.0, i2, xp), xp
-    )  # fmt: skip
+    whole, inner = choose(W == 0, 1.0, W, xp), choose(i2 == 0, 1.0, i2, xp)  # 0 only where nothing moves
+    bend = choose(about_k, V / whole, k2 / inner, xp)
     base = choose(first, choose(about_k, smallest, largest, xp), choose(about_k, largest, smallest, xp), xp)
     v, sn, cn, dn, K = passed
     back = cn < 0  # v is an odd number of half periods from [−K, K], else an even one
@@ -184,7 +176,7 @@ def precession(
     part = part + 2 * halves * bent_part(1.0, 0.0, xp.sqrt(m1), m, bend, xp)
     sn0, _, _ = phase(scene, motion, z, xp)
     sn1, cn1, dn1 = phase(scene, motion, turned, xp)
-    zi = circled(scene, motion, z, xp)[0]
+    zi = components(scene, motion, z, xp)[0]
     onward = choose(zi < 0, -handedness(scene), handedness(scene), xp)
     both = onward * sn0 * sn
     ratio = both * sn1 / (1 + bend * (sn1 * sn1 - both * cn1 * dn1))
@@ -195,8 +187,8 @@ def precession(
 
 
 def phase(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
-    """sn, cn, dn at z."""
-    zi, z2, zk = circled(scene, motion, z, xp)
+    """Return sn, cn, dn at z."""
+    zi, z2, zk = components(scene, motion, z, xp)
     sn, cn = z2 * xp.sqrt(motion.i2), zk * xp.sqrt(motion.ik)
     square = sn * sn + cn * cn
     axis = square == 0
@@ -206,17 +198,17 @@ def phase(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, An
 
 
 def sense(motion: Course, xp: Any) -> Any:
-    """−1 where the axis e of the frame is axis 3, 1 where it is axis 1: the sign of the bent part of ψ."""
+    """Return −1 where the axis e of the frame is axis 3, 1 where it is axis 1: the sign of the bent part of ψ."""
     return choose(motion.first, 1.0, -1.0, xp) * choose(motion.about_k, -1.0, 1.0, xp)
 
 
 def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle: Any, xp: Any) -> Vector:
-    """C(z)⁻¹ Rot_e(angle) C(turned) as a quaternion."""
+    """Return C(z)⁻¹ Rot_e(angle) C(turned) as a quaternion."""
     smallest, _, largest = scene.by_inertia
     on_smallest = sense(motion, xp) > 0
 
     def local(y: Vector) -> Vector:
-        """The components along e and the two axes after it."""
+        """Return the components along e and the two axes after it."""
         return tuple(choose(on_smallest, y[(smallest + j) % 3], y[(largest + j) % 3], xp) for j in range(3))
 
     w, *v = frame(local(z), xp)
@@ -231,7 +223,7 @@ def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle:
 
 
 def frame(z: Vector, xp: Any) -> Vector:
-    """C(z) for z = (cos θ, sin θ cos φ, sin θ sin φ), sin θ > 0: Rot₃(−θ) Rot₁(−φ), which takes z to (1, 0, 0)."""
+    """Return C(z) for z = (cos θ, sin θ cos φ, sin θ sin φ), sin θ > 0: Rot₃(−θ) Rot₁(−φ), taking z to (1, 0, 0)."""
     across = xp.sqrt(z[1] * z[1] + z[2] * z[2])
     cos, sin = z[1] / across, z[2] / across
     tilt = xp.sqrt((1 + z[0]) / 2)

@@ -37,7 +37,7 @@ DEGREE = 5
 
 
 def product(a: Words, b: Words) -> Words:
-    """The product, words longer than `DEGREE` left out."""
+    """Return the product, words longer than `DEGREE` left out."""
     found: Words = {}
     for left, c in a.items():
         for right, d in b.items():
@@ -47,7 +47,7 @@ def product(a: Words, b: Words) -> Words:
 
 
 def flow_of(stages: Iterable[Stage]) -> Words:
-    """The product of the exponentials of the stages."""
+    """Return the product of the exponentials of the stages."""
     whole: Words = {"": Fraction(1)}
     for name, c in stages:
         powers = {LETTERS[name] * k: c**k / factorial(k) for k in range(DEGREE + 1)}
@@ -56,7 +56,7 @@ def flow_of(stages: Iterable[Stage]) -> Words:
 
 
 def logarithm(series: Words) -> Words:
-    """log of a series that begins with one."""
+    """Return the log of a series that begins with one."""
     rest = {word: c for word, c in series.items() if word}
     found: Words = {}
     power: Words = {"": Fraction(1)}
@@ -69,7 +69,7 @@ def logarithm(series: Words) -> Words:
 
 @cache
 def weights(stages: tuple[Stage, ...]) -> Words:
-    """The factor of {w₁, {… {w_k, {A, B}}}} in H̃ by w₁…w_k; those that vanish identically left out."""
+    """Return the factor of {w₁, {… {w_k, {A, B}}}} in H̃ by w₁…w_k; those that vanish identically left out."""
     words = logarithm(flow_of(stages))
     found = {
         word[:-2]: (words[word] - words.get(word[:-2] + "BA", Fraction(0))) / len(word)
@@ -84,36 +84,36 @@ Function = Callable[[Any, Any], Any]
 
 
 def bracket(scene: Mechanical, letters: str) -> Function:
-    """{w₁, {w₂, … {w_k, {A, B}}}} as a function of q and p."""
+    """Return {w₁, {w₂, … {w_k, {A, B}}}} as a function of q and p."""
     if not letters:
         return lambda q, p: -(dot(scene.dV(q), p) * scene.inverse_mass + scene.gamma * scene.V(q))
     inner = bracket(scene, letters[1:])
 
     def kicked(q: Any, p: Any) -> Any:
-        return slope(inner(lifted(q, [0.0] * len(q)), lifted(p, scene.dV(q))))
+        return slope(inner(lift(q, [0.0] * len(q)), lift(p, scene.dV(q))))
 
     def drifted(q: Any, p: Any) -> Any:
         velocity, loss = ([c * each for each in p] for c in (scene.inverse_mass, -scene.gamma))
-        found = inner(lifted(q, velocity), lifted(p, loss))
+        found = inner(lift(q, velocity), lift(p, loss))
         return -(slope(found) + scene.gamma * value(found))
 
     return drifted if letters[0] == "A" else kicked
 
 
-def lifted(x: Any, direction: Any) -> tuple[Dual, ...]:
-    """x as dual numbers, for a derivative along a direction."""
+def lift(x: Any, direction: Any) -> tuple[Dual, ...]:
+    """Return x as dual numbers, for a derivative along a direction."""
     return tuple(map(Dual, x, direction))
 
 
 def has_modified_hamiltonian(composition: Composition) -> bool:
-    """Whether n steps are the flow of one H̃: nothing before the first and after the last of them."""
+    """Return whether n steps are the flow of one H̃: nothing before the first and after the last of them."""
     return composition.two_part and composition.palindromic and not composition.processor
 
 
 def modified_hamiltonian(
     scene: Any, composition: Composition, x: State, h: float, degree: int = DEGREE
 ) -> Any:
-    """H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
+    """Return H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
     scene; needs s.  Its error is O(h^{degree+1})."""
     total = scene.hamiltonian(x)
     for letters, c in weights(composition.stages).items():

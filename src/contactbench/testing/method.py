@@ -13,9 +13,10 @@ import numpy as np
 from contactbench.errors import NAME, BadInput, shown
 from contactbench.measure.laws import LAWS
 from contactbench.measure.precision import march, order_at
-from contactbench.methods.base import FAMILIES, METHODS, Method, Prepared, Refused
+from contactbench.methods.base import FAMILIES, METHODS, Method
 from contactbench.methods.engines import CALLBACKS, ENGINES
 from contactbench.methods.entry import prepare
+from contactbench.methods.prepared import Prepared, Refused
 from contactbench.methods.step_map import StepMap, trajectory
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES

@@ -1,39 +1,42 @@
-"""A time loop as recorded source: what is computed once, and what is computed at every step.
+"""A time loop as recorded functions: what is computed once, and what is computed at every step.
 
-`record` runs a function of (numbers, h, n, state) on recorded numbers and writes two functions,
+`record` runs a function of (numbers, h, n, state) on recorded numbers and makes of it
 
-    setup(numbers, spans, data, shape, w)    row u of w: everything that depends on (h, n) = spans[u] only
-    run(start, w, shape, after)              the states after all intervals in turn, of j from row which[j] of w
+    setup(numbers, spans, data, shape, w)   row u of w: everything that depends on (h, n) = spans[u] only
+    run(start, w, shape, after)             after[j]: the state after the j-th interval, of row which[j] of w
+    many(starts, w, shape, ends, part)      the same for many states of one scene side by side
 
 `setup` is called once per choice of steps, `run` at every call.  Vectors made by ``xp.asarray``, such as
 the coefficients of a composition, are data of the program and not part of it, as are their lengths and the
-lengths of loops: compositions that are the same loop over flows have the same source.
+lengths of loops: compositions that are the same loop over flows have the same functions.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
+from functools import reduce
+from operator import and_
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.protocol import Abilities
-from contactbench.trace.recording import Block, CannotRecord, Recorded, RecordedNumbers, Tape, recorded
+from contactbench.numbers.protocol import Abilities, CannotRecord
+from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update
+from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, recorded
 
 
 class Program(NamedTuple):
     """A recorded time loop.
 
-    setup, run : source of the two functions, to be compiled after `source.PREAMBLE`.
-    many : source of ``many(starts, w, shape, ends, part)``, `run` for many states of one scene side by side.
     data : floating-point numbers and shape : whole numbers it is called with; `run` takes (*shape, *which).
     width : how long a row of w is.
     """
 
-    setup: str
-    run: str
-    many: str
+    setup: Function
+    run: Function
+    many: Function
     data: np.ndarray
     shape: np.ndarray
     width: int
@@ -46,7 +49,7 @@ class Column(Block):
     """
 
     def __init__(self, tape: ProgramTape, values: tuple[float, ...]) -> None:
-        super().__init__(tape.root, tape.root.indent + 1)
+        super().__init__(tape.root)
         self.values, self.data = values, []  # type: tuple[float, ...], list[float]
         self.picked: dict[tuple[int, ...], int] = {}
         self.stored: list[str] = []
@@ -90,9 +93,10 @@ class Picked:
         assert isinstance(tape, ProgramTape)
         assert isinstance(column, Column)
         first = tape.place(column, vector.name, column.pick(rows))
+        element = Element("w", ("u", first.name))
         if isinstance(k, int):
-            return tape.assign(f"w[u, {first.name}]", "f", tape.main)
-        return tape.operation(f"w[u, {first.name} + {{0}}]", "f", k)
+            return tape.assign(element, "f", tape.main)
+        return tape.assign(element._replace(shift=tape.read(k, k.block, "i")), "f", k.block)
 
 
 class ProgramTape(Tape):
@@ -100,48 +104,48 @@ class ProgramTape(Tape):
 
     def __init__(self) -> None:
         super().__init__()
-        self.root.indent = 2
-        self.main = self.block = Block(self.root, 2)
+        #: whole numbers both functions are called with: known when everything is recorded
+        self.whole = Block()
+        self.shape: list[Callable[[], int]] = []
+        self.root = Block(self.whole)
+        self.main = self.block = Block(self.root)
         self.columns: list[Column] = []
         #: numbers of `setup` that `run` reads, with their kinds
         self.exported: dict[str, str] = {}
-        #: whole numbers both are called with: known when everything is recorded
-        self.shape: list[Callable[[], int]] = []
-        self.lengths: dict[Any, str] = {}
 
-    def whole(self, key: Any, number: Callable[[], int]) -> Recorded:
+    def size(self, key: Any, number: Callable[[], int]) -> Recorded:
         """A whole number that is an argument of the program."""
-        if key not in self.lengths:
-            self.lengths[key] = f"i0{len(self.shape)}"
+        if key not in self.whole.known:
+            i, name = len(self.shape), f"i0{len(self.shape)}"
+            self.whole.known[key] = name
+            self.whole.statements.append(Assign(name, Element("shape", (i,), kind="i")))
             self.shape.append(number)
-        return Recorded(self, self.lengths[key], "i", self.root)
+        return Recorded(self, self.whole.known[key], "i", self.whole)
 
     def place(self, column: Column, name: str, offset: int) -> Recorded:
         """Where in a row of w an expression of a column is stored, from an offset in the column on."""
         if name not in column.stored:
             column.stored.append(name)
         at = column.stored.index(name)
-        return self.whole((id(column), at, offset), lambda: self.start(column, at) + offset)
+        return self.size((id(column), at, offset), lambda: self.start(column, at) + offset)
 
     def start(self, column: Column, at: int) -> int:
         before = self.columns[: self.columns.index(column)]
         sizes = sum(len(other.data) * len(other.stored) for other in before)
         return len(self.exported) + sizes + at * len(column.data)
 
-    def read(self, x: Any, block: Block, kind: str = "f") -> str:
-        text = super().read(x, block, kind)
-        if text.startswith("i0"):  # an argument of both functions
-            return text
+    def read(self, x: Any, block: Block, kind: str = "f") -> Operand:
+        operand = super().read(x, block, kind)
         if isinstance(x, Recorded) and x.block is self.root and block.within(self.main):
-            self.exported[text] = x.kind
-        return text
+            self.exported[x.name] = x.kind
+        return operand
 
-    def assign(self, text: str, kind: str, block: Block) -> Recorded:
-        value = super().assign(text, kind, block)
-        return Vector(self, value.name, kind, block) if isinstance(block, Column) else value
+    def assign(self, value: Operation | Element, kind: str, block: Block) -> Recorded:
+        made = super().assign(value, kind, block)
+        return Vector(self, made.name, kind, block) if isinstance(block, Column) else made
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-        times = n if isinstance(n, Recorded) else self.whole(("times", n), lambda: n)
+        times = n if isinstance(n, Recorded) else self.size(("times", n), lambda: n)
         return super().repeat(times, body, x)
 
 
@@ -172,68 +176,91 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     Raises `CannotRecord`.
     """
     tape = ProgramTape()
-    given = [tape.assign(f"numbers[{i}]", "f", tape.root) for i in range(numbers)]
-    h, n = tape.assign("spans[u, 0]", "f", tape.root), tape.assign("int(spans[u, 1])", "i", tape.root)
+    given = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(numbers)]
+    h = tape.assign(Element("spans", ("u", 0)), "f", tape.root)
+    n = tape.assign(Element("spans", ("u", 1), kind="i"), "i", tape.root)
     state = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(d)]
     loop = Repeat(tape.repeat, over_stages=True)
     end = recorded(lambda: advance(given, h, n, state, RecordedArrays(tape), loop))
     if len(end) != d:
         raise CannotRecord(f"a step from {d} components to {len(end)}")
-    ends = [tape.read(value, tape.main) for value in end]
+    ends = tuple(tape.read(value, tape.main) for value in end)
+    once = setup(tape)  # adds to the shape
     return Program(
-        *assembled(tape, ends, bounded, factor),
+        once,
+        run(tape, ends, bounded, factor),
+        many(tape, ends),
         np.array([value for column in tape.columns for value in column.data], dtype=float),
         np.array([number() for number in tape.shape], dtype=np.int64),
         len(tape.exported) + sum(len(column.data) * len(column.stored) for column in tape.columns),
     )
 
 
-def assembled(tape: ProgramTape, ends: list[str], bounded: int, factor: float) -> tuple[str, str, str]:
-    """The three functions written out."""
-    setup, run = Block(), Block()
-    columns = Block(indent=tape.root.indent)
-    for j, column in enumerate(tape.columns):
-        length = tape.whole(("length", j), lambda j=j: len(tape.columns[j].data))  # type: ignore[misc]
-        first = tape.whole(("first", j), lambda j=j: sum(len(c.data) for c in tape.columns[:j]))  # type: ignore[misc]
-        columns.add(f"for k in range({length.name}):")
-        columns.lines.append("    " * column.indent + f"{column.element} = data[{first.name} + k]")
-        columns.lines += column.lines
-        for name in column.stored:
-            place = tape.place(column, name, 0)
-            columns.lines.append("    " * column.indent + f"w[u, {place.name} + k] = {name}")
-    state = [f"x{i}" for i in range(len(ends))]
-    sizes = [f"{name} = shape[{i}]" for i, name in enumerate(tape.lengths.values())]
-
-    setup.add(*sizes, "for u in range(len(spans)):")
-    setup.lines += tape.root.lines
+def setup(tape: ProgramTape) -> Function:
+    """What is computed once."""
+    body = [*tape.root.statements]
     for slot, (name, kind) in enumerate(tape.exported.items()):
-        tape.root.lines.clear()
-        tape.root.add(f"w[u, {slot}] = {f'1.0 if {name} else 0.0' if kind == 'b' else name}")
-        setup.lines += tape.root.lines
-    setup.lines += columns.lines
+        body.append(Store(Element("w", ("u", slot), kind=kind), name))
+    for j, column in enumerate(tape.columns):
+        length = tape.size(("length", j), lambda j=j: len(tape.columns[j].data))  # type: ignore[misc]
+        first = tape.size(("first", j), lambda j=j: sum(len(c.data) for c in tape.columns[:j]))  # type: ignore[misc]
+        stores = (
+            Store(Element("w", ("u", tape.place(column, name, 0).name), "k"), name) for name in column.stored
+        )
+        load = Assign(column.element, Element("data", (first.name,), "k"))
+        body.append(Loop("k", length.name, (load, *column.statements, *stores)))
+    rows = Assign("rows", Operation("len", ("spans",)))
+    arguments = ("numbers", "spans", "data", "shape", "w")
+    return Function("setup", arguments, (*tape.whole.statements, rows, Loop("u", "rows", tuple(body))))
 
-    # a sum of all of them in one expression would be too deep for Python's parser
-    squares = [f"size = {'size + ' if i else ''}{x} * {x}" for i, x in enumerate(state[:bounded])]
-    run.add(*sizes, *(f"{x} = start[{i}]" for i, x in enumerate(state)))
-    begins = len(run.lines)
-    run.add(*squares, "size = sqrt(size)", f"bound = {factor!r} * (size if size != 0.0 else 1.0)", "bad = -1")
-    known = len(tape.shape)
-    run.add(f"for j in range(len(shape) - {known}):", f"    u = shape[{known} + j]")
-    loads = {"f": "{} = w[u, {}]", "i": "{} = int(w[u, {}])", "b": "{} = w[u, {}] != 0.0"}
-    run.add(*("    " + loads[kind].format(name, i) for i, (name, kind) in enumerate(tape.exported.items())))
-    run.lines += tape.main.lines
-    run.add(f"    {', '.join(state)}, = {', '.join(ends)},")
-    run.add(*(f"    after[{len(state)} * j + {i}] = {x}" for i, x in enumerate(state)))
-    healthy = [f"abs({x}) <= {'bound' if i < bounded else 'LARGEST'}" for i, x in enumerate(state)]
-    run.add(f"    if bad < 0 and not ({' and '.join(healthy)}):", "        bad = j", "return bad")
-    start = run.lines.index("    bad = -1") + 1
-    many = [
-        *(line for line in run.lines[:begins] if "start[" not in line),
-        *(f"    {x} = starts[{i}]" for i, x in enumerate(state)),
-        *(line.replace(f"after[{len(state)} * j + ", "ends[j, ") for line in run.lines[start:-3]),
+
+def intervals(tape: ProgramTape, ends: tuple[Operand, ...], after: str, last: Sequence[Any]) -> list[Any]:
+    """The loop over the intervals; last : what is done at the end of each."""
+    state, known = names(ends), len(tape.shape)
+    loads = [
+        Assign(name, Element("w", ("u", i), kind=kind))
+        for i, (name, kind) in enumerate(tape.exported.items())
     ]
-    return (
-        "\n".join(["def setup(numbers, spans, data, shape, w):", *setup.lines, ""]),
-        "\n".join(["def run(start, w, shape, after):", *run.lines, ""]),
-        "\n".join(["def many(starts, w, shape, ends, part):", *many, ""]),
+    stores = [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
+    row = Assign("u", Element("shape", (known,), "j", "i"))
+    return [
+        Assign("all", Operation("len", ("shape",))),
+        Assign("intervals", Operation("sub", ("all", known))),
+        Loop("j", "intervals", (row, *loads, *tape.main.statements, Update(state, ends), *stores, *last)),
+    ]
+
+
+def names(ends: tuple[Operand, ...]) -> tuple[str, ...]:
+    """The variables of the state."""
+    return tuple(f"x{i}" for i in range(len(ends)))
+
+
+def run(tape: ProgramTape, ends: tuple[Operand, ...], bounded: int, factor: float) -> Function:
+    """What is computed at every call."""
+    state, xp = names(ends), RecordedNumbers(tape)
+    head, last = Block(tape.root), Block(tape.main)
+    square: Any = 0.0
+    for x in state[:bounded]:
+        component = Recorded(tape, x, "f", head)
+        square = component * component + square
+    size = xp.sqrt(square)
+    bound = Recorded(tape, (factor * xp.where(size != 0, size, 1.0)).name, "f", tape.whole)
+    limits = [bound if i < bounded else sys.float_info.max for i in range(len(state))]
+    healthy = reduce(
+        and_, (abs(Recorded(tape, x, "f", last)) <= limit for x, limit in zip(state, limits, strict=True))
     )
+    first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
+    verdict = Assign("first", Operation("where", (first.name, "j", "bad")))
+    loop = intervals(tape, ends, "after", (*last.statements, verdict, Update(("bad",), ("first",))))
+    start = tuple(f"start{i}" for i in range(len(state)))
+    loads = [Assign(name, Element("start", (i,))) for i, name in enumerate(start)]
+    body = [*loads, Update(state, start), *head.statements, Update(("bad",), (-1,)), *loop]
+    return Function("run", ("start", "w", "shape", "after"), (*tape.whole.statements, *body), "bad")
+
+
+def many(tape: ProgramTape, ends: tuple[Operand, ...]) -> Function:
+    """The same for many states side by side; they are not looked at."""
+    start = tuple(f"start{i}" for i in range(len(ends)))
+    loads = [Assign(name, Element("starts", (i,))) for i, name in enumerate(start)]
+    body = [*tape.whole.statements, *loads, Update(names(ends), start), *intervals(tape, ends, "ends", ())]
+    return Function("many", ("starts", "w", "shape", "ends", "part"), tuple(body))

@@ -1,4 +1,4 @@
-"""Numbers that record what is computed with them, as the source of straight-line scalar code.
+"""Numbers that record what is computed with them, as straight-line scalar code.
 
 A scene, a flow or a step map that is run on recorded numbers leaves the list of its operations behind:
 each becomes one assignment, equal operations become one (common subexpressions), numbers known at
@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,23 +22,30 @@ from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
 from contactbench.numbers.nested import leaves, rebuilt
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
+from contactbench.trace.form import (
+    FUNCTIONS,
+    Assign,
+    Element,
+    Loop,
+    Operand,
+    Operation,
+    Results,
+    Update,
+    text,
+)
 
 
 class Block:
-    """Assignments in their order: a program, or the body of a loop in one.
+    """Statements in their order: a program, or the body of a loop in one.
 
-    depth : how many blocks it is in.  known : the name of every expression assigned so far, by its text.
+    depth : how many blocks it is in.  known : the name of every value assigned so far, by what it is.
     """
 
-    def __init__(self, parent: Block | None = None, indent: int | None = None) -> None:
+    def __init__(self, parent: Block | None = None) -> None:
         self.parent = parent
         self.depth: int = parent.depth + 1 if parent else 0
-        self.indent: int = indent if indent is not None else parent.indent + 1 if parent else 1
-        self.lines: list[str] = []
-        self.known: dict[str, str] = {}
-
-    def add(self, *lines: str) -> None:
-        self.lines += ["    " * self.indent + line for line in lines]
+        self.statements: list[Any] = []
+        self.known: dict[Hashable, str] = {}
 
     def within(self, other: Block) -> bool:
         """Whether it is the other block or a part of it."""
@@ -59,27 +66,29 @@ class Tape:
         self.count += 1
         return f"{kind}{self.count}"
 
-    def assign(self, text: str, kind: str, block: Block) -> Recorded:
-        """The value of an expression, assigned in a block unless it has been."""
-        if text not in block.known:
-            block.known[text] = self.name(kind)
-            block.add(f"{block.known[text]} = {text}")
-        return Recorded(self, block.known[text], kind, block)
+    def assign(self, value: Operation | Element, kind: str, block: Block) -> Recorded:
+        """A value, assigned in a block unless it has been."""
+        # by text, since -0.0 == 0.0 and 1 == 1.0
+        key = (value.function, *map(text, value.operands)) if isinstance(value, Operation) else value
+        if key not in block.known:
+            block.known[key] = self.name(kind)
+            block.statements.append(Assign(block.known[key], value))
+        return Recorded(self, block.known[key], kind, block)
 
-    def operation(self, form: str, kind: str, *operands: Any) -> Recorded:
-        """`form` with its operands filled in, assigned in the outermost block that knows them all."""
+    def operation(self, function: str, kind: str, *operands: Any) -> Recorded:
+        """A function of operands, assigned in the outermost block that knows them all."""
         block = self.root
         for x in operands:
             if isinstance(x, Recorded) and x.block.depth > block.depth:
                 block = x.block
         of = "i" if kind == "i" else "f"
-        return self.assign(form.format(*(self.read(x, block, of) for x in operands)), kind, block)
+        return self.assign(Operation(function, tuple(self.read(x, block, of) for x in operands)), kind, block)
 
-    def read(self, x: Any, block: Block, kind: str = "f") -> str:
-        """The text of a number where it is used, in a block."""
+    def read(self, x: Any, block: Block, kind: str = "f") -> Operand:
+        """A number as an operand, where it is used in a block."""
         if isinstance(x, Recorded) and not block.within(x.block):
             raise CannotRecord("vectors of different origin are combined")
-        return text_of(x, kind)
+        return operand_of(x, kind)
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
         """n-fold application, recorded as a loop."""
@@ -87,7 +96,7 @@ class Tape:
         start = leaves(x)
         kinds = ["i" if isinstance(v, int) else kind_of(v) for v in start]
         inner = Block(outer)
-        names = [self.name(kind) for kind in kinds]
+        names = tuple(self.name(kind) for kind in kinds)
         carried = [Recorded(self, name, kind, inner) for name, kind in zip(names, kinds, strict=True)]
         self.block = inner
         try:
@@ -97,13 +106,14 @@ class Tape:
         if len(end) != len(start):
             raise CannotRecord("a loop whose body returns a state of another shape")
         before, after = (
-            [self.read(v, block, kind) for v, kind in zip(values, kinds, strict=True)]
+            tuple(self.read(v, block, kind) for v, kind in zip(values, kinds, strict=True))
             for values, block in ((start, outer), (end, inner))
         )
-        outer.add(*map("{} = {}".format, names, before))
-        outer.add(f"for _ in range({self.read(n, outer, 'i')}):")
-        inner.add(f"{', '.join(names)} = {', '.join(after)}")
-        outer.lines += inner.lines
+        inner.statements.append(Update(names, after))
+        outer.statements += [
+            Update(names, before),
+            Loop("_", self.read(n, outer, "i"), tuple(inner.statements)),
+        ]
         return rebuilt(
             x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
         )
@@ -114,30 +124,30 @@ def kind_of(x: Any) -> str:
     return x.kind if isinstance(x, Recorded) else "f"
 
 
-def text_of(x: Any, kind: str = "f") -> str:
-    """A number as it is written in the program."""
+def operand_of(x: Any, kind: str = "f") -> Operand:
+    """A number as an operand; `CannotRecord` for whatever is none."""
     if isinstance(x, Recorded):
         return x.name
     if isinstance(x, bool | np.bool_):
-        return str(bool(x))
-    if kind == "i":
-        return str(operator.index(x))
+        return bool(x)
     try:
-        value = float(x)
+        return operator.index(x) if kind == "i" else float(x)
     except (TypeError, ValueError):
         raise CannotRecord(f"{x!r} of type {type(x).__name__} is not a number") from None
-    if math.isfinite(value):
-        return f"({value!r})" if math.copysign(1.0, value) < 0 else repr(value)
-    return "nan" if math.isnan(value) else "inf" if value > 0 else "(-inf)"
 
 
-def _comparison(sign: str) -> Callable[..., Any]:
+def _comparison(function: str) -> Callable[..., Any]:
     def compare(self: Recorded, other: Any) -> Any:
         if isinstance(other, Dual):
             return NotImplemented
-        return self.tape.operation(f"{{0}} {sign} {{1}}", "b", self, other)
+        return self.tape.operation(function, "b", self, other)
 
     return compare
+
+
+def operands(results: Any) -> Results:
+    """Nested tuples or lists of numbers as nested tuples of operands."""
+    return tuple(map(operands, results)) if isinstance(results, tuple | list) else operand_of(results)
 
 
 class Recorded(Unknown):
@@ -156,64 +166,64 @@ class Recorded(Unknown):
         return RecordedNumbers(self.tape)
 
     # -- arithmetic --------------------------------------------------------------------------------
-    def _binary(self, sign: str, a: Any, b: Any, commutes: bool = False) -> Any:
+    def _binary(self, function: str, a: Any, b: Any, commutes: bool = False) -> Any:
         if isinstance(a, Dual | np.ndarray) or isinstance(b, Dual | np.ndarray):
             return NotImplemented
         if self.kind == "i" and all(isinstance(x, int) or kind_of(x) == "i" for x in (a, b)):
             a, b = (int(x) if isinstance(x, int) else x for x in (a, b))
-            return self.tape.operation(f"{{0}} {sign} {{1}}", "i", a, b)
-        if commutes and text_of(b) < text_of(a):
+            return self.tape.operation(function, "i", a, b)
+        if commutes and text(operand_of(b)) < text(operand_of(a)):
             a, b = b, a
-        return self.tape.operation(f"{{0}} {sign} {{1}}", "f", a, b)
+        return self.tape.operation(function, "f", a, b)
 
     def __add__(self, other: Any) -> Any:
-        return self._binary("+", self, other, commutes=True)
+        return self._binary("add", self, other, commutes=True)
 
     def __sub__(self, other: Any) -> Any:
-        return self if is_constant(other, 0) else self._binary("-", self, other)
+        return self if is_constant(other, 0) else self._binary("sub", self, other)
 
     def __rsub__(self, other: Any) -> Any:
-        return self._binary("-", other, self)
+        return self._binary("sub", other, self)
 
     def __mul__(self, other: Any) -> Any:
-        return self if is_constant(other, 1) else self._binary("*", self, other, commutes=True)
+        return self if is_constant(other, 1) else self._binary("mul", self, other, commutes=True)
 
     def __truediv__(self, other: Any) -> Any:
-        return self if is_constant(other, 1) else self._binary("/", self, other)
+        return self if is_constant(other, 1) else self._binary("div", self, other)
 
     def __rtruediv__(self, other: Any) -> Any:
-        return self._binary("/", other, self)
+        return self._binary("div", other, self)
 
     __radd__, __rmul__ = __add__, __mul__
 
     def __neg__(self) -> Any:
-        return self.tape.operation("-{0}", self.kind, self)
+        return self.tape.operation("neg", self.kind, self)
 
     def __pos__(self) -> Any:
         return self
 
     def __abs__(self) -> Any:
-        return self.tape.operation("abs({0})", self.kind, self)
+        return self.tape.operation("abs", self.kind, self)
 
     def __pow__(self, exponent: Any) -> Any:
         return power(self, exponent)
 
     def __rpow__(self, base: Any) -> Any:
-        return self.tape.operation("{0} ** {1}", "f", base, self)
+        return self.tape.operation("pow", "f", base, self)
 
     # -- truth values ------------------------------------------------------------------------------
-    __eq__ = _comparison("==")  # type: ignore[assignment]
-    __ne__ = _comparison("!=")  # type: ignore[assignment]
-    __lt__, __le__, __gt__, __ge__ = map(_comparison, ("<", "<=", ">", ">="))
+    __eq__ = _comparison("eq")  # type: ignore[assignment]
+    __ne__ = _comparison("ne")  # type: ignore[assignment]
+    __lt__, __le__, __gt__, __ge__ = map(_comparison, ("lt", "le", "gt", "ge"))
 
     def __and__(self, other: Any) -> Any:
-        return self.tape.operation("{0} and {1}", "b", self, other)
+        return self.tape.operation("and", "b", self, other)
 
     def __or__(self, other: Any) -> Any:
-        return self.tape.operation("{0} or {1}", "b", self, other)
+        return self.tape.operation("or", "b", self, other)
 
     def __invert__(self) -> Any:
-        return self.tape.operation("not {0}", "b", self)
+        return self.tape.operation("not", "b", self)
 
     __rand__, __ror__ = __and__, __or__
     __hash__ = None  # type: ignore[assignment]
@@ -254,7 +264,7 @@ def is_constant(x: Any, value: float) -> bool:
 def power(x: Recorded, exponent: Any) -> Any:
     """x to a power: products and square roots for multiples of ½, which are faster than the library's pow."""
     if isinstance(exponent, Recorded) or exponent * 2 != int(exponent * 2) or abs(exponent) > LARGEST_POWER:
-        return x.tape.operation("{0} ** {1}", "f", x, exponent)
+        return x.tape.operation("pow", "f", x, exponent)
     if exponent < 0:
         return 1 / power(x, -exponent)
     whole = int(exponent)
@@ -268,11 +278,7 @@ def power(x: Recorded, exponent: Any) -> Any:
     return result
 
 
-#: functions of one number, by their names in `math`, and what NumPy calls some of them
-FUNCTIONS = (
-    "exp", "expm1", "log", "log1p", "log2", "log10", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh",
-    "asin", "acos", "atan", "asinh", "acosh", "atanh", "floor", "ceil", "erf", "erfc",
-)  # fmt: skip
+#: what NumPy calls some of them
 ALIASES = {
     "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arccosh": "acosh",
     "arctanh": "atanh", "arctan2": "atan2",
@@ -295,22 +301,22 @@ class RecordedNumbers(Numbers):
         def function(x: Any) -> Any:
             if not isinstance(x, Recorded):
                 return getattr(math, known)(x)
-            return self.tape.operation(f"{known}({{0}})", "f", x)
+            return self.tape.operation(known, "f", x)
 
         return function
 
     def where(self, condition: Any, a: Any, b: Any) -> Any:
         if not isinstance(condition, Recorded):
             return a if condition else b
-        return self.tape.operation("{1} if {0} else {2}", "f", condition, a, b)
+        return self.tape.operation("where", "f", condition, a, b)
 
     def atan2(self, y: Any, x: Any) -> Any:
-        return self.tape.operation("atan2({0}, {1})", "f", y, x)
+        return self.tape.operation("atan2", "f", y, x)
 
     arctan2 = atan2
 
     def hypot(self, x: Any, y: Any) -> Any:
-        return self.tape.operation("hypot({0}, {1})", "f", x, y)
+        return self.tape.operation("hypot", "f", x, y)
 
     def abs(self, x: Any) -> Any:
         return abs(x)
@@ -331,6 +337,57 @@ class RecordedNumbers(Numbers):
 
     def logical_not(self, a: Any) -> Any:
         return ~a if isinstance(a, Recorded) else not a
+
+
+#: where a number of a formula is: the place of an argument or a step, or a constant
+Place = int | float
+
+
+class Step(NamedTuple):
+    """An operation of a formula, whose place is its number."""
+
+    function: str
+    kind: str
+    operands: tuple[Place, ...]
+
+
+class FormulaTape(Tape):
+    """A recording that keeps its operations by their places, equal ones once."""
+
+    def __init__(self, arguments: int) -> None:
+        super().__init__()
+        self.arguments = [Recorded(self, f"v{i}", "f", self.root) for i in range(arguments)]
+        self.steps: list[Step] = []
+        self.places = {x.name: i for i, x in enumerate(self.arguments)}
+        self.made: dict[Hashable, int] = {}
+
+    def operation(self, function: str, kind: str, *operands: Any) -> Recorded:
+        given = tuple(map(self.operand, operands))
+        key = (function, *map(repr, given))
+        if key not in self.made:
+            place = self.made[key] = len(self.arguments) + len(self.steps)
+            self.places[f"v{place}"] = place
+            self.steps.append(Step(function, kind, given))
+        return self.at(self.made[key], kind)
+
+    def operand(self, x: Any) -> Place:
+        """The place of a recorded number, or a constant."""
+        if not isinstance(x, Recorded):
+            return float(operand_of(x))
+        if x.tape is not self:
+            raise CannotRecord("numbers of different origin are combined")
+        return self.places[x.name]
+
+    def at(self, place: int, kind: str = "f") -> Recorded:
+        """The number at a place."""
+        return Recorded(self, f"v{place}", kind, self.root)
+
+    def value(self, operand: Place) -> Any:
+        """The number an operand stands for."""
+        if isinstance(operand, float):
+            return operand
+        before = operand - len(self.arguments)
+        return self.at(operand, "f" if before < 0 else self.steps[before].kind)
 
 
 def recorded(function: Callable[[], Any]) -> Any:

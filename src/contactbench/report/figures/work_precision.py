@@ -73,7 +73,8 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     middle of the errors that both reach."""
     rows = contestants(work)
     table = contest.contests(contest.costs(rows[rows["scene"] == scene], COMPILED, targets=contest.TARGETS))
-    table = table[np.isfinite(table["ratio"]) & (table["ratio"] > 0)]
+    ratios = table["ratio"].astype(float)
+    table = table[np.isfinite(ratios) & (ratios > 0)]
     if not len(table):
         return f"{scene}: cost against error", []
     row = table.iloc[(len(table) - 1) // 2]
