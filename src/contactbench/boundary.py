@@ -23,9 +23,22 @@ from contactbench.start import VARIABLE
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
 FUNCTIONS = (
-    "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan",
-    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-)  # fmt: skip
+    "exp",
+    "log",
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+)
 #: modules whose functions know plain numbers only, as they are usually called
 PLAIN = ("math", "numpy", "np")
 #: where no user's code is: this package, Python's library, installed packages, generated programs

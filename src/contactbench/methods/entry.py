@@ -81,9 +81,16 @@ def prepare(
 
 
 def make_request(
-    scene: Scene, chosen: Method, step: Any, rtol: Any = None, atol: Any = None, save_at: Any = None,
-    carry: Any = None, engine: Any = None, max_steps: Any = None,
-) -> Request | Refused:  # fmt: skip
+    scene: Scene,
+    chosen: Method,
+    step: Any,
+    rtol: Any = None,
+    atol: Any = None,
+    save_at: Any = None,
+    carry: Any = None,
+    engine: Any = None,
+    max_steps: Any = None,
+) -> Request | Refused:
     """Return the checked request for the first engine; `Refused` where the method refuses the scene."""
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
         raise BadInput(f"engine = {shown(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")

@@ -49,9 +49,12 @@ def _one_of(allowed: tuple[str, ...]) -> Callable[[str, Any], None]:
 
 #: what a step map may declare, and the check of each
 CLAIMS: dict[str, Callable[[str, Any], None]] = {
-    "kind": _one_of(("rhs", "gradient", "rotation")), "family": _one_of(FAMILIES),
-    "contact": switch, "symmetric": switch, "factor": function,
-}  # fmt: skip
+    "kind": _one_of(("rhs", "gradient", "rotation")),
+    "family": _one_of(FAMILIES),
+    "contact": switch,
+    "symmetric": switch,
+    "factor": function,
+}
 
 
 def fixed_step(
