@@ -150,7 +150,7 @@ def place(error: BaseException) -> str:
     )
 
 
-def reported(what: str, error: BaseException) -> BaseException:
+def blame(what: str, error: BaseException) -> BaseException:
     """The error as a `UserError` where it comes from a user's own code, else as it is."""
     passed = isinstance(error, BadInput | KeyboardInterrupt | GeneratorExit)
     return error if passed or frame_of(error) is None else user_error(what, error)
