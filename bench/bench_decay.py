@@ -21,7 +21,7 @@ from contactbench.solution import EXACT
 from equal_cost import step_at, tolerance_at
 
 #: of the scenes of every experiment
-FEW = ("particle", "central", "rigid_body")
+FEW = ("oscillator", "particle", "central", "rigid_body")
 #: evaluations per unit of time, on the scale of one right-hand side
 COSTS = (30.0, 100.0)
 SAVES = 5

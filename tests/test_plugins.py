@@ -69,7 +69,7 @@ def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
     assert not set(MINE) & {*cb.METHODS, *cb.SCENES}
     written = {path.name for path in write.report(results, {})}
     assert "work_precision_double-well.svg" in written
-    for name in ("README.md", "work_precision.md", "convergence.md", "report.html"):
+    for name in ("work_precision.md", "convergence.md", "report.html"):
         assert "my-method" in (results / name).read_text()
     assert "## double-well" in (results / "work_precision.md").read_text()
     assert "my-method" in (results / "figures" / "work_precision_particle.svg").read_text()

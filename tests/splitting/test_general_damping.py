@@ -112,13 +112,3 @@ def test_blow_up_ends_as_diverged_with_the_time(engine):
 def test_gamma_and_kappa_beside_it_are_refused(given):
     with pytest.raises(cb.BadInput, match=next(iter(given))):
         SCENE.with_(**given)
-
-
-def test_h_and_j_decay_at_the_rate_of_the_moment():
-    """H' = −Γ'(s) H: the laws of quadratic damping apply, with the true rate."""
-    solution = cb.solve(SCENE, "scipy-dop853", rtol=1e-12, save_at=[1.0, 4.0])
-    for name in ("hamiltonian_law", "momentum_law"):
-        assert cb.LAWS[name](solution) < 1e-9
-    rough = cb.solve(SCENE, "contact-abc", step=0.2, save_at=[1.0, 4.0])
-    assert cb.LAWS["momentum_law"](rough) > 1e-5
-    assert cb.LAWS["own_factor_drift"](rough) < 1e-12

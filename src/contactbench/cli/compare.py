@@ -38,7 +38,7 @@ def compare(arguments: argparse.Namespace) -> int:
         writable(f"--{option}", getattr(arguments, option), kinds)
     one_core()
     import contactbench as cb
-    from contactbench.race import show
+    from contactbench.report import race
 
     scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
     frame = cb.compare(
@@ -48,12 +48,12 @@ def compare(arguments: argparse.Namespace) -> int:
     if arguments.csv:
         frame.to_csv(arguments.csv, index=False, lineterminator="\n")
     if arguments.html:
-        arguments.html.write_text(show.html(frame), encoding="utf-8")
-    if arguments.plot and (figure := show.figure(frame)) is not None:
+        arguments.html.write_text(race.html(frame), encoding="utf-8")
+    if arguments.plot and (figure := race.figure(frame)) is not None:
         from contactbench.report.draw import drawn
 
         drawn(figure).savefig(arguments.plot)
-    print(as_json(frame) if arguments.json else show.text(frame))
+    print(as_json(frame) if arguments.json else race.text(frame))
     return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
 
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pandas as pd
 
-from contactbench.report.contest import LIMIT
 from contactbench.report.curves import by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest, contest_ends, family
 from contactbench.report.figures.work_precision import error_axis
 from contactbench.report.numbers import count
+from contactbench.results.contest import LIMIT
 
 SOURCE = "ensemble.csv"
 #: whether trajectories that are integrated together share the steps that a solver chooses

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.report.contest import KINDS, contestants
 from contactbench.report.curves import by_method
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, cheapest, contest_ends
+from contactbench.results.contest import KINDS, contestants
 
 SOURCE = "work_precision.csv"
 #: where errors begin and end: beyond one there is nothing left of the motion, below round-off nothing is known

@@ -26,11 +26,11 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 
-from contactbench.report.cells import Cell, View
+from contactbench.report.chapters import Contents, Section, Text, figures, slug
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import DARK_PAPER, METHODS, ROLES, look
 from contactbench.report.page.words import breakable, inline, plain, runs
-from contactbench.report.rooms import Finding, Room, Section, Text, figures
+from contactbench.report.views import Cell, View
 
 #: contrast a line must have on the dark page (WCAG 2.2, 1.4.3; graphical objects need 3)
 CONTRAST = 4.5
@@ -250,19 +250,10 @@ def listed(value: Any) -> str:
 
 
 def cell_class(cell: Cell) -> str:
-    return " ".join(sorted(mark.value for mark in cell.marks))
+    return cell.mark.value if cell.mark else ""
 
 
 # -- the page --------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Said:
-    """A room and what it said."""
-
-    room: Room
-    parts: tuple[Any, ...]
-    findings: tuple[Finding, ...]
-
-
 #: where readers go from here: documents beside the page, and the source above it
 LINKS = {
     "results as text": "README.md", "the paper and its claims": "claims.md", "glossary": "glossary.md",
@@ -271,7 +262,7 @@ LINKS = {
 
 
 def page(
-    said: Sequence[Said], recorded: Sequence[Mapping[str, Any]], glossary: Sequence[Any] = (),
+    said: Sequence[Contents], recorded: Sequence[Mapping[str, Any]], glossary: Sequence[Any] = (),
     links: Mapping[str, str] | None = None,
 ) -> str:  # fmt: skip
     """The HTML text.
@@ -288,7 +279,7 @@ def page(
         "styles": {name: {"n": numbers[name], "marker": s.marker, "hollow": s.hollow, "width": s.width, "dash": s.dash}
                    for name, s in styles.items()},
     }  # fmt: skip
-    addresses = {one.room.file: f"#{one.room.name}" for one in said}
+    addresses = {one.chapter.file: f"#{one.chapter.name}" for one in said}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("contactbench.report", "page"), autoescape=True, trim_blocks=True,
         lstrip_blocks=True, undefined=jinja2.StrictUndefined,
@@ -302,6 +293,7 @@ def page(
         "look": cell_class,
         "breakable": breakable,
         "listed": listed,
+        "slug": slug,
     }
     return environment.get_template("page.html").render(
         css=source("page.css"), script="".join(map(source, SCRIPTS)), payload=script_safe(payload), styles=styles,
