@@ -73,11 +73,11 @@ WRONG = {
     ),
     "start of a span": (
         driven(lambda t, h, xp: (2 * xp.log1p(h / t), t * h / (t + h) + beyond(t, 2))),
-        "for h = 0",
+        "h = 0: must be 0",
     ),
     "flow": (
         general(flow=lambda s, h, xp: decay(s, h, xp) - h * beyond(2 - s, 0)),
-        "damping_flow does not integrate",
+        "damping_flow has not the slope",
     ),
     "slope": (
         general(slope=lambda s: 0.1 + 0.2 * s + beyond(2 - s, 0)),

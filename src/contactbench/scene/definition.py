@@ -194,7 +194,7 @@ def _verify(scene: Mechanical) -> None:
 
 
 def _number(scene: Mechanical, q: np.ndarray) -> float:
-    """V(q), a real number."""
+    """Return V(q), a real number."""
     value = scene.V(tuple(q.tolist()))
     if not is_real(value) or not hasattr(value, "__float__"):
         raise BadInput(
@@ -204,12 +204,12 @@ def _number(scene: Mechanical, q: np.ndarray) -> float:
 
 
 def _force(scene: Mechanical, q: np.ndarray) -> np.ndarray:
-    """∇V(q), n real numbers; a number of another length is told as soon as the scene is made."""
+    """Return ∇V(q), n real numbers; a number of another length is told as soon as the scene is made."""
     return np.array(scene.dV(tuple(q.tolist())), dtype=float)
 
 
 def _rows(scene: Mechanical, q: np.ndarray) -> np.ndarray:
-    """The Hessian at q, n rows of n real numbers."""
+    """Return the Hessian at q, n rows of n real numbers."""
     assert scene.hessian is not None
     n, rows = len(q), scene.hessian(tuple(q.tolist()), **scene.parameters)
     try:
@@ -241,13 +241,13 @@ def _gradient(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.
 
 
 def _has_formulas(scene: Mechanical) -> bool:
-    """Whether potential and gradient are formulas, and those that a kind of a user's own goes by."""
+    """Return whether potential and gradient are formulas, and those that a kind of a user's own goes by."""
     both = isinstance(scene.potential, Formula) and isinstance(scene.gradient, Formula)
     return both and is_ours(type(scene))
 
 
 def _follows(scene: Mechanical) -> bool:
-    """Whether the Hessian was derived from the gradient."""
+    """Return whether the Hessian was derived from the gradient."""
     return isinstance(scene.hessian, Formula) and scene.hessian.live is None
 
 
@@ -287,36 +287,31 @@ def _damping(scene: Mechanical, y: np.ndarray) -> None:
     """Raise `BadInput` unless the parts of a damping that is the user's fit each other at a packed state."""
     h = LATER * scene.t_end
     if isinstance(scene, GeneralDamping):
-        s = float(y[-1])
+        s, flow = float(y[-1]), scene.damping_flow
         there = f"at s = {s:.6g}, the derivative of the damping there"
         _slope(
             scene, scene.damping, s, 1.0, scene.damping_slope(s), "damping_slope is not the damping's", there
         )
-        if (flow := scene.damping_flow) is not None:
-            begins = s, lambda h: flow(s, h, math), "damping_flow", f"from s = {s:.6g}"
-            _integral(scene, begins, h, -scene.damping(flow(s, h, math)), "−Γ")
-    if isinstance(scene, Driven) and scene.span is not None:
-        t = float(y[scene.clock])
-        total = scene.spent(t, h, math)[0]
-        for part, slope, means in ((0, scene.rate_at(t + h), "γ"), (1, math.exp(-total), "e^{−G}")):
-            begins = (
-                0.0,
-                lambda h, part=part: scene.spent(t, h, math)[part],
-                f"span[{part}]",
-                f"at t = {t:.6g}",
+        if flow is not None:
+            end = flow(s, h, math)
+            _begins(
+                scene, "damping_flow", lambda h: flow(s, h, math), s, h, -scene.damping(end), f"s = {s:.6g}"
             )
-            _integral(scene, begins, h, slope, means)
+    if isinstance(scene, Driven) and scene.span is not None:
+        t, there = float(y[scene.clock]), f"t = {y[scene.clock]:.6g}"
+        total, _ = scene.spent(t, h, math)
+        _begins(scene, "span[0]", lambda h: scene.spent(t, h, math)[0], 0.0, h, scene.rate_at(t + h), there)
+        _begins(scene, "span[1]", lambda h: scene.spent(t, h, math)[1], 0.0, h, math.exp(-total), there)
 
 
-def _integral(scene: Mechanical, of: tuple, h: float, slope: float, means: str) -> None:
-    """Raise `BadInput` unless a function of h begins with its value at 0 and has the slope at h."""
-    start, f, name, where = of
+def _begins(
+    scene: Mechanical, name: str, f: Callable[[float], Any], start: float, h: float, slope: float, where: str
+) -> None:
+    """Raise `BadInput` unless a function of h begins with `start` and has a slope at h."""
     if abs(f(0.0) - start) > TOLERANCE * max(abs(start), abs(f(h))):
-        raise BadInput(
-            f"scene {scene.name!r}: {name} is {f(0.0):.6g} for h = 0 {where}, and must be {start:.6g}"
-        )
-    there = f"{where} for h = {h:.6g}, where its derivative by h is"
-    _slope(scene, f, h, h / 2, slope, f"{name} does not integrate {means}", there)
+        raise BadInput(f"scene {scene.name!r}: {name} is {f(0.0):.6g} at {where}, h = 0: must be {start:.6g}")
+    there = f"at {where}, h = {h:.6g}, the derivative by h of the function"
+    _slope(scene, f, h, h / 2, slope, f"{name} has not the slope of its definition", there)
 
 
 def _slope(
@@ -340,7 +335,7 @@ def _agree(
     given: np.ndarray,
     terms: float,
 ) -> bool:
-    """Whether `given` is the derivative of f along a direction, or differences cannot tell."""
+    """Return whether `given` is the derivative of f along a direction, or differences cannot tell."""
     found, error = difference(f, q, direction)
     if not (np.isfinite(given).all() and np.isfinite(found).all()):
         raise FloatingPointError
@@ -352,7 +347,7 @@ def _agree(
 def difference(
     f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """The derivative of f along a direction by central differences of order 4, and about its error.
+    """Return the derivative of f along a direction by central differences of order 4, and about its error.
 
     Two estimates may agree by luck where rounding leaves f but a few values: it adds ε |f| over the step.
     """
