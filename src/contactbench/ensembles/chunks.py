@@ -105,14 +105,14 @@ def spread(
     def begin(k: int) -> None:
         nonlocal executor
         part = slice(k * size, (k + 1) * size)
-        arrays = y0[:, part], {place: values[part] for place, values in own.items()}
+        states, numbers = y0[:, part], {place: values[part] for place, values in own.items()}
         try:
-            pending[executor.submit(task, *arrays)] = k
+            pending[executor.submit(task, states, numbers)] = k
         except BrokenExecutor as error:
             message = f"{type(executor).__name__} is broken: {error}; this process goes on alone"
             warnings.warn(message, RuntimeWarning, stacklevel=2)
             executor = threads
-            pending[executor.submit(task, *arrays)] = k
+            pending[executor.submit(task, states, numbers)] = k
 
     try:
         for k in range(-(-y0.shape[1] // size)):

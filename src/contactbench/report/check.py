@@ -12,7 +12,7 @@ from contactbench.report import draw, glossary
 from contactbench.report.write import render, tables, with_answers
 
 #: points by which what is drawn may be elsewhere
-APART = 0.01
+APART = 0.02
 NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 

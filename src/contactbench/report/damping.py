@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section
-from contactbench.report.figures import stability as figures
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.results.round_off import STRUCTURE
@@ -159,7 +158,6 @@ def strong_parts(frame: pd.DataFrame) -> Iterator[Part]:
     legend = f"Median error in each range of γh per evaluation. Methods within a factor of {ALIKE:g} tie."
     title = "The most accurate fixed-step method"
     yield View("strong_best", title, frame_of(rows, ["γh per evaluation", *labels]), legend, STRONG)
-    yield figures.strong(frame, gammas)
 
 
 def median_errors(frame: pd.DataFrame, gamma: float, low: float, high: float) -> pd.Series:

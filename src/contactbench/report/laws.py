@@ -7,6 +7,7 @@ import pandas as pd
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
 from contactbench.report.equal_cost import equal_cost_view
 from contactbench.report.figures import laws as figures
+from contactbench.report.figures.structure import structure as structure_figure
 from contactbench.report.law_cells import LEGEND, law_label, meanings, range_cell
 from contactbench.report.numbers import DASH, how_often, names, readable, scientific, times
 from contactbench.report.views import Cell, Mark, View, frame_of
@@ -164,13 +165,13 @@ def law_view(frames: Frames, law: str, column: Column) -> View | None:
 
 def parts(frames: Frames) -> list[Part]:
     found = [claims_view(frames), broken_view(frames), keepers_view(frames), modified_view(frames)]
-    structure = figures.structure(frames["laws"])
+    structure = structure_figure(frames["laws"])
     equal = frames["decay_laws"]
     costs = [equal_cost_view(part, frames) for _, part in equal.groupby(["scene", "cost"], sort=False)]
     ranges = [law_view(frames, law, column) for law, column in laws_in(LAWS_TABLE).items()]
     time = frames["laws_time"]
     along = [
-        Section(str(scene), (figures.along_time(time, scene),), choice="scene")
+        Section(str(scene), (figures.along_time(time, scene, frames["laws"]),), choice="scene")
         for scene in dict.fromkeys(time[time["status"] == "ok"]["scene"])
     ]
     return [

@@ -55,15 +55,14 @@ def windows_view(frame: pd.DataFrame) -> View | None:
 
 
 def parts(frames: Frames) -> list[Part]:
-    frame, radius = frames["stability_limits"], frames["one_step"]
+    frame = frames["stability_limits"]
     views = (
         limit_view(frame, "limit", "limits", "First loss of stability"),
         windows_view(frame),
         limit_view(frame, "limit_kernel", "limits_kernel", "Processed methods saved at the end only"),
         limit_view(frame, "limit_saved", "limits_saved", "Processed methods saved at every step"),
     )
-    drawn = [figures.limits(frame), *([figures.radius(radius)] if len(radius) else [])]
-    return [*(view for view in views if view is not None), *drawn]
+    return [*(view for view in views if view is not None), figures.limits(frame)]
 
 
 CHAPTERS.add(

@@ -14,7 +14,7 @@ from contactbench.measure.round_off import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
 from contactbench.report.chapters import Chapter, Contents, Part, Text, summary
 from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.drawing import Axis, Figure, Live, Panel
 from contactbench.report.figures.best import best_of_each, cheapest
 from contactbench.report.law_cells import law_label
 from contactbench.report.numbers import DASH, count, duration, names, percent, scientific, times
@@ -218,15 +218,19 @@ def front(tried: pd.DataFrame, error: str, cost: str) -> pd.DataFrame:
 # -- documents -------------------------------------------------------------------------------------
 def html(frame: pd.DataFrame) -> str:
     """Return one page that needs no network."""
-    scene, drawn = frame["scene"].iloc[0], figure(frame)
+    scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
+    live = (
+        Live(drawn.title, {(scene, panel.title): panel for panel in drawn.panels}, drawn.caption)
+        if drawn
+        else None
+    )
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
     parts: list[Part] = [
-        *([drawn] if drawn else []),
         *views(frame),
         laws_view(frame),
         Text(items=tuple(notes(frame))),
     ]
-    return page([Contents(chapter, answers(frame), tuple(parts))], [])
+    return page([Contents(chapter, answers(frame), tuple(parts))], live=live)
 
 
 def text(frame: pd.DataFrame) -> str:

@@ -12,7 +12,6 @@ import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
 from contactbench.report.escape import blow_up_view
-from contactbench.report.figures import hard as figures
 from contactbench.report.law_cells import LEGEND, drift_cell, law_label, meanings, with_bounds
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
@@ -189,7 +188,6 @@ def parts(frames: Frames) -> list[Part]:
     return [
         endings_view(hard),
         *contests,
-        *figures.hard(hard),
         *([ends] if ends else []),
         map_view(hard),
         Section("Scene by scene", (Text(f"{SETTINGS} {LEGEND}"), *scenes)),

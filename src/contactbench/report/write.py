@@ -11,6 +11,7 @@ from contactbench.errors import BadInput
 from contactbench.report import draw, glossary, headline, markdown, page
 from contactbench.report.chapters import Contents, Frames, Tables, contents, figures
 from contactbench.report.drawing import Figure
+from contactbench.report.figures.work_precision import live
 from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, replacing
@@ -74,15 +75,20 @@ def render(
     found = chapters_of(frames, recorded)
     texts = documents(found, registries)
     if texts:
-        texts["report.html"] = page.page(found, recorded, glossary.parts(registries), page.LINKS)
+        texts["report.html"] = page.page(
+            found, recorded, glossary.parts(registries), page.LINKS, live(frames)
+        )
     drawn = {figure.name: figure for one in found for figure in figures(one.parts)}
     return texts, list(drawn.values())
 
 
-def report(results: Path, registries: glossary.Registries, readme: Path | None = None) -> list[Path]:
+def report(
+    results: Path, registries: glossary.Registries, readme: Path | None = None, png: bool = False
+) -> list[Path]:
     """Write every document and figure the tables allow, and the page; return the paths.
 
-    readme : a file whose computed part is filled in too.
+    Figures of an earlier report that no table gives any more are removed.
+    readme : a file whose computed part is filled in too.  png : whether figures are saved as pictures too.
     """
     frames = tables(results)
     texts, drawn = render(results, frames, registries)
@@ -92,7 +98,10 @@ def report(results: Path, registries: glossary.Registries, readme: Path | None =
             file.write(text)
         written.append(results / name)
     for figure in drawn:
-        written += draw.save(figure, results / "figures")
+        written += draw.save(figure, results / "figures", png)
+    for path in (results / "figures").glob("*.svg"):
+        if path not in written and draw.MADE_HERE in path.read_text(encoding="utf-8"):
+            path.unlink()
     if readme is not None:
         into_readme(readme, frames)
         written.append(readme)
