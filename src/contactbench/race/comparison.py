@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 from tqdm import tqdm
 
-from contactbench.errors import BadInput, finite, listed, positive, shown, switch
+from contactbench.errors import BadInput, excerpt, finite, items_of, positive, switch
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import setting
 from contactbench.measure.laws import laws_of, row
@@ -90,10 +90,10 @@ def compare(
         For a wrong argument, and where no reference can be computed.
     """
     scene, _ = lookup(scene, next(iter(METHODS)))
-    given = listed("methods", METHODS if methods is None else methods, "a list of names")
+    given = items_of("methods", METHODS if methods is None else methods, "a list of names")
     for name in given:
         METHODS[name]  # an unknown one raises
-    asked = listed("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
+    asked = items_of("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
     wanted = tuple(sorted({_error(error) for error in asked}, reverse=True))
     if not wanted:
         raise BadInput("errors: at least one, as in errors=[1e-3, 1e-6]")
@@ -104,7 +104,9 @@ def compare(
 def _error(value: Any) -> float:
     error = finite("error", value)
     if not 0 < error < 1:
-        raise BadInput(f"error = {shown(value)}: must be between 0 and 1, relative to the size of the motion")
+        raise BadInput(
+            f"error = {excerpt(value)}: must be between 0 and 1, relative to the size of the motion"
+        )
     return error
 
 
