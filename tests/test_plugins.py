@@ -99,17 +99,6 @@ def test_the_command_line_takes_it_anywhere_on_the_line(example):
 
 
 # -- files that fail -------------------------------------------------------------------------------
-@pytest.fixture
-def registries(monkeypatch):
-    """What a test registers is forgotten again."""
-    monkeypatch.setenv(plugins.VARIABLE, "")
-    kept = [(each, dict(each)) for each in (*plugins.GROUPS.values(), plugins.LOADED)]
-    yield
-    for registry, items in kept:
-        registry.clear()
-        registry.update(items)
-
-
 FAILURES = {
     "syntax": ("x = (", "line 1: SyntaxError"),
     "exception": ("import contactbench as cb\n\ncb.SCENES['partcle']", "line 3: UnknownName: unknown scene"),
