@@ -21,7 +21,7 @@ from contactbench.peers.variational import SOURCE, integrated, numerical_derivat
 from contactbench.scene import System
 from contactbench.trace.form import Function, Unpack
 from contactbench.trace.python import executed
-from contactbench.trace.recording import Recorded, Tape, operands
+from contactbench.trace.recording import Recorded, Tape
 from contactbench.trace.recording import recorded as within
 
 Rows = list[list[float]]
@@ -58,7 +58,7 @@ def recorded(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., 
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
     slopes = scene.slopes if what == "rhs" else partial(motion_jacobian, scene)
     try:
-        results = operands(within(lambda: slopes(t, y, carry)))
+        results = tape.results(within(lambda: slopes(t, y, carry)))
     except (CannotRecord, TypeError):
         return None
     return executed(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
