@@ -18,8 +18,8 @@ from contactbench.numbers import functions
 from contactbench.trace.adjoints import Adjoints
 from contactbench.trace.form import (
     FUNCTIONS,
-    Assign,
     Function,
+    Operand,
     Operation,
     Results,
     Unpack,
@@ -62,7 +62,7 @@ class Formula:
     """What a function of numbers computes.
 
     arguments : of every positional argument the length of the tuple it is, 0 for a number, "xp" for a namespace of
-    numbers, which is not read.  names : keyword arguments, numbers.  body : its operations, on the arguments v0, v1, …
+    numbers, which is not read.  names : keyword arguments, numbers.  body : `Operation`s, on the arguments v0, v1, …
     one after the other.  results : the operand that is returned, or nested tuples of them.
     live : the function it was recorded from.
     Raises `BadInput` for an argument of another length.
@@ -70,7 +70,7 @@ class Formula:
 
     arguments: tuple[int | str, ...]
     names: tuple[str, ...]
-    body: tuple[Assign, ...]
+    body: tuple[Any, ...]
     results: Results
     live: Callable[..., Any] | None = None
 
@@ -142,9 +142,9 @@ class Formula:
 
     def replayed(self) -> tuple[Tape, Results, Adjoints]:
         """A tape with its operations, its results there, and their derivatives."""
-        tape, moved = Tape(), {}
-        for target, (function, given) in self.body:
-            there = Operation(function, tuple(moved.get(x, x) for x in given))
+        tape, moved = Tape(), dict[Operand, Operand]()
+        for target, operation in self.body:
+            there = Operation(operation.function, mapped(lambda x: moved.get(x, x), operation.operands))
             moved[target] = tape.assign(there, "f", tape.root).name
         arguments = numbered(self.arguments, self.names)
         adjoints = Adjoints(tape, arguments, arguments[len(arguments) - len(self.names) :])
