@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 import contactbench as cb
-from cells import cells, contestants, outcome, setting, small, step_budget
+from cells import cells, contestants, outcome, small, step_budget
+from contactbench.measure.ladder import setting
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scenes import scenes_of
@@ -21,7 +22,7 @@ from contactbench.solution import EXACT
 from equal_cost import step_at, tolerance_at
 
 #: of the scenes of every experiment
-FEW = ("particle", "central", "rigid_body")
+FEW = ("oscillator", "particle", "central", "rigid_body")
 #: evaluations per unit of time, on the scale of one right-hand side
 COSTS = (30.0, 100.0)
 SAVES = 5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -12,10 +13,40 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-from contactbench.gate.speed_worker import handed_out
 from contactbench.scenes import standard_scenes
 
 REPOSITORY = Path(__file__).parents[1]
+
+
+#: the fields of glibc's `mallinfo2`; `hblkhd` and `uordblks` are in use
+FIELDS = [
+    "arena",
+    "ordblks",
+    "smblks",
+    "hblks",
+    "hblkhd",
+    "usmblks",
+    "fsmblks",
+    "uordblks",
+    "fordblks",
+    "keepcost",
+]
+
+
+class MallInfo(ctypes.Structure):
+    """The answer of glibc's `mallinfo2`."""
+
+    _fields_ = tuple((name, ctypes.c_size_t) for name in FIELDS)
+
+
+def handed_out() -> int:
+    """Return the bytes that the C library has handed out and not got back; 0 where it does not say."""
+    library = ctypes.pythonapi  # as every process has it
+    if not hasattr(library, "mallinfo2"):
+        return 0
+    library.mallinfo2.restype = MallInfo
+    info = library.mallinfo2()
+    return info.uordblks + info.hblkhd
 
 
 def user_scene() -> cb.Mechanical:
@@ -29,10 +60,10 @@ def user_scene() -> cb.Mechanical:
         x, y, z = q
         return (x + y * z / 4, 2 * y + x * z / 4, 2 * z + x * y / 4)
 
+    data = {"q": (0.3, -0.2, 0.5), "p": (0.1, 0.4, -0.6), "s": 0.2}
     return cb.Mechanical(
-        name="user", potential=potential, gradient=gradient, gamma=0.2, mass=2.0,
-        q=(0.3, -0.2, 0.5), p=(0.1, 0.4, -0.6), s=0.2, t_end=2.0,
-    )  # fmt: skip
+        name="user", potential=potential, gradient=gradient, gamma=0.2, mass=2.0, t_end=2.0, **data
+    )
 
 
 USER = user_scene()
@@ -59,10 +90,8 @@ def pairs(
 
     applies : by default where the method does not refuse the scene.
     """
-    chosen = [
-        pytest.param(method, scene, id=f"{method.name}-{scene.name}")
-        for method in methods for scene in scenes if applies(method, scene)
-    ]  # fmt: skip
+    applicable = [(method, scene) for method in methods for scene in scenes if applies(method, scene)]
+    chosen = [pytest.param(*pair, id=f"{pair[0].name}-{pair[1].name}") for pair in applicable]
     return pytest.mark.parametrize(names, chosen)
 
 
@@ -72,9 +101,9 @@ def few_slow(values, *slow):
     return [pytest.param(*given, marks=[pytest.mark.slow] if value in slow else []) for value, given in each]
 
 
-def most_slow(values, *quick):
-    """The values of a parametrisation, all slow but a few."""
-    return few_slow(values, *(value for value in values if value not in quick))
+def saved(scene, count=5):
+    """Equal times up to the end."""
+    return scene.t_end * np.arange(1, count + 1) / count
 
 
 def random_state(scene, seed: int = 0, carry=None):
@@ -101,16 +130,12 @@ FOREIGN = [part for name in ("hypothesispytest", "jaxtyping", "anyio") for part 
 
 def bench(results, keyword, *more):
     """A smoke run of the experiments in a process of its own."""
-    command = [
-        sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q",
-        "-p", "no:cacheprovider", *FOREIGN, "-k", keyword, *more,
-    ]  # fmt: skip
+    command = [sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results), "-q"]
+    command += ["-p", "no:cacheprovider", *FOREIGN, "-k", keyword, *more]
     # a benchmark is a run of its own, not a worker of the tests': workers are not timed
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    return subprocess.Popen(
-        command, cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env={**own, "JAX_PLATFORMS": "cpu"},
-    )  # fmt: skip
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return subprocess.Popen(command, cwd=REPOSITORY, env={**own, "JAX_PLATFORMS": "cpu"}, **both)
 
 
 def finished(process):

@@ -6,14 +6,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 import contactbench as cb
 from contactbench.methods import METHODS
@@ -158,34 +155,3 @@ def slower(names: Sequence[str], factor: float, tree: str) -> None:
     if Path(cb.__file__).is_relative_to(tree):
         for name in names:
             put(Slower(METHODS[name], factor - 1))
-
-
-class Dearer:
-    """A method whose preparation takes longer, and whose every run leaves something behind."""
-
-    def __init__(self, method: Any, seconds: float, leak: int) -> None:
-        self.method, self.seconds, self.leak = method, seconds, leak
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.method, name)
-
-    def prepare(self, request: Request) -> Prepared:
-        busy_until = time.process_time() + self.seconds
-        while time.process_time() < busy_until:
-            pass
-        run, kept = self.method.prepare(request), []
-        once = run.integrate
-
-        def integrate(y0: Any) -> Any:
-            if self.leak:
-                kept.append(np.ones(self.leak // 8))
-            return once(y0)
-
-        run.integrate = integrate
-        return run
-
-
-def dearer(name: str, tree: str, seconds: float = 0.0, leak: int = 0) -> None:
-    """A method takes `seconds` more to be compiled, or leaves `leak` bytes behind with every run, in one tree."""
-    if Path(cb.__file__).is_relative_to(tree):
-        put(Dearer(METHODS[name], seconds, leak))

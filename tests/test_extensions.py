@@ -69,7 +69,7 @@ def test_a_scene_and_an_integrator_are_in_tables_documents_and_figures(results):
 def test_a_question_has_its_document_its_figure_its_finding_and_a_place_on_the_page(results):
     said = (results / "half_life.md").read_text()
     assert "# Half-life of the energy" in said
-    assert "It is" in said
+    assert "When is half of the energy gone?" in said
     assert (results / "figures" / "half_life.svg").is_file()
     page = (results / "report.html").read_text()
     assert "Half-life of the energy" in page

@@ -69,7 +69,7 @@ def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
     assert not set(MINE) & {*cb.METHODS, *cb.SCENES}
     written = {path.name for path in write.report(results, {})}
     assert "work_precision_double-well.svg" in written
-    for name in ("README.md", "work_precision.md", "convergence.md", "report.html"):
+    for name in ("work_precision.md", "convergence.md", "report.html"):
         assert "my-method" in (results / name).read_text()
     assert "## double-well" in (results / "work_precision.md").read_text()
     assert "my-method" in (results / "figures" / "work_precision_particle.svg").read_text()
@@ -99,17 +99,6 @@ def test_the_command_line_takes_it_anywhere_on_the_line(example):
 
 
 # -- files that fail -------------------------------------------------------------------------------
-@pytest.fixture
-def registries(monkeypatch):
-    """What a test registers is forgotten again."""
-    monkeypatch.setenv(plugins.VARIABLE, "")
-    kept = [(each, dict(each)) for each in (*plugins.GROUPS.values(), plugins.LOADED)]
-    yield
-    for registry, items in kept:
-        registry.clear()
-        registry.update(items)
-
-
 FAILURES = {
     "syntax": ("x = (", "line 1: SyntaxError"),
     "exception": ("import contactbench as cb\n\ncb.SCENES['partcle']", "line 3: UnknownName: unknown scene"),

@@ -35,7 +35,7 @@ from contactbench.cli import main
 from contactbench.methods import METHODS, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method
 from contactbench.peers import c_functions
-from contactbench.report import claims as room
+from contactbench.report import claims as chapter
 from contactbench.report import markdown
 from contactbench.report.figures import paper
 from contactbench.results.schema import BEYOND
@@ -417,12 +417,11 @@ def test_document(ledger, tmp_path):
     again = read(CLAIMS_TABLE, tmp_path)
     assert list(again["id"]) == [*IDS, *MORE]
     figures = pd.concat([pd.DataFrame(rows(name)) for name in FIGURES])
-    (finding,) = room.findings({"claims": again})
-    assert finding.sentence == (
-        "Of its 42 claims 22 hold, 8 hold once corrected, 12 are refuted. Beyond it 2 of 2 claims hold: "
-        "near-conservation and pairing."
-    )
-    text = markdown.parts(room.sections({"claims": again, "paper_figures": figures}))
+    assert chapter.answers({"claims": again})["count"].tolist() == [
+        "22 hold, 8 hold once corrected, 12 refuted, of 42",
+        "2 hold, 0 hold once corrected, 0 refuted, of 2",
+    ]
+    text = markdown.parts(chapter.parts({"claims": again, "paper_figures": figures}))
     for name in (*IDS, *MORE):
         assert f"### {name} · {ledger[name]['verdict']}" in text
         assert ledger[name]["claim"] in text
@@ -433,8 +432,8 @@ def test_document(ledger, tmp_path):
 def test_a_failed_claim_is_a_row(tmp_path):
     failed = Claim("C00", "nowhere", "nothing", "", "", lambda: 1 / 0).row()
     frame = merge(CLAIMS_TABLE, [failed, CLAIMS["C28"].row()], tmp_path)
-    (finding,) = room.findings({"claims": frame})
-    assert finding.exceptions == ("C00 was not measured: ZeroDivisionError: division by zero",)
+    text = markdown.parts(chapter.parts({"claims": frame, "paper_figures": read(PAPER_FIGURES, tmp_path)}))
+    assert "Not measured: ZeroDivisionError: division by zero" in text
 
 
 def test_a_figure_replaces_its_rows_as_a_whole(tmp_path):

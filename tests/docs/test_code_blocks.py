@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-import contactbench as cb
 from cases import few_slow
-from contactbench.report.rooms import ROOMS
 from contactbench.results import shipped
 from made_up import folder
 
@@ -20,17 +18,6 @@ PAGES = [
 ]
 #: takes ten seconds
 LONG = [page for page in PAGES if page.name == "adding.md"]
-
-
-@pytest.fixture
-def registries():
-    """As they were, when a page is over."""
-    every = (cb.SCENES, cb.METHODS, cb.LAWS, ROOMS)
-    before = [dict(registry) for registry in every]
-    yield
-    for registry, was in zip(every, before, strict=True):
-        for name in set(registry) - set(was):
-            del registry[name]
 
 
 def line_of(text: str, block: re.Match[str]) -> int:
@@ -46,12 +33,3 @@ def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
     for block in BLOCK.finditer(text):
         # padded so that a traceback shows the page's own line
         exec(compile("\n" * line_of(text, block) + block[1], str(page), "exec"), scope)
-
-
-def test_the_readme_is_two_hundred_lines_at_most_and_says_what_was_found_before_any_table():
-    lines = (REPOSITORY / "README.md").read_text().splitlines()
-    assert len(lines) <= 200
-    first = {
-        mark: next(i for i, line in enumerate(lines) if line.startswith(mark)) for mark in ("# ", "- **", "|")
-    }
-    assert first["# "] < first["- **"] < first["|"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, TILTED, USER, by_name, few_slow, most_slow, random_state
+from cases import ALL_SCENES, TILTED, USER, by_name, few_slow, random_state, saved
 from contactbench.measure.laws import row
 from contactbench.measure.pullback import pullback
 from contactbench.measure.round_off import round_off_bound
@@ -42,10 +42,6 @@ FIXED = [name for name, method in cb.METHODS.items() if method.control == "step"
 GROWTH = 5e3
 #: derivatives of two methods at tight tolerance agree to the growth of rtol = 1e-11
 AGREE = 1e-7
-
-
-def saved(scene, count=5):
-    return scene.t_end * np.arange(1, count + 1) / count
 
 
 def drift(solution, name="contact_drift"):
@@ -291,7 +287,8 @@ SHORT = {name: cb.SCENES[name].with_(t_end=5.0) for name in SCENES} | {
 }
 
 
-@pytest.mark.parametrize("case", most_slow(SHORT))
+@pytest.mark.parametrize("case", SHORT)
+@pytest.mark.slow
 def test_all_derivatives_agree_at_tight_tolerance(case, independent):
     """AD through RK4, AD through diffrax, and the variational equations of five solvers."""
     scene = SHORT[case]

@@ -11,8 +11,7 @@ import pytest
 import contactbench as cb
 from contactbench.measure.ladder import carried, tolerances, work_ladder
 from contactbench.methods.base import CLAMPED, ROUNDING
-from contactbench.race import scout as scouting
-from contactbench.race.scout import Limit, Question, Scouted, ends, ladder
+from contactbench.race.scout import Attempt, Question, Scout, ends
 
 PEERS = [m for m in cb.METHODS.values() if m.adaptive and m.family == "established"]
 
@@ -52,29 +51,27 @@ def test_the_ranges_are_those_of_the_libraries():
 )
 def test_cvode_adams_reaches_twelve_digits(scene):
     """On its last rungs: at 10⁻¹³ it does not."""
-    asked, found = question(scene), Scouted("cvode-adams", "c")
-    limit = Limit(asked)
-    for _ in ladder(asked, found, limit):
+    scout = Scout(question(scene), "cvode-adams")
+    for _ in scout.ladder():
         pass
-    best = found.best(1e-12)
+    best = scout.best(1e-12)
     assert best is not None
     assert best.value < 1e-13
     assert best.counts.evaluations < 1300
 
 
 def test_a_ladder_ends_where_the_error_stops_falling(monkeypatch):
-    def attempt(question, found, limit, value):
-        made = scouting.Attempt(value, "", cb.Status.ok, "", 0.0, max(value, 3e-13))
-        found.attempts.append(made)
-        return made
+    def attempt(scout, value):
+        scout.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, max(value, 3e-13)))
+        return scout.attempts[-1]
 
-    monkeypatch.setattr(scouting, "attempt", attempt)
-    found = Scouted("heyoka-taylor", "llvm")
-    tried = [a.value for a in ladder(question("oscillator"), found, Limit(question("oscillator")))]
+    monkeypatch.setattr(Scout, "attempt", attempt)
+    scout = Scout(question("oscillator"), "heyoka-taylor")
+    tried = [a.value for a in scout.ladder()]
     assert tried[-1] == pytest.approx(
         1e-14
     )  # 1e-12, 1e-13 → 3e-13 each: one rung that brings nothing, no more
-    assert all(math.isfinite(a.error) for a in found.attempts)
+    assert all(math.isfinite(a.error) for a in scout.attempts)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import CONTACT_SCENES
+from cases import CONTACT_SCENES, saved
 from cases import pairs as of_methods
 from contactbench.measure.laws import row
 from contactbench.measure.pairing import pairs
@@ -21,10 +21,6 @@ from contactbench.splitting.tables import COMPOSITIONS
 LAW = cb.LAWS["pairing_drift"]
 MECHANICAL = [scene for scene in CONTACT_SCENES if isinstance(scene, cb.Mechanical)]
 PARTICLE = cb.SCENES["particle"]
-
-
-def saved(scene):
-    return scene.t_end * np.arange(1, 6) / 5
 
 
 def differential(*estimates):

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import threading
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, USER, by_name, counts_memory, random_state
-from contactbench.gate.speed_worker import handed_out
-from contactbench.methods.engines import ENGINES
+from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_state
 from contactbench.peers import c_functions
 from contactbench.peers.abi import cvode, cyrk
 from contactbench.solution import Status
@@ -29,12 +26,6 @@ PEERS = [(name, "c") for name in CVODE] + [(name, "c++") for name in CYRK]
 
 peers = pytest.mark.parametrize(("method", "engine"), PEERS, ids=[name for name, _ in PEERS])
 C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
-
-
-def test_every_engine_says_what_kind_it_is():
-    used = {engine for method in cb.METHODS.values() for engine in method.engines}
-    assert used <= set(ENGINES)
-    assert set(ENGINES.values()) == {"compiled", "callbacks"}
 
 
 # -- the scene as C functions ----------------------------------------------------------------------
@@ -144,17 +135,17 @@ def test_steps_do_not_depend_on_what_is_saved(method, engine):
         np.testing.assert_array_equal(run.y[-1], runs[0].y[-1])
 
 
-@peers
-def test_the_bare_call_is_the_run(method, engine):
-    run = cb.prepare(PARTICLE, method, rtol=1e-7, save_at=[4.0], engine=engine)
-    other = np.array([0.2, 0.1, 0.3, -0.4, 0.0])
-    for start in (run._own_start, other, run._own_start):
-        before = start.copy()
-        end = run.bare(start)
-        np.testing.assert_array_equal(end, run.integrate(start).y[-1])
-        np.testing.assert_array_equal(start, before)
-    first, second = run.bare(other), run.bare(run._own_start)
-    assert not np.shares_memory(first, second)
+@pytest.mark.parametrize("method", ["cyrk-dop853", "cyrk-lsoda", "cvode-adams", "cvode-bdf"])
+@pytest.mark.parametrize("scene", ["particle", "forced_oscillator"])
+def test_a_compiled_loop_gives_the_single_calls(method, scene):
+    run = cb.prepare(scene, method, rtol=1e-7, carry=(), save_at=[3.0])
+    starts = run.start + 0.1 * np.random.default_rng(5).normal(size=(6, len(run.start)))
+    together = run.many(starts)
+    np.testing.assert_array_equal(run.many(np.asfortranarray(starts)), together)
+    for start, row in zip(starts, together, strict=True):
+        out = run.integrate(start)
+        np.testing.assert_array_equal(row[-len(start) :], out.y[-1])
+        assert (row[3], row[4]) == (out.counts.steps, out.counts.evaluations)
 
 
 # -- counts ----------------------------------------------------------------------------------------
@@ -176,19 +167,6 @@ def test_explicit_methods_spend_their_stages_on_every_attempt(name, rtol):
     for scene in (PARTICLE, cb.SCENES["kepler_drag"].with_(t_end=10.0)):
         counts = cb.solve(scene, name, rtol=rtol, save_at=[scene.t_end]).counts
         assert counts.evaluations - 2 == cb.METHODS[name].stages * (counts.steps + counts.rejected)
-
-
-@peers
-def test_rejected_steps_are_found_where_there_must_be_some(method, engine):
-    """Pericentre after pericentre of an eccentric orbit."""
-    scene = cb.SCENES["kepler_drag"].with_(t_end=20.0)
-    for times in ([20.0], None):
-        run = cb.prepare(scene, method, rtol=1e-6, save_at=times, engine=engine)
-        rejected = run.count(run().counts).rejected
-        if method in ("cyrk-lsoda", "cyrk-radau"):
-            assert rejected is None  # CyRK does not say, and the evaluations do not tell
-        else:
-            assert 0 < rejected < run().counts.steps
 
 
 @by_name([PARTICLE, cb.SCENES["kepler_drag"].with_(t_end=10.0)])
@@ -213,19 +191,6 @@ def test_callback_cvode_counts_no_interpolation_as_a_step():
 
 
 # -- ways to end -----------------------------------------------------------------------------------
-@peers
-def test_a_budget_is_for_the_whole_run(method, engine):
-    """Enough for the whole run and no more; one step less is not."""
-    for times in ([4.0], np.linspace(0, 4, 9)):
-        options = {"rtol": 1e-6, "save_at": times, "engine": engine}
-        steps = cb.solve(PARTICLE, method, **options).counts.steps
-        assert cb.solve(PARTICLE, method, max_steps=steps, **options).ok
-        short = cb.solve(PARTICLE, method, max_steps=steps - 1, **options)
-        assert short.status is Status.budget
-        assert str(steps - 1) in short.message
-        assert short.counts.steps == steps - 1
-        assert 0 < short.end_time < 4
-        assert np.isnan(short.y[-1]).all()
 
 
 @peers
@@ -257,6 +222,22 @@ def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
         assert "c+python" in solution.message
         assert cb.solve(scene, method, rtol=1e-6, engine="c+python").ok
         assert cb.solve(scene, method, rtol=1e-6).engine == "c+python"  # what can run it is the default
+
+
+#: potential, force, and the part that heyoka does not know
+WITHOUT_SERIES = {
+    "|x|": (lambda q: abs(q[0]) ** 3 / 3, lambda q: (q[0] * abs(q[0]),)),
+    "hypot": (lambda q: cb.math.hypot(q[0], 1.0), lambda q: (q[0] / cb.math.hypot(q[0], 1.0),)),
+}
+
+
+@pytest.mark.parametrize("reason", WITHOUT_SERIES)
+def test_a_function_that_heyoka_does_not_have_is_unsupported(reason):
+    potential, force = WITHOUT_SERIES[reason]
+    scene = USER.with_(name="own", potential=potential, gradient=force, q=(1.0,), p=(0.0,))
+    solution = cb.prepare(scene, "heyoka-taylor", rtol=1e-6)()
+    assert solution.status is Status.unsupported
+    assert reason in solution.message
 
 
 @pytest.fixture
@@ -355,47 +336,4 @@ def test_a_prepared_run_gives_its_memory_back(method, engine):
     assert left_behind(lambda: cb.prepare(PARTICLE, method, **options)()) < 500 * 16
 
 
-@peers
-@pytest.mark.parametrize("shared", [False, True], ids=["own run", "one run for all"])
-def test_threads_do_not_disturb_one_another(method, engine, shared):
-    starts = [np.array([0.2 + 0.1 * k, 0.1, 0.3, -0.4, 0.0]) for k in range(4)]
-
-    def prepared():
-        return cb.prepare(PARTICLE, method, rtol=1e-6, save_at=[0.0, 0.7, 4.0], engine=engine)
-
-    one = prepared()
-    expected = [one.integrate(y) for y in starts]
-    runs = [one if shared else prepared() for _ in starts]
-    found: list[list[bool]] = [[] for _ in starts]
-
-    def work(k: int) -> None:
-        for _ in range(200):
-            out = runs[k].integrate(starts[k])
-            found[k].append(np.array_equal(out.y, expected[k].y) and out.counts == expected[k].counts)
-
-    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert all(len(same) == 200 and all(same) for same in found)
-
-
 # -- the derivative --------------------------------------------------------------------------------
-@peers
-def test_contact_drift_is_as_small_as_the_tolerance(method, engine):
-    drifts = [
-        cb.LAWS["contact_drift_frozen"](cb.solve(PARTICLE, method, rtol=rtol, engine=engine))
-        for rtol in (1e-5, 1e-9)
-    ]
-    assert drifts[1] < 1e-6
-    assert drifts[0] > 20 * drifts[1]
-
-
-@pytest.mark.parametrize("method", CVODE)
-def test_contact_drift_in_c_is_that_with_callbacks(method):
-    drifts = [
-        cb.LAWS["contact_drift_frozen"](cb.solve(PARTICLE, method, rtol=1e-7, engine=engine))
-        for engine in ("c", "c+python")
-    ]
-    assert drifts[0] == pytest.approx(drifts[1], rel=1e-3)

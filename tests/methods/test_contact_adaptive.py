@@ -10,7 +10,6 @@ import pytest
 import contactbench as cb
 from cases import USER, in_mp, random_state
 from contactbench.methods.step_density import frequency, next_density, squared_curvature
-from contactbench.numbers.dual import Dual
 from contactbench.scenes import hard_scenes, standard_scenes
 from contactbench.splitting.tables import RKN6
 
@@ -141,14 +140,6 @@ def test_curvature_with_and_without_a_hessian_and_by_differences(scene):
     assert with_hessian.b == pytest.approx((ahead - behind) / (2 * d), rel=1e-5)
 
 
-def test_dual_numbers_differentiate_arithmetic():
-    x = Dual(0.7, 1.0)
-    found = 3 - (2 * x**3 - x / (1 + x)) / (1 / x) + (-x) * x**-0.5 - 1
-    f = lambda t: 3 - (2 * t**3 - t / (1 + t)) * t - t**0.5 - 1  # noqa: E731
-    assert found.a == pytest.approx(f(0.7), rel=1e-15)
-    assert found.b == pytest.approx((f(0.7 + 1e-6) - f(0.7 - 1e-6)) / 2e-6, rel=1e-8)
-
-
 def test_free_motion_needs_few_steps_and_a_singularity_is_told():
     free = cb.Mechanical(
         name="free", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],),
@@ -163,12 +154,6 @@ def test_free_motion_needs_few_steps_and_a_singularity_is_told():
         assert end.status in (cb.Status.failed, cb.Status.diverged, cb.Status.budget)
         assert np.isnan(end.y).all()
         assert math.isfinite(end.end_time)
-
-
-def test_a_body_is_refused_with_the_reason():
-    solution = cb.solve("rigid_body", NAME, rtol=1e-4)
-    assert solution.status is cb.Status.unsupported
-    assert "curvature of a potential" in solution.message
 
 
 @pytest.mark.parametrize("engine", cb.METHODS[NAME].engines)

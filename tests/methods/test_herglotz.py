@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import CONTACT_SCENES, USER, by_name, in_mp, pairs, random_state
-from contactbench.measure.pullback import pullback
+from cases import USER, by_name, in_mp, random_state
 from contactbench.scene import dot
 
 FIXED = [method for method in cb.METHODS.values() if method.control == "step"]
@@ -105,27 +104,6 @@ def test_without_damping_both_are_symplectic_euler_and_verlet():
     np.testing.assert_array_equal(euler.p, p)
     verlet, strang = (cb.METHODS[m].advance(scene, x, h, 50, math) for m in ("herglotz2", "contact-strang"))
     np.testing.assert_allclose(scene.pack(verlet), scene.pack(strang), rtol=0, atol=1e-14)  # other rounding
-
-
-def claims_a_factor(method, scene):
-    return method.conformal_factor(scene, 0.05) is not None
-
-
-@pairs(FIXED, CONTACT_SCENES, lambda method, scene: not claims_a_factor(method, scene))
-def test_only_a_refusal_or_no_claim_at_all_is_without_a_conformal_factor(method, scene):
-    assert method.refuses(scene) or not (method.contact or method.factor)
-
-
-@pairs(FIXED, CONTACT_SCENES, claims_a_factor)
-@pytest.mark.quick(scene="particle")
-def test_claimed_conformal_factor_is_kept_to_round_off_over_many_steps(method, scene):
-    """Φ*η = cⁿ η in float64 by AD, for every method and scene with a factor c."""
-    step, n = 0.05, 20
-    factor = method.conformal_factor(scene, step)
-    solution = cb.solve(scene, method.name, step=step, save_at=[step * n], engine="python")
-    pulled, form, *_ = pullback(solution, solution.differential)
-    bound = 1e-14 * n * np.abs(solution.sensitivity).max()  # a few roundings per stage
-    np.testing.assert_allclose(pulled[0] / factor**n, form, rtol=0, atol=bound)
 
 
 def test_factors_are_the_documented_ones():

@@ -11,8 +11,7 @@ import pytest
 import contactbench as cb
 from cases import USER, few_slow, pairs
 from contactbench.methods.entry import _tolerances as tolerances_of
-from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.grid import steps_in
+from contactbench.methods.request import steps_in
 from contactbench.peers import diffrax
 from contactbench.solution import Status
 from contactbench.xla import jax
@@ -52,13 +51,11 @@ def setting(method, fine=False):
 @pytest.mark.quick(scene="particle")
 @pytest.mark.quick(scene="rigid_body", method=("contact-bm4", "contact-exact", "cvode-bdf"))
 def test_solution_approaches_the_reference(method, scene):
-    """Every engine of every method, all fields carried; the bound is what its order or tolerance gives.
+    """On every engine, all fields carried; the bound is the one that its order or tolerance gives.
 
-    A body is left out on JAX, which compiles it for seconds, where that is a cross-check.
+    JAX, which compiles a body for seconds, is left to the contract where it is a cross-check.
     """
-    for engine in method.engines:
-        if engine == "jax" != method.engines[0] and "body" in scene.kind:
-            continue
+    for engine in (e for e in method.engines if e != "jax" or e == method.engines[0]):
         solution = cb.solve(
             scene, method.name, engine=engine, save_at=[2.0, 4.0], **setting(method, fine=True)
         )
@@ -80,13 +77,6 @@ def test_rk4_is_the_classical_one():
 
 
 # -- declared properties ---------------------------------------------------------------------------
-
-
-@pairs(FIXED, [cb.SCENES["central"].with_(gamma=0.3), BODY])
-def test_momentum_law_is_exact_for_contact_methods_only(method, scene):
-    for step in (0.5, 0.1):
-        law = cb.LAWS["momentum_law"](cb.solve(scene, method.name, step=step))
-        assert (law < 1e-12) == method.contact, law
 
 
 @fixed
@@ -124,12 +114,6 @@ def test_saved_times_increase_from_zero_on(times):
         cb.prepare(PARTICLE, "rk4", step=0.1, save_at=times)
 
 
-@every
-def test_the_first_engine_is_the_default(method):
-    scene = PARTICLE if method.refuses(PARTICLE) is None else BODY
-    assert cb.prepare(scene, method.name, **setting(method)).request.engine == method.engines[0]
-
-
 @adaptive
 def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
     low, high = method.rtol_range
@@ -154,17 +138,6 @@ def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypa
     assert len(compiled._programs) == before
 
 
-@fixed
-def test_the_number_of_saved_times_hardly_ever_recompiles(method):
-    from contactbench.methods import compiled
-
-    few, more = (cb.solve(PARTICLE, method.name, step=0.05, save_at=np.linspace(0, 4, k)) for k in (3, 41))
-    np.testing.assert_allclose(few.y, more.y[[0, 20, 40]], rtol=0, atol=1e-13)
-    before = len(compiled._programs)
-    cb.solve(PARTICLE, method.name, step=0.05, save_at=np.linspace(0, 4, 17))
-    assert len(compiled._programs) == before
-
-
 # -- saved times -----------------------------------------------------------------------------------
 @fixed
 def test_steps_never_exceed_the_step_and_end_on_time(method):
@@ -172,13 +145,6 @@ def test_steps_never_exceed_the_step_and_end_on_time(method):
     solution = cb.solve(PARTICLE, method.name, step=0.3)
     assert solution.counts.steps == 14
     np.testing.assert_allclose(solution.t, np.arange(15) * 4 / 14, rtol=1e-15)
-
-
-def test_a_span_that_is_a_multiple_up_to_round_off_is_not_cut_finer():
-    assert steps_in(20.0, 0.1) == 200
-    assert steps_in(2000.0, 0.01) == 200_000
-    assert steps_in(20.0, 0.3) == 67
-    assert steps_in(1e-3, 5.0) == 1
 
 
 def grids(step):
@@ -225,12 +191,6 @@ def test_saved_times_do_not_make_steps(engine):
     run = cb.prepare("particle", "contact-strang", step=0.001, save_at=times, engine=engine, carry=())
     assert run.needed == 49_999
     assert (run.n == 1).all()
-
-
-def test_default_saves_are_bounded():
-    solution = cb.solve("particle", "contact-strang", step=0.001)
-    assert len(solution.t) <= 1001
-    assert solution.counts.steps == 20_000
 
 
 def test_body_solution_has_a_rotation_matrix():
@@ -317,7 +277,7 @@ def test_callback_counts_are_the_calls_really_made(method, hessian):
 def test_diffrax_counts_what_it_evaluates(name, monkeypatch):
     """Of explicit methods by a formula, of the implicit one by the transformed program: every Newton iteration."""
     calls = []
-    monkeypatch.setattr(diffrax, "evaluated", lambda: calls.append(1))
+    monkeypatch.setattr(diffrax, "mark", lambda: calls.append(1))
     run = cb.prepare(PARTICLE, name, rtol=1e-8, save_at=[4.0])
     jax.block_until_ready(jax.jit(partial(run._solve, marked=True))(run.start, run.fixed))
     jax.effects_barrier()
@@ -350,13 +310,7 @@ def test_cvode_is_not_held_to_its_default_of_500_steps():
     solution = cb.solve("particle_long", "cvode-bdf", rtol=1e-5, save_at=[2000.0])
     assert solution.ok
     run = cb.prepare("particle", "cvode-adams", rtol=1e-8, save_at=[20.0], engine="c+python")
-    assert run().counts.steps is None
-    assert 100 < run.count(run().counts).steps < 1000
-
-
-def test_diffrax_runs_in_double_precision():
-    error = cb.LAWS["solution_error"](cb.solve(PARTICLE, "diffrax-dopri8", rtol=1e-12, save_at=[4.0]))
-    assert error < 1e-10
+    assert 100 < run().counts.steps < 1000
 
 
 @pytest.mark.parametrize(
@@ -392,19 +346,3 @@ def test_a_users_own_method_and_scene_run_everywhere():
             cb.fixed_step("midpoint-of-mine", order=2)(midpoint)
     finally:
         del cb.METHODS["midpoint-of-mine"]
-
-
-@pytest.mark.parametrize("name", cb.METHODS)
-def test_every_method_says_what_it_is_compared_as(name):
-    method = cb.METHODS[name]
-    assert method.family in ("contact", "variational", "established")
-    if getattr(method, "contact", False):  # exact contact maps with the true factor are ours
-        assert method.family == "contact"
-    if getattr(method, "factor", None) is not None:  # and with a factor of their own, the variational ones
-        assert method.family == "variational"
-
-
-def test_a_method_of_a_user_is_an_established_one_unless_it_says():
-    step = cb.METHODS["rk4"].step
-    assert FixedStep("mine", 4, step).family == "established"
-    assert FixedStep("mine", 4, step, family="contact").family == "contact"

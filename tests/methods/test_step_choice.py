@@ -40,12 +40,6 @@ def test_other_initial_data_get_a_step_of_their_own():
         assert cb.LAWS["solution_error"](solution) < 2e-8
 
 
-def test_structure_is_kept_at_the_chosen_step():
-    solution = cb.solve("central", "contact-rkn6", rtol=1e-4, save_at=[10.0, 20.0])
-    assert cb.LAWS["contact_drift"](solution) < 1e-12
-    assert cb.LAWS["momentum_law"](solution) < 1e-12
-
-
 @pytest.mark.parametrize("engine", ["jax", "python"])
 def test_a_tolerance_out_of_reach_ends_as_budget(engine):
     solution = cb.solve(

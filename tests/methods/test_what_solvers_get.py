@@ -19,7 +19,6 @@ from CyRK import pysolve_ivp
 import contactbench as cb
 import ensemble_peers
 from contactbench.peers import c_functions
-from contactbench.peers.abi.cvode import library
 from contactbench.solution import Status
 from contactbench.xla import jnp
 
@@ -55,8 +54,6 @@ KINDS = {
     ("heyoka-taylor", "llvm"): None,
 }  # fmt: skip
 ADAPTIVE = [(m.name, e) for m in cb.METHODS.values() if m.adaptive for e in m.engines]
-#: CVODE's numbers of its methods
-NUMBERS = {"Adams": 1, "BDF": 2}
 
 
 def of(*libraries):
@@ -161,26 +158,6 @@ def test_heyoka(times, monkeypatch):
 
 
 # -- set up from Python, run in C ------------------------------------------------------------------
-@pytest.mark.parametrize("name", ["cvode-adams", "cvode-bdf"])
-@saved
-def test_cvodes_c_library(name, times, monkeypatch):
-    seen, lib = [], library()
-
-    def recorded(call, function):
-        return lambda *given: seen.append((call, *given)) or function(*given)
-
-    for call in ("CVodeCreate", "CVodeSStolerances", "CVodeSetMinStep", "CVodeSetMaxStep"):
-        monkeypatch.setattr(lib, call, recorded(call, getattr(lib, call)))
-    run = prepared(name, "c", times)
-    calls(run)
-    assert [call for call, *_ in seen if call == "CVodeCreate"] == 2 * ["CVodeCreate"]
-    for call, *given in seen:
-        memory_and = {"CVodeSStolerances": [RTOL, ATOL], "CVodeSetMaxStep": [END],
-                      "CVodeSetMinStep": [1e-15 * END]}  # fmt: skip
-        if call == "CVodeCreate":
-            assert given[0] == NUMBERS[KINDS[name, "c"]]
-        else:
-            assert given[1:] == memory_and[call]
 
 
 C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
@@ -324,6 +301,24 @@ def test_the_budget_is_the_one_asked_for(name, engine, times):
     steps = run.count(run().counts).steps
     assert cb.solve(SCENE, name, max_steps=steps, **options).ok
     assert cb.solve(SCENE, name, max_steps=steps - 1, **options).status is Status.budget
+
+
+#: solvers that do not count their rejected steps, and take no fixed number of evaluations for one
+SILENT = ("scipy-radau", "cyrk-radau", "cyrk-lsoda")
+
+
+@pytest.mark.parametrize(("name", "engine"), [pair for pair in KINDS if pair[1] != "jax"])
+@pytest.mark.parametrize("times", [[20.0], None], ids=["end", "grid"])
+def test_rejected_steps_are_counted_or_known_not_to_be(name, engine, times):
+    """Pericentre after pericentre of an eccentric orbit, where there must be some, but for Taylor's steps."""
+    scene = cb.SCENES["kepler_drag"].with_(t_end=20.0)
+    run = cb.prepare(scene, name, rtol=1e-6, save_at=times, engine=engine)
+    counts = run.count(run().counts)
+    if name in SILENT or engine == "c+python":
+        assert counts.rejected is None
+    else:
+        assert counts.rejected < counts.steps
+        assert (counts.rejected > 0) == (name != "heyoka-taylor")
 
 
 @pytest.mark.parametrize("engine", cb.METHODS["contact-adaptive"].engines)

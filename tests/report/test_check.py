@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import pytest
 
 from contactbench.cli import main
@@ -100,18 +99,6 @@ def test_points_that_are_moved_are_seen_and_drawn_anew(vector, results, capsys):
     assert vector.read_text() == before
 
 
-def test_a_picture_that_is_changed_is_seen(results, capsys):
-    path = results / "figures" / "convergence.png"
-    before = path.read_bytes()
-    pixels = plt.imread(path)
-    pixels[100:106, 100:106, :3] = 0.0 if pixels[100:106, 100:106, :3].mean() > 0.5 else 1.0
-    plt.imsave(path, pixels)
-    try:
-        assert checked(results, capsys) == (1, [f"{path}: not what the tables say"])
-    finally:
-        path.write_bytes(before)
-
-
 def test_names_dates_and_last_digits_are_no_difference(vector, results, capsys):
     text = re.sub(r"\b([a-z])[0-9a-f]{10}\b", lambda name: name[1] + name[0][:0:-1], vector.read_text())
     text = re.sub(r"(\d+\.\d{6})(?=[\" ])", lambda place: f"{float(place[1]) + 2e-6:.6f}", text)
@@ -123,7 +110,7 @@ def test_names_dates_and_last_digits_are_no_difference(vector, results, capsys):
     assert checked(results, capsys)[0] == 0
 
 
-@pytest.mark.parametrize("name", ["laws.md", "figures/convergence.png"])
+@pytest.mark.parametrize("name", ["laws.md", "figures/convergence.svg"])
 def test_a_missing_file_is_named_and_nothing_is_written(name, results, capsys):
     path = results / name
     before = path.read_bytes()
@@ -147,21 +134,7 @@ def test_a_table_that_has_moved_on_leaves_its_documents_behind(results, capsys):
             path.write_bytes(content)
 
 
-@pytest.mark.slow
-def test_a_report_removes_figures_of_its_own_that_no_table_gives_any_more(results, capsys):
-    figures = results / "figures"
-    for kind in ("svg", "png"):
-        (figures / f"earlier.{kind}").write_bytes((figures / f"convergence.{kind}").read_bytes())
-    (figures / "mine.svg").write_text("<svg/>")
-    assert checked(results, capsys)[0] == 1
-    assert main(["report", "--results", str(results)]) == 0
-    assert not list(figures.glob("earlier.*"))
-    assert (figures / "mine.svg").exists()
-    (figures / "mine.svg").unlink()
-    assert checked(results, capsys)[0] == 0
-
-
 def test_no_test_reads_what_the_benchmark_writes():
     """The tables of a clone may be those of any run; `committed` takes them from git, if there is git."""
     folder = 'REPOSITORY / "' + 'results"'
-    assert [path.name for path in TESTS.rglob("*.py") if folder in path.read_text()] == ["made_up.py"]
+    assert not [path.name for path in TESTS.rglob("*.py") if folder in path.read_text()]

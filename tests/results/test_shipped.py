@@ -22,10 +22,10 @@ def tables(tmp_path, monkeypatch):
     return made
 
 
-@pytest.mark.parametrize("name", [table.name for table, _ in ROWS])
+@pytest.mark.parametrize("name", ROWS)
 def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tables):
     frame = cb.results(name)
-    assert len(frame) == len({table.name: rows for table, rows in ROWS}[name])
+    assert len(frame) == len(ROWS[name])
     assert set(frame.attrs["columns"]) == set(frame.columns) == set(TABLES[name].every_column)
     kinds = {"number": "f", "whole": "i", "flag": "b", "answer": "b"}
     for column, about in TABLES[name].every_column.items():

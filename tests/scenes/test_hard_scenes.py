@@ -8,17 +8,13 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import few_slow
+from cases import saved
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import hard_scenes, standard_scenes
 from contactbench.truth import blow_up_time, condition_number
 
 HARD = hard_scenes()
 by_scene = pytest.mark.parametrize("scene", HARD, ids=lambda scene: scene.name)
-
-
-def save_times(scene):
-    return scene.t_end * np.arange(1, 26) / 25
 
 
 def test_hard_scenes_are_registered_beside_the_standard_ones():
@@ -29,9 +25,8 @@ def test_hard_scenes_are_registered_beside_the_standard_ones():
 
 
 @by_scene
-def test_every_hard_scene_has_a_truth_and_says_why(scene):
-    assert len(scene.about.split()) > 15
-    times = save_times(scene)
+def test_every_hard_scene_has_a_truth(scene):
+    times = saved(scene, 25)
     blow_up = blow_up_time(scene) if scene.name == "escape" else None
     if blow_up is not None:
         times = times[times < float(blow_up[0])]
@@ -40,8 +35,7 @@ def test_every_hard_scene_has_a_truth_and_says_why(scene):
     assert truth.digits >= 30
 
 
-@pytest.mark.parametrize("name", ["kepler_drag", "stiff_spring", "singular_damping_2", "needle"])
-@pytest.mark.quick(name=("kepler_drag", "singular_damping_2"))
+@pytest.mark.parametrize("name", ["kepler_drag", "singular_damping_2"])
 def test_other_parameters_are_solved_live(name):
     scene = cb.SCENES[name]
     other = scene.with_(s=0.5) if "s" in scene.optional else scene.with_(damping=(0.4, 0.0, 0.5))
@@ -75,14 +69,17 @@ def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(
     np.testing.assert_allclose(found.y[0], end, rtol=0, atol=1e-6)
 
 
-def test_condition_numbers_are_the_growth_of_errors():
+@pytest.mark.parametrize("name", ["saddle_edge", "tumbling"])
+def test_condition_numbers_are_the_growth_of_errors(name):
     """Against the derivative along heyoka's own run, its steps held fixed: an independent engine and derivative."""
-    for name in ("saddle_edge", "tumbling"):
-        scene = cb.SCENES[name]
-        solution = cb.solve(scene, "heyoka-taylor", rtol=1e-14, save_at=save_times(scene))
-        grown = np.linalg.norm(solution.frozen_differential.value, ord=2, axis=(1, 2)).max()
-        stored = condition_number(scene)
-        assert 0.2 * stored < grown < 3 * stored  # other times, and unit tangents instead of coordinates
+    scene = cb.SCENES[name]
+    solution = cb.solve(scene, "heyoka-taylor", rtol=1e-14, save_at=saved(scene, 25))
+    growth = np.linalg.norm(solution.frozen_differential.value, ord=2, axis=(1, 2)).max()
+    # other times, and unit tangents instead of coordinates
+    assert 0.2 * condition_number(scene) < growth < 3 * condition_number(scene)
+
+
+def test_changed_scenes_have_no_stored_condition_number():
     assert condition_number(cb.SCENES["tumbling"]) > 1e7
     assert condition_number(cb.SCENES["particle"].with_(gamma=0.7)) is None
 
@@ -90,10 +87,8 @@ def test_condition_numbers_are_the_growth_of_errors():
 @pytest.mark.slow
 def test_blow_up_time_against_an_integral():
     """q'' = 3q²/2, q = 1/(t* − t)² · 4: from q(0) = 4, p(0) = 8 the end is at t = 1 exactly."""
-    scene = cb.Mechanical(
-        name="pole", potential=lambda q: -q[0] * q[0] * q[0] / 2, gradient=lambda q: (-3 * q[0] * q[0] / 2,),
-        q=(4.0,), p=(8.0,), t_end=3.0,
-    )  # fmt: skip
+    functions = {"potential": lambda q: -(q[0] ** 3) / 2, "gradient": lambda q: (-3 * q[0] * q[0] / 2,)}
+    scene = cb.Mechanical(name="pole", **functions, q=(4.0,), p=(8.0,), t_end=3.0)
     time, digits = blow_up_time(scene)
     assert digits >= 30
     assert float(time) == 1.0
@@ -135,7 +130,6 @@ def test_a_derivative_is_taken_or_not_by_evaluations(monkeypatch):
 
     cost = 2 * 3 * len(differences.INCREMENTS) * solution().counts.rhs_equivalents
     monkeypatch.setattr(differences, "CALLBACK_BUDGET", cost - 1)
-    assert "more than" in solution().differential.source
     assert not solution().differential.taken
     monkeypatch.setattr(differences, "CALLBACK_BUDGET", cost)
     assert solution().differential.taken
@@ -177,22 +171,6 @@ def test_after_a_spent_budget_no_tighter_tolerance_is_run():
     assert "rtol=0.0001" in rows[-1]["message"]
 
 
-@pytest.mark.parametrize(
-    ("scene", "measure"), [("singular_damping_1", "end_error"), ("saddle_edge", "solution_error")]
-)
-def test_heyoka_is_as_accurate_as_doubles_are(scene, measure):
-    """At its finest tolerance; at 10⁻¹⁰ it had been taken for worse than a contact method at its finest step."""
-    from bench_stability import settings
-    from stability_rows import stability_row
-
-    method = cb.METHODS["heyoka-taylor"]
-    errors = [
-        stability_row(scene, method.name, "llvm", kind, value, 10**6)[measure]
-        for kind, value in settings(cb.SCENES[scene], method)[2:]
-    ]
-    assert errors[-1] < 1e-14 < errors[0]
-
-
 # -- laws where numbers run out --------------------------------------------------------------------
 def assert_finite(solution):
     """Every law but those that only contact maps have, or compositions known as the flow of another Hamiltonian."""
@@ -217,19 +195,21 @@ def test_contact_drift_of_the_overdamped_oscillator_means_something(method):
 
 def test_momentum_law_where_strong_damping_cancels_it():
     central = cb.SCENES["central"].with_(gamma=20.0, t_end=40.0)
-    kept = cb.solve(central, "contact-strang", step=0.2, engine="python", save_at=[20.0, 40.0])
-    assert cb.LAWS["momentum_law"](kept) < 1e-12
-    turned = cb.solve(central, "contact-strang", step=0.2, engine="python", save_at=[20.0, 40.0])
-    turned.y[:, 2] += 1e-3 * np.abs(turned.y[:, 0])  # a momentum across the force: real J where there is none
-    assert cb.LAWS["momentum_law"](turned) > 1e-3
+    solution = cb.solve(central, "contact-strang", step=0.2, engine="python", save_at=[20.0, 40.0])
+    assert cb.LAWS["momentum_law"](solution) < 1e-12
+    solution.y[:, 2] += 1e-3 * np.abs(solution.y[:, 0])  # a momentum across the force: J where there is none
+    assert cb.LAWS["momentum_law"](solution) > 1e-3
 
 
 @pytest.mark.parametrize(
-    "method", few_slow(["contact-strang", "rk4", "scipy-dop853", "heyoka-taylor"], "scipy-dop853")
+    ("method", "setting"),
+    [
+        ("contact-strang", {"step": 0.05}),
+        ("rk4", {"step": 0.05, "engine": "python"}),
+        ("heyoka-taylor", {"rtol": 1e-8}),
+    ],
 )
-def test_laws_of_underflow_are_finite(method):
-    setting = {"rtol": 1e-8} if cb.METHODS[method].adaptive else {"step": 0.05}
-    engine = {"engine": "python"} if method == "rk4" else {}
-    solution = cb.solve("underflow", method, save_at=save_times(cb.SCENES["underflow"]), **setting, **engine)
+def test_laws_of_underflow_are_finite(method, setting):
+    solution = cb.solve("underflow", method, save_at=saved(cb.SCENES["underflow"], 25), **setting)
     assert solution.ok
     assert_finite(solution)

@@ -11,7 +11,7 @@ import contactbench as cb
 import contactbench.splitting.composition
 from cases import in_mp, pairs, random_state
 from contactbench.splitting import flows
-from contactbench.splitting.composition import advance, log_factor, plan, refusal
+from contactbench.splitting.composition import advance, plan, refusal
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import ABC, COMPOSITIONS, PRINTED, STRANG
 from properties import consistent
@@ -26,18 +26,6 @@ def on_scenes(scenes):
 @pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
 def test_every_part_of_the_hamiltonian_is_applied_for_one_whole_step(composition):
     assert consistent(composition)
-
-
-@pytest.mark.parametrize("composition", [c for c in COMPOSITIONS if not c.processor], ids=lambda c: c.name)
-def test_the_factor_of_three_steps_is_the_product_of_each(composition):
-    """Under a damping that follows s, which every flow moves."""
-    scene = cb.SCENES["quadratic_damping"]
-    x = random_state(scene, 3)
-    whole, parts = log_factor(composition, scene, x, 0.25, 3, math), 0.0
-    for _ in range(3):
-        parts += log_factor(composition, scene, x, 0.25, 1, math)
-        x = advance(composition, scene, x, 0.25, 1, math)
-    assert whole == pytest.approx(parts, rel=1e-12)
 
 
 def test_the_printed_scheme_is_not_palindromic_and_its_palindromes_are():

@@ -21,7 +21,7 @@ from contactbench.ensembles.measures import ENERGY, Statistic, decaying, overall
 from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, shown, switch, whole
 from contactbench.methods.base import METHODS
-from contactbench.methods.entry import asked, lookup
+from contactbench.methods.entry import lookup, make_request
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import Division
 from contactbench.methods.prepared import Refused
@@ -100,7 +100,7 @@ def ensemble(
         fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
         raise BadInput(f"method = {shown(method)}: an ensemble takes a fixed-step method: {fixed}")
     times = [scene.t_end] if measure_at is None else measure_at
-    request = asked(scene, chosen, positive("step", step), save_at=times, carry=carry)
+    request = make_request(scene, chosen, positive("step", step), save_at=times, carry=carry)
     if isinstance(request, Refused):
         raise BadInput(request.why)
     run = Division(method, request, chosen)

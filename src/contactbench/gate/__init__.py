@@ -1,1 +1,1 @@
-"""The regression gate: accuracy against the committed tables, speed against an older revision."""
+"""The regression gate: tables against those of an older revision, by column rules; speed in pairs."""

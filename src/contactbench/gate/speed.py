@@ -1,12 +1,10 @@
-"""Is the working tree slower, or does it take more memory, than another revision of it?
+"""Is the working tree slower than another revision of it?  Timed in pairs.
 
-Each revision has a process of its own, with its sources on PYTHONPATH, on the same core.  A round times
-every cell in shuffled order, base and head right after one another in random order, so that whatever else
-the machine does meets both; the ratio of each pair is what counts, never a time.  A cell whose interval of
-the median ratio straddles `LIMIT` gets more rounds.  It is judged slower when the whole interval is above
-`LIMIT`, and is again in fresh processes: the layout of code and data in memory, drawn anew with every
-process, is worth some per cent.  What is measured once in a process (compilation, memory) is judged when it
-is too much in `CONFIRMED` pairs of processes; every process begins with empty caches of compiled programs.
+Each revision has a process of its own, with its sources on PYTHONPATH, on the same core.  A round times every cell in
+shuffled order, base and head right after one another in random order, so that whatever else the machine does meets
+both; the ratio of each pair is what counts, never a time.  A cell whose interval of the median ratio straddles `LIMIT`
+gets more rounds.  It is slower when the whole interval is above `LIMIT`, and is again in fresh processes: the layout
+of code and data in memory, drawn anew with every process, is worth some per cent.
 """
 
 from __future__ import annotations
@@ -15,122 +13,187 @@ import json
 import os
 import random
 import subprocess
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import pandas as pd
+
 from contactbench.errors import BadInput
-from contactbench.gate.fresh import environment
-from contactbench.gate.speed_worker import RUNS_SECONDS
-from contactbench.gate.workload import Cell
+from contactbench.gate import revisions
+from contactbench.gate.findings import INCONCLUSIVE, Findings, rows_of
 from contactbench.measure.statistics import PairedRatio, paired_ratio
+from contactbench.methods import METHODS
+from contactbench.solution import printed_setting
 
 LIMIT = 1.25
 ROUNDS = 15
 #: rounds a cell gets at most, as long as it is undecided
 MOST_ROUNDS = 60
-#: share of the time that compilation may take
-COMPILING = 0.6
-#: seconds of processor time of compilation, and share of what the base takes, that the head may take more
-COMPILE, COMPILE_SHARE = 0.1, 0.15
-#: bytes that repeated runs of a cell may leave behind more than the base's
-LEAK = 1_000_000
-#: bytes that the process may take more at its peak, and as a share
-PEAK, PEAK_SHARE = 30_000_000, 0.1
-#: pairs of processes that must agree before compilation or memory is judged
-CONFIRMED = 3
+#: shares of the time: what compilation may take, and what is kept for the second look
+COMPILING, SECOND_LOOK = 0.6, 0.25
+
+#: one of each kind, their kernels have no code in common; and a long one, where a fast loop outweighs its call
+SCENES = ("particle", "particle_long", "rigid_body")
+#: the methods that are timed on every other scene too
+EVERYWHERE = ("contact-rkn6", "rk4", "heyoka-taylor")
+#: the scene of the runs with many saved times, and how many those are
+MANY_ON, MANY = "particle", 1000
+#: of a method's settings the finest that takes at most so many seconds; a method that has none is not timed there
+LONGEST = 3e-3
 
 
+# -- what is timed ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Costs:
-    """What a process says once: seconds of compilation and bytes left behind by cell, and its peak in bytes."""
+class Cell:
+    """One call that is timed.
 
-    compile: dict[int, float] = field(default_factory=dict)
-    leaked: dict[int, float] = field(default_factory=dict)
-    peak: float = 0.0
+    saves : how many equidistant times are saved, the end among them.  call : a key of `speed_worker.CALLS`.
+    """
+
+    scene: str
+    method: str = "contact-rkn6"
+    engine: str = "numba"
+    control: str = "step"
+    value: float = 0.1
+    carry: tuple[str, ...] = ()
+    saves: int = 1
+    call: str = "prepared"
+
+    @property
+    def kind(self) -> str:
+        """Its method, or the public call that it is."""
+        return self.method if self.call == "prepared" else self.call
+
+    @property
+    def setting(self) -> str:
+        """Its setting as a table has it, and what is special about it."""
+        many = f", {self.saves} saved times" if self.saves > 1 else ""
+        call = f", {self.call}" if self.call != "prepared" else ""
+        return f"{printed_setting(self.control, self.value)}{many}{call}"
 
 
-Pair = tuple[Costs, Costs]  #: of base and head
-#: the number of no cell: the process as a whole
-WHOLE = -1
+#: what a user calls, on standard scenes; references on those where they take little: in closed form, and live
+CALLS_ON = {
+    "particle": ("solve", "run(q=…)", "new scene", "ensemble", "import"),
+    "oscillator": ("reference",),
+    "saddle_edge": ("reference",),
+}
+PUBLIC = [Cell(scene, call=call) for scene, calls in CALLS_ON.items() for call in calls]
 
 
-@dataclass(frozen=True)
-class Measured:
-    """One pair of processes: the ratios of the cells timed, the cells refused and why, and what is said once."""
+def workload(work: pd.DataFrame) -> list[Cell]:
+    """Return the cells of a work–precision table that are worth timing, and the public calls.
 
-    ratios: dict[int, PairedRatio]
-    refused: dict[int, str]
-    costs: Pair
-    unfinished: bool = False  #: whether the time was up before every cell was decided
+    Every method and engine on `SCENES`, a few on every scene; with many saved times the first engine of each method.
+    """
+    timed = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= LONGEST)]
+    slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
+    cells = []
+    for row in slowest.sort_index().itertuples():
+        carry = tuple(field for field in ("s", "R") if field in row.carried.split())
+        setting = (row.scene, row.method, row.engine, row.control, float(row.value), carry)
+        if row.scene in SCENES or row.method in EVERYWHERE:
+            cells.append(Cell(*setting))
+        if row.scene == MANY_ON and row.method in METHODS and row.engine == METHODS[row.method].engines[0]:
+            cells.append(Cell(*setting, saves=MANY))
+    return [*cells, *PUBLIC] if cells else []
 
 
-def undecided(ratio: PairedRatio) -> bool:
-    """Whether the interval has the limit in it."""
-    return ratio.low <= LIMIT < ratio.high
+def kinds_first(cells: Sequence[Cell]) -> list[Cell]:
+    """Return the cells shuffled, the first of every kind in front: time may end early."""
+    count, ranked = Counter[str](), []
+    for cell in random.Random(0).sample(cells, len(cells)):
+        ranked.append((count[cell.kind], cell))
+        count[cell.kind] += 1
+    return [cell for _, cell in sorted(ranked, key=lambda pair: pair[0])]
 
 
-def verdict(first: PairedRatio, again: PairedRatio | None) -> str:
-    """slower, pass, or inconclusive; `again` is what fresh processes say of a cell that looks slower."""
+def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
+    """Return why the cells that were timed are no sample: below half of them, or none of a method or public call."""
+    left_out = sorted({cell.kind for cell in cells} - {cells[i].kind for i in timed})
+    reasons = {
+        f"only {len(timed)} of {len(cells)} cells timed": 2 * len(timed) < len(cells),
+        f"no cell timed of {', '.join(left_out)}": bool(left_out),
+    }
+    return tuple(reason for reason, true in reasons.items() if true)
+
+
+# -- the judgement ---------------------------------------------------------------------------------
+def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | None = None) -> Findings:
+    """Time the working tree in `root` against a base revision, checked out in `tree`.
+
+    budget : seconds; a cell that is not decided by then is inconclusive.
+    Raises `BadInput` when a timing process cannot run.
+    """
+    judged = os.environ.get(revisions.JUDGED)  # set: this process is the base's own
+    sides = (
+        (sys.executable if judged else revisions.interpreter(tree, root), tree),
+        (judged or sys.executable, root),
+    )
+    for python, sources in sides:  # neither has to compile modules that it imports late
+        subprocess.run([python, "-m", "compileall", "-q", str(sources / "src")], capture_output=True)
+    start = perf_counter()
+    until = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
+    cells = kinds_first(cells)
+    first, refused = time_pairs(sides, dict(enumerate(cells)), until[0])
+    suspects = {i: cells[i] for i, ratio in first.items() if ratio.low > LIMIT}
+    again = time_pairs(sides, suspects, until[1])[0] if suspects else {}
+    rows = []
+    for i, ratio in first.items():
+        cell, result = cells[i], decide(ratio, again.get(i))
+        if result != "pass":
+            where = {name: getattr(cell, name) for name in ("scene", "method", "engine", "setting")}
+            after = f"×{ratio.ratio:.2f} (×{ratio.low:.2f} … ×{ratio.high:.2f})"
+            rows.append(where | {"measure": "time", "before": "×1", "after": after, "result": result})
+            rows[-1]["red"] = result == "slower"
+    median = sorted(ratio.ratio for ratio in first.values())[len(first) // 2] if first else 1.0
+    sentence = f"speed: {len(first)} of {len(cells)} cells timed, median ratio {median:.3f} to the base"
+    notes = tuple(f"{count} cells not timed: {why}" for why, count in Counter(refused.values()).items())
+    return Findings(rows_of(*rows), (sentence,), notes, too_few(cells, first))
+
+
+def decide(first: PairedRatio, again: PairedRatio | None) -> str:
+    """Return slower, pass, or inconclusive; `again` : what fresh processes say of a cell that looks slower."""
     if first.high <= LIMIT:
         return "pass"
-    return "slower" if first.low > LIMIT and again is not None and again.low > LIMIT else "inconclusive"
-
-
-def measured(pair: Pair) -> set[int]:
-    """The cells that both processes ran."""
-    base, head = pair
-    return base.compile.keys() & head.compile.keys()
-
-
-def same_cells(pair: Pair) -> bool:
-    """Whether both processes ran the same cells."""
-    base, head = pair
-    return base.compile.keys() == head.compile.keys()
-
-
-def suspects(pair: Pair) -> dict[str, set[int]]:
-    """The cells that compile longer or leave more behind than they may, and {WHOLE} where the peak is higher.
-
-    The peaks of processes that ran different cells are not compared.
-    """
-    base, head = pair
-    # a cell that one side had no time for, or refuses, is no suspect
-    compiled, kept = measured(pair), base.leaked.keys() & head.leaked.keys()
-    over = {
-        "compilation": {
-            i for i in compiled if head.compile[i] > base.compile[i] * (1 + COMPILE_SHARE) + COMPILE
-        },
-        "memory left behind": {i for i in kept if head.leaked[i] > base.leaked[i] + LEAK},
-        "peak memory": {WHOLE}
-        if same_cells(pair) and head.peak > base.peak * (1 + PEAK_SHARE) + PEAK
-        else set(),
-    }
-    return {what: which for what, which in over.items() if which}
-
-
-def looked_at(pair: Pair, i: int, first: Pair) -> bool:
-    """Whether a pair has measured a cell; of the process as a whole, all cells of the first pair."""
-    if i == WHOLE:
-        return same_cells(pair) and measured(pair) >= measured(first)
-    return i in measured(pair)
+    return "slower" if first.low > LIMIT and again is not None and again.low > LIMIT else INCONCLUSIVE
 
 
 # -- processes -------------------------------------------------------------------------------------
-def empty_caches(folder: Path) -> dict[str, str]:
-    """Environment variables by which compiled programs are kept in a new folder, those of numba and of JAX.
+def time_pairs(
+    sides: Sequence[tuple[str, Path]], cells: dict[int, Cell], until: float | None = None
+) -> tuple[dict[int, PairedRatio], dict[int, str]]:
+    """Return of every cell the ratio of the second to the first side, from one new process each, or why it has none.
 
-    What one tree has compiled, or finds beside its sources, must not spare the other one the work.
+    sides : Python and tree of each.  until : on the clock of `perf_counter`, when to stop.
     """
-    return {
-        "CONTACTBENCH_CACHE": str(folder),
-        "NUMBA_CACHE_DIR": str(folder / "numba"),
-        "JAX_COMPILATION_CACHE_DIR": str(folder / "xla"),
-    }
+    from tqdm import tqdm
+
+    draw = random.Random(0)
+    left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
+    with ExitStack() as stack:
+        processes = [stack.enter_context(Side(*side, cells, left)) for side in sides]
+        refused = {i: why for process in processes for i, why in process.refused().items()}
+        times: dict[int, tuple[list[float], list[float]]] = {i: ([], []) for i in cells if i not in refused}
+        ratios: dict[int, PairedRatio] = {}
+        ask = list(times)
+        for done in tqdm(range(1, MOST_ROUNDS + 1), "timing", unit="round", disable=None):
+            if not ask or (until is not None and perf_counter() > until):
+                break
+            for i in draw.sample(ask, len(ask)):
+                for k in draw.sample((0, 1), 2):
+                    times[i][k].append(processes[k].time(i))
+            if done % ROUNDS == 0:
+                ratios |= {i: paired_ratio(*times[i]) for i in ask}
+                ask = [i for i in ask if ratios[i].low <= LIMIT < ratios[i].high]
+    return ratios | {i: paired_ratio(*times[i]) for i in ask if times[i][0]}, refused
 
 
 class Side:
@@ -139,20 +202,20 @@ class Side:
     seconds : after which it prepares no more cells.
     """
 
-    def __init__(
-        self, python: str, tree: Path, cells: Sequence[Cell], core: int | None, later: int | None,
-        seconds: float | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, python: str, tree: Path, cells: dict[int, Cell], seconds: float | None) -> None:
         self.tree = tree
         self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115, closed with the process
         self.caches = tempfile.TemporaryDirectory(prefix="contactbench-caches-")
+        # programs that one side has compiled must not spare the other the work
+        names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
         self.process = subprocess.Popen(
             [python, "-P", str(Path(__file__).with_name("speed_worker.py"))],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True, bufsize=1,
-            cwd=tree, env=environment(tree) | empty_caches(Path(self.caches.name)),
+            env=revisions.environment(tree) | dict.fromkeys(names, self.caches.name),
+            cwd=tree, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True, bufsize=1,
         )  # fmt: skip
-        requests = [cell.request() for cell in cells]
-        self._say({"core": core, "later": later, "cells": requests, "seconds": seconds})
+        core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
+        requests = {i: asdict(cell) for i, cell in cells.items()}
+        self.send({"core": core, "cells": requests, "seconds": seconds})
 
     def __enter__(self) -> Side:
         return self
@@ -164,32 +227,23 @@ class Side:
         self.caches.cleanup()
 
     def refused(self) -> dict[int, str]:
-        """Wait until every cell is compiled; the cells that cannot be timed, and why."""
-        answer = self._answer()
+        """Wait until every cell is compiled; return the cells that cannot be timed, and why."""
+        answer = self.receive()
         if not Path(answer["code"]).is_relative_to(self.tree):
             raise BadInput(f"{self.tree}: the timing process imports {answer['code']} instead")
         return {int(i): why for i, why in answer["refused"].items()}
 
     def time(self, cell: int) -> float:
-        """Seconds per call, the fastest of a few repeats: one that nothing interrupted."""
-        self._say(cell)
-        return float(min(self._answer()))
+        """Return the seconds per call, of the fastest repeat: one that nothing interrupted."""
+        self.send(cell)
+        return float(min(self.receive()))
 
-    def ask_costs(self) -> None:
-        """Let it run every cell for what it leaves behind; `costs` waits for the end."""
-        self._say("costs")
-
-    def costs(self) -> Costs:
-        answer = self._answer()
-        compiled, leaked = ({int(i): v for i, v in answer[name].items()} for name in ("compile", "leaked"))
-        return Costs(compiled, leaked, answer["peak"])
-
-    def _say(self, what: Any) -> None:
+    def send(self, request: Any) -> None:
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(what) + "\n")
+        self.process.stdin.write(json.dumps(request) + "\n")
         self.process.stdin.flush()
 
-    def _answer(self) -> Any:
+    def receive(self) -> Any:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if line:
@@ -197,59 +251,3 @@ class Side:
         self.errors.seek(0)
         last = (self.errors.read().strip() or f"exit {self.process.wait()}").splitlines()[-1]
         raise BadInput(f"{self.tree}: the timing process ended: {last}")
-
-
-def cores() -> tuple[int | None, int | None]:
-    """The core both sides are timed on, and the one the second compiles on in the meantime."""
-    if not hasattr(os, "sched_getaffinity"):
-        return None, None
-    allowed = sorted(os.sched_getaffinity(0))
-    return allowed[-1], allowed[-2:][0]
-
-
-def paired_times(
-    pythons: Sequence[str], trees: Sequence[Path], cells: Sequence[Cell], rounds: int, seed: int,
-    until: float | None = None,
-) -> Measured:  # fmt: skip
-    """Ratio second/first tree of every cell, from one new process each.
-
-    rounds : for every cell; the undecided get as many again until they have `MOST_ROUNDS` or more.
-    until : on the clock of `perf_counter`, when to stop.  Of what is left, compilation takes `COMPILING` at most, and
-    what the runs for memory take at the end is set aside.
-    """
-    from tqdm import tqdm
-
-    main, other = cores()
-    draw = random.Random(seed)
-    left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
-    with ExitStack() as stack:
-        sides = [
-            stack.enter_context(Side(python, tree, cells, core, main, left))
-            for python, tree, core in zip(pythons, trees, (main, other), strict=True)
-        ]
-        refused: dict[int, str] = {}
-        for side, name in zip(sides, ("base", "head"), strict=True):
-            refused |= {i: f"{name}: {why}" for i, why in side.refused().items() if i not in refused}
-        times: dict[int, tuple[list[float], list[float]]] = {
-            i: ([], []) for i in range(len(cells)) if i not in refused
-        }
-        if until is not None:
-            until -= RUNS_SECONDS * len(times)
-        ratios: dict[int, PairedRatio] = {}
-        ask, late = list(times) if rounds else [], False
-        while ask and not late:
-            for _ in tqdm(range(rounds), f"timing {len(ask)} cells", unit="round", disable=None):
-                late = until is not None and perf_counter() > until
-                if late:
-                    break
-                for i in draw.sample(ask, len(ask)):
-                    for k in draw.sample((0, 1), 2):
-                        times[i][k].append(sides[k].time(i))
-            ratios |= {i: paired_ratio(*times[i]) for i in ask if times[i][0]}
-            ask = (
-                [i for i in ask if undecided(ratios[i]) and ratios[i].rounds < MOST_ROUNDS] if ratios else []
-            )
-        for side in sides:
-            side.ask_costs()
-        costs = sides[0].costs(), sides[1].costs()
-    return Measured(dict(sorted(ratios.items())), refused, costs, late)

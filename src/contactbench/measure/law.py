@@ -15,6 +15,10 @@ from contactbench.scene import Scene
 from contactbench.solution import Solution
 
 
+class Undefined(BadInput):
+    """A law has nothing to be relative to on a scene, such as H(0) = 0."""
+
+
 class Gate(Enum):
     """How the regression gate compares a law (the rules of results/schema.py have the numbers)."""
 

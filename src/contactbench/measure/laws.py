@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactbench.errors import BadInput, Registry
 from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, conformal, relative_deviation
-from contactbench.measure.law import Gate, Law, Measured
+from contactbench.measure.law import Gate, Law, Measured, Undefined
 from contactbench.measure.pairing import pairing_deviation
 from contactbench.measure.pullback import Pullback, growth, pullback
 from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, judge, structural_bound
@@ -125,7 +126,7 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     """γ with which e^{−γt} is the conformal factor of the exact flow at the saved times.
 
     Where Γ'(s) changes it is the mean rate up to each saved time, shape (k,), from the truth:
-    H' = −Γ'(s) H, hence e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `BadInput` if H(0) = 0.
+    H' = −Γ'(s) H, hence e^{−∫Γ'(s)dt} = H*(t)/H(0).  Raises `Undefined` if H(0) = 0.
     """
     scene = solution.scene
     if scene.conformal_rate is not None:
@@ -135,7 +136,7 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
         return np.divide(known, solution.t, out=np.zeros(len(known)), where=solution.t > 0)
     start = float(scene.hamiltonian(solution.start()))
     if start == 0:
-        raise BadInput(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
+        raise Undefined(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
     ratio = scene.hamiltonian(truth(solution).states()) / start
     return np.divide(-np.log(ratio), solution.t, out=np.zeros(len(ratio)), where=solution.t > 0)
 
@@ -391,7 +392,10 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
         return {}
     scene = solution.scene
     wanted = [item for item in laws_of(scene) if not (without and item.differentiates)]
-    found = {item.name: item.measured(solution) for item in wanted}
+    found = {}
+    for item in wanted:
+        with suppress(Undefined):
+            found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
     for name, measured in found.items():
         if measured.clamped is not None and f"{name}_clamped" in DRIFT_COLUMNS:

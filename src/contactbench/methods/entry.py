@@ -12,10 +12,9 @@ from contactbench.boundary import reported
 from contactbench.errors import BadInput, positive, shown, text, whole
 from contactbench.methods.base import METHODS, Method, Request
 from contactbench.methods.engines import CALLBACKS
-from contactbench.methods.first_step import try_step
-from contactbench.methods.grid import default_times, long_enough, saved_times
 from contactbench.methods.prepared import Prepared, Refused, begins
-from contactbench.methods.step_map import StepMap
+from contactbench.methods.request import default_times, long_enough, saved_times
+from contactbench.methods.step_map import StepMap, try_step
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
@@ -66,7 +65,7 @@ def prepare(
     Raises `BadInput` for anything it cannot work with.
     """
     scene, chosen = lookup(scene, method)
-    request = asked(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
+    request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
     if isinstance(request, Refused):
         return request
     engines = engines_of(chosen) if engine is None else (engine,)
@@ -81,17 +80,17 @@ def prepare(
     return first if isinstance(run, Refused) else run
 
 
-def asked(
+def make_request(
     scene: Scene, chosen: Method, step: Any, rtol: Any = None, atol: Any = None, save_at: Any = None,
     carry: Any = None, engine: Any = None, max_steps: Any = None,
 ) -> Request | Refused:  # fmt: skip
-    """What `prepare` is asked for, checked, for the first engine; `Refused` where the method refuses the scene."""
+    """Return the checked request for the first engine; `Refused` where the method refuses the scene."""
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
         raise BadInput(f"engine = {shown(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
     if chosen.exact:
         if not step is rtol is atol is None:
             raise BadInput(
-                f"{_given(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance"
+                f"{_settings(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance"
             )
     elif chosen.adaptive:
         if step is not None:
@@ -134,7 +133,7 @@ def engines_of(method: Method) -> tuple[str, ...]:
     return method.engines if compiles() else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
 
 
-def _given(step: Any, rtol: Any, atol: Any) -> str:
+def _settings(step: Any, rtol: Any, atol: Any) -> str:
     return f"step = {shown(step)}, rtol = {shown(rtol)}, atol = {shown(atol)}"
 
 

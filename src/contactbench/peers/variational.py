@@ -152,7 +152,7 @@ def variational_request(request: Request, derivative: Derivative) -> Request:
     return replace(request, scene=larger)
 
 
-def integrated(run: Prepared, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def run_variational(run: Prepared, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """States (k, d) and tangents (k, d, m) at the saved times, from a run of a `variational_request`.
 
     NaN where the run did not get.

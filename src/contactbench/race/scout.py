@@ -28,14 +28,18 @@ from contactbench.truth import Reference
 
 #: bisections between the first setting that is accurate enough and the one before it
 BISECTIONS = 4
-#: steps of a method's first run at most, where nobody knows yet how long a step takes
-FIRST_STEPS = {"compiled": 200_000, "callbacks": 5_000}
+#: steps of a method's first run at most, where nobody knows yet how long a step takes; and of any run at least
+FIRST_STEPS, FEWEST_STEPS = {"compiled": 200_000, "callbacks": 5_000}, 1000
 #: half the step must give less than this part of the error, or it is round-off that is left
 STILL_BETTER = 0.7
 #: tolerances down to this are tried whatever they bring; it is above what round-off leaves of short runs
 CERTAIN = 1e-12
+#: how much coarser a tolerance is at least whose error is compared: most of a decade
+APART = 5.0
 #: what a single run may take, as a share of the whole budget
 RUN_SHARE = 0.006
+#: what a compiler or a library that is not there raises
+BROKEN = (CannotRecord, ImportError, OSError, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -48,15 +52,12 @@ class Question:
     budget: float
 
     @property
-    def times(self) -> np.ndarray:
-        return ends(self.scene)
-
     def floor(self) -> float:
         """What the reference itself may be off by, relative to the largest state: no error below is claimed."""
         return max(10.0**-self.truth.digits, float(np.finfo(float).eps))
 
     def error(self, solutions: Sequence[Solution]) -> float:
-        """max ‖y − y*‖₂ / max ‖y*‖₂ over the ends of several runs."""
+        """Return max ‖y − y*‖₂ / max ‖y*‖₂ over the ends of several runs."""
         scene, carry = self.scene, carried(self.scene)
         labels = self.truth.scene.labels(self.truth.carry)
         exact = self.truth.y[:, [labels.index(name) for name in scene.labels(carry)]]
@@ -67,7 +68,7 @@ class Question:
 
 
 def ends(scene: Scene) -> np.ndarray:
-    """The five times."""
+    """Return the five times."""
     return scene.t_end * np.arange(1, ENDS + 1) / ENDS
 
 
@@ -95,169 +96,144 @@ class Attempt:
         return self.seconds if work is None else work
 
 
-@dataclass
-class Scouted:
-    """Everything tried of one method.
+class Unsupported(Exception):
+    """A method cannot do a scene, as is found out only when it is prepared."""
 
-    why : a status and a reason where no setting could be tried, or finer ones were not.
+
+class Scout:
+    """One method on its way from its coarsest setting to the one that reaches the smallest error.
+
+    attempts : every setting tried.  why : a status and a reason where no setting could be tried, or no finer one.
+    compile_s : seconds until its first run has ended.  spent : seconds it has had since.
     """
 
-    method: str
-    engine: str
-    attempts: list[Attempt] = field(default_factory=list)
-    why: tuple[str, str] | None = None
-    compile_s: float = 0.0
-    #: seconds spent on it so far, compiling not counted
-    spent: float = 0.0
+    def __init__(self, question: Question, method: str) -> None:
+        self.question, self.method = question, METHODS[method]
+        self.engine = self.method.engines[0]
+        self.attempts: list[Attempt] = []
+        self.why: tuple[str, str] | None = None
+        self.compile_s = self.spent = 0.0
+        #: seconds a step takes
+        self.a_step = math.nan
 
     @property
     def kind(self) -> str:
         """compiled or callbacks: times are compared within a kind."""
         return ENGINES.get(self.engine, "compiled")
 
-    def best(self, error: float) -> Attempt | None:
-        """The cheapest attempt that is as accurate."""
-        reached = [a for a in self.attempts if a.ok and a.error <= error]
-        return min(reached, key=lambda a: a.work) if reached else None
-
+    @property
     def finest(self) -> Attempt | None:
         return min(self.attempts, key=lambda a: a.value, default=None)
 
+    def best(self, error: float) -> Attempt | None:
+        """Return the cheapest attempt that is as accurate."""
+        return min(
+            (a for a in self.attempts if a.ok and a.error <= error), key=lambda a: a.work, default=None
+        )
 
-def scout(question: Question, found: Scouted) -> Iterator[None]:
-    """Settings of a method until the smallest error is reached or the range ends, one a turn."""
-    limit = Limit(question)
-    try:
-        for attempt in ladder(question, found, limit):
+    def turns(self) -> Iterator[None]:
+        """Try settings until the smallest error is reached or the range ends, one a turn."""
+        try:
+            for attempt in self.ladder():
+                yield
+                if attempt.ok and attempt.error <= min(self.question.errors):
+                    break
+                if attempt.status is Status.budget:
+                    most = f"more than a run may take here, {self.longest:.2g} s"
+                    self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
+                    break
+            for error in self.question.errors:
+                yield from self.refine(error)
+        except Unsupported as reason:
+            self.why = ("unsupported", str(reason))
+        except UserError as error:
+            self.why = ("failed", str(error))
+        except BROKEN as error:
+            self.why = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
+
+    def ladder(self) -> Iterator[Attempt]:
+        """Try the settings of the benchmark, and smaller steps than those as long as they bring something."""
+        if self.method.exact:  # nothing to be set
+            yield self.attempt(0.0)
+            return
+        adaptive = self.method.adaptive
+        values = (
+            tolerances(self.method) if adaptive else work_ladder(self.question.scene, self.method.order or 1)
+        )
+        for value in values:
+            if adaptive and value < CERTAIN and self.stagnates():
+                return
+            yield self.attempt(value)
+        while not adaptive and not self.stagnates():  # a low order needs small steps
+            yield self.attempt(self.attempts[-1].value / 2)
+
+    def stagnates(self) -> bool:
+        """Return whether the last setting was hardly more accurate than one before: what is left is round-off."""
+        *others, last = self.attempts
+        apart = APART if self.method.adaptive else 1.0
+        before = next((a for a in reversed(others) if a.value >= apart * last.value), others[-1])
+        return before.ok and last.ok and not last.error < STILL_BETTER * before.error
+
+    @property
+    def longest(self) -> float:
+        """Seconds that a run may take."""
+        return RUN_SHARE * self.question.budget
+
+    def most_steps(self) -> int:
+        """Return how many steps a run may take; always the same of JAX, which compiles for each number anew."""
+        if self.engine == "jax" or not self.a_step > 0:
+            return FIRST_STEPS[self.kind]
+        return max(FEWEST_STEPS, int(self.longest / self.a_step))
+
+    def attempt(self, value: float) -> Attempt:
+        """Make five runs at one setting, the longest first."""
+        scene, name, first = self.question.scene, self.method.name, not self.attempts
+        options: dict[str, Any] = {**setting(self.method, value), "carry": carried(scene)}
+        *earlier, end = ends(scene).tolist()
+        start = perf_counter()
+        run = prepare(scene, name, save_at=[end], max_steps=self.most_steps(), **options)
+        if isinstance(run, Refused):
+            raise Unsupported(run.why)
+        self.engine = run.request.engine
+        if first:
+            run()  # the first call of a program may compile yet
+            self.compile_s = perf_counter() - start
+        start = perf_counter()
+        solution = run()
+        seconds = perf_counter() - start
+        if solution.counts.steps:
+            self.a_step = seconds / solution.counts.steps
+        error, worst = math.nan, solution
+        if solution.ok:
+            options |= {"max_steps": run.request.max_steps, "engine": self.engine}
+            runs = [prepare(scene, name, save_at=[t], **options)() for t in earlier] + [solution]
+            worst = next((each for each in runs if not each.ok), solution)
+            error = self.question.error(runs) if worst.ok else math.nan
+        counts, printed = run.count(solution.counts), run.request.setting
+        self.attempts.append(
+            Attempt(value, printed, worst.status, worst.message, seconds, error, counts, run)
+        )
+        return self.attempts[-1]
+
+    def refine(self, error: float) -> Iterator[None]:
+        """Bisect between the coarsest setting that is accurate enough and its coarser neighbour."""
+        for _ in range(BISECTIONS):
+            tried = sorted(self.attempts, key=lambda a: -a.value)
+            fine = next((i for i, a in enumerate(tried) if a.ok and a.error <= error), None)
+            if not fine:  # none is, or the coarsest of all
+                return
+            value = self.between(tried[fine - 1].value, tried[fine].value)
+            if value is None:
+                return
+            self.attempt(value)
             yield
-            if attempt.ok and attempt.error <= min(question.errors):
-                break
-            if attempt.status is Status.budget:
-                most = f"more than a run may take here, {limit.longest:.2g} s"
-                found.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
-                break
-        for error in question.errors:
-            yield from refine(question, found, limit, error)
-    except Unsupported as reason:
-        found.why = ("unsupported", str(reason))
-    except UserError as error:
-        found.why = ("failed", str(error))
-    except (
-        CannotRecord,
-        ImportError,
-        OSError,
-        RuntimeError,
-    ) as error:  # a compiler or a library that is not there
-        found.why = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
 
-
-class Unsupported(Exception):
-    """Why a method cannot do a scene, found out only when it was prepared."""
-
-
-class Limit:
-    """How many steps a run may take so that it stays within its share of the time."""
-
-    def __init__(self, question: Question) -> None:
-        self.longest = RUN_SHARE * question.budget
-        self.a_step: float | None = None
-
-    def steps(self, found: Scouted) -> int:
-        if self.a_step is None or found.engine == "jax":  # with another budget XLA would compile anew
-            return FIRST_STEPS[found.kind]
-        return max(1000, int(self.longest / self.a_step))
-
-    def learn(self, seconds: float, steps: int | None) -> None:
-        if steps:
-            self.a_step = seconds / steps
-
-
-def ladder(question: Question, found: Scouted, limit: Limit) -> Iterator[Attempt]:
-    item = METHODS[found.method]
-    if item.exact:  # nothing to be set
-        yield attempt(question, found, limit, 0.0)
-        return
-    for value in values_of(item, question.scene):
-        if item.adaptive and value < CERTAIN and spent(found):
-            return
-        yield attempt(question, found, limit, value)
-    while item.control == "step" and not spent(found):  # a low order needs small steps
-        yield attempt(question, found, limit, found.attempts[-1].value / 2)
-
-
-def spent(found: Scouted) -> bool:
-    """Return whether the last setting was hardly more accurate than the one before: what is left is round-off.
-
-    The one before is most of a decade of tolerances away at least.
-    """
-    *others, last = found.attempts
-    apart = 5 if METHODS[found.method].adaptive else 1
-    before = next((a for a in reversed(others) if a.value >= apart * last.value), others[-1])
-    return before.ok and last.ok and not last.error < STILL_BETTER * before.error
-
-
-def values_of(item: Any, scene: Scene) -> list[float]:
-    """From coarse to fine; a single one where there is nothing to be set."""
-    if item.exact:
-        return [0.0]
-    if not item.adaptive:
-        return work_ladder(scene, item.order or 1)
-    return tolerances(item)
-
-
-def attempt(question: Question, found: Scouted, limit: Limit, value: float) -> Attempt:
-    """Five runs at one setting, the longest first; recorded in `found`."""
-    scene, item = question.scene, METHODS[found.method]
-    options: dict[str, Any] = {**setting(item, value), "carry": carried(scene)}
-    *earlier, end = question.times.tolist()
-    start = perf_counter()
-    run = prepare(scene, found.method, save_at=[end], max_steps=limit.steps(found), **options)
-    if isinstance(run, Refused):
-        raise Unsupported(run.why)
-    found.engine = run.request.engine
-    first = not found.attempts
-    if first:
-        run()  # the first call of a program may compile yet
-        found.compile_s = perf_counter() - start
-    start = perf_counter()
-    solution = run()
-    seconds = perf_counter() - start
-    options |= {"max_steps": run.request.max_steps, "engine": found.engine}
-    limit.learn(seconds, solution.counts.steps)
-    error, status, message = math.nan, solution.status, solution.message
-    if solution.ok:
-        shorter = [prepare(scene, found.method, save_at=[t], **options)() for t in earlier]
-        bad = next((s for s in shorter if not s.ok), None)
-        if bad is None:
-            error = question.error([*shorter, solution])
-        else:
-            status, message = bad.status, bad.message
-    made = Attempt(
-        value, run.request.setting, status, message, seconds, error, run.count(solution.counts), run
-    )
-    found.attempts.append(made)
-    return made
-
-
-def refine(question: Question, found: Scouted, limit: Limit, error: float) -> Iterator[None]:
-    """Bisect between the coarsest setting that is accurate enough and its coarser neighbour."""
-    for _ in range(BISECTIONS):
-        tried = sorted(found.attempts, key=lambda a: -a.value)
-        fine = next((i for i, a in enumerate(tried) if a.ok and a.error <= error), None)
-        if not fine:  # none is, or the coarsest of all
-            return
-        value = between(question, METHODS[found.method], tried[fine - 1].value, tried[fine].value)
-        if value is None:
-            return
-        attempt(question, found, limit, value)
-        yield
-
-
-def between(question: Question, item: Any, coarse: float, fine: float) -> float | None:
-    """The setting half-way in the logarithm; a step divides the intervals between the five times; None: no room."""
-    middle = math.sqrt(coarse * fine)
-    if item.adaptive:
-        return float(f"{middle:.3g}") if fine < middle < coarse else None
-    end = question.scene.t_end
-    low, n, high = (round(end / h / ENDS) for h in (coarse, middle, fine))
-    return end / (ENDS * n) if low < n < high else None
+    def between(self, coarse: float, fine: float) -> float | None:
+        """Return the setting half-way in the logarithm, None where there is no room; a step divides the intervals
+        between the five times."""
+        middle = math.sqrt(coarse * fine)
+        if self.method.adaptive:
+            return float(f"{middle:.3g}") if fine < middle < coarse else None
+        end = self.question.scene.t_end
+        low, n, high = (round(end / h / ENDS) for h in (coarse, middle, fine))
+        return end / (ENDS * n) if low < n < high else None

@@ -1,10 +1,10 @@
-"""Documents, page and figures, from the tables alone: nothing is solved here.
+"""Reports: documents, figures and one page, from the tables alone.
 
-A room answers one question with views, figures and findings as data (cells.py, drawing.py, rooms.py);
-markdown.py, draw.py and page/ write them down.
+A chapter answers one question with a summary, views and figures as data (chapters.py, views.py, drawing.py);
+markdown.py, draw.py and page/ render them.
 """
 
-from contactbench.report import (  # registers the rooms, in no particular order
+from contactbench.report import (  # registers the chapters, in no particular order
     claims,
     convergence,
     damping,

@@ -86,11 +86,12 @@ class Chapter:
     tables: tuple[str, ...]
     parts: Callable[[Frames], Sequence[Part]]
     summary: Callable[[Frames], pd.DataFrame] = field(default=lambda frames: summary())
+    document: str = ""
 
     @property
     def file(self) -> str:
         """The name of its document."""
-        return f"{self.name}.md"
+        return self.document or f"{self.name}.md"
 
 
 CHAPTERS = Registry("chapter", Chapter)

@@ -6,51 +6,43 @@ import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from contactbench.report import draw, glossary
-from contactbench.report.write import made, tables, with_excerpt
+from contactbench.report.write import render, tables, with_answers
 
 #: points by which what is drawn may be elsewhere
-APART = 0.01
-#: by how much a colour may be another, and the share of them that may be more: less than a marker
-COLOUR, SPOTS = 0.1, 1e-5
+APART = 0.02
 NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def differing(results: Path, readme: Path | None, registries: glossary.Registries) -> list[str]:
-    """One line for each document, figure or README that is not what the tables of the folder give.
+    """Return one line for each document, figure or README that is not what the tables of the folder give.
 
     Documents and the page are compared as text; figures are drawn again, and what is drawn is compared.
     """
     frames = tables(results)
+    texts, drawn = render(results, frames, registries)
+    wanted = {results / name: text for name, text in texts.items()}
+    if readme is not None:
+        wanted[readme] = with_answers(readme, frames)
+    there = {path for pattern in ("*.md", "*.html", "figures/*.svg") for path in results.glob(pattern)}
+    found = {
+        path: path.read_text(encoding="utf-8") == text if path.exists() else None
+        for path, text in wanted.items()
+    }
     with TemporaryDirectory() as scratch:
-        with draw.in_background(Path(scratch)) as have_saved:
-            texts, _ = made(results, frames, registries, have_saved)
-        wanted = {results / name: text for name, text in texts.items()}
-        if readme is not None:
-            wanted[readme] = with_excerpt(readme, results, frames)
-        found = []
-        for path, text in wanted.items():
-            if not path.exists():
-                found.append(f"{path}: missing")
-            elif path.read_text(encoding="utf-8") != text:
-                found.append(f"{path}: not what the tables say")
-        drawn = {results / "figures" / path.name: path for path in Path(scratch).iterdir()}
-        there = {path for kind in ("svg", "png") for path in (results / "figures").glob(f"*.{kind}")}
-        found += [f"{path}: missing" for path in sorted(drawn.keys() - there)]
-        for path in sorted(drawn.keys() & there):
-            same = same_vectors if path.suffix == ".svg" else same_pictures
-            if not same(path, drawn[path]):
-                found.append(f"{path}: not what the tables say")
-    left = {path for kind in ("md", "html") for path in results.glob(f"*.{kind}")}
-    others = (there - drawn.keys()) | (left - set(wanted))
-    return found + [f"{path}: no table gives it" for path in sorted(others)]
+        for figure in drawn:
+            fresh = draw.save(figure, Path(scratch))[0]
+            path = results / "figures" / fresh.name
+            found[path] = same_drawing(path, fresh) if path in there else None
+    said = {None: "missing", False: "not what the tables say"}
+    lines = [f"{path}: {said[same]}" for path, same in found.items() if same is not True]
+    return lines + [f"{path}: no table gives it" for path in sorted(there - found.keys())]
 
 
 def shapes(path: Path) -> tuple[list[str], np.ndarray]:
-    """What an .svg file draws: everything but numbers, in order, and the numbers; whatever is not drawn is left out.
+    """Return everything that an .svg file draws but numbers, in order, and the numbers.
 
     Paths that are defined once and used again have names by content, which here are numbers in order.
     """
@@ -63,16 +55,7 @@ def shapes(path: Path) -> tuple[list[str], np.ndarray]:
     return NUMBER.split(text), np.array([float(number) for number in NUMBER.findall(text)])
 
 
-def same_vectors(one: Path, other: Path) -> bool:
-    """Whether two .svg files draw the same: paths, points, colours and text, but for the last digits of places."""
+def same_drawing(one: Path, other: Path) -> bool:
+    """Return whether two .svg files draw the same, but for the last digits of places."""
     (words, numbers), (other_words, other_numbers) = shapes(one), shapes(other)
     return words == other_words and bool(np.allclose(numbers, other_numbers, rtol=0, atol=APART))
-
-
-def same_pictures(one: Path, other: Path) -> bool:
-    """Whether two .png files show the same, but for spots."""
-    try:
-        pixels, others = plt.imread(one), plt.imread(other)
-    except (OSError, SyntaxError, ValueError):  # as the reader calls a damaged file
-        return False
-    return pixels.shape == others.shape and float(np.mean(np.abs(pixels - others) > COLOUR)) <= SPOTS

@@ -4,152 +4,132 @@ from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, slug, summary
 from contactbench.report.drawing import Figure
 from contactbench.report.figures import paper
-from contactbench.report.numbers import many, names
-from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, slug
+from contactbench.report.numbers import DASH, how_often
+from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.schema import BEYOND, SEPARATOR
 
-VERDICTS = {
-    "holds": (Mark.holds, "the measurements agree with the claim as it stands"),
-    "holds, corrected": (Mark.corrected, "true once the stated correction is made"),
-    "refuted": (Mark.refuted, "a number contradicts it, and what is true instead is stated"),
-}
+SOURCE = "claims.csv"
+VERDICTS = {"holds": Mark.holds, "holds, corrected": Mark.corrected, "refuted": Mark.refuted}
 CAPTIONS = {
     "repairs": "Corrected",
     "replaces": "True instead",
     "sharpens": "Stronger",
     "extends": "How far it goes",
 }
-ABOUT = (
-    "Each verdict follows from the numbers beside it, which are computed; whether a claim that fails is repaired or "
-    "replaced by its correction is argued there. Identities are tested by automatic "
-    "differentiation at random points, independently of the formulas they test; trajectories against references of 30 "
-    "digits or more; orders where it matters in 50-digit arithmetic. The paper prints step and end time of its "
-    "experiment; damping and initial data are ours. Of several measurements the table shows the first that fails, else "
-    "the first."
+LEGEND = (
+    "*holds*: the measurements agree with the claim as it stands. *holds, corrected*: true once the stated correction "
+    "is made. *refuted*: a number contradicts it. [How claims are judged](../docs/reading.md#claims)."
 )
 
 
-def verdict(row: pd.Series) -> str:
-    return str(row["verdict"] or row["status"])
-
-
 def heading(row: pd.Series) -> str:
-    return f"{row['id']} · {verdict(row)}"
+    return f"{row['id']} · {row['verdict'] or row['status']}"
 
 
-def items(evidence: str) -> tuple[str, ...]:
-    """A row's measurements, one each."""
-    found = (item for item in evidence.split(SEPARATOR) if item)
-    return tuple(item.replace(" fails (", " **fails** (") for item in found)
-
-
-def more(row: pd.Series) -> tuple[tuple[str, str | tuple[str, ...]], ...]:
-    """What is shown of a claim on demand."""
-    parts: list[tuple[str, str | tuple[str, ...]]] = [("Measured", items(row["evidence"]))]
-    if row["correction"]:
-        parts.append((CAPTIONS.get(row["correction_kind"], "Corrected"), row["correction"]))
-    if row["corrected_evidence"]:
-        parts.append(("Measured", items(row["corrected_evidence"])))
-    return (*parts, ("On", f"{row['scene']}; {row['method']}"), ("Measure it again", f"`{row['command']}`"))
-
-
-def claims_view(frame: pd.DataFrame) -> View:
-    rows = []
-    for _, row in frame.iterrows():
-        mark = VERDICTS[row["verdict"]][0] if row["verdict"] in VERDICTS else Mark.bad
-        bound = (
-            Cell(DASH)
-            if pd.isna(row["bound"])
-            else Cell(f"{row['relation']} {row['bound']:.2g}", row["bound"])
-        )
-        rows.append((
-            word(row["id"], link=f"#{slug(heading(row))}"), word(verdict(row), mark), Cell(row["claim"],
-            more=more(row)),
-            word(row["where"]), word(row["quantity"]), number(row["measured"], "{:.2g}".format), bound,
-        ))  # fmt: skip
-    heads = (
-        *(Head(label, words=True) for label in ("id", "verdict", "claim", "where in the paper", "what was measured")),
-        Head("measured"), Head("needed"),
-    )  # fmt: skip
-    meaning = " ".join(f"*{name}*: {about}." for name, (_, about) in VERDICTS.items())
-    return View("claims", "All claims", meaning, heads, tuple(rows), "claims.csv")
-
-
-def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
-    """One claim: where, what, evidence, verdict, correction, command, figures."""
-    parts: list[Part] = [Text(f"**Claim** ({row['where']}). {row['claim']}")]
-    if row["status"] != "ok":
-        return Section(
-            heading(row), (*parts, Text(f"Not measured: {row['message']}"), Text(f"`{row['command']}`"))
-        )
-    parts.append(Text(f"**Measured** on {row['scene']}. Method: {row['method']}.", items(row["evidence"])))
-    if row["correction"]:
-        said = f"**{CAPTIONS.get(row['correction_kind'], 'Corrected')}.** {row['correction']}"
-        parts.append(Text(said, items(row["corrected_evidence"])))
-    parts.append(Text(f"Measure it again: `{row['command']}`"))
-    parts += [
-        drawn.pop(name) for name in row["figures"].split() if name in drawn
-    ]  # once, where it is first needed
-    return Section(heading(row), tuple(parts))
-
-
-def parted(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The paper's claims, and those beyond it."""
+def split_claims(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the paper's claims, and those beyond it."""
     beyond = frame["where"] == BEYOND
     return frame[~beyond], frame[beyond]
 
 
-def count(frame: pd.DataFrame) -> dict[str, int]:
-    return {name: int((frame["verdict"] == name).sum()) for name in VERDICTS}
+def counts(frame: pd.DataFrame) -> str:
+    """Return how many claims have each verdict."""
+    verdicts = frame["verdict"].value_counts()
+    words = {"holds": "hold", "holds, corrected": "hold once corrected", "refuted": "refuted"}
+    return ", ".join(f"{verdicts.get(name, 0)} {word}" for name, word in words.items()) + f", of {len(frame)}"
 
 
-def findings(frames: Frames) -> list[Finding]:
-    frame = frames["claims"]
-    if not len(frame):
-        return []
-    own, beyond = parted(frame)
-    held, corrected, refuted = count(own).values()
-    sentence = (
-        f"Of its {len(own)} claims {held} hold, {corrected} hold once corrected, {refuted} are refuted."
-    )
-    if len(beyond):
-        sentence += (
-            f" Beyond it {count(beyond)['holds']} of {many(len(beyond), 'claim')} hold: "
-            + names([row["claim"].partition(":")[0].lower() for _, row in beyond.iterrows()])
-            + "."
+def answers(frames: Frames) -> pd.DataFrame:
+    own, beyond = split_claims(frames["claims"])
+    asked = {"Do the paper's claims hold as printed?": own, "Do the claims beyond the paper hold?": beyond}
+    lines = []
+    for question, part in asked.items():
+        if len(part):
+            held = int((part["verdict"] == "holds").sum())
+            lines.append((question, how_often(held, len(part)), counts(part)))
+    return summary(*lines)
+
+
+def claims_view(frame: pd.DataFrame) -> View:
+    """Return every claim with its verdict and the number that decides."""
+    rows = []
+    for _, row in frame.iterrows():
+        verdict = str(row["verdict"] or row["status"])
+        needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
+        rows.append(
+            (
+                Cell(row["id"], link=f"#{slug(heading(row))}"),
+                Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad)),
+                row["claim"],
+                row["where"],
+                row["quantity"],
+                row["measured"],
+                needed,
+            )
         )
-    missing = frame[~frame["verdict"].isin(VERDICTS)]
-    exceptions = tuple(f"{r['id']} was not measured: {r['message']}" for _, r in missing.iterrows())
-    return [Finding("claims", "The paper", sentence, f"{len(frame)} claims", exceptions)]
+    labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
+    return View("claims", "All claims", frame_of(rows, labels), LEGEND, SOURCE, {"": "{:.2g}".format})
 
 
-def sections(frames: Frames) -> list[Part]:
-    frame = frames["claims"]
-    drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
+def corrections_view(frame: pd.DataFrame) -> View:
+    """Return the corrections of claims that do not hold as printed."""
     fell = frame[
         frame["verdict"].isin([name for name in VERDICTS if name != "holds"]) & (frame["correction"] != "")
     ]
-    changes = tuple(
-        f"[{r['id']}](#{slug(heading(r))}), {r['where']}: {r['correction']}" for _, r in fell.iterrows()
-    )
-    told, more_told = (
-        tuple(claim_section(row, drawn) for _, row in some.iterrows()) for some in parted(frame)
-    )
+    rows: list[tuple[object, ...]] = [
+        (Cell(r["id"], link=f"#{slug(heading(r))}"), r["where"], r["verdict"], r["correction"])
+        for _, r in fell.iterrows()
+    ]
+    labels = ["id", "where", "verdict", "correction"]
+    return View("corrections", "Corrections to the paper", frame_of(rows, labels), "", SOURCE)
+
+
+def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
+    """Return one claim: where, evidence, correction, command, figures; a figure once, where it is first needed."""
+    parts: list[Part] = [Text(f"**Claim** ({row['where']}). {row['claim']}")]
+    if row["status"] != "ok":
+        return Section(heading(row), (*parts, Text(f"Not measured: {row['message']}. `{row['command']}`")))
+    parts.append(Text(f"**Measured** on {row['scene']}. Method: {row['method']}.", items(row["evidence"])))
+    if row["correction"]:
+        caption = CAPTIONS.get(row["correction_kind"], "Corrected")
+        parts.append(Text(f"**{caption}.** {row['correction']}", items(row["corrected_evidence"])))
+    parts.append(Text(f"Measure it again: `{row['command']}`"))
+    parts += [drawn.pop(name) for name in row["figures"].split() if name in drawn]
+    return Section(heading(row), tuple(parts))
+
+
+def items(evidence: str) -> tuple[str, ...]:
+    """Return a row's measurements, one each."""
+    found = (item for item in evidence.split(SEPARATOR) if item)
+    return tuple(item.replace(" fails (", " **fails** (") for item in found)
+
+
+def parts(frames: Frames) -> list[Part]:
+    frame = frames["claims"]
+    drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
+    sections = [
+        tuple(claim_section(row, drawn) for _, row in some.iterrows()) for some in split_claims(frame)
+    ]
     return [
-        Text(ABOUT),
-        *([Section("What to change in the paper", (Text(items=changes),))] if changes else []),
         claims_view(frame),
-        Section("Claim by claim", told),
-        *([Section("Beyond the paper", more_told)] if more_told else []),
+        corrections_view(frame),
+        Section("Claim by claim", sections[0]),
+        *([Section("Beyond the paper", sections[1])] if sections[1] else []),
         *([Section("Other figures", tuple(drawn.values()))] if drawn else []),
     ]
 
 
-ROOMS.add(
-    Room("claims", "The paper's claims, measured",
-         "every checkable claim of the paper with its verdict, and two beyond it", 70, ("claims", "paper_figures"),
-         sections, findings, tab="Claims")
-)  # fmt: skip
+CHAPTERS.add(
+    Chapter(
+        "claims",
+        "The paper's claims, measured",
+        "Which claims of the paper hold?",
+        70,
+        ("claims", "paper_figures"),
+        parts,
+        answers,
+    )
+)

@@ -1,4 +1,4 @@
-"""Figures as data: panels of curves with axes, spans and notes.  Who draws them knows no question."""
+"""Figures as data: panels of curves with axes, spans and colour maps; their renderers know no question."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Axis:
-    """limits, ticks : as they must be, or None for what fits.  ticks are (value, text).
+    """One axis of a panel.
 
+    limits, ticks : as they must be, or None for what fits; ticks are (value, text).
     within : where the axis ends at the latest, though curves go on; None for no end.
-    key : the quantity.  others : axes that a page may show instead (`Curve.also` has the values).
-    Labels, and all words of a figure, may hold mathtext between dollars.
     """
 
     label: str
@@ -21,27 +20,26 @@ class Axis:
     limits: tuple[float | None, float | None] | None = None
     ticks: tuple[tuple[float, str], ...] | None = None
     within: tuple[float | None, float | None] = (None, None)
-    key: str = ""
-    others: tuple[Axis, ...] = ()
+
+    @property
+    def log(self) -> bool:
+        """Whether the axis is logarithmic."""
+        return self.scale == "log"
 
 
 @dataclass(frozen=True)
 class Curve:
     """Points of one curve, in drawing order; nan interrupts the line.
 
+    label : its entry in the legend; "" for none.  Equal labels are one entry.
     method : a name of METHODS gives it that method's colour, dash and marker, everywhere the same.
+    role : the look of what is no method, a name of `look.ROLES`.
+    line, markers : whether either is drawn.
+    low, high : error bars in y, absolute values; empty for none.
+    z : third coordinate, in a panel that has a z axis.
     family : what a method unknown to look.py declares itself.
     muted : thin and grey, not the best of its family.
-    role : the look of what is no method: truth, law, reference (thin, grey), criterion, conservative,
-        dissipative, flow, stable, unstable, neutral, or "shade 0" … "shade 4" of an ordered set.
-    label : its entry in the legend; "" for none.  Equal labels are one entry.
-    line, markers : whether either is drawn; dashed : the line.  every : a marker at every n-th point.
-    emphasis : drawn above the others, stronger.
-    note : written at the last point (a direct label).
-    low, high : error bars in y, absolute values; empty for none.
-    hints : a sentence for each point (hover); empty for none.
-    also : values of other quantities at the points, (key, values), for the axes a page may choose.
-    z : third coordinate, in a panel that has a z axis.
+    hints : a few words for each point (hover); empty for none.
     """
 
     x: tuple[float, ...]
@@ -51,37 +49,21 @@ class Curve:
     role: str = ""
     line: bool = True
     markers: bool = True
-    dashed: bool = False
-    every: int = 1
-    emphasis: bool = False
-    note: str = ""
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
-    hints: tuple[str, ...] = ()
     z: tuple[float, ...] = ()
     family: str = ""
     muted: bool = False
-    also: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    hints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Span:
-    """A shaded range of one axis, behind the curves; low = high: a line.  label: written in it."""
+    """A shaded range of y, behind the curves.  label: written in it."""
 
-    axis: Literal["x", "y"]
     low: float
     high: float
     label: str = ""
-
-
-@dataclass(frozen=True)
-class Note:
-    """Words at a point of a panel, centred there."""
-
-    x: float
-    y: float
-    text: str
-    z: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,8 +81,7 @@ class Heat:
 class Panel:
     """One pair of axes.  With `z` it is three-dimensional; `sphere` draws the unit sphere in it.
 
-    remark : a line below the title.  equal : one unit is as long on both axes.
-    view : elevation and azimuth in degrees, 3-D only.
+    equal : one unit is as long on both axes.  view : elevation and azimuth in degrees, 3-D only.
     """
 
     title: str
@@ -108,29 +89,34 @@ class Panel:
     y: Axis
     curves: tuple[Curve, ...]
     spans: tuple[Span, ...] = ()
-    notes: tuple[Note, ...] = ()
     heat: Heat | None = None
     z: Axis | None = None
     sphere: bool = False
     equal: bool = False
     view: tuple[float, float] = (22.0, -50.0)
-    remark: str = ""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels side by side, `across` in a row.  Saved as figures/NAME.svg and .png.
+    """Panels side by side, `across` in a row, saved as figures/NAME.svg.
 
-    size : of a panel, inches.
-    legend : one for all panels, below them ("shared"), or one in each ("each").
-    caption : one or two sentences: what is compared, what is better.
+    title : its message.  caption : one or two sentences: what is compared, what is better.
+    legend : names in the margin of a single panel, below several ("shared"), or in each of them ("each").
     """
 
     name: str
     title: str
     panels: tuple[Panel, ...]
     caption: str = ""
-    across: int = 3
+    across: int = 2
     legend: Literal["shared", "each"] = "shared"
     source: str = ""
-    size: tuple[float, float] = (4.6, 3.9)
+
+
+@dataclass(frozen=True)
+class Live:
+    """Panels of which a page shows one, chosen by the pair of words they are filed under."""
+
+    title: str
+    panels: dict[tuple[str, str], Panel]
+    caption: str = ""

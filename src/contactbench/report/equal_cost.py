@@ -1,131 +1,102 @@
-"""Order and decay laws of every method at equal cost: the table that stands first, and one per scene and cost."""
+"""Order and decay laws at equal cost: the table of the mission, and one table per scene and cost."""
 
 from __future__ import annotations
 
 import pandas as pd
 
-from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
-from contactbench.report.kept import MEANINGS, at_equal_cost, bounded, called, drift_cell, numbers
-from contactbench.report.numbers import count, scientific
-from contactbench.report.rooms import Frames
-from contactbench.results.round_off import STRUCTURE
-from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
+from contactbench.report.chapters import Frames
+from contactbench.report.law_cells import drift_cell, law_label, meanings, order_cell, with_bounds
+from contactbench.report.numbers import DASH, count, scientific
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.results.judgement import law_rows, laws_at_equal_cost, numbers
 
-#: scenes of the table that stands first, and the scene whose order is quoted where only one is
-FIRST = ("central", "rigid_body")
+SOURCE = "decay_laws.csv"
+#: the scenes of the mission, and the methods that a reader knows
+SCENES = ("oscillator", "particle", "rigid_body")
+METHODS = (
+    "contact-printed",
+    "contact-strang",
+    "contact-rkn4",
+    "contact-rkn8",
+    "contact-o8",
+    "herglotz2",
+    "rk4",
+    "scipy-dop853",
+    "scipy-radau",
+    "cvode-adams",
+    "cvode-bdf",
+    "cyrk-vern8",
+    "diffrax-dopri8",
+    "heyoka-taylor",
+)
+#: the laws of the mission; that of J where a method claims it
+LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 
-#: what stands instead of an order, by what sets a method
-WITHOUT = {"rtol": "adaptive", "exact": "exact"}
-
-
-def order_cell(frames: Frames, scene: str, row: pd.Series) -> Cell:
-    """The extrapolated order of a row's method on a scene; why not, where there is none."""
-    if row["control"] in WITHOUT:
-        return Cell(WITHOUT[row["control"]])
-    method = row["method"]
-    orders = frames.get("convergence", pd.DataFrame())
-    here = orders[(orders["method"] == method) & (orders["scene"] == scene)] if len(orders) else orders
-    if not len(here):
-        return Cell(DASH)
-    first = here.iloc[0]
-    if pd.isna(first["order"]):
-        return Cell(str(first["status"]) if first["status"] != "ok" else "no range")
-    return number(first["order"], "{:.2f}".format)
-
-
-def chosen_cost(frame: pd.DataFrame) -> pd.DataFrame:
-    """Of the costs every method was asked for, the rows of the one that most can meet; of equals the largest."""
+def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the cost that most methods can meet; of equals the largest."""
     met = frame[frame["status"] == "ok"].groupby("cost").size()
     return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
 
 
-def overview(frames: Frames, scenes: tuple[str, ...] = FIRST) -> View | None:
-    """Order and decay laws of every method at equal cost: the table that stands first."""
-    rows_of = chosen_cost(frames["decay_laws"])
-    scenes = tuple(scene for scene in scenes if scene in set(rows_of["scene"]))
-    if not scenes:
+def mission_view(frames: Frames) -> View | None:
+    """Return order and laws of known methods on the scenes of the mission, side by side, at equal cost."""
+    rows = with_bounds(most_met_cost(frames["decay_laws"]))
+    there = [scene for scene in SCENES if scene in set(rows["scene"])]
+    if not there:
         return None
-    part = rows_of[rows_of["scene"].isin(scenes)]
-    shown = {
-        scene: [
-            law for law in at_equal_cost() if law in part and part[part["scene"] == scene][law].notna().any()
-        ]
-        for scene in scenes
-    }
-    heads = [Head("method", words=True)]
-    for scene in scenes:
-        heads.append(Head("order", "order of convergence, extrapolated", group=scene))
-        heads += [Head(called(law), LAWS_TABLE.columns[law].meaning, group=scene) for law in shown[scene]]
-    part = bounded(part)
-    rows = []
-    for method in dict.fromkeys(part["method"]):
-        cells = [word(method)]
-        for scene in scenes:
-            here = part[(part["method"] == method) & (part["scene"] == scene)]
-            cells.append(order_cell(frames, scene, here.iloc[0]) if len(here) else Cell(DASH))
-            for law in shown[scene]:
-                if not len(here) or here["status"].iloc[0] == "unsupported":
-                    cells.append(Cell(DASH))
-                elif here["status"].iloc[0] != "ok":
-                    cells.append(Cell(str(here["status"].iloc[0]), marks=marks(Mark.none)))
-                else:
-                    cells.append(drift_cell(here.iloc[0], law))
-        rows.append(tuple(cells))
-    return View(
-        "overview",
-        "Order and decay laws at equal cost",
-        equal_cost(part),
-        tuple(heads),
-        tuple(rows),
-        "decay_laws.csv",
+    momentum = law_rows(frames, "momentum_law")
+    promised = set(momentum[momentum["claimed"]]["scene"])
+    laws = {scene: [law for law in LAWS if law != "momentum_law" or scene in promised] for scene in there}
+    by_pair = {(row["method"], row["scene"]): row for row in rows.to_dict("records")}
+    lines = []
+    for method in METHODS:
+        if not any((method, scene) in by_pair for scene in there):
+            continue
+        cells: list[Cell] = []
+        for scene in there:
+            row = by_pair.get((method, scene))
+            if row is None or row["status"] != "ok":
+                cells += [Cell(str(row["status"]) if row else DASH), *(Cell(DASH) for _ in laws[scene])]
+            else:
+                cells.append(order_cell(frames, scene, method, row["control"]))
+                cells += [drift_cell(row, law) for law in laws[scene]]
+        lines.append((method, *cells))
+    labels = [("", "method")]
+    labels += [(s, name) for s in there for name in ("order", *map(law_label, laws[s]))]
+    legend = (
+        "Largest deviation over the run, every method at the same number of evaluations "
+        f"({spent(rows[rows['scene'].isin(there)])}) or as near as its steps and tolerances allow. Bold: at round-off. "
+        "≤: by differences of the solver, no more than an upper bound. "
+        "[All methods, scenes and costs](laws.md#at-equal-cost)."
     )
+    title = "Order and decay laws at equal cost"
+    return View("mission", title, frame_of(lines, labels), legend, SOURCE, meanings=meanings(list(LAWS)))
 
 
-def equal_cost(part: pd.DataFrame) -> str:
-    """What equal cost was, scene by scene, and how to read the entries."""
-    spent = []
-    for scene, rows in part[part["status"] == "ok"].groupby("scene", sort=False):
-        cost = numbers(rows, "rhs_equivalents").dropna()
-        low, high = count(cost.min()), count(cost.max())
-        spent.append(f"`{scene}` {low if low == high else f'{low} to {high}'}")
-    return (
-        "Largest deviation over the run, every method at the same number of evaluations, or as near to it as its "
-        f"steps and tolerances allow ({', '.join(spent)}); one with far fewer is exact or at its tightest tolerance. "
-        "Order: measured, extrapolated; *exact*: a closed form without steps. "
-        f"Bold, J law and contact drift only: at round-off, that is at most {scientific(STRUCTURE, 0)}, or ε times the "
-        "evaluations (for η times the growth of the map) where that is more. A method that preserves the law is there "
-        "at every step size, one that does not only where its error is as small. "
-        "H0 is compared with the true H0, the others with their decay e^{−∫Γ'} (J with the true J where a torque "
-        "acts). ≤ or ±: by differences of the solver, which resolve nothing below their error bar. "
-        f"{MEANINGS['dagger']}. {MEANINGS['undecided']}."
-    )
+def spent(rows: pd.DataFrame) -> str:
+    """Return the evaluations that the methods with a step took, scene by scene."""
+    steps = rows[(rows["status"] == "ok") & (rows["control"] == "step")]
+    each = numbers(steps, "rhs_equivalents").groupby(steps["scene"], sort=False).median()
+    return ", ".join(f"`{scene}` about {count(cost)}" for scene, cost in each.items())
 
 
 def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
-    """One scene at one cost, with the setting taken and what it came to."""
+    """Return one scene at one cost, with the setting taken and what it came to."""
     scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
-    part = bounded(part)
-    shown = [law for law in at_equal_cost() if law in part and part[law].notna().any()]
+    part = with_bounds(part)
+    laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
     rows = []
-    for _, row in part.iterrows():
-        lead = (word(row["method"]), word(row["engine"]), word(row["setting"]))
+    for row in part.to_dict("records"):
+        lead = (row["method"], row["engine"], row["setting"])
         if row["status"] != "ok":
-            blanks = (
-                Cell(str(row["status"]), marks=marks(Mark.none)),
-                *(Cell("") for _ in range(len(shown) + 2)),
-            )
-            rows.append((*lead, *blanks))
+            rows.append((*lead, Cell(str(row["status"]), mark=Mark.none), *[Cell("")] * (len(laws) + 2)))
             continue
-        rows.append((
-            *lead, number(row["rhs_equivalents"], count), order_cell(frames, scene, row),
-            number(row["solution_error"], scientific), *(drift_cell(row, law) for law in shown),
-        ))  # fmt: skip
-    heads = (
-        Head("method", words=True), Head("engine", words=True), Head("setting", words=True),
-        Head("evaluations", DECAY_LAWS.columns["rhs_equivalents"].meaning), Head("order"),
-        Head("solution error", DECAY_LAWS.columns["solution_error"].meaning),
-        *(Head(called(law), LAWS_TABLE.columns[law].meaning) for law in shown),
-    )  # fmt: skip
+        order = order_cell(frames, scene, row["method"], row["control"])
+        evaluations = as_cell(row["rhs_equivalents"], count)
+        error = as_cell(row["solution_error"], scientific)
+        rows.append((*lead, evaluations, order, error, *(drift_cell(row, law) for law in laws)))
+    labels = ["method", "engine", "setting", "evaluations", "order", "solution error", *map(law_label, laws)]
     title = f"{scene}, {cost:g} evaluations per unit of time"
-    return View(f"equal_cost_{scene}_{cost:g}", title, equal_cost(part), heads, tuple(rows), "decay_laws.csv")
+    name = f"equal_cost_{scene}_{cost:g}"
+    return View(name, title, frame_of(rows, labels), "", SOURCE, meanings=meanings(laws))

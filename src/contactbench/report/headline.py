@@ -1,8 +1,4 @@
-"""The headline: results/README.md and the computed part of the project's README.
-
-What was asked for stands first: the order and the decay laws of every method at equal cost.  Then the
-computed sentences of all rooms, and who is cheapest where.
-"""
+"""results/README.md and the computed part of the project's README: the mission, the answers, who is cheapest where."""
 
 from __future__ import annotations
 
@@ -12,156 +8,133 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.report import damping, equal_cost, work_precision
-from contactbench.report.cells import View
-from contactbench.report.contest import EVALUATIONS, Field, reasons
-from contactbench.report.contest_views import losses_view, winners_view
-from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, once, rooms, spoken
-
-UNITS = "All quantities are dimensionless, as in the paper; only times are in seconds."
-SOURCES = "work_precision.csv, stability.csv"
-#: the findings that stand in the project's README, and of how many sentences each there
-EXCERPT = {
-    "law_momentum_law": 2,
-    "law_contact_drift": 2,
-    "cost_evaluations": 1,
-    "cost_compiled": 1,
-    "claims": 1,
-}
-GLANCE = (
-    "Every method at the same number of evaluations, or as near to it as its steps and tolerances allow; the largest "
-    "deviation over the run. Bold: at round-off. How each column is taken stands "
-    "[above the same table](#order-and-decay-laws-at-equal-cost)."
+from contactbench.report import claims, convergence, laws, work_precision
+from contactbench.report.chapters import (
+    CHAPTERS,
+    Chapter,
+    Frames,
+    Part,
+    Section,
+    Text,
+    chapters,
+    once,
+    summary,
 )
-#: the scene whose figure stands here
-DRAWN = "particle"
+from contactbench.report.equal_cost import mission_view
+from contactbench.report.figures import work_precision as figures
+from contactbench.report.numbers import names
+from contactbench.report.views import Cell, View, frame_of
+from contactbench.results.contest import OTHER
+
+NAME = "headline"
+#: the scene whose work–precision picture stands here
+PICTURED = "particle"
+#: a column of the result with the laws that a reader asks about first
+PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 
 
-#: what a scene stands for; others are known by their name alone
-PROBLEMS = {
-    "particle": "one short run, smooth forces",
-    "particle_long": "a long run, weak damping",
-    "rigid_body": "a damped rigid body",
-    "kepler_drag": "close encounters, an eccentric orbit",
-    "stiff_spring": "two time scales, the fast one alive",
-    "needle": "a very slender body",
-    "tumbling": "a body tumbling about its unstable axis",
-    "overdamped": "strong damping",
-    "critical": "critical damping",
-    "weak_damping": "hardly any damping",
-    "weak_damping_particle": "hardly any damping, several degrees of freedom",
-    "saddle_edge": "at the edge of escape",
-    "quadratic_damping": "damping that is quadratic in s",
-    "forced_oscillator": "a sinusoidal force",
-    "lane_emden_5": "damping 2/t, a motion that slows down",
-}
+# -- six answers -----------------------------------------------------------------------------------
+def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
+    """Return whether J and the contact form are kept where that is promised."""
+    found = {
+        label: rows[rows["claimed"]]
+        for law, label in PROMISED.items()
+        if (rows := once(laws.judged_rows, frames).get(law)) is not None
+    }
+    found = {label: rows for label, rows in found.items() if len(rows)}
+    if not found:
+        return None
+    answer = ", ".join(f"{label} {laws.how_often(*laws.kept_of(rows))}" for label, rows in found.items())
+    count = "; ".join(laws.counts(rows) for rows in found.values())
+    return "Does it keep J and the contact form where it promises to?", answer, count
 
 
-def problem(scene: str) -> str:
-    said = PROBLEMS.get(scene) or (
-        "friction about some axes only" if scene.startswith("singular_damping") else ""
-    )
-    return f"{said} (`{scene}`)" if said else f"`{scene}`"
+def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
+    """Return on which scenes another method is cheaper at every error, compiled."""
+    won = once(work_precision.all_contests, frames)["compiled"].contests
+    judged = won[won["winner"] != ""]
+    if not len(judged):
+        return None
+    lost = judged["winner"] == OTHER
+    every = lost.groupby(judged["scene"], sort=False).all()
+    scenes = [f"`{scene}`" for scene in every.index[every]]
+    count = f"{int(lost.sum())} of {len(judged)} pairs of scene and error"
+    return "Where is it slower at every error, compiled?", names(scenes) or "nowhere", count
 
 
-def all_findings(frames: Frames) -> list[Finding]:
-    """The sentences of every room, in their order."""
-    return [
-        finding
-        for room in rooms(frames)
-        if room.name != "headline"
-        for finding in once(room.findings, frames)
+def answers(frames: Frames) -> pd.DataFrame:
+    """Return the answers that stand in the project's README."""
+    asked = [structure_answer(frames)]
+    if len(frames["convergence"]):
+        asked += rows_of(once(convergence.answers, frames))
+    if len(frames["work_precision"]):
+        costs = {row[0]: row for row in rows_of(once(work_precision.answers, frames))}
+        asked += [costs.get(work_precision.QUESTIONS[kind]) for kind in ("compiled", "evaluations")]
+        asked.append(loss_answer(frames))
+    if len(frames["claims"]):
+        asked += rows_of(once(claims.answers, frames))[:1]
+    return summary(*(row for row in asked if row is not None))
+
+
+def rows_of(frame: pd.DataFrame) -> list[tuple[str, str, str]]:
+    return list(frame.itertuples(index=False, name=None))
+
+
+# -- results/README.md -----------------------------------------------------------------------------
+def documents_view(frames: Frames) -> View:
+    """Return the documents, and the question each answers."""
+    rows: list[tuple[object, ...]] = [
+        (Cell(chapter.file, link=chapter.file), chapter.question)
+        for chapter in chapters(frames)
+        if chapter.name != NAME
     ]
+    rows.append((Cell("glossary.md", link="glossary.md"), "What is each method, scene and column?"))
+    return View("documents", "All tables", frame_of(rows, ["document", "question"]))
 
 
-def documents(frames: Frames) -> Text:
-    """The list of documents."""
-    others = [room for room in rooms(frames) if room.name != "headline"]
-    lines = (
-        f"[{room.file}]({room.file}): {room.about} ({', '.join(f'`{t}.csv`' for t in room.tables if len(frames[t]))})"
-        for room in others
+def parts(frames: Frames) -> list[Part]:
+    mission, work = mission_view(frames), frames["work_precision"]
+    found: list[Part] = [mission] if mission else []
+    if len(work):
+        contests = once(work_precision.all_contests, frames)
+        timed = [own for own in contests.values() if len(own.contests)]
+        drawn = figures.figure(work, PICTURED)
+        found += [replace(drawn, caption="")] if drawn else []
+        legend = (
+            "In brackets the best contact method, where it is not the cheapest. Bold: a contact method is the "
+            "cheapest; italic: it ties. [Scene by scene](work_precision.md); [hard scenes](stability.md)."
+        )
+        tables = (
+            replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}", own.kind.title), legend="")
+            for own in timed
+        )
+        found.append(Section("Who is cheapest where", (Text(legend), *tables)))
+        lost = {own.kind.title: own.contests for own in timed}
+        found.append(work_precision.losses_view(lost, "lost"))
+    return [*found, documents_view(frames)]
+
+
+def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
+    """Return on what the tables were made, in a line."""
+    places = dict.fromkeys(
+        f"{run.get('cpu', '')}, {run.get('cores', '')} cores, Python {run.get('python', '')}, "
+        f"commit `{str(run.get('commit', ''))[:12] or 'unknown'}`{' with local changes' if run.get('dirty') else ''}"
+        for run in runs
     )
     return Text(
-        items=(*lines, "[glossary.md](glossary.md): the methods, the scenes and every column of the tables")
+        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units: as in the paper."
     )
 
 
-def glance(frames: Frames) -> tuple[View, ...]:
-    """The table that stands first."""
-    view = once(equal_cost.overview, frames)
-    return () if view is None else (view,)
-
-
-def excerpt(frames: Frames) -> list[Part]:
-    """What the project's README says of the results: a few sentences, then the table of the laws."""
-    found = {finding.name: finding for finding in all_findings(frames)}
-    brief = [
-        f"**{found[name].title}.** {'. '.join(found[name].sentence.split('. ')[:first]).rstrip('.')}."
-        for name, first in EXCERPT.items() if name in found
-    ]  # fmt: skip
-    return [
-        Text(items=tuple(brief)),
-        *(replace(view, meaning=GLANCE) for view in glance(frames)),
-        Text(UNITS),
-    ]
-
-
-def fields(frames: Frames) -> list[Field]:
-    """All contests: evaluations on every scene of either table, times on those that were timed."""
-    work, hard = frames["work_precision"], frames["stability"]
-    both = [frame for frame in (work, hard) if len(frame)]
-    found = [Field(pd.concat(both, ignore_index=True), EVALUATIONS)] if both else []
-    return found + [field for field in once(work_precision.fields, frames) if field.kind.timed and len(work)]
-
-
-def sections(frames: Frames) -> list[Part]:
-    contests, rates = fields(frames), frames["damping_rates"]
-    winners: list[Part] = [
-        winners_view(f, f"winners_{f.kind.name}", f.kind.title, SOURCES, problem) for f in contests
-    ]
-    if len(rates):
-        winners.append(damping.rates_view(rates))
-    parts: list[Part] = [
-        documents(frames),
-        Text(
-            f"Every number is computed from the CSV files beside this page by `contactbench report`. {UNITS} "
-            "The machine is named at the end."
-        ),
-        *glance(frames),
-        Section("What was found", (spoken(all_findings(frames)),)),
-    ]
-    if contests:
-        parts.append(Section("Which integrator for which problem", tuple(winners)))
-        lost = losses_view(contests, "losses", SOURCES)
-        parts.append(
-            Section(lost.title, (Text(items=reasons(contests)), replace(lost, title="Where and by how much")))
-        )
-    drawn = (
-        work_precision.figures.figure(frames["work_precision"], DRAWN)
-        if len(frames["work_precision"])
-        else None
+CHAPTERS.add(
+    Chapter(
+        NAME,
+        "Results",
+        "What was found?",
+        0,
+        ("laws", "decay_laws", "work_precision", "convergence", "claims"),
+        parts,
+        answers,
+        "README.md",
     )
-    return [*parts, drawn] if drawn else parts
-
-
-def machines(runs: Sequence[Mapping[str, Any]]) -> Section:
-    """Where the tables were made."""
-    items = []
-    for run in runs:
-        packages = ", ".join(f"{k} {v}" for k, v in run.get("packages", {}).items() if k != "contactbench")
-        commit = str(run.get("commit", ""))[:12] or "unknown"
-        items.append(
-            f"run `{run['run']}`: profile {run.get('profile', '')}, {run.get('cpu', '')}, "
-            f"{run.get('cores', '')} cores, Python "
-            f"{run.get('python', '')}, commit `{commit}`{' with local changes' if run.get('dirty') else ''}; {packages}"
-        )
-    return Section("Where this was measured", (Text(items=tuple(items)),))
-
-
-ROOMS.add(
-    Room(
-        "headline", "Results", "what was found", 0,
-        ("laws", "decay_laws", "work_precision", "convergence", "stability", "damping_rates"), sections,
-        document="README.md",
-    )
-)  # fmt: skip
+)

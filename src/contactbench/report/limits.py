@@ -7,91 +7,71 @@ from dataclasses import replace
 
 import pandas as pd
 
-from contactbench.report.cells import DASH, Cell, Head, Mark, View, number, word
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.figures import stability as figures
-from contactbench.report.numbers import upper
-from contactbench.report.raw import raw
-from contactbench.report.rooms import ROOMS, Frames, Part, Room
-from contactbench.results.tables import ONE_STEP, STABILITY_LIMITS
+from contactbench.report.numbers import DASH
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 
-ISLANDS = "intervals of stable steps no longer than 1 % of the step at which they begin are left out"
+SOURCE = "stability_limits.csv"
 
 
 def limit_view(frame: pd.DataFrame, column: str, name: str, title: str) -> View | None:
-    """Methods × damping of one limit at ω = 1; theory in parentheses beside the first loss of stability."""
+    """Return one limit at ω = 1, methods × damping; theory in parentheses beside the first loss of stability."""
     one = frame[(frame["omega"] == 1.0) & frame[column].notna()]
     if not len(one):
         return None
     gammas = sorted(one["gamma"].unique())
     rows = []
-    for method, mine in one.groupby("method", sort=False):
-        line = mine.set_index("gamma")
-        cells = [word(method)]
-        for gamma in gammas:
-            if gamma not in line.index:
-                cells.append(Cell(DASH))
-                continue
-            row = line.loc[gamma]
-            theory = row["theory"] if column == "limit" else math.nan
-            known = "" if pd.isna(theory) else f" ({'∞' if math.isinf(theory) else f'{theory:.4g}'})"
-            gaps = Mark.exception if column == "limit" and row["windows"] else None
-            value = number(row[column], "{:.4g}".format, gaps)
-            cells.append(replace(value, text=value.text + known))
-        rows.append(tuple(cells))
-    heads = (Head("method", words=True), *(Head(f"γ = {g:g}") for g in gammas))
-    meaning = f"{upper(STABILITY_LIMITS.columns[column].meaning)}; q'' + γq' + q = 0."
+    for method, own in one.groupby("method", sort=False):
+        line = {row["gamma"]: row for _, row in own.iterrows()}
+        rows.append((method, *(limit_cell(line[g], column) if g in line else Cell(DASH) for g in gammas)))
+    legend = "Largest stable step of q'' + γq' + q = 0."
     if column == "limit":
-        meaning += (
-            " In parentheses what theory gives. Marked: larger steps are stable again, see the windows; "
-            f"{ISLANDS}."
-        )
-    return View(name, title, meaning, heads, tuple(rows), "stability_limits.csv")
+        legend += " In parentheses: theory. Marked: larger steps are stable again, see the windows."
+    return View(name, title, frame_of(rows, ["method", *(f"γ = {g:g}" for g in gammas)]), legend, SOURCE)
+
+
+def limit_cell(row: pd.Series, column: str) -> Cell:
+    """Return one limit, marked where larger steps are stable again."""
+    first = column == "limit"
+    cell = as_cell(row[column], "{:.4g}".format, Mark.exception if first and row["windows"] else None)
+    theory = row["theory"] if first else math.nan
+    if pd.isna(theory):
+        return cell
+    return replace(cell, text=f"{cell.text} ({'∞' if math.isinf(theory) else f'{theory:.4g}'})")
 
 
 def windows_view(frame: pd.DataFrame) -> View | None:
-    rows = [
-        (
-            word(r["method"]),
-            number(r["gamma"], "{:g}".format),
-            number(r["limit"], "{:.4g}".format),
-            word(r["windows"]),
-        )
-        for _, r in frame[(frame["omega"] == 1.0) & (frame["windows"] != "")].iterrows()
-    ]
-    if not rows:
+    """Return the intervals of unstable steps below larger stable ones."""
+    rows = frame[(frame["omega"] == 1.0) & (frame["windows"] != "")]
+    if not len(rows):
         return None
-    heads = (
-        Head("method", words=True), Head("γ"), Head("first loss of stability"), Head("unstable steps", words=True),
-    )  # fmt: skip
-    meaning = (
-        f"{upper(STABILITY_LIMITS.columns['windows'].meaning)}; ω = 1. {upper(ISLANDS)}: they end no window."
+    table = rows[["method", "gamma", "limit", "windows"]]
+    table.columns = pd.Index(["method", "γ", "first loss of stability", "unstable steps"])
+    legend = (
+        "ω = 1. Intervals of stable steps no longer than 1 % of the step at which they begin are left out."
     )
-    return View("windows", "Windows of instability", meaning, heads, tuple(rows), "stability_limits.csv")
+    return View("windows", "Windows of instability", table, legend, SOURCE)
 
 
-def sections(frames: Frames) -> list[Part]:
-    frame, radius = frames["stability_limits"], frames["one_step"]
+def parts(frames: Frames) -> list[Part]:
+    frame = frames["stability_limits"]
     views = (
         limit_view(frame, "limit", "limits", "First loss of stability"),
         windows_view(frame),
         limit_view(frame, "limit_kernel", "limits_kernel", "Processed methods saved at the end only"),
         limit_view(frame, "limit_saved", "limits_saved", "Processed methods saved at every step"),
     )
-    return [
-        *(view for view in views if view is not None),
-        figures.limits(frame),
-        *([figures.radius(radius)] if len(radius) else []),
-        *(
-            raw(table, frames[table.name])
-            for table in (STABILITY_LIMITS, ONE_STEP)
-            if len(frames[table.name])
-        ),
-    ]
+    return [*(view for view in views if view is not None), figures.limits(frame)]
 
 
-ROOMS.add(
-    Room(
-        "limits", "Stability limits", "up to which step a bounded motion stays bounded", 52,
-        ("stability_limits", "one_step"), sections,
+CHAPTERS.add(
+    Chapter(
+        "limits",
+        "Stability limits",
+        "Up to which step does a bounded motion stay bounded?",
+        52,
+        ("stability_limits", "one_step"),
+        parts,
     )
-)  # fmt: skip
+)

@@ -1,8 +1,8 @@
 """How a method and a role look in every figure and on the page: colour = family, dash = order, marker = method.
 
-The families' colours are chosen so that any two are at least 15 apart (CIEDE2000) as deuteranopes and
-protanopes see them (Machado, Oliveira & Fernandes 2009, severity 1), and stand out from their page by 3:1 at
-least (WCAG 2.2, 1.4.11); a test computes both.
+The contact methods are blues, the darker the higher their order; every other family is one colour.  Any two families
+are at least 14 apart (CIEDE2000) as deuteranopes and protanopes see them (Machado, Oliveira & Fernandes 2009,
+severity 1), any two shades at least 6, and all stand out from white by 3:1 (WCAG 2.2, 1.4.11); a test computes them.
 """
 
 from __future__ import annotations
@@ -10,29 +10,23 @@ from __future__ import annotations
 import hashlib
 from typing import Any, NamedTuple
 
-PAPER, DARK_PAPER = "#ffffff", "#101418"
+PAPER = "#ffffff"
 #: a curve that is not the best of its family
-MUTED, DARK_MUTED = "#c4c8cc", "#4a525a"
-
-
-class Family(NamedTuple):
-    """A colour on white and one on the dark page."""
-
-    light: str
-    dark: str
-
+MUTED = "#c4c8cc"
 
 FAMILIES = {
-    "contact": Family("#1b74fa", "#2c8bff"),
-    "rk4": Family("#000000", "#ffffff"),
-    "herglotz": Family("#793289", "#c7a0a8"),
-    "scipy": Family("#194d00", "#a8d188"),
-    "sundials": Family("#c28700", "#fff318"),
-    "cyrk": Family("#00a092", "#00d6ed"),
-    "diffrax": Family("#000a51", "#516c2e"),
-    "heyoka": Family("#ff438c", "#d155a0"),
-    "other": Family("#68695f", "#847a72"),
+    "contact": "#006cd1",
+    "rk4": "#000000",
+    "herglotz": "#551a4d",
+    "scipy": "#1a5c4c",
+    "sundials": "#c77623",
+    "cyrk": "#a03e00",
+    "diffrax": "#819c73",
+    "heyoka": "#9f7290",
+    "other": "#3c2b0e",
 }
+#: contact methods by order; the eighth, and what has no order, is the darkest
+SHADES = {1: "#0b9aeb", 2: "#0c84de", 4: FAMILIES["contact"], 6: "#0654bf", 8: "#0038ad"}
 
 
 class Look(NamedTuple):
@@ -44,25 +38,31 @@ class Look(NamedTuple):
 
     @property
     def color(self) -> str:
-        return FAMILIES[self.family].light
-
-    @property
-    def dark(self) -> str:
-        return FAMILIES[self.family].dark
+        """Its shade of the family."""
+        if self.family == "contact":
+            return SHADES.get(self.order or 8, FAMILIES["contact"])
+        return FAMILIES[self.family]
 
     @property
     def filled(self) -> bool:
+        """Whether its markers are."""
         return self.family == "contact"
 
     @property
     def dash(self) -> tuple[float, ...]:
+        """On and off, in line widths."""
         return DASHES.get(self.order, ())
 
 
-#: on and off, in line widths, by order; the eighth order and what has no fixed one are solid
+#: by order; the eighth order and what has no fixed one are solid
 DASHES: dict[int | None, tuple[float, ...]] = {
-    1: (1, 1.5), 2: (3, 1.5), 3: (4, 1.5), 4: (6, 2), 5: (6, 1.5, 1, 1.5), 6: (10, 1.5, 1.5, 1.5),
-}  # fmt: skip
+    1: (1, 1.5),
+    2: (3, 1.5),
+    3: (4, 1.5),
+    4: (6, 2),
+    5: (6, 1.5, 1, 1.5),
+    6: (10, 1.5, 1.5, 1.5),
+}
 
 METHODS = {
     "contact-printed": Look("contact", "X", 1),
@@ -98,7 +98,7 @@ SPARE = ("p", "8", "s", "D", "^", "v")
 
 
 def look(method: str, family: str = "") -> Look:
-    """The look of a method; of one unknown here it follows from its name and the family it declares."""
+    """Return the look of a method; of one unknown here it follows from its name and the family it declares."""
     known = METHODS.get(method)
     spare = SPARE[hashlib.sha256(method.encode()).digest()[0] % len(SPARE)]
     return known or Look(family if family in FAMILIES else "other", spare)
@@ -110,11 +110,10 @@ BLUE, ORANGE, GREEN, GREY, BLACK = "#0077BB", "#CC3311", "#009988", "#888888", "
 ROLES: dict[str, dict[str, Any]] = {
     "truth": {"color": "#bbbbbb", "linewidth": 4.0},
     "law": {"color": ORANGE, "linestyle": ":", "linewidth": 1.6},
-    "reference": {"color": "#777777", "linewidth": 0.9},
     "guide": {"color": "#999999", "linestyle": ":", "linewidth": 1.0},
     "criterion": {"color": BLACK, "linestyle": "--", "linewidth": 1.4},
     "conservative": {"color": BLACK, "linewidth": 0.9},
-    "dissipative": {"color": BLUE, "linewidth": 1.3},
+    "dissipative": {"color": BLUE, "linestyle": "--", "linewidth": 1.3},
     "flow": {"color": "#999999", "linewidth": 0.7},
     "stable": {"color": BLUE, "marker": "o"},
     "unstable": {"color": ORANGE, "marker": "X"},

@@ -79,3 +79,13 @@ def upper(text: str) -> str:
 def many(number: int, noun: str) -> str:
     """1 run, 2 runs."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def how_often(part: int, whole: int) -> str:
+    """Return a share in words: always, nearly always (nine in ten), mostly (six), about half the time (four), rarely,
+    never."""
+    if part >= whole:
+        return "always" if whole else "not measured"
+    share = part / whole
+    words = {0.9: "nearly always", 0.6: "mostly", 0.4: "about half the time"}
+    return next((word for least, word in words.items() if share >= least), "rarely" if part else "never")

@@ -3,35 +3,84 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.cells import DASH, Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import EVALUATIONS, Field, standing
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
 from contactbench.report.escape import blow_up_view
-from contactbench.report.figures import hard as figures
-from contactbench.report.kept import MEANINGS, bounded, called, drift_cell, laws, numbers
-from contactbench.report.numbers import count, many, names, scientific
-from contactbench.report.raw import raw
-from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text
-from contactbench.results.schema import Rule
+from contactbench.report.law_cells import LEGEND, drift_cell, law_label, meanings, with_bounds
+from contactbench.report.numbers import DASH, count, how_often, names, scientific
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
+from contactbench.results.contest import EVALUATIONS
+from contactbench.results.judgement import laws_in, numbers
 from contactbench.results.tables import STABILITY
 
+SOURCE = "stability.csv"
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
-#: what a head of the ladder says
 SETTINGS = (
-    "Heads name the settings: h/n, the time that an evaluation of a fixed-step method is worth (its step over the "
-    "evaluations of a step, as near as the saved times allow), and the tolerance of an adaptive one (the loosest, "
-    "where they differ)"
+    "Columns are settings, coarse to fine: h/n, the time that an evaluation of a fixed-step method is worth, and the "
+    "tolerance of an adaptive one."
 )
+type Run = dict[Any, Any]
+
+
+def ends_right(tried: pd.DataFrame) -> np.ndarray:
+    """Return which runs end as the true motion does: in time, or where that reaches infinity by diverging."""
+    return np.where(tried["blow_up_time"].isna(), tried["status"] == "ok", tried["status"] == "diverged")
+
+
+def tried_runs(hard: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs that were started: supported, and no looser tolerance had spent the budget."""
+    skipped = (hard["status"] == "budget") & hard["end_time"].isna()
+    return hard[(hard["status"] != "unsupported") & ~skipped]
+
+
+def hard_contest(frames: Frames) -> Contest:
+    """Return who needs the fewest evaluations on the hard scenes."""
+    return contest(frames["stability"], EVALUATIONS)
+
+
+def answers(frames: Frames) -> pd.DataFrame:
+    tried = tried_runs(frames["stability"])
+    right = int(ends_right(tried).sum())
+    won = once(hard_contest, frames).contests
+    lines = [
+        (
+            "Do runs end as the true motion does?",
+            how_often(right, len(tried)),
+            f"{right} of {len(tried)} runs",
+        )
+    ]
+    if len(won):
+        lines.append(("Does a contact method need the fewest evaluations on hard scenes?", *tally(won)))
+    return summary(*lines)
+
+
+# -- views -----------------------------------------------------------------------------------------
+def endings_view(hard: pd.DataFrame) -> View:
+    """Return how many runs of each method end as the motion does, and how the others end."""
+    tried = tried_runs(hard)
+    tried = tried.assign(right=ends_right(tried))
+    kinds = list(dict.fromkeys(tried[~tried["right"]]["status"]))
+    rows = []
+    for method, own in tried.groupby("method", sort=False):
+        bad = own[~own["right"]]["status"].value_counts()
+        mark = None if len(bad) else Mark.best
+        share = Cell(f"{int(own['right'].sum())} of {len(own)}", own["right"].mean(), mark)
+        rows.append((method, share, *(int(bad.get(kind, 0)) for kind in kinds)))
+    rows.sort(key=lambda row: -row[1].value)
+    legend = "Runs that end as the true motion does, accurate or not; and the others. Budget: our own limit."
+    return View("hard_endings", "How runs end", frame_of(rows, ["method", "right", *kinds]), legend, SOURCE)
 
 
 def rungs(here: pd.DataFrame) -> list[str]:
-    """What the settings of a scene's ladder are, coarse to fine."""
+    """Return the settings of a scene's ladder, coarse to fine."""
     tried = here[here["status"] != "unsupported"]
     rung = tried.groupby(["method", "engine"]).cumcount()
     heads = []
@@ -39,179 +88,120 @@ def rungs(here: pd.DataFrame) -> list[str]:
         part = tried[rung == k]
         steps = part[part["control"] == "step"]
         each, rtols = steps["end_time"] / steps["rhs_equivalents"], part[part["control"] == "rtol"]["value"]
-        said = [f"h/n {each.max():.3g}"] if each.notna().any() else []
-        said += [f"rtol {scientific(rtols.max(), 0)}"] if len(rtols) else []
-        heads.append(", ".join(said) or f"setting {k + 1}")
+        head = [f"h/n {each.max():.3g}"] if each.notna().any() else []
+        head += [f"rtol {scientific(rtols.max(), 0)}"] if len(rtols) else []
+        heads.append(", ".join(head) or f"setting {k + 1}")
     return heads
 
 
-def runs_by(frame: pd.DataFrame, *keys: str) -> dict[Any, list[dict[Any, Any]]]:
-    """The rows of a frame by the values of some columns; picking them from the frame takes longer."""
+def runs_by(frame: pd.DataFrame, *keys: str) -> dict[Any, list[Run]]:
+    """Return the rows of a frame by the values of some columns."""
     found = defaultdict(list)
     for row in frame.to_dict("records"):
         found[tuple(row[key] for key in keys)].append(row)
     return found
 
 
-def ending(row: dict[Any, Any], digits: int = 0) -> Cell:
-    """The error of a run, or how it ended; where the true motion reaches infinity, diverging is right."""
-    if row["status"] == "ok":
-        return number(row["solution_error"], lambda e: scientific(e, digits), hint=str(row["setting"]))
-    right = row["status"] == "diverged" and not pd.isna(row["blow_up_time"])
-    mark = Mark.right if right else Mark.none if row["status"] == "unsupported" else Mark.bad
-    return Cell(str(row["status"]), marks=marks(mark), hint=f"{row['setting']}: {row['message']}")
+def ending(run: Run) -> Cell:
+    """Return the error of a run, or how it ended."""
+    if run["status"] == "ok":
+        return as_cell(run["solution_error"], lambda error: scientific(error, 0))
+    right = run["status"] == "diverged" and not pd.isna(run["blow_up_time"])
+    mark = Mark.right if right else Mark.none if run["status"] == "unsupported" else Mark.bad
+    return Cell(str(run["status"]), mark=mark)
+
+
+def ladder(runs: Sequence[Run], length: int) -> list[Cell]:
+    """Return the endings of a method's runs, filled up with dashes."""
+    return [*map(ending, runs), *[Cell(DASH)] * (length - len(runs))]
 
 
 def map_view(frame: pd.DataFrame) -> View:
-    """Every run at a glance: methods × scenes, each with its ladder of settings."""
-    scenes = {scene: rungs(here) for scene, here in frame.groupby("scene", sort=False)}
-    told = ["status", "solution_error", "setting", "message", "blow_up_time"]
-    rows, runs = [], runs_by(frame[["scene", "method", *told]], "scene", "method")
+    """Return every run at a glance: methods × scenes, each with its ladder of settings."""
+    scenes = {str(scene): rungs(here) for scene, here in frame.groupby("scene", sort=False)}
+    runs = runs_by(frame, "scene", "method")
+    rows = []
     for method in dict.fromkeys(frame["method"]):
-        cells = [word(method)]
-        for scene, steps in scenes.items():
-            mine = runs[scene, method]
-            cells += [*map(ending, mine), *(Cell(DASH) for _ in range(len(steps) - len(mine)))]
-        rows.append(tuple(cells))
-    heads = (
-        Head("method", words=True),
-        *(Head(rung, group=str(s)) for s, steps in scenes.items() for rung in steps),
-    )
-    meaning = f"Solution error at each setting, coarse to fine, or how the run ended. {SETTINGS}."
-    return View(
-        "how_it_ends", "How it ends", meaning, heads, tuple(rows), "stability.csv", detail=True, map=True
-    )
+        cells = [cell for scene, steps in scenes.items() for cell in ladder(runs[scene, method], len(steps))]
+        rows.append((method, *cells))
+    labels = [("", "method"), *((scene, step) for scene, steps in scenes.items() for step in steps)]
+    legend = f"Solution error at each setting, or how the run ended. {SETTINGS}"
+    return View("how_it_ends", "Run by run", frame_of(rows, labels), legend, SOURCE, detail=True, map=True)
 
 
 def scene_view(frame: pd.DataFrame, scene: str) -> View:
-    """One hard scene: the ladder of errors, the worst of each law, the cost of the finest run."""
+    """Return one hard scene: the ladder of errors, the worst of each law, the cost of the finest run."""
     here = frame[frame["scene"] == scene]
     steps = rungs(here)
-    part = bounded(here[here["status"] != "unsupported"])
+    part = with_bounds(here[here["status"] != "unsupported"])
     ok = part[part["status"] == "ok"]
-    shown = [law for law in laws(STABILITY, "stability") if law != "solution_error" and ok[law].notna().any()]
+    laws = [
+        law for law in laws_in(STABILITY, "stability") if law != "solution_error" and ok[law].notna().any()
+    ]
     rows = []
-    for (method,), mine in runs_by(part, "method").items():
-        good = [run for run in mine if run["status"] == "ok"]
-        cells = [word(method), *map(ending, mine), *(Cell(DASH) for _ in range(len(steps) - len(mine)))]
-        cells += [worst_cell([run for run in good if not pd.isna(run[law])], law) for law in shown]
+    for (method,), runs in runs_by(part, "method").items():
+        good = [run for run in runs if run["status"] == "ok"]
+        worst = (worst_cell([run for run in good if not pd.isna(run[law])], law) for law in laws)
         spent = [run["rhs_equivalents"] for run in good if not pd.isna(run["rhs_equivalents"])]
-        cells.append(number(max(spent, default=None), count))
-        whys = dict.fromkeys(run["message"] for run in mine if run["status"] != "ok" and run["message"])
-        cells.append(word(shortened("; ".join(whys))))
-        rows.append(tuple(cells))
-    labels = (Head(called(law), STABILITY.columns[law].meaning, group="worst") for law in shown)
-    heads = (
-        Head("method", words=True), *(Head(rung, group="solution error") for rung in steps), *labels,
-        Head("evaluations", "of the finest run that ended ok"), Head("why not ok", words=True),
-    )  # fmt: skip
-    meaning = " ".join(filter(None, [condition_note(part), left_out(here[here["status"] == "unsupported"])]))
-    return View(f"hard_{scene}", f"Errors and laws on {scene}", meaning, heads, tuple(rows), "stability.csv")
+        why = dict.fromkeys(run["message"] for run in runs if run["status"] != "ok" and run["message"])
+        finest = as_cell(max(spent, default=None), count)
+        rows.append((method, *ladder(runs, len(steps)), *worst, finest, "; ".join(why)[:90]))
+    labels = [("", "method"), *(("solution error", step) for step in steps)]
+    labels += [("worst", law_label(law)) for law in laws] + [("", "evaluations"), ("", "why not ok")]
+    legend = " ".join(filter(None, [condition_note(part), left_out(here[here["status"] == "unsupported"])]))
+    return View(f"hard_{scene}", "", frame_of(rows, labels), legend, SOURCE, meanings=meanings(laws))
 
 
-def worst_cell(rows: list[dict[Any, Any]], law: str) -> Cell:
-    """The largest deviation of a method's runs; bold only where every one of them keeps the law."""
-    if not rows:
+def worst_cell(runs: list[Run], law: str) -> Cell:
+    """Return the largest deviation of a method's runs; bold only where every one of them keeps the law."""
+    if not runs:
         return Cell(DASH)
-    cells = [drift_cell(row, law) for row in rows]
-    worst = cells[int(np.argmax([float(row[law]) for row in rows]))]
-    return (
-        worst
-        if all(Mark.kept in cell.marks for cell in cells)
-        else replace(worst, marks=worst.marks - {Mark.kept})
-    )
+    cells = [drift_cell(run, law) for run in runs]
+    worst = cells[int(np.argmax([float(run[law]) for run in runs]))]
+    return worst if all(cell.mark is Mark.kept for cell in cells) else replace(worst, mark=None)
 
 
 def left_out(rows: pd.DataFrame) -> str:
-    """Which methods a scene is out of reach for, and why."""
-    why = [
-        f"{names(list(dict.fromkeys(part['method'])))} ({message})"
-        for message, part in rows.groupby("message", sort=False)
-    ]
-    return f"Out of reach of {'; '.join(why)}." if why else ""
-
-
-def shortened(text: str) -> str:
-    return text if len(text) <= 90 else text[:89] + "…"
+    """Return for which methods a scene is out of reach."""
+    return f"Out of reach of {names(list(dict.fromkeys(rows['method'])))}." if len(rows) else ""
 
 
 def condition_note(part: pd.DataFrame) -> str:
+    """Return how much round-off the motion itself magnifies, where that is much."""
     condition = numbers(part, "condition_number").max()
     if not condition > WELL_CONDITIONED:
         return ""
-    return (
-        f"Condition number {scientific(condition)}: round-off alone makes an error of about "
-        f"{scientific(condition * np.finfo(float).eps)}."
-    )
+    round_off = scientific(condition * np.finfo(float).eps)
+    return f"Condition number {scientific(condition)}: round-off comes to {round_off}."
 
 
-def findings(frames: Frames) -> list[Finding]:
+def parts(frames: Frames) -> list[Part]:
     hard = frames["stability"]
-    found = []
-    never = (hard["status"] == "budget") & hard["end_time"].isna()
-    tried = hard[(hard["status"] != "unsupported") & ~never]
-    if len(tried):
-        right = np.where(tried["blow_up_time"].isna(), tried["status"] == "ok", tried["status"] == "diverged")
-        bad = tried[~right]
-        clean = [m for m in dict.fromkeys(tried["method"]) if m not in set(bad["method"])]
-        most = bad.groupby("method", sort=False).size().sort_values(ascending=False, kind="stable")
-        sentence = (
-            f"{len(tried) - len(bad)} of {len(tried)} runs end as the true motion does, accurate or not. "
-            + (f"All runs of {names(clean)} do." if clean else "No method has all of its runs among them.")
-        )
-        if len(most):
-            third = most.iloc[min(2, len(most) - 1)]
-            often = [f"{method} {n}" for method, n in most[most >= third].items()]
-            sentence += f" Most of the others: {names(often)}"
-            kinds = bad["status"].value_counts()
-            sentence += (
-                f"; by kind {names([f'{kind} {n}' for kind, n in kinds.items()])} (budget: our own limit)."
-            )
-        if never.any():
-            sentence += (
-                f" {many(int(never.sum()), 'setting')} not run: a looser tolerance had spent the budget."
-            )
-        found.append(
-            Finding(
-                "endings",
-                "Hard scenes",
-                sentence,
-                f"{tried['method'].nunique()} methods on {tried['scene'].nunique()} scenes",
-            )
-        )
-    if said := standing(Field(hard, EVALUATIONS)):
-        found.append(Finding("hard_cost", "Evaluations on the hard scenes", *said))
-    return found
-
-
-def sections(frames: Frames) -> list[Part]:
-    hard = frames["stability"]
-    meanings = tuple(
-        f"{called(name)}: {c.meaning}" + (" (a law that is kept or not)" if c.rule is Rule.structure else "")
-        for name, c in laws(STABILITY, "stability").items()
-    )
-    ends = blow_up_view(hard)
-    parts: list[Part] = [
-        Text(
-            "Every method on every hard scene at a ladder of settings, coarse to fine. Runs are isolated and limited "
-            "in steps and evaluations; how each ended is part of the result. Which method is cheapest where is in "
-            "[README.md](README.md). Of a law that is kept or not, bold: every run keeps it to round-off. "
-            f"{MEANINGS['dagger']}. {MEANINGS['undecided']}. {SETTINGS}."
-        ),
-        *figures.hard(hard),
+    own, ends = once(hard_contest, frames), blow_up_view(hard)
+    scenes = (Section(s, (scene_view(hard, s),), choice="scene") for s in dict.fromkeys(hard["scene"]))
+    contests: list[Part] = []
+    if len(own.contests):
+        contests = [
+            winners_view(own, "hard_winners", "Fewest evaluations", SOURCE),
+            losses_view({own.kind.title: own.contests}, "hard_losses", SOURCE),
+        ]
+    return [
+        endings_view(hard),
+        *contests,
         *([ends] if ends else []),
         map_view(hard),
+        Section("Scene by scene", (Text(f"{SETTINGS} {LEGEND}"), *scenes)),
     ]
-    scenes = tuple(
-        Section(scene, (scene_view(hard, scene),), choice="scene") for scene in dict.fromkeys(hard["scene"])
-    )
-    parts.append(Section("Scene by scene", (Text(items=meanings), *scenes)))
-    return [*parts, raw(STABILITY, hard)]
 
 
-ROOMS.add(
-    Room(
-        "stability", "Numerical stability on hard scenes", "how every method ends on the hard scenes, at what error",
-        50, ("stability",), sections, findings, tab="Hard scenes",
+CHAPTERS.add(
+    Chapter(
+        "stability",
+        "Numerical stability on hard scenes",
+        "How does every method end on the hard scenes?",
+        50,
+        ("stability",),
+        parts,
+        answers,
     )
-)  # fmt: skip
+)

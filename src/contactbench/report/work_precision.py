@@ -1,176 +1,281 @@
-"""Cost at equal error, scene by scene."""
+"""Cost at equal error: who is cheapest where, and scene by scene what each error costs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from statistics import median
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
 
-from contactbench.measure.statistics import COVERED, process_spread
-from contactbench.report.cells import Cell, Head, Mark, View, marks, number, word
-from contactbench.report.contest import KINDS, LIMIT, Field, contestants, standing
-from contactbench.report.contest_views import MARGINS, costs_view, duel_view
+from contactbench.measure.statistics import FLOOR, WIDEST
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
 from contactbench.report.figures import work_precision as figures
-from contactbench.report.numbers import count, duration, many, percent, scientific, times
-from contactbench.report.raw import raw
-from contactbench.report.rooms import ROOMS, Finding, Frames, Part, Room, Section, Text, once
-from contactbench.results.tables import WORK_PRECISION
+from contactbench.report.numbers import DASH, count, duration, how_often, percent, power, scientific, times
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.results.contest import (
+    CONTACT,
+    COUNTED,
+    KINDS,
+    LIMIT,
+    OTHER,
+    TARGETS,
+    Kind,
+    contestants,
+    contests,
+    costs,
+    standings,
+)
 
 SOURCE = "work_precision.csv"
-CHOSEN = "chosen"
-ERROR = WORK_PRECISION.columns["solution_error"].meaning
+#: marks a cost that is mostly fixed
+FIXED = " °"
+LEGEND = (
+    f"Bold: the cheapest; italic: it ties or is undecided. ≤: every setting is more accurate than asked. {DASH}: no "
+    "setting is as accurate; budget, timeout: our own limit. °: most of the time is spent however short the run. "
+    "[How to read it](../docs/reading.md#cost-at-an-error)."
+)
+QUESTIONS = {
+    "evaluations": "Does a contact method need the fewest evaluations at equal error?",
+    "compiled": "Is a contact method the fastest at equal error, compiled?",
+    "marginal": "Is it for one more unit of time, without what every call takes?",
+    "callbacks": "Is it with Python callbacks?",
+}
 
 
-def fields(frames: Frames) -> list[Field]:
-    """The contests of every kind."""
-    return [Field(frames["work_precision"], kind) for kind in KINDS]
+@dataclass(frozen=True)
+class Contest:
+    """All costs of one kind, with their standings and the contests between contact methods and others."""
+
+    kind: Kind
+    standings: pd.DataFrame
+    contests: pd.DataFrame
+
+    @property
+    def show(self) -> Callable[[float], str]:
+        """How a cost is written."""
+        return duration if self.kind.timed else count
+
+    @property
+    def scenes(self) -> list[str]:
+        """The scenes on which contact methods and others ran."""
+        return list(dict.fromkeys(self.contests["scene"]))
 
 
-def findings(frames: Frames) -> list[Finding]:
-    found = []
-    for field in once(fields, frames):
-        if said := standing(field):
-            found.append(Finding(f"cost_{field.kind.name}", f"{field.kind.title}, at equal error", *said))
-    return found
+def contest(work: pd.DataFrame, kind: Kind) -> Contest:
+    """Return the contest of one kind over the scenes of a table."""
+    found = costs(contestants(work), kind)
+    return Contest(kind, standings(found), contests(found))
+
+
+def all_contests(frames: Frames) -> Mapping[str, Contest]:
+    """Return the contests of every kind, by its name."""
+    return {kind.name: contest(frames["work_precision"], kind) for kind in KINDS}
+
+
+def tally(won: pd.DataFrame) -> tuple[str, str]:
+    """Return how often a contact method wins, and the counts: wins, ties, and who wins the rest."""
+    judged = won[won["winner"] != ""]
+    wins, ties, undecided = (int((judged["winner"] == w).sum()) for w in (CONTACT, "tie", "undecided"))
+    others = judged[judged["winner"] == OTHER]["other"].value_counts()
+    counts = [f"{wins} of {len(judged)} pairs of scene and error"]
+    counts += [f"{ties} ties"] * bool(ties) + [f"{undecided} undecided"] * bool(undecided)
+    rest = ", ".join(f"{method} {n}" for method, n in others.items())
+    return how_often(wins, len(judged)), ", ".join(counts) + (f"; others: {rest}" if rest else "")
+
+
+def answers(frames: Frames) -> pd.DataFrame:
+    return summary(
+        *(
+            (QUESTIONS[name], *tally(own.contests))
+            for name, own in once(all_contests, frames).items()
+            if len(own.contests)
+        )
+    )
+
+
+# -- views -----------------------------------------------------------------------------------------
+def cost_cell(row: Any, show: Callable[[float], str], name: str = "") -> Cell:
+    """Return one cost as `standings` has it, behind a name where one is given; its reason where there is none."""
+    if math.isnan(row.cost):
+        return Cell(row.reason or DASH)
+    mark = {"win": Mark.best, "tie": Mark.tie, "undecided": Mark.tie}.get(row.verdict)
+    text = f"{'≤ ' if row.bound else ''}{show(row.cost)}{FIXED if row.fixed > 0.5 else ''}"
+    return Cell(f"{name} {text}" if name else text, None if name else row.cost, mark)
+
+
+def errors() -> list[str]:
+    return [f"error {power(target)}" for target in TARGETS]
+
+
+def winners_view(own: Contest, name: str, title: str, source: str = SOURCE) -> View:
+    """Return the cheapest method at each error, with the best contact method's factor where it is another."""
+    marks = {CONTACT: Mark.best, "tie": Mark.tie, "undecided": Mark.tie}
+    won = own.contests.set_index(["scene", "error"])["winner"]
+    rows = []
+    for scene, here in own.standings.groupby("scene", sort=False):
+        if scene not in own.scenes:
+            continue
+        cells = []
+        for target in TARGETS:
+            ranked = here[here["error"] == target]
+            first = next(ranked.itertuples())
+            cell = cost_cell(first, own.show, "" if math.isnan(first.cost) else first.method)
+            ours = ranked[ranked["family"] == CONTACT]["ratio"].min()
+            behind = f" (contact {times(ours)})" if ours > 1 else ""
+            cells.append(Cell(cell.text + behind, mark=marks.get(won[scene, target])))
+        if here["cost"].notna().any():
+            rows.append((f"`{scene}`", *cells))
+    legend = (
+        f"{own.kind.about} In brackets the best contact method, where it is not the cheapest. "
+        "Bold: a contact method is the cheapest; italic: it ties with another, or is undecided."
+    )
+    return View(name, title, frame_of(rows, ["scene", *errors()]), legend, source)
+
+
+def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
+    """Return at how many errors of each scene another method wins, by kind of cost, and by how much at most.
+
+    won : the contests by title of their kind.
+    """
+    scenes = list(dict.fromkeys(scene for own in won.values() for scene in own["scene"]))
+    rows = []
+    for scene in scenes:
+        cells = [lost_cell(own[own["scene"] == scene]) for own in won.values()]
+        if any(cell.value for cell in cells):
+            rows.append((f"`{scene}`", *cells))
+    legend = (
+        "At how many errors another method is cheaper than every contact method, and where by most: at which error, "
+        "which method, how many times cheaper. [Why](../docs/reading.md#where-the-contact-methods-lose)."
+    )
+    return View(name, "Where the contact methods lose", frame_of(rows, ["scene", *won]), legend, source)
+
+
+def lost_cell(own: pd.DataFrame) -> Cell:
+    """Return the losses of one scene."""
+    judged, lost = own[own["winner"] != ""], own[own["winner"] == OTHER]
+    if not len(lost):
+        return Cell("" if len(judged) else DASH)
+    worst = lost.loc[lost["ratio"].idxmin()]
+    by = "alone" if worst["ratio"] == 0 else times(1 / worst["ratio"])
+    text = f"{len(lost)} of {len(judged)}: {power(worst['error'])} {worst['other']} {by}"
+    return Cell(text, float(len(lost)))
+
+
+def costs_view(own: Contest, scene: str) -> View:
+    """Return the cost of each error for each method on a scene."""
+    here = own.standings[own.standings["scene"] == scene]
+    order = dict.fromkeys(here["method"])
+    by_pair = {(row.method, row.error): row for row in here.itertuples()}
+    rows = [(m, *(cost_cell(by_pair[m, t], own.show) for t in TARGETS)) for m in sorted(order)]
+    return View(f"{own.kind.name}_{scene}", own.kind.title, frame_of(rows, ["method", *errors()]), "", SOURCE)
+
+
+def kernels_view(work: pd.DataFrame) -> View | None:
+    """Return the time per gradient of compiled fixed-step methods beside the same arithmetic as a plain C loop."""
+    ok = work[work["status"] == "ok"]
+    loops = ok[ok["family"] == LIMIT]
+    own = contestants(ok)
+    own = own[~own["engine"].isin(["python", "c+python"])]
+    pairs = loops.merge(
+        own,
+        left_on=["scene", "variant", "control", "value"],
+        right_on=["scene", "method", "control", "value"],
+        suffixes=("_c", ""),
+    )
+    if not len(pairs):
+        return None
+    c, whole = (1e9 * pairs[f"time_min_s{s}"] / pairs[f"evaluations{s}"] for s in ("_c", ""))
+    frame = pairs[["scene", "method", "engine", "setting", "evaluations_c"]].assign(
+        c=c, own=whole, ratio=whole / c
+    )
+    frame.columns = pd.Index(
+        ["scene", "method", "engine", "setting", "gradients", "C loop, ns", "whole call, ns", "ratio"]
+    )
+    show = {"gradients": count, "ratio": times, "": "{:.2f}".format}
+    legend = "Nanoseconds per gradient, least round, one thread. Short runs compare the two calls as well."
+    return View("kernels", "Compiled kernels beside a C loop", frame, legend, SOURCE, show)
+
+
+def chosen_view(work: pd.DataFrame) -> View | None:
+    """Return the error that a tolerance asked of a fixed-step method gives, pilots included."""
+    part = work[(work["variant"] == "chosen") & (work["status"] == "ok")]
+    if not len(part):
+        return None
+    ratios = [
+        as_cell(r, times, Mark.exception if r > 1 else None) for r in part["solution_error"] / part["value"]
+    ]
+    frame = part[["scene", "method", "engine", "value", "solution_error"]].assign(
+        ratio=pd.Series(ratios, part.index)
+    )
+    frame = frame.join(part[["steps", "rhs_equivalents", "time_min_s"]])
+    frame.columns = pd.Index(
+        ["scene", "method", "engine", "rtol", "error", "error / rtol", "steps", "evaluations", "time"]
+    )
+    show = {"rtol": lambda v: scientific(v, 0), "error": scientific, "time": duration, "": count}
+    legend = "The step is chosen from pilot runs, which count. Marked: less accurate than asked."
+    return View("chosen", "A step chosen from a tolerance", frame, legend, SOURCE, show)
 
 
 def endings_view(work: pd.DataFrame) -> View | None:
-    """The runs that did not end ok, on all scenes; one row per method and engines where it is unsupported."""
+    """Return the runs that did not end ok."""
     part = contestants(work)
     part = part[part["status"] != "ok"]
     if not len(part):
         return None
-    keys = ["scene", "method", "status", "message"]
-    rows = []
-    for (scene, method, status, message), runs in part.groupby(keys, sort=False, dropna=False):
-        settings = "all" if status == "unsupported" else ", ".join(dict.fromkeys(runs["setting"]))
-        engines = ", ".join(dict.fromkeys(runs["engine"]))
-        rows.append(tuple(map(word, (scene, method, engines, settings, status, message))))
-    heads = tuple(
-        Head(label, words=True) for label in ("scene", "method", "engine", "setting", "status", "why")
-    )
+    frame = part[["scene", "method", "engine", "setting", "status", "message"]]
     kinds = ", ".join(f"{status} {n}" for status, n in part["status"].value_counts().items())
-    meaning = f"{many(len(part), 'run')}: {kinds}."
-    return View("endings", "Runs that did not end ok", meaning, heads, tuple(rows), SOURCE, detail=True)
+    return View("endings", "Runs that did not end ok", frame, f"{kinds}.", SOURCE, detail=True)
 
 
-def kernels_view(work: pd.DataFrame) -> View | None:
-    """Time per gradient of compiled fixed-step methods beside the same arithmetic as a plain C loop."""
-    ok = work[work["status"] == "ok"]
-    own = contestants(ok)
+def margins_view(found: Mapping[str, Contest]) -> View:
+    """Return the margins of the pairs of best methods, kind by kind."""
     rows = []
-    for _, loop in ok[ok["family"] == LIMIT].iterrows():
-        same = own[
-            (own["scene"] == loop["scene"]) & (own["method"] == loop["variant"])
-            & (own["control"] == loop["control"]) & (own["value"] == loop["value"])
-        ]  # fmt: skip
-        for _, row in same[~same["engine"].isin(["python", "c+python"])].iterrows():
-            c, mine = (1e9 * r["time_min_s"] / r["evaluations"] for r in (loop, row))
-            rows.append((
-                word(row["scene"]), word(row["method"]), word(row["engine"]), word(row["setting"]),
-                number(loop["evaluations"], count), number(c, "{:.2f}".format), number(mine, "{:.2f}".format),
-                number(mine / c, times),
-            ))  # fmt: skip
-    if not rows:
-        return None
-    heads = (
-        *(Head(label, words=True) for label in ("scene", "method", "engine", "setting")), Head("gradients"),
-        Head("C loop, ns"), Head("whole call, ns"), Head("ratio"),
-    )  # fmt: skip
-    meaning = (
-        "Least round, nanoseconds per gradient, one thread. The whole call of a prepared solver, its dispatch "
-        "included, beside the same arithmetic as a C loop, compiled by the machine's own compiler and called from "
-        "Python. "
-        "Short runs compare two calls, of one or two microseconds each, as well: only the long ones the arithmetic."
+    for own in found.values():
+        margins = own.contests["margin"].dropna()
+        if own.kind.timed and len(margins):
+            ties = int(own.contests["winner"].isin(["tie", "undecided"]).sum())
+            rows.append((own.kind.title, len(margins), *margins.quantile([0.5, 0.95]), ties))
+    labels = ["cost", "pairs", "half of the margins", "95 %", "ties and undecided"]
+    legend = (
+        "Up to which ratio the best contact method and the best other tie: a margin for every pair, from the halves of "
+        f"its visits and from two processes, at least {percent(FLOOR)}; wider than {percent(WIDEST)} it is undecided. "
+        f"Evaluations tie within {percent(COUNTED)}."
     )
-    return View("kernels", "Compiled kernels beside a C loop", meaning, heads, tuple(rows), SOURCE)
+    show = {"half of the margins": percent, "95 %": percent}
+    return View("margins", "Margins", frame_of(rows, labels), legend, "work_precision_times.csv", show)
 
 
-def chosen_view(work: pd.DataFrame) -> View | None:
-    """What a tolerance asked of a fixed-step method gives, pilots included."""
-    part = work[(work["variant"] == CHOSEN) & (work["status"] == "ok")]
-    rows = []
-    for _, row in part.iterrows():
-        ratio = row["solution_error"] / row["value"]
-        mark = Mark.exception if ratio > 1 else None
-        rows.append((
-            word(row["scene"]), word(row["method"]), word(row["engine"]), number(row["value"],
-            lambda v: scientific(v, 0)),
-            number(row["solution_error"], scientific), Cell(times(ratio), ratio, marks(mark)),
-            number(row["steps"], count),
-            number(row["rhs_equivalents"], count), number(row["time_min_s"], duration),
-        ))  # fmt: skip
-    if not rows:
-        return None
-    heads = (
-        *(Head(label, words=True) for label in ("scene", "method", "engine")), Head("rtol"), Head("error"),
-        Head("error / rtol"), Head("steps"), Head("evaluations with pilots"), Head("time with pilots"),
-    )  # fmt: skip
-    meaning = (
-        "The step is chosen from pilot runs for the tolerance asked for. Marked: less accurate than asked."
-    )
-    return View("chosen", "A step chosen from a tolerance", meaning, heads, tuple(rows), SOURCE)
-
-
-def clock_text(work: pd.DataFrame, fields: Iterable[Field]) -> Text:
-    """What the times are worth: how often a cell was visited, what processes differ by, the margins of the pairs."""
-    visits = work["visits"].dropna()
-    if not len(visits):
-        return Text("No cell was visited twice in these tables: how well the times repeat is not known.")
-    sample = work[work["time_process_ratio"].notna()]
-    said = [
-        f"Every timed cell is visited {visits.min():.0f} times or more, in shuffled order; its time is the least round."
-    ]
-    if len(sample):
-        spread = process_spread(sample["time_process_ratio"], sample["time_halves_ratio"])
-        said.append(
-            f"A second process timed {len(sample)} of the cells: 95 % are within "
-            f"{percent(spread)} of the first, but for those whose own halves differ."
+def parts(frames: Frames) -> list[Part]:
+    work, found = frames["work_precision"], once(all_contests, frames)
+    scenes = [
+        Section(
+            scene,
+            (
+                figures.figure(work, scene),
+                *(costs_view(own, scene) for own in found.values() if scene in set(own.standings["scene"])),
+            ),
+            choice="scene",
         )
-    for field in fields:
-        if field.kind.timed and (known := field.margins):
-            wide = known[min(len(known) - 1, int(COVERED * len(known)))]
-            said.append(
-                f"{field.kind.title}: half of the pairs of best methods have a margin of {percent(median(known))} or "
-                f"less, 95 % of {percent(wide)}."
-            )
-    return Text(" ".join([*said, MARGINS]))
-
-
-def scene_section(work: pd.DataFrame, scene: str, fields: Iterable[Field]) -> Section:
-    parts: list[Part | None] = [figures.figure(work, scene)]
-    for field in fields:
-        if scene in field.scenes:
-            parts.append(costs_view(field, scene, SOURCE))
-        if scene in field.contested:
-            parts.append(duel_view(field, scene, SOURCE))
-    return Section(scene, tuple(part for part in parts if part is not None), choice="scene")
-
-
-def sections(frames: Frames) -> list[Part]:
-    work, contests = frames["work_precision"], once(fields, frames)
-    parts: list[Part] = [
-        Text(
-            "Log–log interpolation between a method's own settings, without those that cost more for less accuracy. "
-            f"The error is {ERROR}. Evaluations, times of "
-            "compiled calls and times of solvers that call back into Python are three comparisons, never one."
-        ),
-        clock_text(work, contests),
-        Text(
-            "Which method is cheapest where, and where the contact methods lose, is in [README.md](README.md)."
-        ),
-        *(scene_section(work, str(scene), contests) for scene in dict.fromkeys(work["scene"])),
+        for scene in dict.fromkeys(work["scene"])
     ]
-    parts += [
-        view for view in (kernels_view(work), chosen_view(work), endings_view(work)) if view is not None
+    views = [margins_view(found), kernels_view(work), chosen_view(work), endings_view(work)]
+    return [
+        Text("Who is cheapest where, and where the contact methods lose: [README.md](README.md)."),
+        Section("Scene by scene", (Text(LEGEND), *scenes)),
+        *(view for view in views if view is not None),
     ]
-    return [*parts, raw(WORK_PRECISION, work)]
 
 
-ROOMS.add(
-    Room(
-        "work_precision", "Cost at equal error", "time and evaluations at equal error, scene by scene",
-        40, ("work_precision",), sections, findings, tab="Cost",
+CHAPTERS.add(
+    Chapter(
+        "work_precision",
+        "Cost at equal error",
+        "What does an error cost?",
+        40,
+        ("work_precision",),
+        parts,
+        answers,
     )
-)  # fmt: skip
+)

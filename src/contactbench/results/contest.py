@@ -16,9 +16,8 @@ import pandas as pd
 from contactbench.measure.statistics import Verdict, envelope, interpolate, margin, process_spread, verdict
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
-#: errors at which methods are compared, and those of the detailed tables
+#: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
-DECADES = tuple(10.0**-k for k in range(3, 13))
 #: families that methods declare
 CONTACT = "contact"
 ESTABLISHED = "established"
@@ -124,7 +123,7 @@ def costs(
     rows: pd.DataFrame,
     kind: Kind,
     keys: Sequence[str] = ("scene", "method"),
-    targets: Sequence[float] = DECADES,
+    targets: Sequence[float] = TARGETS,
 ) -> pd.DataFrame:
     """Return the cost of each error for each method, on its best engine where times are compared.
 
@@ -147,8 +146,17 @@ def costs(
         lead = dict(zip(keys, key, strict=True)) | {"family": own["family"].iloc[0]}
         found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
     names = [
-        *keys, "family", "engine", "error", "cost", "bound", "reason", "fixed", "halves", "processes",
-    ]  # fmt: skip
+        *keys,
+        "family",
+        "engine",
+        "error",
+        "cost",
+        "bound",
+        "reason",
+        "fixed",
+        "halves",
+        "processes",
+    ]
     return pd.DataFrame(found, columns=names)
 
 
@@ -232,7 +240,7 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
     return pd.concat(parts, ignore_index=True) if parts else costs.assign(ratio=[], margin=[], verdict=[])
 
 
-def contests(costs: pd.DataFrame, targets: Sequence[float] = TARGETS) -> pd.DataFrame:
+def contests(costs: pd.DataFrame) -> pd.DataFrame:
     """Return the best contact method beside the best other, one row per scene and error.
 
     Only scenes on which both kinds of method ran.  Columns: contact, contact_cost, other, other_cost (blank and nan
@@ -243,15 +251,23 @@ def contests(costs: pd.DataFrame, targets: Sequence[float] = TARGETS) -> pd.Data
     for scene, here in costs.groupby("scene", sort=False):
         if (here["family"] == CONTACT).nunique() < 2:
             continue
-        for target in targets:
-            part = here[(here["error"] == target) & here["cost"].notna()].sort_values("cost", kind="stable")
+        for target, part in here.groupby("error", sort=False):
+            part = part[part["cost"].notna()].sort_values("cost", kind="stable")
             ours, theirs = (
                 next(part[(part["family"] == CONTACT) == own].itertuples(), None) for own in (True, False)
             )
             rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
     names = (
-        "scene", "error", "contact", "contact_cost", "other", "other_cost", "ratio", "margin", "winner",
-    )  # fmt: skip
+        "scene",
+        "error",
+        "contact",
+        "contact_cost",
+        "other",
+        "other_cost",
+        "ratio",
+        "margin",
+        "winner",
+    )
     return pd.DataFrame(rows, columns=list(names))
 
 

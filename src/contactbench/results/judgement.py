@@ -70,9 +70,20 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
             parts.append(_judged(rows, law))
     flags = ["claimed", "kept", "undecided", "judged"]
     names = [
-        "scene", "method", "family", "setting", "derivative", "solution_error", "value", "uncertainty", "clamped",
-        "frozen", "unsure", "bound", *flags,
-    ]  # fmt: skip
+        "scene",
+        "method",
+        "family",
+        "setting",
+        "derivative",
+        "solution_error",
+        "value",
+        "uncertainty",
+        "clamped",
+        "frozen",
+        "unsure",
+        "bound",
+        *flags,
+    ]
     rows = pd.concat([part.reindex(columns=names) for part in parts], ignore_index=True) if parts else None
     if rows is None:
         rows = pd.DataFrame({name: [] for name in names})

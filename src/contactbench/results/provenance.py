@@ -26,9 +26,9 @@ from contactbench.results.store import replacing
 
 SOLVERS = ("numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka", "cyrk")
 PACKAGES = ("contactbench", "numpy", "scipy", *SOLVERS, "pandas", "matplotlib", "mpmath")
-#: what a benchmark itself writes: not a change of the sources
-MADE = ("results", "README.md")
-CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", ".")
+#: what decides the tables
+SOURCES = ("src", "bench", "references", "pyproject.toml", "constraints.txt", "tox.ini")
+CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", *SOURCES)
 THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + [
     "XLA_FLAGS",
     "JAX_PLATFORMS",
@@ -56,7 +56,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "threads": {name: os.environ.get(name, "") for name in THREADS},
         "commit": _git(root, "rev-parse", "HEAD"),
-        "dirty": bool(_git(root, *CHANGES, *(f":!{made}" for made in MADE))),
+        "dirty": bool(_git(root, *CHANGES)),
         "plugins": dict(LOADED),
         "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
     }

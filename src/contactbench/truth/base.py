@@ -61,10 +61,8 @@ class Stopwatch:
     def check(self, t: float) -> None:
         """Raise `OutOfTime` if it is over."""
         if self.is_over(t):
-            needed = self.needed(t)
-            pace = (
-                f" (t = {t:.3g} of {self.span:.3g} so far: about {spoken(needed)} for all)" if t > 0 else ""
-            )
+            more = self.needed(t) - (perf_counter() - self.begun)
+            pace = f" (t = {t:.3g} of {self.span:.3g} so far: about {spoken(more)} more)" if t > 0 else ""
             faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
             raise OutOfTime(
                 f"no reference for scene {self.scene.name!r} in the time it was given{pace}: allow it more, "

@@ -1,1 +1,1 @@
-"""The figures of the rooms as data; draw.py and the page draw them."""
+"""The figures as data, one module a question: a frame in, a description out, its message computed from the frame."""

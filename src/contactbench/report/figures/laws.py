@@ -1,72 +1,81 @@
-"""Deviations from the laws: along time, and against accuracy."""
+"""Deviations from the laws along time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import pandas as pd
 
-from contactbench.report.curves import by_method, number_axis, round_off
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.figures.best import best_of_each, like, lowest, structure_class
+from contactbench.report.curves import ROUND_OFF, by_method, number_axis
+from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.figures.best import best_of_each, in_colour, like, lowest, structure_class
+from contactbench.report.numbers import power
 
 DECAYED = r"e^{-\int\Gamma'} η"
-#: columns of the table along time: panel and axis
+#: columns of the table along time: panel, axis, and the quantity in the title
 ALONG_TIME = {
     "energy_deviation": ("energy $H_0$", r"$|H_0 / H_0^\ast - 1|$"),
     "hamiltonian_deviation": ("contact Hamiltonian $H$", r"$|e^{\int\Gamma'} H - H(0)| \,/\, |H(0)|$"),
-    "momentum_deviation": ("momentum map $J$", r"$\Vert e^{\int\Gamma'} J - J(0)\Vert \,/\, \Vert J(0)\Vert$"),
-    "contact_deviation": ("contact form $η$", rf"$\Vert Φ^\ast η - {DECAYED}\Vert \,/\, \Vert {DECAYED}\Vert$"),
-}  # fmt: skip
-#: a law on a scene, against the error of the same runs
-STRUCTURE = (
-    ("contact_drift", "central", "contact form: deviation"),
-    ("momentum_law", "rigid_body", "momentum map $J$: deviation"),
-)
-#: whose best stand in colour
-CLASSES = "contact methods of order 1, 2 and higher, RK4, Herglotz, SUNDIALS, heyoka, and the other adaptive solvers"
-COLOURS = f"In colour: the closest to the true $H_0$ of {CLASSES}; thin and grey: the others."
+    "momentum_deviation": (
+        "momentum map $J$",
+        r"$\Vert e^{\int\Gamma'} J - J(0)\Vert \,/\, \Vert J(0)\Vert$",
+    ),
+    "contact_deviation": (
+        "contact form $η$",
+        rf"$\Vert Φ^\ast η - {DECAYED}\Vert \,/\, \Vert {DECAYED}\Vert$",
+    ),
+}
+#: structural laws by their column along time: the column that says who claims them, and their name
+STRUCTURAL = {
+    "momentum_deviation": ("momentum_law_claimed", "J"),
+    "contact_deviation": ("contact_drift_claimed", "the contact form"),
+}
 
 
-def along_time(frame: pd.DataFrame, scene: str) -> Figure:
-    """The deviations from the H0, H, J and contact laws along time."""
+def along_time(frame: pd.DataFrame, scene: str, laws: pd.DataFrame) -> Figure:
+    """Return the deviations from the H0, H, J and contact laws along time, a panel each.
+
+    laws : the table that says which method claims which law.
+    """
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
-    closest = best_of_each(by_method(rows, "t", "energy_deviation"), lowest, structure_class)
+    closest = in_colour(best_of_each(by_method(rows, "t", "energy_deviation"), lowest, structure_class))
     panels = tuple(
         Panel(
-            title, Axis("t"), number_axis(label), like(closest, by_method(rows, "t", column, every=4)),
-            spans=(round_off("y"),),
+            title,
+            Axis("t"),
+            number_axis(label),
+            like(closest, by_method(rows, "t", column)),
+            spans=(ROUND_OFF,),
         )
-        for column, (title, label) in ALONG_TIME.items() if rows[column].notna().any()
-    )  # fmt: skip
-    settings = ", ".join(dict.fromkeys(rows["setting"]))
+        for column, (title, label) in ALONG_TIME.items()
+        if rows[column].notna().any()
+    )
+    caption = (
+        f"Settings: {', '.join(dict.fromkeys(rows['setting']))}. Shaded: round-off. Asterisk: the true motion. In "
+        "colour: the closest to the true $H_0$ of contact methods of order 1, 2 and higher, RK4, Herglotz, SUNDIALS, "
+        "heyoka and the other adaptive solvers."
+    )
     return Figure(
-        f"laws_{scene}", f"{scene}: deviation from each law along time", panels,
-        f"Settings: {settings}. Shaded: round-off. Asterisk: the true motion. {COLOURS}", 2,
-        source="laws_time.csv", size=(6.2, 4.2),
-    )  # fmt: skip
+        f"laws_{scene}",
+        message(rows, laws[laws["scene"] == scene], scene),
+        panels,
+        caption,
+        source="laws_time.csv",
+    )
 
 
-def structure(frame: pd.DataFrame) -> Figure | None:
-    """Structure against accuracy, same runs."""
-    ok = frame[frame["status"] == "ok"]
-    panels = []
-    for law, scene, label in STRUCTURE:
-        rows = ok[(ok["scene"] == scene) & ok[law].notna()]
-        if len(rows):
-            curves = best_of_each(by_method(rows, "solution_error", law), most_accurate, structure_class)
-            x = number_axis("solution error", inverted=True)
-            panels.append(Panel(scene, x, number_axis(label), curves, spans=(round_off("y"),)))
-    if not panels:
-        return None
-    return Figure(
-        "structure", "Structure against accuracy, same runs", tuple(panels),
-        "A law that is kept by construction does not depend on the error. Shaded: round-off. In colour: the most "
-        f"accurate of {CLASSES}; thin and grey: the others.", 2, source="laws.csv", size=(6.2, 4.6),
-    )  # fmt: skip
+def message(rows: pd.DataFrame, laws: pd.DataFrame, scene: str) -> str:
+    """Return the title: to what the methods that claim a law keep it, and the best of the others."""
+    kept = []
+    for column, (claimed, name) in STRUCTURAL.items():
+        methods = laws[laws[claimed].eq(True)]["method"] if claimed in laws else ()
+        worst = rows.groupby("method")[column].max().dropna()
+        ours, theirs = worst[worst.index.isin(methods)], worst[~worst.index.isin(methods)]
+        if len(ours) and len(theirs) and ours.max() > 0:
+            kept.append(f"{name} to {upwards(ours.max())} (others at best {upwards(theirs.min())})")
+    return f"{scene}: contact methods keep {' and '.join(kept)}" if kept else f"{scene}: laws along time"
 
 
-def most_accurate(curve: Curve, own: Sequence[Curve]) -> float:
-    """By the least error it reaches."""
-    return -math.log10(min(curve.x))
+def upwards(value: float) -> str:
+    """Return the next power of ten above a value."""
+    return power(10.0 ** math.ceil(math.log10(value)))

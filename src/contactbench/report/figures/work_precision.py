@@ -1,105 +1,109 @@
-"""Cost against error: scene by scene, and on the hard scenes."""
+"""Cost against error: scene by scene as figures, and every scene and cost as one live plot."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.contest import KINDS, contestants
 from contactbench.report.curves import by_method
-from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
+from contactbench.report.figures.best import TARGETS as DECADES
 from contactbench.report.figures.best import best_of_each, cheapest, contest_ends
+from contactbench.report.numbers import power
+from contactbench.results import contest
+from contactbench.results.contest import COMPILED, EVALUATIONS, KINDS, Kind, contestants
 
 SOURCE = "work_precision.csv"
 #: where errors begin and end: beyond one there is nothing left of the motion, below round-off nothing is known
 ERRORS = (1e-16, 2.0)
-#: quantities on an axis of cost, the first as the tables compare it: label and scale
-TIMES = {
-    "time_min_s": ("time per solve (least round), ms", 1e3),
-    "time_median_s": ("time per solve (median), ms", 1e3),
-    "call_s": ("what `run()` adds to a solve, ms", 1e3),
+#: the axis of each cost, and its scale
+AXES = {
+    "rhs_equivalents": ("evaluations", 1.0),
+    "time_min_s": ("time of a solve, ms", 1e3),
     "marginal_s": ("time per unit of simulated time, ms", 1e3),
 }
-COUNTS = {
-    "rhs_equivalents": ("evaluations", 1.0),
-    "evaluations": ("evaluations as each method counts them", 1.0),
-    "steps": ("steps", 1.0),
-}
-BARS = "Bars: from the least round to the upper quartile; of marginal times, what the halves of the visits differ by. "
 COLOURS = "In colour: the method of each family that is cheapest at most errors; thin and grey: the others."
 
 
-def error_axis(frame: pd.DataFrame) -> Axis:
-    """The error, and the deviations a page may show instead, where the table has them."""
-    others = {
-        "energy_law": "deviation of $H_0$", "hamiltonian_law": "deviation from the law of $H$",
-        "momentum_law": "deviation from the law of $J$", "end_error": "error at the end",
-    }  # fmt: skip
-    there = [n for n in others if n in frame and frame[n].notna().any()]
-    return Axis("solution error", "log", inverted=True, within=ERRORS, key="solution_error",
-                others=tuple(Axis(others[n], "log", inverted=True, key=n) for n in there))  # fmt: skip
+def panel(rows: pd.DataFrame, title: str, column: str, named: Sequence[str] = ()) -> Panel:
+    """Return error on x, cost on y; the axis of cost ends where the contest ends.
 
-
-def cost_axis(frame: pd.DataFrame, quantities: dict[str, tuple[str, float]]) -> Axis:
-    first, *others = [n for n in quantities if n in frame and frame[n].notna().any()]
-    return Axis(quantities[first][0], "log", key=first,
-                others=tuple(Axis(quantities[n][0], "log", key=n) for n in others))  # fmt: skip
-
-
-def rounds(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
-    """From the least round to the upper quartile, about."""
-    return rows["time_min_s"], rows["time_median_s"] + rows["time_iqr_s"] / 2
-
-
-def halves(rows: pd.DataFrame) -> tuple[pd.Series, pd.Series]:
-    """By as much about the marginal time as the halves of the visits differ."""
-    factor = np.exp(np.abs(np.log(rows["marginal_halves_ratio"])))
-    return rows["marginal_s"] / factor, rows["marginal_s"] * factor
-
-
-def panel(part: pd.DataFrame, title: str, quantities: dict[str, tuple[str, float]], **options: Any) -> Panel:
-    """Error on x, cost on y; the axis of cost ends where the contest ends.
-
+    named : methods to be in colour, whatever others of their families cost.
     A difference of two times that is not positive is noise, and no cost.
     """
-    x, y = error_axis(part), cost_axis(part, quantities)
-    also = {a.key: 1.0 for a in x.others} | {a.key: quantities[a.key][1] for a in y.others}
-    part = part.assign(**{a.key: part[a.key].where(part[a.key] > 0) for a in (y, *y.others)})
-    found = by_method(part, x.key, y.key, scale=quantities[y.key][1], also=also, **options)
-    y, beyond = contest_ends(y, found)
-    return Panel(title, x, y, best_of_each(found, cheapest), remark=beyond)
+    label, size = AXES[column]
+    known = rows[rows[column].notna() & (rows[column] > 0)]
+    curves = by_method(known, "solution_error", column, size)
+    x = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=ERRORS)
+
+    def score(curve: Curve, own: Sequence[Curve]) -> float:
+        return cheapest(curve, own) + len(DECADES) * (curve.method in named)
+
+    return Panel(title, x, contest_ends(Axis(label, "log"), curves), best_of_each(curves, score))
+
+
+def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
+    """Return the rows of a scene that compete in a kind of cost, each method on its fastest engine."""
+    rows = contestants(work)
+    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
+    rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
+    totals = rows.groupby(["method", "engine"])[kind.cost].transform("median")
+    best = rows.assign(total=totals).groupby("method")["total"].transform("min")
+    return rows[totals == best].drop_duplicates(["method", "setting"])
 
 
 def figure(work: pd.DataFrame, scene: str) -> Figure | None:
-    """Cost against error for one scene, a panel for each kind of comparison."""
-    rows = contestants(work)
-    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
-    panels = []
-    for kind in KINDS:
-        part = rows[kind.compares(rows)]
-        if not kind.timed:  # the same counts on every engine: one curve
-            part = part.drop_duplicates(["method", "setting"])
-        part = part[part[kind.cost].notna()]
-        if len(part) and kind.timed:
-            first = {kind.cost: TIMES[kind.cost], **TIMES}
-            bars = halves if kind.cost == "marginal_s" else rounds
-            panels.append(panel(part, kind.title, first, apart=("engine",), bars=bars))
-        elif len(part):
-            panels.append(panel(part, kind.title, COUNTS))
+    """Return cost against error for one scene: time of compiled calls, and evaluations."""
+    parts = {kind: compared(work, scene, kind) for kind in (COMPILED, EVALUATIONS)}
+    title, named = message(work, scene)
+    panels = tuple(panel(rows, kind.title, kind.cost, named) for kind, rows in parts.items() if len(rows))
     if not panels:
         return None
     caption = (
-        f"More accurate to the right, cheaper below. {COLOURS} {BARS}"
-        "Engines of different panels are not compared."
+        f"Cheaper below. {COLOURS} Costs beyond 30 times the least of the contest are outside the panels."
     )
-    return Figure(
-        f"work_precision_{scene}",
-        f"{scene}: cost against error",
-        tuple(panels),
-        caption,
-        2,
-        source=SOURCE,
-        size=(6.2, 4.4),
-    )
+    name = f"work_precision_{scene}"
+    return Figure(name, title, panels, caption, source=SOURCE)
+
+
+def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
+    """Return the title and the methods it names: the best contact method beside the best other, compiled, at the
+    middle of the errors that both reach."""
+    rows = contestants(work)
+    table = contest.contests(contest.costs(rows[rows["scene"] == scene], COMPILED, targets=contest.TARGETS))
+    table = table[np.isfinite(table["ratio"]) & (table["ratio"] > 0)]
+    if not len(table):
+        return f"{scene}: cost against error", []
+    row = table.iloc[(len(table) - 1) // 2]
+    at = f"at {power(row['error'])}"
+    if row["winner"] not in (contest.CONTACT, contest.OTHER):
+        return f"{scene}: {row['contact']} and {row['other']} take about the same time {at}", [
+            row["contact"],
+            row["other"],
+        ]
+    first, second, ratio = row["contact"], row["other"], row["ratio"]
+    if row["winner"] == contest.OTHER:
+        first, second, ratio = second, first, 1 / ratio
+    return f"{scene}: {first} needs {1 / ratio:.0%} of the time of {second} {at}", [first, second]
+
+
+def live(frames: dict[str, pd.DataFrame]) -> Live | None:
+    """Return every scene and kind of cost, the hard scenes in evaluations, to be chosen from."""
+    work, hard = frames["work_precision"], frames["stability"]
+    panels = {}
+    for scene in dict.fromkeys(work["scene"]):
+        for kind in (COMPILED, *(k for k in KINDS if k is not COMPILED)):
+            if len(rows := compared(work, str(scene), kind)):
+                panels[str(scene), kind.title] = panel(rows, f"{scene}: {kind.title}", kind.cost)
+    for scene in dict.fromkeys(hard["scene"]):
+        rows = hard[(hard["scene"] == scene) & (hard["status"] == "ok") & hard["rhs_equivalents"].notna()]
+        rows = rows[rows["solution_error"].notna()].sort_values("rhs_equivalents", kind="stable")
+        if len(rows) and (str(scene), EVALUATIONS.title) not in panels:
+            panels[str(scene), EVALUATIONS.title] = panel(
+                rows, f"{scene}: {EVALUATIONS.title}", "rhs_equivalents"
+            )
+    if not panels:
+        return None
+    return Live("Cost against error", panels, f"Cheaper below. {COLOURS} Click a method to hide it.")

@@ -1,25 +1,20 @@
-"""What the gate runs: profiles of the benchmark, and what they visit."""
+"""The profiles of the benchmark, and which cells they visit."""
 
 from __future__ import annotations
 
 import sys
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import pytest
 
 import contactbench as cb
-from cases import bench, finished
+from cases import REPOSITORY
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES
-from contactbench.gate.accuracy import accuracy
 from contactbench.results.schema import PROFILES
 from contactbench.scene.base import EXPERIMENTS as SCENE_EXPERIMENTS
 from contactbench.scenes import hard_scenes, scenes_of
-from planted_faults import plugin
-
-REPOSITORY = Path(__file__).parents[2]
 
 
 def profiles():
@@ -58,10 +53,11 @@ def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_cl
 
 
 EXPERIMENTS = {
-    "laws": ("bench_laws", "test_laws"), "convergence": ("bench_convergence", "test_convergence"),
+    "laws": ("bench_laws", "test_laws"),
+    "convergence": ("bench_convergence", "test_convergence"),
     "decay_laws": ("bench_decay", "test_decay_laws"),
     "work_precision": ("bench_work_precision", "test_work_precision_errors"),
-}  # fmt: skip
+}
 
 
 def test_a_scene_that_names_its_experiments_is_run_by_these_and_no_others():
@@ -87,17 +83,3 @@ def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
         cells = [set(test.cells(profile)) for profile in profiles().values()]
         assert cells[1]
         assert cells[0] <= cells[1] <= cells[2]
-
-
-@pytest.mark.slow
-def test_a_wrong_coefficient_is_found_in_real_runs(tmp_path):
-    """The drift of Strang's method, and that of no other method, a part in a thousand too long."""
-    few = "convergence and particle and not long and (contact-strang or contact-abc)"
-    fault = plugin(tmp_path / "fault.py", "wrong_coefficients({'contact-strang': 1})")
-    finished(bench(tmp_path / "before", few))
-    finished(bench(tmp_path / "after", few, "--plugin", str(fault)))
-    verdict = accuracy(tmp_path / "before", tmp_path / "after")
-    assert {(line.scene, line.method, line.measure) for line in verdict.lines if line.red} == {
-        ("particle", "contact-strang", measure)
-        for measure in ("solution_error", "pairwise_order", "order", "last_slope")
-    }

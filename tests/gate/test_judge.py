@@ -1,0 +1,398 @@
+"""The gate on a repository: its baseline is what git has at the base, whatever becomes of the tree it judges."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from cases import REPOSITORY
+from contactbench.cli import main
+from contactbench.errors import BadInput
+from contactbench.gate import judge, revisions
+from contactbench.gate.judge import Question
+from contactbench.results.schema import TABLES
+from contactbench.results.store import merge
+from made_up import commit, folder, fresh, git, repository, setting
+
+
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    """A checkout of a branch that has left the main one, and is the folder we are in; we are the gate of its base."""
+    made = repository(tmp_path / "project")
+    git(made, "switch", "-q", "-c", "change")
+    monkeypatch.chdir(made)
+    monkeypatch.setenv(revisions.JUDGED, sys.executable)
+    return made
+
+
+def same(which, row):
+    return row
+
+
+def run_gate(root, tmp_path, change=same, changed=(), **more):
+    run = fresh(root, tmp_path / "fresh", change, **more)
+    return judge.gate(Question(root, fresh=run, parts=("accuracy",), changed=changed))
+
+
+def red(found):
+    return {*found.moved["measure"][found.moved["red"]]}
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def edited(name, old, new):
+    return lambda root: edit(root / "results" / name, old, new)
+
+
+def without_rk4(which, row):
+    return None if which == "laws" and row["method"] == "rk4" else row
+
+
+def broken(which, row):
+    return {**row, "solution_error": 0.5} if which == "laws" else row
+
+
+def thousandfold(which, row):
+    return {**row, "solution_error": 1e3 * row["solution_error"]} if "solution_error" in row else row
+
+
+def remake(change):
+    """The tree's tables made anew, with a change of their rows."""
+
+    def attack(root):
+        for path in (root / "results").glob("*.csv"):
+            path.unlink()
+        folder(root / "results", change)
+
+    return attack
+
+
+def stub(root):
+    (root / "results" / "environment.json").write_text(json.dumps({"runs": [{"profile": "smoke"}]}))
+
+
+#: what is done to the tree, and to the fresh run beside it; and what must give it away
+ATTACKS = {
+    "a table removed": (lambda root: (root / "results/laws.csv").unlink(), same, "committed table"),
+    "profiles raised": (edited("laws.csv", ",smoke\n", ",full\n"), same, "committed profile"),
+    "profiles blanked": (edited("laws.csv", ",smoke\n", ",\n"), same, "committed profile"),
+    "the same row dropped on both sides": (remake(without_rk4), without_rk4, "committed row"),
+    "both sides set to one broken value": (remake(broken), broken, "solution_error"),
+    "the record of the runs reduced to a stub": (stub, same, "record of the runs"),
+    "the record of the runs removed": (
+        lambda root: (root / "results/environment.json").unlink(),
+        *(same, "record of the runs"),
+    ),
+    "a scene renamed": (edited("laws.csv", "particle,", "particel,"), same, "committed table"),
+}
+
+
+@pytest.mark.parametrize("how", ["in the tree", "committed"])
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_the_baseline_cannot_be_moved_from_the_tree_that_is_judged(attack, how, root, tmp_path):
+    harm, change, measure = ATTACKS[attack]
+    harm(root)
+    if how == "committed":
+        commit(root, "harmless")
+    assert measure in red(run_gate(root, tmp_path, change))
+
+
+def test_an_untouched_tree_is_green(root, tmp_path):
+    assert run_gate(root, tmp_path).moved.empty
+
+
+def test_a_change_of_tables_is_red_unless_it_is_listed_and_then_a_reviewer_sees_it(root, tmp_path):
+    """A method is removed, the others' numbers are other ones, and the tables say so."""
+
+    def change(which, row):
+        return None if row.get("method") == "cvode-adams" else broken(which, row)
+
+    remake(change)(root)
+    commit(root, "Without cvode-adams")
+    assert {"committed row", "committed solution_error"} <= red(run_gate(root, tmp_path / "a", change))
+    git(root, "commit", "-q", "--allow-empty", "-m", "More\n\nTables-changed: laws,\n")
+    git(root, "commit", "-q", "--allow-empty", "-m", "And more\n\ntables-changed: work_precision")
+    found = run_gate(root, tmp_path / "b", change)
+    assert found.status == 0
+    listed = found.moved[["table", "method", "measure", "result"]].to_numpy().tolist()
+    assert sorted(listed) == [
+        ["laws", "cvode-adams", "committed row", "missing, listed"],
+        ["laws", "rk4", "committed solution_error", "moved, listed"],
+        ["work_precision", "cvode-adams", "committed row", "missing, listed"],
+    ]
+
+
+def test_what_is_listed_must_be_what_the_code_makes(root, tmp_path):
+    remake(without_rk4)(root)
+    commit(root, "Laws\n\nTables-changed: all")
+    assert red(run_gate(root, tmp_path / "a")) == {"rows"}  # the code still makes them
+    assert not run_gate(root, tmp_path / "b", without_rk4).red
+    assert "solution_error" in red(run_gate(root, tmp_path / "c", broken))
+
+
+def test_a_table_on_the_command_line_is_listed_too_and_must_be_one(root, tmp_path):
+    remake(broken)(root)
+    assert run_gate(root, tmp_path / "a", broken).red
+    assert not run_gate(root, tmp_path / "b", broken, changed=["laws,claims"]).red
+    with pytest.raises(BadInput, match="tables changed: lawz: no such table"):
+        run_gate(root, tmp_path / "c", changed=["lawz"])
+
+
+def test_a_fresh_run_is_of_the_commit_that_is_judged(root, tmp_path):
+    """Files that decide no number, such as a note, make no other tree."""
+    assert red(run_gate(root, tmp_path / "a", commit="f" * 40)) == {"commit of the fresh run"}
+    (root / "note").write_text("")
+    assert red(run_gate(root, tmp_path / "b", dirty=True)) == {"commit of the fresh run"}
+    (root / "src" / "contactbench" / "more.py").write_text("")
+    assert not run_gate(root, tmp_path / "c", dirty=True).red  # as the tree is
+
+
+@pytest.mark.parametrize(
+    "path", ["src/contactbench/a.py", "bench/a.py", "references/a.csv", "pyproject.toml", "tox.ini"]
+)
+def test_what_decides_the_tables_makes_a_tree_dirty(path, root):
+    assert not revisions.dirty(root)
+    (root / path).parent.mkdir(exist_ok=True)
+    (root / path).write_text("")
+    assert revisions.dirty(root)
+
+
+def test_a_fresh_run_without_its_record_is_red(root, tmp_path):
+    assert red(run_gate(root, tmp_path, packages={})) == {"record of the runs"}
+
+
+def test_a_table_that_is_made_and_not_committed_is_red(root, tmp_path):
+    run = fresh(root, tmp_path / "fresh", tables={"one_step": "whole", **dict.fromkeys(TABLES, "part")})
+    steps = {"method": "rk4", "gamma": 1.0, "step": 0.1, "radius": 0.9, "profile": "smoke"}
+    merge(TABLES["one_step"], [steps], run)
+    found = judge.gate(Question(root, fresh=run, parts=("accuracy",))).moved
+    assert found[["table", "measure", "result"]].values.tolist() == [["one_step", "table", "not committed"]]
+
+
+def test_tables_of_another_version_are_red_unless_listed(root, tmp_path):
+    edit(root / "results/laws.csv", ",3,smoke", ",2,smoke")
+    commit(root, "old")
+    git(root, "branch", "-f", "main")
+    remake(same)(root)
+    commit(root, "new")
+    assert red(run_gate(root, tmp_path / "a")) == {"version of laws"}
+    assert not run_gate(root, tmp_path / "b", changed=["laws"]).red
+
+
+# -- the base --------------------------------------------------------------------------------------
+def test_the_base_is_where_the_main_branch_was_left_or_what_is_asked_for(root, tmp_path):
+    """A change on the main branch since is none of ours."""
+    git(root, "switch", "-q", "main")
+    remake(broken)(root)
+    commit(root, "main goes on")
+    git(root, "switch", "-q", "change")
+    assert not run_gate(root, tmp_path / "a").red
+    run = fresh(root, tmp_path / "b")
+    assert judge.gate(Question(root, fresh=run, base="main", parts=("accuracy",))).red
+
+
+WHERE = {
+    "on main": [],
+    "detached": [["checkout", "-q", "--detach"], ["branch", "-q", "-D", "main"]],
+    "its parent replaced": [["replace", "HEAD~1", "HEAD"]],
+}
+
+
+@pytest.mark.parametrize("where", WHERE)
+def test_a_commit_on_the_main_branch_is_compared_with_its_parent(where, tmp_path):
+    root = repository(tmp_path / "project")
+    remake(thousandfold)(root)
+    commit(root, "harmless")
+    for arguments in WHERE[where]:
+        git(root, *arguments)
+    assert "committed solution_error" in red(run_gate(root, tmp_path, thousandfold))
+
+
+def test_a_clone_without_the_base_is_inconclusive(tmp_path):
+    origin = repository(tmp_path / "project")
+    clone, deeper = tmp_path / "clone", tmp_path / "deeper"
+    git(origin, "clone", "-q", "--depth", "1", origin.as_uri(), str(clone))
+    with pytest.raises(BadInput, match=r"inconclusive: HEAD's parent is not in this clone; .* --unshallow"):
+        revisions.base(clone, None)
+    git(clone, "fetch", "-q", "--unshallow")
+    assert revisions.base(clone, None) == git(origin, "rev-parse", "HEAD~1")
+    git(origin, "switch", "-q", "-c", "change")
+    commit(commit(origin, "one"), "two")
+    git(origin, "clone", "-q", "--depth", "2", "--no-single-branch", origin.as_uri(), str(deeper))
+    git(deeper, "remote", "set-head", "origin", "main")
+    with pytest.raises(BadInput, match="inconclusive: the commit at which HEAD left origin/HEAD"):
+        revisions.base(deeper, None)
+
+
+#: a rule, a column and the exit status made laxer in the tree that is judged
+LAXER = {
+    "gate/rules.py": ("FACTOR = 2.0", "FACTOR = 1e9"),
+    "results/round_off.py": ("eps * np.max", "eps * 1e9 * np.max"),
+    "gate/findings.py": ("return 1 if self.red else 2", "return 0 if self.red else 2"),
+}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A repository with the sources of this one, and made-up tables."""
+    made = tmp_path_factory.mktemp("whole").resolve()
+    shutil.copytree(REPOSITORY / "src", made / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(REPOSITORY / name, made)
+    git(made, "init", "-q", "-b", "main")
+    folder(made / "results")
+    return commit(made, "tables")
+
+
+def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(whole, tmp_path):
+    """The code of the base judges, in a process of its own."""
+    root = tmp_path / "project"
+    git(whole, "clone", "-q", str(whole), str(root))
+    for file, change in LAXER.items():
+        edit(root / "src" / "contactbench" / file, *change)
+    remake(thousandfold)(root)
+    commit(root, "harmless")
+    run = fresh(root, tmp_path / "fresh", thousandfold)
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "contactbench.cli",
+        "gate",
+        "--only",
+        "accuracy",
+        "--json",
+        "--fresh",
+        run,
+    ]
+    done = subprocess.run(command, cwd=root, env=revisions.environment(root), capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    found = {line["measure"] for line in json.loads(done.stdout)["lines"] if line["red"]}
+    assert {"committed solution_error", "solution_error"} <= found
+
+
+# -- the command line ------------------------------------------------------------------------------
+def outcome(capsys, *arguments):
+    status = main([*map(str, arguments)])
+    captured = capsys.readouterr()
+    return status, captured.out + captured.err
+
+
+def test_exit_status_and_json(root, tmp_path, capsys):
+    good = fresh(root, tmp_path / "good")
+    bad = fresh(root, tmp_path / "bad", setting("laws", "rk4", solution_error=2.2e-5))
+    assert outcome(capsys, "gate", "--only", "accuracy", "--fresh", good)[0] == 0
+    status, text = outcome(capsys, "gate", "--only", "accuracy", "--fresh", bad, "--json")
+    (line,) = json.loads(text)["lines"]
+    assert (status, line["scene"], line["method"], line["measure"]) == (
+        1,
+        "particle",
+        "rk4",
+        "solution_error",
+    )
+
+
+def rewritten(change):
+    return lambda path: path.write_text(change(path.read_text()))
+
+
+#: what is done to a file of a folder, and where the message says that it is damaged
+DAMAGE = {
+    "no record": ("environment.json", lambda path: path.unlink(), "environment.json: missing"),
+    "odd record": ("environment.json", lambda path: path.write_text("[1]"), "no list of runs"),
+    "no JSON": (
+        "environment.json",
+        lambda path: path.write_text('{\n"a": b}'),
+        "line 2 column 6",
+    ),
+    "other types": (
+        "environment.json",
+        rewritten(lambda text: text.replace('{"jax": "1"}', "1")),
+        "run 1: 'packages'",
+    ),
+    "foreign table": (
+        "laws.csv",
+        lambda path: path.write_text("a,b\n1,2\n"),
+        "columns are not those of table 'laws'",
+    ),
+    "word": (
+        "laws.csv",
+        rewritten(lambda text: text.replace("1e-05", "small")),
+        "line 2, column 'solution_error'",
+    ),
+    "infinity": (
+        "laws.csv",
+        rewritten(lambda text: text.replace("1e-05", "inf")),
+        "line 2, column 'solution_error'",
+    ),
+    "half a step": (
+        "work_precision.csv",
+        rewritten(lambda text: text.replace(",200,", ",25.5,")),
+        "column 'steps'",
+    ),
+    "no flag": (
+        "convergence.csv",
+        rewritten(lambda text: text.replace("True", "perhaps")),
+        "line 2, column 'in_fit'",
+    ),
+    "a row twice": (
+        *("laws.csv", rewritten(lambda text: text + text.splitlines()[1] + "\n")),
+        "laws.csv, line 4: the key",
+    ),
+    "cut short": ("laws.csv", rewritten(lambda text: text.rsplit(",", 5)[0]), "laws.csv, line 3: cut short"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_is_one_line_with_file_line_and_column(damage, root, tmp_path, capsys):
+    name, spoil, message = DAMAGE[damage]
+    run = fresh(root, tmp_path / "fresh")
+    spoil(run / name)
+    status, text = outcome(capsys, "gate", "--only", "accuracy", "--fresh", run)
+    assert (status, text.count("\n")) == (2, 1), text
+    assert message in text
+    if damage != "no record":  # tables without one can be drawn
+        assert outcome(capsys, "report", "--results", run)[0] == 2
+
+
+def test_without_benchmark_git_or_revision_it_could_not_run(root, tmp_path, capsys, monkeypatch):
+    def refusal(*arguments):
+        status, text = outcome(capsys, "gate", *arguments)
+        assert (status, text.count("\n")) == (2, 1)
+        return text
+
+    assert "no benchmark there" in refusal("--only", "accuracy")
+    assert "--base no-such: no such revision" in refusal("--only", "speed", "--base", "no-such")
+    assert "no tables in elsewhere/" in refusal("--only", "accuracy", "--results", "elsewhere")
+    assert "give --fresh DIR too" in refusal("--baseline", root / "results")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv(revisions.JUDGED)
+        assert "has no gate that could judge" in refusal("--only", "accuracy")
+    monkeypatch.chdir(tmp_path)
+    assert "not a git repository" in refusal("--only", "speed")
+    monkeypatch.chdir(root)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert "git: not installed" in refusal("--only", "speed")
+
+
+def test_text_stays_in_its_cell(root, tmp_path):
+    run = fresh(root, tmp_path / "fresh", setting("work_precision", "rk4", carried="a|b\n<script>x</script>"))
+    text = judge.gate(Question(root, fresh=run, parts=("accuracy",))).as_markdown()
+    (line,) = (line for line in text.splitlines() if "carried" in line)
+    assert "a\\|b &lt;script>" in line
+    assert line.replace("\\|", "").count("|") == 11
+
+
+def test_two_folders_are_compared_outside_a_repository(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    before, after = folder(tmp_path / "a"), folder(tmp_path / "b", broken)
+    assert outcome(capsys, "gate", "--baseline", before, "--fresh", before)[0] == 0
+    assert outcome(capsys, "gate", "--baseline", before, "--fresh", after)[0] == 1

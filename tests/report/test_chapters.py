@@ -1,0 +1,207 @@
+"""Every chapter from its own table alone; summaries count rows, and a row that contradicts one changes it."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from contactbench.report import markdown
+from contactbench.report.chapters import CHAPTERS, Contents, Section, chapters, figures, slug
+from contactbench.report.views import View
+from contactbench.results.schema import TABLES
+from frames import frames, row
+
+
+def judged(scene, method, value, claimed=True, drift=1e-15):
+    """A run with J and the contact form judged."""
+    columns = {"claimed": claimed, "kept": drift <= 1e-12, "undecided": False, "bound": 1e-12}
+    laws = ("momentum_law", "contact_drift")
+    judgement = {f"{law}_{name}": column for law in laws for name, column in columns.items()}
+    return row(
+        scene, method, value, solution_error=1e-3, energy_law=1e-4, **dict.fromkeys(laws, drift), **judgement
+    )
+
+
+def order(method, measured, claimed):
+    return row("particle", method, 0.1, solution_error=1e-3, order=measured, order_nominal=claimed, step=0.1)
+
+
+SOME = {
+    "work_precision": [
+        row("particle", m, e, solution_error=e, time_median_s=1e-3, time_min_s=1e-3, rhs_equivalents=100.0)
+        for m in ("contact-a", "rk4")
+        for e in (1e-2, 1e-5)
+    ],
+    "laws": [judged("central", "contact-a", 0.1)],
+    "decay_laws": [
+        row("rigid_body", "rk4", 0.1, cost=30.0, rhs_equivalents=800.0, energy_law=1e-4, contact_drift=1e-9)
+    ],
+    "convergence": [order("contact-a", 2.0, 2)],
+    "stability": [row("critical", "rk4", 0.1, solution_error=1e-3, rhs_equivalents=10.0)],
+    "stability_limits": [
+        {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8, "windows": ""}
+    ],
+    "damping_rates": [
+        row(
+            "overdamped",
+            "rk4",
+            0.1,
+            experiment="overdamped",
+            t_end=100.0,
+            damping_per_step=5.0,
+            evaluations=10,
+            ratio=1.0,
+            rate_error=1e-3,
+        )
+    ],
+    "ensemble": [
+        row(
+            "particle",
+            "rk4",
+            0.1,
+            question="error",
+            solution_error=1e-3,
+            trajectories=10,
+            cores=1,
+            evaluations=10,
+            time_median_s=1.0,
+            time_min_s=1.0,
+        )
+    ],
+    "long_time": [
+        row(
+            "duffing",
+            method,
+            0.1,
+            quantity="mean H0 at phase 0",
+            reference=method == "rk4",
+            evaluations_per_time=8.0,
+            jacobians_per_time=0.0,
+            trajectories=8,
+            periods=4,
+            mean=0.04,
+            error=1e-3,
+        )
+        for method in ("contact-a", "rk4")
+    ],
+    "claims": [
+        {
+            "id": "C01",
+            "where": "§2",
+            "claim": "all is well",
+            "verdict": "holds",
+            "status": "ok",
+            "measured": 1.0,
+        }
+    ],
+    "definitions": [
+        {"scene": "central", "method": "", "declared": "gamma=0.1", "digest": "0123456789abcdef"},
+        {"scene": "", "method": "rk4", "declared": "order=4", "digest": "fedcba9876543210"},
+    ],
+}
+
+
+def parts_in(items):
+    for item in items:
+        yield item
+        if isinstance(item, Section):
+            yield from parts_in(item.parts)
+
+
+@pytest.mark.parametrize("name", CHAPTERS)
+def test_a_chapter_speaks_from_its_own_table_alone_and_is_silent_without(name):
+    chapter = CHAPTERS[name]
+    assert chapter not in chapters(frames())
+    first = chapter.tables[0]
+    alone = frames(**{first: SOME[first]})
+    assert chapter in chapters(alone)
+    text = markdown.document(Contents(chapter, chapter.summary(alone), tuple(chapter.parts(alone))))
+    assert text.startswith(f"# {chapter.title}\n")
+    assert not re.search(r"\bnan\b", text)
+
+
+def test_names_of_views_are_unique_and_a_figure_shown_twice_is_the_same():
+    everything = frames(**SOME)
+    found = [part for chapter in chapters(everything) for part in parts_in(chapter.parts(everything))]
+    views = [part.name for part in found if isinstance(part, View)]
+    assert len(views) == len(set(views)), sorted(v for v in views if views.count(v) > 1)
+    drawn = {}
+    for figure in figures(found):
+        assert repr(drawn.setdefault(figure.name, figure).panels) == repr(figure.panels)  # nan is nan
+
+
+def test_every_table_is_read_by_a_chapter_and_every_chapter_reads_tables():
+    assert {name for chapter in CHAPTERS.values() for name in chapter.tables} == set(TABLES)
+
+
+def test_definitions_are_listed_by_kind_each_with_its_digest():
+    scenes, methods = CHAPTERS["definitions"].parts(frames(definitions=SOME["definitions"]))
+    assert [[cell.text for cell in line] for line in scenes.rows] == [
+        ["central", "`0123456789abcdef`", "`gamma=0.1`"]
+    ]
+    assert [[cell.text for cell in line] for line in methods.rows] == [
+        ["rk4", "`fedcba9876543210`", "`order=4`"]
+    ]
+
+
+def test_a_heading_has_the_anchor_that_github_gives_it():
+    assert slug("C01 · holds, corrected") == "c01--holds-corrected"
+
+
+# -- a contradicting row changes the answer --------------------------------------------------------
+def answers(name, **tables):
+    return CHAPTERS[name].summary(frames(**tables)).set_index("question")
+
+
+CONTRADICTIONS = {
+    "laws": (
+        "laws",
+        [judged("central", "contact-a", h) for h in (0.1, 0.2)],
+        judged("needle", "contact-b", 0.4, drift=2e-4),
+        ("2 of 2 runs", "2 of 3 runs"),
+    ),
+    "convergence": (
+        "convergence",
+        [order("contact-a", 2.0, 2)],
+        order("rk4", 3.5, 4),
+        ("1 of 1 pairs of method and scene, within 0.1", "1 of 2 pairs of method and scene, within 0.1"),
+    ),
+    "stability": (
+        "stability",
+        [
+            row("critical", "contact-a", 0.1, solution_error=1e-3),
+            row("escape", "rk4", 0.1, status="diverged", blow_up_time=1.5),
+        ],
+        row("escape", "contact-a", 0.1, solution_error=1.0, blow_up_time=1.5),
+        ("2 of 2 runs", "2 of 3 runs"),
+    ),
+    "claims": (
+        "claims",
+        SOME["claims"],
+        SOME["claims"][0] | {"id": "C02", "verdict": "refuted"},
+        ("1 hold, 0 hold once corrected, 0 refuted, of 1", "1 hold, 0 hold once corrected, 1 refuted, of 2"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_a_contradicting_row_changes_answer_and_count(name):
+    table, rows, contradiction, counts = CONTRADICTIONS[name]
+    before, after = (answers(name, **{table: given}).iloc[0] for given in (rows, [*rows, contradiction]))
+    assert (before["count"], after["count"]) == counts
+    assert before["answer"] == "always"
+    assert after["answer"] != "always"
+
+
+def test_runs_that_do_not_claim_a_law_are_counted_apart():
+    rows = [judged("central", "contact-a", 0.1), judged("drag", "contact-a", 0.1, claimed=False, drift=1e-3)]
+    table = CHAPTERS["laws"].parts(frames(laws=rows))[0]
+    assert [cell.text for cell in table.rows[0][:4]] == ["J law", "1 of 1 runs", "0 of 1 runs", "—"]
+
+
+def test_a_broken_law_is_a_row_with_what_breaks_it():
+    rows = [judged("central", "contact-a", 0.1), judged("needle", "contact-b", 0.4, drift=2e-4)]
+    broken = next(p for p in CHAPTERS["laws"].parts(frames(laws=rows)) if p.name == "law_exceptions")
+    assert [cell.text for cell in broken.rows[0][:4]] == ["J law", "`needle`", "contact-b", "1"]
+    assert broken.rows[0][-1].text == "contact-b, step=0.4"

@@ -1,0 +1,232 @@
+"""What the tables to read say, on small tables made by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from contactbench.report import damping, ensemble, limits, long_time, stability, work_precision
+from contactbench.report.equal_cost import equal_cost_view, mission_view, most_met_cost
+from contactbench.report.escape import blow_up_view
+from contactbench.report.views import Mark
+from contactbench.results.contest import COMPILED
+from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
+from frames import frames, row, table
+
+
+def texts(view):
+    """The first cell of each row → the texts of the others."""
+    return {line[0].text: [cell.text for cell in line[1:]] for line in view.rows}
+
+
+# -- laws at equal cost ----------------------------------------------------------------------------
+def at_cost(scene, method, drift=1e-15, cost=30.0, **more):
+    columns = {"energy_law": 1e-4, "momentum_law": drift, "contact_drift": drift}
+    return row(scene, method, 0.1, solution_error=1e-3, cost=cost, rhs_equivalents=800.0, **columns, **more)
+
+
+def test_the_mission_has_order_and_laws_side_by_side_and_j_where_it_is_claimed():
+    rows = [at_cost(s, m) for s in ("particle", "rigid_body") for m in ("contact-strang", "rk4")]
+    order = row("particle", "rk4", 0.1, solution_error=1e-3, order=4.0, order_nominal=4)
+    claimed = row("rigid_body", "contact-strang", 0.1, momentum_law=1e-15, momentum_law_claimed=True)
+    tables = frames(decay_laws=rows, convergence=[order], laws=[claimed])
+    view = mission_view(tables)
+    heads = [(head.group, head.label) for head in view.columns]
+    assert heads[1:4] == [("particle", "order"), ("particle", "H0 law"), ("particle", "contact drift")]
+    assert ("rigid_body", "J law") in heads
+    assert texts(view)["rk4"][:2] == ["4.00", "1.0e-04"]
+    assert mission_view(frames()) is None
+
+
+def test_the_cost_that_most_methods_meet_is_shown():
+    rows = [at_cost("central", m, cost=c) for m in ("contact-a", "rk4") for c in (30.0, 100.0)]
+    assert set(most_met_cost(table("decay_laws", rows))["cost"]) == {100.0}
+    rows[3]["status"] = "failed"
+    assert set(most_met_cost(table("decay_laws", rows))["cost"]) == {30.0}
+
+
+def test_clamped_uncertain_and_kept_entries_are_told_apart():
+    rows = [
+        at_cost("central", "contact-a", 0.5, contact_drift_clamped=3),
+        at_cost("central", "rk4", 1e-8, contact_drift_uncertainty=2e-9),
+        at_cost("central", "cvode-bdf", 1e-8, contact_drift_uncertainty=6e-9),
+        at_cost("central", "contact-b"),
+    ]
+    tables = frames(decay_laws=rows)
+    cells = [line[-1] for line in equal_cost_view(tables["decay_laws"], tables).rows]
+    assert [cell.text for cell in cells] == ["5.0e-01†", "1.0e-08 ± 2e-09", "≤ 1.0e-08", "1.0e-15"]
+    assert [cell.mark for cell in cells] == [None, None, None, Mark.kept]
+
+
+# -- cost ------------------------------------------------------------------------------------------
+def cost(method, factor=1.0, **more):
+    """Two settings of a method."""
+    return [
+        row("s", method, error, solution_error=error, time_min_s=factor * time, time_median_s=time, **more)
+        for error, time in ((1e-2, 1e-6), (1e-13, 1e-5))
+    ]
+
+
+def test_the_cheapest_is_named_with_the_factor_of_the_best_contact_method():
+    lost = work_precision.contest(table("work_precision", [*cost("contact-a", 2.0), *cost("rk4")]), COMPILED)
+    cell = work_precision.winners_view(lost, "w", "").rows[0][1]
+    assert cell.text.startswith("rk4 ")
+    assert cell.text.endswith("(contact ×2.00)")
+    assert cell.mark is None
+    (line,) = work_precision.losses_view({"time": lost.contests}, "l").rows
+    assert line[1].text.startswith("4 of 4: ")
+    assert line[1].text.endswith("rk4 ×2.00")
+    won = work_precision.contest(table("work_precision", [*cost("contact-a"), *cost("rk4", 2.0)]), COMPILED)
+    assert work_precision.winners_view(won, "w", "").rows[0][1].mark is Mark.best
+    assert not work_precision.losses_view({"time": won.contests}, "l").rows
+
+
+def test_a_cost_that_is_mostly_fixed_is_marked():
+    rows = [*cost("contact-a", fixed_s=9e-6), *cost("rk4", 2.0, fixed_s=1e-7)]
+    own = work_precision.contest(table("work_precision", rows), COMPILED)
+    lines = texts(work_precision.costs_view(own, "s"))
+    assert "°" in lines["contact-a"][0]
+    assert "°" not in lines["rk4"][0]
+
+
+# -- hard scenes -----------------------------------------------------------------------------------
+def test_blow_up_is_one_line_per_method_and_each_criterion_has_its_own_columns():
+    def run(method, value, end, **more):
+        ends = {"status": "diverged", "blow_up_time": 2.0, "end_time": 2.0 + end}
+        return row("escape", method, value, **ends, rhs_equivalents=8, **more)
+
+    rows = [run("rk4", 0.1, -0.02), run("rk4", 0.01, -0.01), run("cvode-bdf", 1e-9, 0.0, control="rtol")]
+    lines = texts(blow_up_view(table("stability", rows)))
+    assert lines["rk4"] == ["diverged", "-0.500 %", "-1.000 %", "-0.500 %", "—", "—", "—"]
+    assert lines["cvode-bdf"] == ["diverged", "—", "—", "—", "+0.000 %", "+0.000 %", "+0.000 %"]
+
+
+def test_a_setting_that_was_not_run_is_no_ending():
+    rows = [
+        row("critical", "rk4", 0.1, status="budget", end_time=1.0),
+        row("critical", "rk4", 0.01, status="budget"),
+        row("critical", "rk4", 0.001, status="unsupported"),
+    ]
+    assert len(stability.tried_runs(table("stability", rows))) == 1
+
+
+def test_the_worst_of_a_law_is_bold_only_where_every_run_keeps_it():
+    runs = [{"contact_drift": value, "contact_drift_bound": 1e-12} for value in (1e-15, 1e-14, 1e-3)]
+    assert stability.worst_cell(runs[:2], "contact_drift").mark is Mark.kept
+    worst = stability.worst_cell(runs, "contact_drift")
+    assert (worst.text, worst.mark) == ("1.0e-03", None)
+
+
+def test_the_first_loss_of_stability_is_marked_where_larger_steps_are_stable_again():
+    one = {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8}
+    rows = [one | {"windows": "", "theory": 2.8}, one | {"gamma": 1.0, "windows": "1…2", "theory": math.inf}]
+    view = limits.limit_view(table("stability_limits", rows), "limit", "v", "t")
+    assert [(cell.text, cell.mark) for cell in view.rows[0][1:]] == [
+        ("2.8 (2.8)", None),
+        ("2.8 (∞)", Mark.exception),
+    ]
+
+
+# -- damping ---------------------------------------------------------------------------------------
+def test_rates_are_compared_at_equal_cost_and_ties_are_named():
+    common = {"experiment": "overdamped", "t_end": 100.0}
+    fixed = common | {"damping_per_step": 25.0, "evaluations": 200}
+    rows = [
+        row("overdamped", "contact-a", 0.5, **fixed, rate_error=1e-4),
+        row("overdamped", "rk4", 0.5, **fixed, rate_error=1.5e-4),
+        row("overdamped", "scipy-radau", 1e-9, control="rtol", **common, evaluations=2000, rate_error=1e-10),
+    ]
+    (line,) = damping.rates_view(table("damping_rates", rows)).rows  # ten times dearer is no equal cost
+    assert (line[1].text, line[1].mark) == ("contact-a and rk4 1.0e-04", Mark.tie)
+    rows[2]["evaluations"] = 210
+    (line,) = damping.rates_view(table("damping_rates", rows)).rows
+    assert (line[1].text, line[1].mark) == ("scipy-radau 1.0e-10", Mark.best)
+
+
+def test_a_method_is_usable_up_to_the_first_damping_at_which_it_is_worse():
+    rows = [
+        {"method": m, "family": "contact", "gamma": 1.0, "damping_per_evaluation": d, "step": 0.1, "error": e}
+        for m, errors in (("contact-strang", (1.0, 1.0, 1.0)), ("contact-bm4", (0.1, 2.0, 0.1)))
+        for d, e in zip((0.1, 0.2, 0.3), errors, strict=True)
+    ]
+    assert damping.usable(table("strong_damping", rows), "contact-bm4", 1.0) == 0.1
+
+
+# -- ensembles -------------------------------------------------------------------------------------
+def run_of(method, question="arithmetic", time=1.0, **more):
+    counts = {"trajectories": 1000, "evaluations": 100, "cores": 1, "time_min_s": time, "time_median_s": time}
+    return row("particle", method, 0.1, question=question, **counts | more)
+
+
+def test_ensembles_stand_beside_the_c_loops_of_the_same_step():
+    rows = [
+        run_of("contact-strang", time=2.0),
+        run_of("limit-c", variant="contact-strang plain", engine="c"),
+        run_of("limit-c", variant="contact-strang tiled", engine="c", time=4.0),
+    ]
+    shapes, own = ensemble.beside_loops(ensemble.with_rates(table("ensemble", rows)))
+    assert shapes == ["plain", "tiled"]
+    assert (own["stage"] / own["plain"]).tolist() == [2.0]
+    assert (own["stage"] / own["tiled"]).tolist() == [0.5]
+
+
+def test_throughput_is_relative_to_the_smallest_number():
+    rows = [run_of("rk4", "cores", time=1 / n, cores=n) for n in (2, 1)]
+    view = ensemble.growth_view(ensemble.with_rates(table("ensemble", rows)), "cores", "cores", "t")
+    assert [(line[3].text, line[-1].text) for line in view.rows] == [("1", "×1.00"), ("2", "×2.00")]
+
+
+# -- long chaotic runs -----------------------------------------------------------------------------
+TRUE = {ENERGY: 0.04, EXPONENT: 0.16, DIMENSION: 1.4, SUM: 0.0}
+
+
+def chaotic(method, evaluations, off=0.0, defect=1e-14, reference=False):
+    """Rows of all quantities at one setting; off : by how many of its error bars, a fifth of what is allowed each."""
+    for quantity, true in TRUE.items():
+        error = 1e-15 if quantity == SUM else long_time.ALLOWED[quantity] * true / 5
+        yield row(
+            "duffing",
+            method,
+            1 / evaluations,
+            quantity=quantity,
+            reference=reference,
+            evaluations_per_time=evaluations,
+            jacobians_per_time=0.0,
+            mean=0.0 if quantity == SUM else true + off * error,
+            error=0.0 if reference else error,
+            pairing_defect=defect if quantity == SUM else np.nan,
+        )
+
+
+PLANTED = [
+    *chaotic("cyrk-dop853", 50, reference=True, defect=1e-9),
+    *(r for n, off in ((4, 20), (8, 1), (16, 2)) for r in chaotic("contact-rkn4", n, off)),
+    *(r for n, off in ((7, 4), (16, 0)) for r in chaotic("herglotz2", n, off, 1e-4)),
+    *(r for n, off in ((4, 1), (8, 8), (16, 0)) for r in chaotic("rk4", n, off, 1e-2)),
+]
+
+
+def test_an_average_counts_from_where_every_dearer_setting_is_right():
+    """rk4 is right at 4 by chance, wrong at 8; herglotz2 is undecided at 7."""
+    costs = long_time.least(table("long_time", PLANTED), ENERGY)
+    assert costs[["surely", "perhaps"]].T.to_dict("list") == {
+        "contact-rkn4": [8, 8],
+        "herglotz2": [16, 7],
+        "rk4": [16, 16],
+    }
+    assert costs["first"].to_dict() == {"contact-rkn4": True, "herglotz2": True, "rk4": False}
+
+
+def test_one_wrong_setting_at_the_end_leaves_no_cost():
+    rows = table("long_time", [*PLANTED, *chaotic("contact-rkn4", 32, 9)])
+    assert "contact-rkn4" not in long_time.least(rows, EXPONENT).index
+
+
+@pytest.mark.parametrize(
+    ("more", "kept"), [((), "contact-rkn4"), (chaotic("contact-rkn4", 32, 0, 1e-9), "nobody")]
+)
+def test_pairs_are_kept_only_where_every_setting_keeps_them(more, kept):
+    summary = long_time.answers(frames(long_time=[*PLANTED, *more]))
+    assert summary["answer"].iloc[-1] == kept

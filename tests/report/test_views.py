@@ -1,0 +1,112 @@
+"""Views, numbers and their markdown."""
+
+from __future__ import annotations
+
+import re
+
+import pandas as pd
+import pytest
+
+import contactbench as cb
+from contactbench.report import glossary, markdown
+from contactbench.report.chapters import CHAPTERS, Contents, Section, Text, summary
+from contactbench.report.numbers import count, duration, how_often, names, power, times
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.results.schema import TABLES
+
+
+def view(rows, labels, **more):
+    return View("v", "Title", frame_of(rows, labels), "A legend.", **more)
+
+
+def test_marks_are_seen_and_a_bar_does_not_break_a_table():
+    cells = (
+        Cell("a|b", mark=Mark.best), Cell("c", mark=Mark.tie), Cell("d", mark=Mark.exception), Cell("f", link="x.md"),
+    )  # fmt: skip
+    text = markdown.parts([view([cells], ["1", "2", "3", "4"])])
+    assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "d !", "[f](x.md) |"]
+    assert text.startswith("## Title\n\nA legend.\n\n| 1 ")
+    assert "None." in markdown.parts([view([], ["a", "b"])])
+    assert "&lt;b>" in markdown.parts([view([("<b>", 1)], ["a", "b"])])
+
+
+def test_numbers_are_written_by_their_column_and_words_stand_left():
+    shown = view([("rk4", 1e-3, 2.0, None)], ["method", "error", "time", "reason"], show={"time": duration})
+    assert [cell.text for cell in shown.rows[0]] == ["rk4", "1.0e-03", "2 s", "—"]
+    assert [head.words for head in shown.columns] == [True, False, False, True]
+    assert markdown.table(shown).splitlines()[1].endswith("-:|:--|") or "|:" in markdown.table(shown)
+
+
+def test_a_wide_table_is_split_at_its_groups():
+    labels = [("", "method"), *((f"scene {s}", k) for s in range(5) for k in "abc")]
+    tables = markdown.table(view([tuple(range(16))], labels)).split("\n\n")
+    assert len(tables) == 2
+    assert all(table.startswith("| method | scene") for table in tables)
+    assert "scene 4: c" in tables[1]
+
+
+def test_long_tables_are_left_to_their_csv_and_sections_nest():
+    detail = view([("rk4", 1)], ["method", "n"], detail=True, source="laws.csv")
+    assert "In [laws.csv](laws.csv)." in markdown.parts([detail])
+    text = markdown.parts([Section("One", (Section("Two", (Text("body", ("a", "b")),)),))])
+    assert text == "## One\n\n### Two\n\nbody\n\n- a\n- b"
+
+
+def test_a_document_opens_with_its_answers():
+    answers = summary(("Is it kept?", "always", "3 of 3 runs"))
+    text = markdown.document(Contents(CHAPTERS["laws"], answers, (Text("end"),)))
+    assert (
+        text.index("# Decay laws") < text.index("| Is it kept? | always | 3 of 3 runs |") < text.index("end")
+    )
+
+
+def test_the_glossary_has_every_method_scene_and_column():
+    text = markdown.parts(glossary.parts({"methods": cb.METHODS, "scenes": cb.SCENES}))
+    for name in (*cb.METHODS, *cb.SCENES):
+        assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
+    for name, steps in (("contact-exact", "exact"), ("contact-adaptive", "adaptive"), ("rk4", "fixed")):
+        (line,) = re.findall(rf"^\| {name} .*$", text, re.M)
+        assert f"| {steps} " in line
+    for table in TABLES.values():
+        assert all(f"`{column}`" in text for column in table.columns)
+
+
+@pytest.mark.parametrize(
+    ("write", "value", "text"),
+    [
+        (duration, 2.0, "2 s"),
+        (duration, 1.5e-3, "1.5 ms"),
+        (duration, 9.9999e-7, "1 µs"),
+        (duration, float("nan"), "—"),
+        (times, 1.254, "×1.25"),
+        (times, 12.6, "×13"),
+        (times, 3123.0, "×3100"),
+        (count, 1234.0, "1234"),
+        (count, 26104.4, "26\u202f104"),
+        (power, 1e-12, "10⁻¹²"),
+        (names, ["a", "b", "c"], "a, b and c"),
+    ],
+)
+def test_numbers_and_lists_are_readable(write, value, text):
+    assert write(value) == text
+
+
+@pytest.mark.parametrize(
+    ("part", "answer"),
+    [
+        (10, "always"),
+        (9, "nearly always"),
+        (6, "mostly"),
+        (5, "about half the time"),
+        (1, "rarely"),
+        (0, "never"),
+    ],
+)
+def test_a_share_in_words(part, answer):
+    assert how_often(part, 10) == answer
+
+
+def test_infinite_numbers_sort_beyond_all_others_and_missing_ones_are_dashes():
+    assert as_cell(float("inf")).text == "∞"
+    assert as_cell(float("inf")).value > as_cell(1e300).value
+    assert as_cell(pd.NA).text == "—"

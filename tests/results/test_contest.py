@@ -1,0 +1,160 @@
+"""Cost at equal error: what takes part, what an error costs, and who wins, ties or loses."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from contactbench.results.contest import (
+    CALLED_BACK,
+    COMPILED,
+    COUNTED,
+    ENOUGH,
+    EVALUATIONS,
+    MARGINAL,
+    TARGETS,
+    contestants,
+    contests,
+    costs,
+    standings,
+)
+from frames import row, table
+
+
+def ladder(method, factor=1.0, scene="s", engine="jax", finest=1e-13, **more):
+    """A ladder whose cost is `factor` at an error of 1e-1, and rises by a quarter each decade."""
+    rows, error = [], 1e-1
+    while error >= finest * 0.999:
+        cost = factor * 1.25 ** (-1 - round(math.log10(error)))
+        times = {"time_median_s": cost * 1e-3, "time_min_s": cost * 1e-3, "rhs_equivalents": cost * 100}
+        rows.append(row(scene, method, error, engine=engine, solution_error=error, **times | more))
+        error /= 10
+    return rows
+
+
+def found(*ladders, kind=COMPILED):
+    """The costs of some ladders."""
+    return costs(contestants(table("work_precision", [r for rows in ladders for r in rows])), kind)
+
+
+def winners(*ladders, kind=COMPILED):
+    return set(contests(found(*ladders, kind=kind))["winner"])
+
+
+# -- what an error costs ---------------------------------------------------------------------------
+def test_a_cost_is_interpolated_between_the_settings_and_bounded_by_the_coarsest():
+    rows = [r for r in ladder("rk4") if r["solution_error"] < 1e-4]
+    between = found(ladder("rk4")[::4]).set_index("error")
+    assert between["cost"][1e-6] == pytest.approx(1.25**5 * 1e-3)
+    bounded = found(rows).set_index("error")
+    assert bounded["bound"].tolist() == [True, False, False, False]
+    assert bounded["cost"][1e-3] == pytest.approx(1.25**4 * 1e-3)
+
+
+@pytest.mark.parametrize("status", ["budget", "timeout"])
+def test_a_cost_that_is_not_reached_says_whether_our_own_limit_ended_a_finer_run(status):
+    coarse = ladder("rk4", finest=1e-7)
+    finer, coarser = row("s", "rk4", 1e-9, status=status), row("s", "rk4", 0.5, status=status)
+    assert found(coarse)["reason"].tolist() == [""] * 4
+    assert found([*coarse, finer])["reason"].tolist() == ["", "", status, status]
+    assert found([*coarse, coarser])["reason"].tolist() == [""] * 4
+
+
+def test_the_fixed_share_is_that_of_the_cheapest_setting():
+    rows = [r | {"fixed_s": 8e-4} for r in ladder("rk4")]
+    shares = found(rows).set_index("error")["fixed"]
+    assert shares[1e-3] == pytest.approx(0.8 / 1.25**2)
+
+
+# -- what takes part -------------------------------------------------------------------------------
+def test_loops_and_chosen_steps_do_not_compete():
+    chosen = [r | {"variant": "chosen"} for r in ladder("rk4", 0.1)]
+    rows = found(ladder("contact-a"), ladder("rk4", 2.0), ladder("limit-c", 0.1, engine="c"), chosen)
+    assert set(rows["method"]) == {"contact-a", "rk4"}
+    assert set(contests(rows)["winner"]) == {"contact"}
+
+
+def test_kinds_of_engine_are_never_mixed():
+    own, called_back = ladder("contact-a"), ladder("scipy-dop853", 0.1, engine="python")
+    assert not len(contests(found(own, called_back)))  # nobody to compare with
+    assert not len(contests(found(own, called_back, kind=CALLED_BACK)))
+    assert winners(own, called_back, kind=EVALUATIONS) == {"other"}
+
+
+@pytest.mark.parametrize("engine", ["c", "c++", "llvm", "numba"])
+def test_a_compiled_row_takes_part_whoever_it_is(engine):
+    assert winners(ladder("contact-a"), ladder("scipy-dop853", 0.5, engine=engine)) == {"other"}
+
+
+def test_one_integrator_of_two_makers_is_one_contestant_where_engines_do_not_matter():
+    shapes = ladder("scipy-dop853", 2.0, engine="python"), ladder("cyrk-dop853", 3.0, engine="c++")
+    assert set(found(*shapes, kind=EVALUATIONS)["method"]) == {"dop853"}
+    assert set(found(*shapes)["method"]) == {"cyrk-dop853"}
+    assert set(found(*shapes, kind=CALLED_BACK)["method"]) == {"scipy-dop853"}
+
+
+def test_a_marginal_time_needs_halves_and_no_closed_form():
+    timed = [r | {"marginal_s": 1e-6, "marginal_halves_ratio": 1.0} for r in ladder("rk4")]
+    exact = [r | {"control": "exact"} for r in timed]
+    assert set(found(timed, kind=MARGINAL)["method"]) == {"rk4"}
+    assert not len(found(exact, ladder("contact-a"), kind=MARGINAL))
+
+
+# -- who wins --------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("factor", "winner"), [(1.1, "contact"), (1.03, "tie"), (1 / 1.03, "tie"), (1 / 1.1, "other")]
+)
+def test_win_tie_and_loss_of_the_contact_methods(factor, winner):
+    rows = found(ladder("contact-a"), ladder("rk4", factor))
+    won = contests(rows)
+    assert won["winner"].tolist() == [winner] * len(TARGETS)
+    assert won["ratio"].tolist() == pytest.approx([factor] * len(TARGETS))
+    ranked = standings(rows)
+    assert (ranked["verdict"] == "tie").all() == (winner == "tie")
+    assert set(ranked[ranked["ratio"] == 1.0]["verdict"]) == {"tie" if winner == "tie" else "win"}
+
+
+def test_a_method_is_of_the_family_that_it_declares():
+    rows = [*ladder("contact-a", 2.0), *ladder("mine")]
+    assert winners(rows) == {"other"}
+    assert winners([r | {"family": "contact"} for r in rows], ladder("rk4", 3.0)) == {"contact"}
+    assert winners(ladder("contact-a", 2.0), ladder("herglotz1")) == {"other"}
+
+
+def test_an_error_that_one_kind_of_method_reaches_alone_is_won_and_one_of_nobody_is_blank():
+    won = contests(found(ladder("contact-a", finest=1e-6), ladder("rk4", finest=1e-10)))
+    assert won["winner"].tolist()[2:] == ["other", ""]
+    assert won["ratio"].tolist()[2] == 0.0
+
+
+def test_a_margin_is_of_its_pair_and_of_two_processes():
+    quiet = [ladder("contact-a"), ladder("rk4", 1.1)]
+    noisy = [ladder(m, scene="noisy", time_halves_ratio=1 / 1.08) for m in ("contact-a", "rk4")]
+    won = contests(found(*quiet, *noisy)).groupby("scene")
+    assert won["winner"].unique().map(list).to_dict() == {"s": ["contact"], "noisy": ["tie"]}
+    margins = won["margin"].first()
+    assert margins["s"] == pytest.approx(1.04)
+    assert margins["noisy"] == pytest.approx(math.exp(math.hypot(math.log(1.04), 2**0.5 * math.log(1.08))))
+    apart = [[r | {"time_process_ratio": 1.12} for r in rows] for rows in quiet]
+    assert winners(*apart) == {"tie"}
+    assert winners(*quiet, kind=EVALUATIONS) == {"tie"}
+    assert set(contests(found(*quiet, kind=EVALUATIONS))["margin"]) == {COUNTED}
+
+
+def test_a_pair_takes_the_spread_of_its_noisier_engine():
+    own = [r | {"time_process_ratio": 1.01} for r in ladder("contact-a")]
+    jax = [r | {"time_process_ratio": 1.3, "engine": "c"} for r in ladder("rk4", 1.1)]
+    assert len(own) >= ENOUGH
+    assert contests(found(own, jax))["margin"].tolist() == pytest.approx([1.3] * len(TARGETS))
+
+
+@pytest.mark.parametrize("halves", [2.0, math.nan])
+def test_a_cell_too_noisy_to_judge_is_undecided_and_still_beats_what_is_far_off(halves):
+    rows = found(
+        ladder("contact-a", time_halves_ratio=halves), ladder("rk4", 1.1), ladder("cvode-bdf", 100.0)
+    )
+    assert set(contests(rows)["winner"]) == {"undecided"}
+    verdicts = standings(rows).groupby("method")["verdict"].first()
+    assert verdicts["rk4"] == "undecided"
+    assert verdicts["cvode-bdf"] == ("loss" if halves == 2.0 else "undecided")
