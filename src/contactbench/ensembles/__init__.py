@@ -19,7 +19,7 @@ import numpy as np
 from contactbench.ensembles.chunks import ENGINES, Task, results
 from contactbench.ensembles.measures import ENERGY, Statistic, decaying, overall, tally
 from contactbench.ensembles.members import members
-from contactbench.errors import BadInput, positive, shown, switch, whole
+from contactbench.errors import BadInput, excerpt, positive, switch, whole
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import lookup, make_request
 from contactbench.methods.fixed_step import FixedStep
@@ -98,21 +98,21 @@ def ensemble(
     scene, chosen = lookup(scene, method)
     if not isinstance(chosen, FixedStep):
         fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
-        raise BadInput(f"method = {shown(method)}: an ensemble takes a fixed-step method: {fixed}")
+        raise BadInput(f"method = {excerpt(method)}: an ensemble takes a fixed-step method: {fixed}")
     times = [scene.t_end] if measure_at is None else measure_at
     request = make_request(scene, chosen, positive("step", step), save_at=times, carry=carry)
     if isinstance(request, Refused):
         raise BadInput(request.why)
     run = Division(method, request, chosen)
     if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
-        raise BadInput(f"engine = {shown(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
+        raise BadInput(f"engine = {excerpt(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
     if run.needed > request.max_steps:
         raise BadInput(f"step = {step!r}: {run.needed} steps, of which {request.max_steps} are allowed")
     switch("keep", keep)
     if progress is not None:
         switch("progress", progress)
     if executor is not None and not hasattr(executor, "submit"):
-        raise BadInput(f"executor = {shown(executor)}: must be an executor, as in concurrent.futures")
+        raise BadInput(f"executor = {excerpt(executor)}: must be an executor, as in concurrent.futures")
     chunk = None if chunk is None else whole("chunk", chunk, MOST_AT_ONCE)
     y0, own = members(scene, request.carry, initial_conditions, {} if parameters is None else parameters)
     names = [ENERGY, *decaying(scene, request.carry)]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, finite, shown, unknown_name
+from contactbench.errors import BadInput, array, excerpt, finite, unknown_name
 from contactbench.scene import BodyState, DrivenState, Scene, State, quaternion_of
 
 
@@ -20,7 +20,7 @@ def members(
     if not isinstance(given, Mapping):
         raise BadInput(f"initial_conditions = {type(given).__name__}: must be a state of the scene or a dict")
     if not isinstance(parameters, Mapping):
-        raise BadInput(f"parameters = {shown(parameters)}: must be a dict of arrays by name")
+        raise BadInput(f"parameters = {excerpt(parameters)}: must be a dict of arrays by name")
     for name in given:
         if name not in scene.initial_fields:
             raise unknown_name(f"initial value of scene {scene.name!r}", name, scene.initial_fields)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, shown
+from contactbench.errors import BadInput, array, excerpt
 
 Vector = tuple[Any, ...]
 
@@ -101,4 +101,4 @@ def quaternion_of(value: Any) -> Vector:
 
         if np.linalg.det(matrix) > 0:
             return tuple(Rotation.from_matrix(matrix).as_quat(scalar_first=True).tolist())
-    raise BadInput(f"R = {shown(value)}: must be {wanted}")
+    raise BadInput(f"R = {excerpt(value)}: must be {wanted}")

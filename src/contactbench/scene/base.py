@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, finite, function, shown, switch, text, unknown_name
+from contactbench.errors import BadInput, excerpt, finite, function, switch, text, unknown_name
 from contactbench.numbers.nested import leaves
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
@@ -52,7 +52,7 @@ class System(ABC):
             isinstance(name, str) and name in self.optional for name in given
         ):
             what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
-            raise BadInput(f"carry = {shown(names)}: scene {self.name!r} can carry {what}")
+            raise BadInput(f"carry = {excerpt(names)}: scene {self.name!r} can carry {what}")
         names = tuple(given)
         return tuple(name for name in self.optional if name in names or name in self.required)
 
@@ -171,7 +171,7 @@ class System(ABC):
                 pickle.dumps(function := getattr(scene, name, None))
             except Exception as error:
                 raise BadInput(
-                    f"scene {self.name!r}: its {name} {shown(function)} cannot be pickled: it must be a function "
+                    f"scene {self.name!r}: its {name} {excerpt(function)} cannot be pickled: it must be a function "
                     "that can be recorded, or stand at the top of a module"
                 ) from error
         return _unpickled, (type(self), scene.__dict__)
@@ -196,7 +196,7 @@ class System(ABC):
         for a, b in zip(now, then, strict=True):
             if abs(a - b) > SAME * max(abs(a), abs(b)):
                 raise BadInput(
-                    f"scene {self.name!r}: its {name} is {shown(a)} of floats and {shown(b)} of other numbers at "
+                    f"scene {self.name!r}: its {name} is {excerpt(a)} of floats and {excerpt(b)} of other numbers at "
                     "the start: a function may not depend on the kind of number, on chance or on its own calls"
                 )
         return made
@@ -290,7 +290,7 @@ class Scene(System):
         if not known:
             allowed = ", ".join(EXPERIMENTS)
             raise BadInput(
-                f"experiments = {shown(self.experiments)}: must be a tuple of names among {allowed}"
+                f"experiments = {excerpt(self.experiments)}: must be a tuple of names among {allowed}"
             )
         if self.exact is not None:
             function("exact", self.exact)

@@ -17,7 +17,7 @@ from typing import TypeGuard
 import numpy as np
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, is_real, shown
+from contactbench.errors import BadInput, excerpt, is_real
 from contactbench.scene.base import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.scene.mechanical import Mechanical, derived_gradient
@@ -174,7 +174,7 @@ def _number(scene: Mechanical, q: np.ndarray) -> float:
     value = scene.V(tuple(q.tolist()))
     if not is_real(value) or not hasattr(value, "__float__"):
         raise BadInput(
-            f"scene {scene.name!r}: its potential is {shown(value)} at q = {_at(q)}: must be a number"
+            f"scene {scene.name!r}: its potential is {excerpt(value)} at q = {_at(q)}: must be a number"
         )
     return float(value)
 
@@ -194,7 +194,7 @@ def _rows(scene: Mechanical, q: np.ndarray) -> np.ndarray:
         array = np.empty(0)
     if array.shape != (n, n) or array.dtype.kind not in "fiub":
         raise BadInput(
-            f"scene {scene.name!r}: its Hessian is {shown(rows)}: must be {n} rows of {n} real numbers"
+            f"scene {scene.name!r}: its Hessian is {excerpt(rows)}: must be {n} rows of {n} real numbers"
         )
     return array.astype(float)
 

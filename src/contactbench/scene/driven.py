@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Self
 
 from contactbench.boundary import their_code
-from contactbench.errors import BadInput, finite, function, is_number, returned, shown
+from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import State, Vector
 from contactbench.scene.base import TRIED, System
@@ -72,9 +72,9 @@ class Driven(Mechanical):
         with their_code(f"scene {self.name!r}"):
             rate = self.rate_at(self.t)
             span = (0.0, 0.0) if self.span is None else self.spent(self.t, TRIED * self.t_end, math)
-        returned("rate", rate)
+        require_number("rate", rate)
         if not (isinstance(span, tuple | list) and len(span) == 2 and all(map(is_number, span))):
-            raise BadInput(f"span: must return a pair of real numbers; it returns {shown(span)}")
+            raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(span)}")
 
     def _check_kinds(self) -> None:
         super()._check_kinds()

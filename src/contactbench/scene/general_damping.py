@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from contactbench.boundary import their_code
-from contactbench.errors import BadInput, function, returned
+from contactbench.errors import BadInput, function, require_number
 from contactbench.scene.algebra import State
 from contactbench.scene.base import TRIED
 from contactbench.scene.mechanical import Mechanical
@@ -54,7 +54,7 @@ class GeneralDamping(Mechanical):
             if self.damping_flow is not None:
                 found["damping_flow"] = self.damping_flow(self.s, TRIED * self.t_end, math)
         for name, value in found.items():
-            returned(name, value)
+            require_number(name, value)
 
     @property
     def required(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from contactbench.boundary import is_ours, user_error
-from contactbench.errors import BadInput, finite, function, is_real, positive, shown, switch, vector
+from contactbench.errors import BadInput, excerpt, finite, function, is_real, positive, switch, vector
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Scene
@@ -95,7 +95,7 @@ class Mechanical(Scene):
         switch("rotation_invariant", self.rotation_invariant)
         names = self.parameters if isinstance(self.parameters, Mapping) else [None]
         if not all(isinstance(name, str) and name.isidentifier() for name in names):
-            raise BadInput(f"parameters = {shown(self.parameters)}: must be a dict of numbers by name")
+            raise BadInput(f"parameters = {excerpt(self.parameters)}: must be a dict of numbers by name")
         self._check_names(self.parameters)
 
     def _check_force(self) -> None:
@@ -104,11 +104,11 @@ class Mechanical(Scene):
             force = self.dV(self.q)
         except (ZeroDivisionError, OverflowError):
             raise BadInput(
-                f"q = {shown(self.q)}: the force of scene {self.name!r} is singular there"
+                f"q = {excerpt(self.q)}: the force of scene {self.name!r} is singular there"
             ) from None
         except (ValueError, IndexError, TypeError) as error:
             raise BadInput(
-                f"q = {shown(self.q)}: wrong for scene {self.name!r}, whose gradient says: "
+                f"q = {excerpt(self.q)}: wrong for scene {self.name!r}, whose gradient says: "
                 f"{user_error(type(error).__name__, error)}"
             ) from error
         except KeyboardInterrupt:
@@ -116,13 +116,15 @@ class Mechanical(Scene):
         except BaseException as error:
             raise user_error(f"scene {self.name!r}", error) from error
         if not isinstance(force, tuple | list | np.ndarray):
-            raise BadInput(f"gradient: must return {len(self.q)} numbers, a tuple; it returns {shown(force)}")
+            raise BadInput(
+                f"gradient: must return {len(self.q)} numbers, a tuple; it returns {excerpt(force)}"
+            )
         if len(force) != len(self.q):
-            raise BadInput(f"q = {shown(self.q)}: scene {self.name!r} needs {len(force)} components")
+            raise BadInput(f"q = {excerpt(self.q)}: scene {self.name!r} needs {len(force)} components")
         if not all(is_real(f) and hasattr(f, "__float__") for f in force):
-            raise BadInput(f"gradient: must return real numbers; it returns {shown(force)}")
+            raise BadInput(f"gradient: must return real numbers; it returns {excerpt(force)}")
         if not all(isfinite(f) for f in force):
-            raise BadInput(f"q = {shown(self.q)}: the force of scene {self.name!r} is not finite there")
+            raise BadInput(f"q = {excerpt(self.q)}: the force of scene {self.name!r} is not finite there")
 
     @property
     def required(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, finite, positive, shown, vector
+from contactbench.errors import BadInput, array, excerpt, finite, positive, vector
 from contactbench.scene.algebra import (
     BodyState,
     Vector,
@@ -54,7 +54,7 @@ class RigidBody(Scene):
         fix = object.__setattr__
         fix(self, "inertia", vector("inertia", self.inertia, 3))
         if min(self.inertia) <= 0:
-            raise BadInput(f"inertia = {shown(self.inertia)}: all three moments must be > 0")
+            raise BadInput(f"inertia = {excerpt(self.inertia)}: all three moments must be > 0")
         fix(self, "inverse_inertia", vector("1/inertia", (1 / i for i in self.inertia)))
         fix(self, "by_inertia", tuple(sorted(range(3), key=lambda i: self.inertia[i])))
         fix(self, "M", vector("M", self.M, 3))
@@ -263,7 +263,7 @@ class RigidBody(Scene):
 def damping_matrix(value: Any) -> np.ndarray:
     """D as a 3×3 array, from three rates or a matrix; `BadInput` unless symmetric and ≥ 0."""
     wanted = "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix"
-    message = f"damping = {shown(value)}: must be {wanted}"
+    message = f"damping = {excerpt(value)}: must be {wanted}"
     given = array("damping", value, wanted)
     matrix = np.diag(given) if given.shape == (3,) else given
     if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)) or not np.array_equal(matrix, matrix.T):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contactbench.errors import BadInput, Registry, shown
+from contactbench.errors import BadInput, Registry, excerpt
 from contactbench.scene import Scene
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
@@ -18,7 +18,7 @@ def scene_of(scene: object) -> Scene:
     if isinstance(scene, str):
         scene = SCENES[scene]
     if not isinstance(scene, Scene):
-        raise BadInput(f"scene = {shown(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
+        raise BadInput(f"scene = {excerpt(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
     return scene.recorded()
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from contactbench.boundary import is_ours, plain_function
 from contactbench.boundary import place as place_of
-from contactbench.errors import BadInput, is_real, one_line, shown
+from contactbench.errors import BadInput, excerpt, is_real, one_line
 from contactbench.scene import Scene, verify
 from contactbench.scene.cache import Cache, key
 from contactbench.scene.definition import verify_along
@@ -59,7 +59,7 @@ def reference(
     """
     scene = scene_of(scene)
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
-        raise BadInput(f"seconds = {shown(seconds)}: must be a number")
+        raise BadInput(f"seconds = {excerpt(seconds)}: must be a number")
     carry = scene.carry(carry)
     t = checked_times(times)
     verify(scene)
