@@ -13,7 +13,7 @@ import pytest
 
 import contactbench as cb
 from cells import cells, controlled, small, step_budget
-from contactbench.measure.isolation import Died, TimedOut, Workers
+from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.measure.ladder import SAVES
 from contactbench.measure.stability import (
     THEORY,
@@ -136,8 +136,8 @@ def budget_of(profile, scene, method):
 @pytest.fixture(scope="session")
 def worker():
     """A process beside this one, on the same core, that keeps what it has compiled."""
-    with Workers([None]) as workers:
-        yield workers
+    with Worker() as one:
+        yield one
 
 
 def rows_of(calls, worker):
@@ -151,7 +151,7 @@ def rows_of(calls, worker):
             rows.append(row | {"status": "budget", "message": f"not run: {spent} spent the budget"})
             continue
         try:
-            rows.append(worker.submit(LIMIT, function, *arguments).result())
+            rows.append(worker.call(LIMIT, function, *arguments))
         except TimedOut as error:
             rows.append(row | {"status": "timeout", "message": str(error)})
         except (Died, SolverError) as error:  # anything else is a fault of ours, and fails the cell

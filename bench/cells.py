@@ -11,7 +11,7 @@ from contactbench.methods.base import Method
 from contactbench.plugins import OWN
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES, scenes_of
-from contactbench.solution import Counts, Solution, printed_setting
+from contactbench.solution import Counts, Solution, setting_key
 
 #: in the smoke profile what is soon compiled on one scene, and on every other one of our methods and one of theirs
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
@@ -145,7 +145,7 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
     """The columns that say what was set: control, value, variant, and all of them printed."""
-    printed = printed_setting(control, value)
+    printed = setting_key(control, value)
     setting = f"{variant} {printed}".strip()
     return {"control": control, "value": value, "variant": variant, "setting": setting}
 

@@ -102,17 +102,6 @@ def test_the_command_line_takes_it_anywhere_on_the_line(example):
 
 
 # -- files that fail -------------------------------------------------------------------------------
-@pytest.fixture
-def registries(monkeypatch):
-    """What a test registers is forgotten again."""
-    monkeypatch.setenv(plugins.VARIABLE, "")
-    kept = [(each, dict(each)) for each in (*plugins.GROUPS.values(), plugins.LOADED)]
-    yield
-    for registry, items in kept:
-        registry.clear()
-        registry.update(items)
-
-
 STEP = "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    "
 SCENE = "import contactbench as cb\ncb.SCENES.add("
 FAILURES = {

@@ -313,17 +313,17 @@ def test_cvode_is_not_held_to_its_default_of_500_steps():
     assert 100 < run().counts.steps < 1000
 
 
-@pytest.mark.parametrize(
-    "method",
-    few_slow(ADAPTIVE, *LONG),
-    ids=lambda m: m.name,
-)
+@pytest.mark.parametrize("method", few_slow(ADAPTIVE, *LONG), ids=lambda m: m.name)
 def test_singular_right_hand_side_is_a_row_and_not_a_crash(method):
     scene = cb.Mechanical(
-        name="collision", potential=lambda q: -((q[0] * q[0]) ** -0.5),
+        name="collision",
+        potential=lambda q: -((q[0] * q[0]) ** -0.5),
         gradient=lambda q: (q[0] * (q[0] * q[0]) ** -1.5,),
-        gamma=0.0, q=(1.0,), p=(0.0,), t_end=3.0,
-    )  # fmt: skip
+        gamma=0.0,
+        q=(1.0,),
+        p=(0.0,),
+        t_end=3.0,
+    )
     solution = cb.solve(scene, method.name, rtol=1e-6, save_at=[3.0], max_steps=20_000)
     # straight into the singularity at t = π/√8 ≈ 1.11: nothing true can be said beyond it
     assert solution.status in (Status.failed, Status.diverged, Status.budget)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import BadInput, Registry, array, shown
+from contactbench.errors import BadInput, Registry, array, excerpt
 from contactbench.scene import Scene
-from contactbench.solution import EXACT, printed_setting
+from contactbench.solution import EXACT, setting_key
 
 #: name → method, each a `base.Method`
 METHODS = Registry("method")
@@ -45,7 +45,7 @@ class Request:
     @cached_property
     def setting(self) -> str:
         """The setting as it is keyed in tables."""
-        return printed_setting(self.control, self.value)
+        return setting_key(self.control, self.value)
 
 
 # -- saved times, and how many equal steps lead from one to the next ---------------------------------
@@ -69,7 +69,7 @@ def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
 def saved_times(save_at: Any) -> np.ndarray:
     times = np.array(array("save_at", save_at, "increasing times"), ndmin=1)  # a copy
     if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
-        raise BadInput(f"save_at = {shown(save_at)}: must be finite times, at least one")
+        raise BadInput(f"save_at = {excerpt(save_at)}: must be finite times, at least one")
     if times[0] < 0 or np.any(np.diff(times) <= 0):
         raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
     if len(times) == 1 and times[0] == 0:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, is_number, shown
+from contactbench.errors import BadInput, excerpt, is_number
 from contactbench.methods.base import Method
 from contactbench.methods.engines import CALLBACKS
 from contactbench.numbers.control import Repeat, repeat
@@ -182,7 +182,7 @@ def _try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float
         except ArithmeticError:  # Python's way to say inf; the run will end as diverged
             return False
     if type(after) is not type(x):
-        raise BadInput(f"{what}: its step map returns {shown(after)}: must be a {type(x).__name__}")
+        raise BadInput(f"{what}: its step map returns {excerpt(after)}: must be a {type(x).__name__}")
     for name, old, new in zip(x._fields, x, after, strict=True):
         if not _alike(old, new):
             wanted = (
@@ -192,7 +192,7 @@ def _try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float
                 if old is None
                 else "a number"
             )
-            raise BadInput(f"{what}: its step map returns {name} = {shown(new)}: must be {wanted}")
+            raise BadInput(f"{what}: its step map returns {name} = {excerpt(new)}: must be {wanted}")
     return True
 
 

@@ -147,8 +147,11 @@ def variational_request(request: Request, derivative: Derivative) -> Request:
     count = len(scene.tangents(scene.initial(request.carry)))
     larger: Any = Variational(
         name=f"variational equations of {scene.name}",
-        t_end=scene.t_end, base=scene, count=count, derivative=derivative,
-    )  # fmt: skip
+        t_end=scene.t_end,
+        base=scene,
+        count=count,
+        derivative=derivative,
+    )
     return replace(request, scene=larger)
 
 

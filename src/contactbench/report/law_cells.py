@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.measure.round_off import DECIDABLE, UNSURE, decided
+from contactbench.measure.round_off import DECIDABLE, UNSURE, decide
 from contactbench.report.chapters import Frames
 from contactbench.report.numbers import DASH, scientific
 from contactbench.report.views import Cell, Mark, as_cell
@@ -47,7 +47,7 @@ def drift_cell(row: Mapping[Any, Any] | pd.Series, law: str) -> Cell:
     error, limit, clamped = (
         scalar(row, f"{law}_{name}", 0.0) for name in ("uncertainty", "bound", "clamped")
     )
-    kept, ill = decided(value, limit) if limit else (False, False)
+    kept, ill = decide(value, limit) if limit else (False, False)
     unsure = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
     signs = (DAGGER if clamped > 0 else "") + (DOUBLE_DAGGER if ill else "")
