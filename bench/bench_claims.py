@@ -8,23 +8,7 @@ from contactbench.claims.curves import FIGURES, rows
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 
 #: claims that take longer than a second, which the smoke profile leaves out
-LONG = (
-    "C03",
-    "C04",
-    "C05",
-    "C15",
-    "C18",
-    "C20",
-    "C22",
-    "C24",
-    "C26",
-    "C33",
-    "C34",
-    "C37",
-    "C39",
-    "C41",
-    "X02",
-)
+LONG = {f"C{n:02d}" for n in (3, 4, 5, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41)} | {"X02"}
 
 
 def some(names, profile):

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import contactbench as cb
-from cells import cells, controlled, outcome, pairs, save_times, setting, steps
+from cells import cells, controlled, outcome, pairs
+from contactbench.measure.ladder import save_times, setting, steps
 from contactbench.measure.order import fit_order
 from contactbench.measure.precision import error_at
 from contactbench.results.tables import CONVERGENCE
@@ -37,11 +38,9 @@ def at_fifty_digits(scene, method):
     size = math.hypot(*scene.pack(scene.initial(scene.optional)))
     for n in EXTENDED_STEPS:
         h = EXTENDED_TIME / n
-        row = {
-            "scene": scene.name, "method": method.name, "engine": "mpmath", **controlled("step", h),
-            "status": "ok", "message": "", "steps": n, "evaluations": method.counts(scene, n),
-            "evaluation_kind": method.kind_on(scene), "jacobians": 0,
-        }  # fmt: skip
+        row = {"scene": scene.name, "method": method.name, "engine": "mpmath", **controlled("step", h)}
+        row |= {"status": "ok", "message": "", "steps": n, "jacobians": 0}
+        row |= {"evaluations": method.counts(scene, n), "evaluation_kind": method.kind_on(scene)}
         yield row, h, float(error_at(method, scene, EXTENDED_TIME, n)) / size
 
 
@@ -52,18 +51,10 @@ def test_convergence(cell, record):
     measured = at_fifty_digits(scene, method) if extended else in_double_precision(scene, method)
     rows, hs, errors = zip(*measured, strict=True)
     fit = fit_order(hs, errors, EXTENDED_FLOOR if extended else FLOOR)
+    order = {"order": fit.order, "order_uncertainty": fit.uncertainty, "order_nominal": method.order}
     for i, row in enumerate(rows):
-        record(
-            CONVERGENCE,
-            **row,
-            step=hs[i],
-            solution_error=errors[i],
-            pairwise_order=fit.pairwise[i],
-            in_fit=bool(fit.used[i]),
-            order=fit.order,
-            last_slope=fit.last_slope,
-            order_uncertainty=fit.uncertainty,
-            order_nominal=method.order,
-        )
+        point = {"step": hs[i], "solution_error": errors[i], "pairwise_order": fit.pairwise[i]}
+        point |= {"in_fit": bool(fit.used[i]), "last_slope": fit.last_slope}
+        record(CONVERGENCE, **row, **point, **order)
     assert all(row["status"] == "ok" or row["message"] for row in rows)
     assert math.isnan(fit.order) or fit.order > 0

@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 import contactbench as cb
-from cells import cells, contestants, outcome, setting, small, step_budget
+from cells import cells, contestants, outcome, small, step_budget
+from contactbench.measure.ladder import setting
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scenes import scenes_of

@@ -36,11 +36,12 @@ STEPS = {
     "rk4": (0.2, 0.08, 0.04, 0.01),
 }
 PEERS = [
-    ("diffrax-tsit5", "jax", "vmap"), ("diffrax-tsit5", "jax", "shared"),
-    ("diffrax-dopri8", "jax", "vmap"), ("diffrax-dopri8", "jax", "shared"),
+    *((f"diffrax-{solver}", "jax", shape) for solver in ("tsit5", "dopri8") for shape in ("vmap", "shared")),
     ("heyoka-taylor", "llvm", "batch"),
-    ("cyrk-dop853", "c++", "loop"), ("cyrk-vern8", "c++", "loop"), ("cvode-adams", "c", "loop"),
-]  # fmt: skip
+    ("cyrk-dop853", "c++", "loop"),
+    ("cyrk-vern8", "c++", "loop"),
+    ("cvode-adams", "c", "loop"),
+]
 #: trajectories of a peer that takes one after the other: more of them take no less each
 LOOPED = 256
 #: steps with which both methods evaluate so often that a call's own millisecond is lost
@@ -126,11 +127,9 @@ def prepared_row(cell, exact):
     """
     question, name, method, engine, variant, control, value, n, cores = cell
     scene = cb.SCENES[name]
-    row = {
-        "question": question, "scene": name, "method": method,
-        "family": cb.METHODS[method].family if method in cb.METHODS else "limit",
-        "engine": engine, **controlled(control, value, variant), "trajectories": n, "cores": cores,
-    }  # fmt: skip
+    row = {"question": question, "scene": name, "method": method, "engine": engine}
+    row |= {**controlled(control, value, variant), "trajectories": n, "cores": cores}
+    row |= {"family": cb.METHODS[method].family if method in cb.METHODS else "limit"}
     made = prepared(scene, method, engine, variant, value, initial(scene, n))
     if isinstance(made, str):
         return row | {"status": "unsupported", "message": made}, None

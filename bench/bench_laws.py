@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from cells import cells, outcome, pairs, save_times, setting, step_budget, steps
+from cells import cells, outcome, pairs, step_budget
+from contactbench.measure.ladder import save_times, setting, steps
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.columns import COMMON
 from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
@@ -41,14 +42,10 @@ def along_time(solution):
         found = law.along(solution) if law.applies(solution.scene) else np.nan
         return getattr(found, "size", np.full(len(solution.t), np.nan))
 
-    columns = {
-        "t": solution.t,
-        "energy": energies(solution)[0],
-        "energy_deviation": deviation("energy_law_relative"),
-        "hamiltonian_deviation": deviation("hamiltonian_law"),
-        "momentum_deviation": deviation("momentum_law"),
-        "contact_deviation": deviation("contact_drift"),
-    }
+    laws = {"energy": "energy_law_relative", "hamiltonian": "hamiltonian_law"}
+    laws |= {"momentum": "momentum_law", "contact": "contact_drift"}
+    columns = {"t": solution.t, "energy": energies(solution)[0]}
+    columns |= {f"{name}_deviation": deviation(law) for name, law in laws.items()}
     key = {name: value for name, value in outcome(solution).items() if name in COMMON}
     for values in zip(*columns.values(), strict=True):
         yield {**key, **dict(zip(columns, map(float, values), strict=True))}

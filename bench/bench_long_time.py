@@ -52,20 +52,17 @@ def settings(method):
 
 def with_tangents(method, kind, value, count=TRAJECTORIES):
     """Rows of the exponents, and of the energy along them."""
-    found = cb.lyapunov(
-        SCENE, method.name, every=PERIOD, intervals=PERIODS, settle=SETTLE, initial_conditions=starts(count),
-        **keywords(kind, value),
-    )  # fmt: skip
+    span = {"every": PERIOD, "intervals": PERIODS, "settle": SETTLE, "initial_conditions": starts(count)}
+    found = cb.lyapunov(SCENE, method.name, **span, **keywords(kind, value))
     largest = Average(found.exponents.value[0], found.exponents.error[0])
     total = found.total._replace(value=found.total.value + SCENE.gamma)
     averages = {ENERGY: found.energy, EXPONENT: largest, DIMENSION: found.dimension, SUM: total}
     defect = found.rates.sum(axis=1) + SCENE.gamma
-    told = {SUM: {"pairing_defect": math.sqrt(np.mean(defect * defect))}}
     for quantity, average in averages.items():
-        more = told.get(quantity, {}) if not found.diverged else {}
-        yield (
-            row(method, kind, value, quantity, average, found.evaluations, 0.0, found.diverged, count) | more
-        )
+        made = row(method, kind, value, quantity, average, (found.evaluations, 0.0), found.diverged, count)
+        if quantity == SUM and not found.diverged:
+            made["pairing_defect"] = math.sqrt(np.mean(defect * defect))
+        yield made
 
 
 def plain(method, kind, value):
@@ -75,30 +72,39 @@ def plain(method, kind, value):
     given = starts(TRAJECTORIES)
     runs = [run(q=(q,), p=(p,)) for q, p in zip(given["q"][0], given["p"][0], strict=True)]
     ok = [solution for solution in runs if solution.ok]
-    average, evaluations, jacobians = Average(math.nan, math.nan), math.nan, math.nan
+    average, spent = Average(math.nan, math.nan), (math.nan, math.nan)
     if ok:
         energy = np.array([SCENE.energy(solution.states())[SETTLE:] for solution in ok])
         average = jackknife(blocks(energy.T[:, None]), np.sum)
-        evaluations, jacobians = (
-            np.mean([getattr(solution.counts, name) for solution in ok]) / times[-1]
-            for name in ("evaluations", "jacobians")
-        )
-    return row(method, kind, value, ENERGY, average, evaluations, jacobians, len(runs) - len(ok))
+        spent = np.mean([(each.counts.evaluations, each.counts.jacobians) for each in ok], axis=0) / times[-1]
+    return row(method, kind, value, ENERGY, average, spent, len(runs) - len(ok))
 
 
-def row(method, kind, value, quantity, average, evaluations, jacobians, lost, count=TRAJECTORIES):
-    """One row; without numbers where a trajectory was lost, which would leave an average over the others."""
-    known = {
-        "mean": float(average.value), "error": float(average.error), "evaluations_per_time": evaluations,
-        "jacobians_per_time": jacobians,
-    } if not lost else {}  # fmt: skip
-    kind_of = method.kind_on(SCENE) if kind == "step" else "rhs"
-    return known | {
-        "scene": SCENE.name, "method": method.name, "engine": method.engines[0], **controlled(kind, value),
-        "status": "diverged" if lost else "ok", "quantity": quantity, "reference": count > TRAJECTORIES,
-        "message": f"{lost} of {count} trajectories left the scene's scale" if lost else "",
-        "trajectories": count, "periods": PERIODS, "evaluation_kind": kind_of,
-    }  # fmt: skip
+def row(method, kind, value, quantity, average, spent, lost, count=TRAJECTORIES):
+    """One row; without numbers where a trajectory was lost, which would leave an average over the others.
+
+    spent : evaluations and Jacobians per unit of time.
+    """
+    made = {
+        "scene": SCENE.name,
+        "method": method.name,
+        "engine": method.engines[0],
+        **controlled(kind, value),
+    }
+    made |= {
+        "quantity": quantity,
+        "reference": count > TRAJECTORIES,
+        "trajectories": count,
+        "periods": PERIODS,
+    }
+    made |= {"evaluation_kind": method.kind_on(SCENE) if kind == "step" else "rhs"}
+    if lost:
+        return made | {
+            "status": "diverged",
+            "message": f"{lost} of {count} trajectories left the scene's scale",
+        }
+    made |= {"status": "ok", "message": "", "mean": float(average.value), "error": float(average.error)}
+    return made | {"evaluations_per_time": float(spent[0]), "jacobians_per_time": float(spent[1])}
 
 
 @cells(methods)

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import SAVES, cells, controlled, small, step_budget
-from contactbench.measure.isolation import Died, TimedOut, Workers
+from cells import cells, controlled, small, step_budget
+from contactbench.measure.isolation import Died, TimedOut, Worker
+from contactbench.measure.ladder import SAVES
 from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
@@ -34,11 +35,12 @@ LIMIT = 900.0
 #: time per evaluation at the coarsest setting.  A step is as many times longer as it has evaluations, so that
 #: one rung costs every fixed-step method the same.
 COARSEST = {
-    "overdamped": 0.5, "critical": 0.2, "weak_damping": 0.25, "weak_damping_particle": 0.25,
-    "stiff_spring": 0.0025, "tumbling": 0.25, "needle": 0.0125, "singular_damping_1": 0.2,
-    "singular_damping_2": 0.2, "singular_damping_3": 0.2, "saddle_edge": 0.1, "escape": 0.0004,
-    "kepler_drag": 0.008, "antidamping": 0.2, "underflow": 0.1, "large_step": 2.1,
-}  # fmt: skip
+    "overdamped": 0.5,
+    **dict.fromkeys(("critical", "antidamping"), 0.2),
+    **{f"singular_damping_{k}": 0.2 for k in (1, 2, 3)},
+    **dict.fromkeys(("weak_damping", "weak_damping_particle", "tumbling"), 0.25),
+    **dict.fromkeys(("saddle_edge", "underflow"), 0.1),
+} | {"stiff_spring": 0.0025, "needle": 0.0125, "escape": 0.0004, "kepler_drag": 0.008, "large_step": 2.1}
 #: rungs where a factor of four would miss the point: γh = 25, 5, 1; both sides of the stability limit
 RUNGS = {"overdamped": (1.0, 0.2, 0.04, 0.01), "large_step": (1.0, 2 / 3, 0.25, 1 / 16)}
 #: elsewhere, by four: the finest reaches the errors of tight tolerances, with one rung more for low orders
@@ -60,22 +62,19 @@ def brief(profile):
 def settings(scene, method):
     """(kind, value) of each rung of a method's ladder."""
     if method.control == EXACT:
-        values = [(EXACT, 0.0)]
-    elif method.adaptive:
+        return [(EXACT, 0.0)]
+    if method.adaptive:
         finest = method.rtol_range[0]
-        values = [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
-    elif method.refuses(scene):
-        values = [("step", COARSEST.get(scene.name, scene.t_end / 100))]
-    else:
-        each = method.per_step(scene) / (2 if method.kind_on(scene) == "rotation" else 1)
-        coarsest = COARSEST.get(scene.name, scene.t_end / 400)
-        rungs = RUNGS.get(scene.name, BY_FOUR)
-        if method.order <= LOW_ORDER:
-            rungs = (*rungs, rungs[-1] / 4)
-        steps = (coarsest * part * each for part in rungs)
-        longest = scene.t_end / SAVES  # no step straddles a saved time
-        values = [("step", step) for step in dict.fromkeys(min(step, longest) for step in steps)]
-    return values
+        return [("rtol", rtol) for rtol in (*(r for r in TOLERANCES if r > finest), finest)]
+    if method.refuses(scene):
+        return [("step", COARSEST.get(scene.name, scene.t_end / 100))]
+    each = method.per_step(scene) / (2 if method.kind_on(scene) == "rotation" else 1)
+    rungs = RUNGS.get(scene.name, BY_FOUR)
+    if method.order <= LOW_ORDER:
+        rungs = (*rungs, rungs[-1] / 4)
+    longest = scene.t_end / SAVES  # no step straddles a saved time
+    steps = (min(COARSEST.get(scene.name, scene.t_end / 400) * part * each, longest) for part in rungs)
+    return [("step", step) for step in dict.fromkeys(steps)]
 
 
 def ladder(profile):
@@ -112,22 +111,17 @@ def calls(cell, profile):
 def rate_calls(cell, profile):
     which, method = cell[0], cb.METHODS[cell[1]]
     key = {"method": method.name, "engine": method.engines[0], "status": "failed"}
-    if which == "overdamped":
-        scene = cb.SCENES[which]
-        values = {
-            "step": [damping / scene.gamma for damping in DAMPING_PER_STEP], "rtol": CREEP_RTOLS, EXACT: [0.0],
-        }[method.control]  # fmt: skip
-        budget = budget_of(profile, scene, method)
-        for value in values:
-            kind = method.control
-            row = key | {
-                "experiment": "overdamped", "scene": which, **controlled(kind, value), "t_end": scene.t_end,
-            }  # fmt: skip
-            yield row, overdamped_row, (method.name, kind, value, budget)
+    if which != "overdamped":
+        name, _, span = which.partition(" ")
+        row = key | {"experiment": "weak", "scene": name, "setting": "", "t_end": float(span)}
+        yield row, weak_row, (name, method.name, float(span))
         return
-    name, _, span = which.partition(" ")
-    row = key | {"experiment": "weak", "scene": name, "setting": "", "t_end": float(span)}
-    yield row, weak_row, (name, method.name, float(span))
+    scene, kind = cb.SCENES[which], method.control
+    steps = [damping / scene.gamma for damping in DAMPING_PER_STEP]
+    key |= {"experiment": "overdamped", "scene": which, "t_end": scene.t_end}
+    for value in {"step": steps, "rtol": CREEP_RTOLS, EXACT: [0.0]}[kind]:
+        arguments = (method.name, kind, value, budget_of(profile, scene, method))
+        yield key | controlled(kind, value), overdamped_row, arguments
 
 
 def budget_of(profile, scene, method):
@@ -142,8 +136,8 @@ def budget_of(profile, scene, method):
 @pytest.fixture(scope="session")
 def worker():
     """A process beside this one, on the same core, that keeps what it has compiled."""
-    with Workers([None]) as workers:
-        yield workers
+    with Worker() as one:
+        yield one
 
 
 def rows_of(calls, worker):
@@ -157,7 +151,7 @@ def rows_of(calls, worker):
             rows.append(row | {"status": "budget", "message": f"not run: {spent} spent the budget"})
             continue
         try:
-            rows.append(worker.submit(LIMIT, function, *arguments).result())
+            rows.append(worker.call(LIMIT, function, *arguments))
         except TimedOut as error:
             rows.append(row | {"status": "timeout", "message": str(error)})
         except (Died, SolverError) as error:  # anything else is a fault of ours, and fails the cell
@@ -200,47 +194,41 @@ def linear(profile):
 @cells(linear)
 def test_linear_stability(cell, record_all):
     method = cb.METHODS[cell[0]]
-    theory, each = THEORY.get(method.name), method.per_step(cb.SCENES["oscillator"])
-    repeated, both = kernel(method), is_processed(method)
-    limits = []
-    for gamma in GAMMAS:
-        for omega in OMEGAS:
-            found = stability(repeated, gamma, omega)
-            limits.append({
-                "method": method.name, "gamma": gamma, "omega": omega, "limit": found.limit,
-                "windows": printed_windows(found), "last": found.last,
-                "theory": theory(gamma, omega) if theory else np.nan, "per_evaluation": found.limit / each,
-                "limit_kernel": found.limit if both else np.nan,
-                "limit_saved": stability(method, gamma, omega).limit if both else np.nan,
-            })  # fmt: skip
-    record_all(STABILITY_LIMITS, limits)
-    radii = []
-    for gamma in GAMMAS:
-        radius = spectral_radius(repeated, gamma, 1.0, STEPS)
-        saved = spectral_radius(method, gamma, 1.0, STEPS) if both else np.full(len(STEPS), np.nan)
-        radii += [
-            {
-                "method": method.name,
-                "gamma": gamma,
-                "step": h,
-                "radius": r,
-                "radius_saved": r_saved,
-                "true_radius": true_radius(gamma, 1.0, h),
-            }
-            for h, r, r_saved in zip(STEPS.tolist(), radius.tolist(), saved.tolist(), strict=True)
-        ]
-    record_all(ONE_STEP, radii)
-    errors = []
-    for gamma in STRONG:
-        for between in PER_EVALUATION:
-            h = between / gamma * each
-            errors.append({
-                "method": method.name, "gamma": gamma, "damping_per_evaluation": between, "step": h,
-                "error": propagation_error(method, gamma, h),
-                "error_saved": propagation_error(method, gamma, h, every_step=True) if both else np.nan,
-                "radius": spectral_radius(repeated, gamma, 1.0, h),
-            })  # fmt: skip
-    record_all(STRONG_DAMPING, errors)
+    record_all(STABILITY_LIMITS, [limits(method, gamma, omega) for gamma in GAMMAS for omega in OMEGAS])
+    record_all(ONE_STEP, [row for gamma in GAMMAS for row in radii(method, gamma)])
+    record_all(STRONG_DAMPING, [row for gamma in STRONG for row in errors(method, gamma)])
+
+
+def limits(method, gamma, omega):
+    theory, both = THEORY.get(method.name), is_processed(method)
+    found = stability(kernel(method), gamma, omega)
+    row = {"method": method.name, "gamma": gamma, "omega": omega, "limit": found.limit, "last": found.last}
+    row |= {"windows": printed_windows(found), "theory": theory(gamma, omega) if theory else np.nan}
+    row |= {"per_evaluation": found.limit / method.per_step(cb.SCENES["oscillator"])}
+    saved = stability(method, gamma, omega).limit if both else np.nan
+    return row | {"limit_kernel": found.limit if both else np.nan, "limit_saved": saved}
+
+
+def radii(method, gamma):
+    radius = spectral_radius(kernel(method), gamma, 1.0, STEPS)
+    saved = (
+        spectral_radius(method, gamma, 1.0, STEPS) if is_processed(method) else np.full(len(STEPS), np.nan)
+    )
+    for h, r, r_saved in zip(STEPS.tolist(), radius.tolist(), saved.tolist(), strict=True):
+        row = {"method": method.name, "gamma": gamma, "step": h, "true_radius": true_radius(gamma, 1.0, h)}
+        yield row | {"radius": r, "radius_saved": r_saved}
+
+
+def errors(method, gamma):
+    both, each = is_processed(method), method.per_step(cb.SCENES["oscillator"])
+    for between in PER_EVALUATION:
+        h = between / gamma * each
+        row = {"method": method.name, "gamma": gamma, "damping_per_evaluation": between, "step": h}
+        row |= {
+            "radius": spectral_radius(kernel(method), gamma, 1.0, h),
+            "error": propagation_error(method, gamma, h),
+        }
+        yield row | {"error_saved": propagation_error(method, gamma, h, every_step=True) if both else np.nan}
 
 
 def printed_windows(found):

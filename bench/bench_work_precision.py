@@ -17,9 +17,9 @@ import pytest
 
 import contactbench as cb
 from c_loops import KERNELS, kernel
-from cells import cells, controlled, engines, outcome, step_budget, work_ladder
+from cells import cells, controlled, engines, outcome, step_budget
 from contactbench.measure.clock import Call, Part, seconds
-from contactbench.measure.ladder import BETWEEN, ENDS, LOOSEST, carried, fields, tolerances
+from contactbench.measure.ladder import BETWEEN, ENDS, LOOSEST, carry_of, fields, tolerances, work_ladder
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
@@ -86,7 +86,7 @@ def options(cell, profile):
     return name, method, {
         **keywords(control, value),
         "engine": engine,
-        "carry": carried(scene),
+        "carry": carry_of(scene),
         "max_steps": step_budget(profile, scene, cb.METHODS[method], engine),
     }  # fmt: skip
 

@@ -44,11 +44,8 @@ def constants(method: str, scene, step: float) -> tuple[str, int, list[np.ndarra
     n = round(scene.t_end / step)
     h = scene.t_end / n
     kicks = np.array([number(c, math) * h for f, c in composition.stages if f == "kick"])
-    drifts = [
-        MECHANICAL["drift_damp"].constants(scene, number(c, math) * h, math)
-        for f, c in composition.stages
-        if f == "drift_damp"
-    ]
+    flow, parts = MECHANICAL["drift_damp"], [c for f, c in composition.stages if f == "drift_damp"]
+    drifts = [flow.constants(scene, number(c, math) * h, math) for c in parts]
     phi, _, keep, lose = (np.array(column) for column in zip(*drifts, strict=True))
     return name, n, [kicks, phi, keep, lose]
 
@@ -66,11 +63,7 @@ def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], i
     start = np.array([*scene.q, *scene.p])
     loop, y = getattr(loops, name), start.copy()
     coupling = ctypes.c_double(scene.parameters["coupling"])
-    arguments = (
-        ctypes.c_int64(n),
-        coupling,
-        *map(pointer, (*numbers, y)),
-    )  # made once: a call is a microsecond
+    arguments = (ctypes.c_int64(n), coupling, *map(pointer, (*numbers, y)))  # once: a call is a microsecond
 
     def run() -> np.ndarray:
         y[:] = start
@@ -113,13 +106,8 @@ def ensemble_kernel(
 
     def run() -> np.ndarray:
         columns[:] = start
-        loop(
-            ctypes.c_int64(trajectories),
-            ctypes.c_int64(n),
-            coupling,
-            *map(pointer, numbers),
-            *map(pointer, columns),
-        )
+        counts = ctypes.c_int64(trajectories), ctypes.c_int64(n)
+        loop(*counts, coupling, *map(pointer, numbers), *map(pointer, columns))
         return columns.copy()
 
     return run, n * len(numbers[1]) + 1, n

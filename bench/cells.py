@@ -6,17 +6,12 @@ from collections.abc import Callable, Iterable
 from typing import Any
 from zlib import crc32
 
-from contactbench.measure.ladder import SAVES as SAVES
-from contactbench.measure.ladder import save_times as save_times
-from contactbench.measure.ladder import setting as setting
-from contactbench.measure.ladder import steps as steps
-from contactbench.measure.ladder import work_ladder as work_ladder
 from contactbench.methods import METHODS
 from contactbench.methods.base import Method
 from contactbench.plugins import OWN
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES, scenes_of
-from contactbench.solution import Counts, Solution, printed_setting
+from contactbench.solution import Counts, Solution, setting_key
 
 #: in the smoke profile what is soon compiled on one scene, and on every other one of our methods and one of theirs
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
@@ -55,11 +50,9 @@ def family(cell: tuple) -> Any:
 def takes_long(cell: Any) -> bool:
     """Whether the runs of a cell call back into Python or solve equations at every step."""
     found = scene_and_method(cell)
-    return (
-        found is not None
-        and found[1].adaptive
-        and found[1].step_cost(found[0], found[1].engines[0]) is not None
-    )
+    if found is None or not found[1].adaptive:
+        return False
+    return found[1].step_cost(found[0], found[1].engines[0]) is not None
 
 
 def pairs(
@@ -152,27 +145,21 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
     """The columns that say what was set: control, value, variant, and all of them printed."""
-    printed = printed_setting(control, value)
-    return {
-        "control": control, "value": value, "variant": variant, "setting": f"{variant} {printed}".strip(),
-    }  # fmt: skip
+    printed = setting_key(control, value)
+    setting = f"{variant} {printed}".strip()
+    return {"control": control, "value": value, "variant": variant, "setting": setting}
 
 
 def outcome(solution: Solution, counts: Counts | None = None, variant: str = "") -> dict[str, Any]:
     """The columns every row has: key, status, counts."""
-    counts = counts or solution.counts
-    return {
+    counts, method = counts or solution.counts, METHODS[solution.method]
+    row = {
         "scene": solution.scene.name,
-        "method": solution.method,
-        "family": METHODS[solution.method].family,
+        "method": method.name,
+        "family": method.family,
         "engine": solution.engine,
-        **controlled(solution.control, solution.value, variant),
-        "status": str(solution.status),
-        "message": solution.message,
-        "steps": counts.steps,
-        "evaluations": counts.evaluations,
-        "evaluation_kind": counts.kind,
-        "rhs_equivalents": counts.rhs_equivalents,
-        "jacobians": counts.jacobians,
-        "rejected": counts.rejected if METHODS[solution.method].adaptive else None,
     }
+    row |= controlled(solution.control, solution.value, variant)
+    row |= {"status": str(solution.status), "message": solution.message, "evaluation_kind": counts.kind}
+    row |= {name: getattr(counts, name) for name in ("steps", "evaluations", "rhs_equivalents", "jacobians")}
+    return row | {"rejected": counts.rejected if method.adaptive else None}

@@ -6,7 +6,7 @@ import os
 import random
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -217,21 +217,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         return
     try:
         for each in TABLES.values():  # refused now rather than after ten minutes
-            readable(each, config)
+            with suppress(*([] if config.cells.selection else [OldTable])):  # a whole run replaces those
+                read(each, config.cells.results)
         config.cells.begin(provenance.environment(config.profile.name, SHUFFLE_SEED))
     except (BadInput, OSError) as error:
         raise pytest.UsageError(f"--results {config.cells.results}: {error}") from None
     config.begun = True
-
-
-def readable(table: Any, config: pytest.Config) -> None:
-    """Refuse files that are no tables, and, before a part of them is run, tables of another version: a whole
-    run replaces those."""
-    try:
-        read(table, config.cells.results)
-    except OldTable:
-        if config.cells.selection:
-            raise
 
 
 @pytest.hookimpl(wrapper=True)
@@ -311,12 +302,9 @@ def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
     if not has_clock(request.config):
         yield None
         return
-    items = [
-        each
-        for each in request.session.items
-        if each.module is request.module and "clock" in each.fixturenames
-    ]
-    table = Timetable({identity(item): engine_of(item) for item in items}, request.config.profile.visits)
+    items = (each for each in request.session.items if each.module is request.module)
+    engines = {identity(item): engine_of(item) for item in items if "clock" in item.fixturenames}
+    table = Timetable(engines, request.config.profile.visits)
     try:
         yield table
         if not table.ahead:  # else the run was interrupted

@@ -12,9 +12,10 @@ from time import perf_counter
 import numpy as np
 
 import contactbench as cb
-from cells import outcome, save_times
+from cells import outcome
 from contactbench.boundary import UserError
 from contactbench.measure.deviation import MEANINGFUL
+from contactbench.measure.ladder import save_times
 from contactbench.measure.laws import row as law_columns
 from contactbench.measure.stability import slow_rate
 from contactbench.results.tables import DAMPING_RATES
@@ -68,14 +69,8 @@ def stability_row(scene, method, engine, kind, value, max_steps):
     """A row of the table `stability`."""
     scene = cb.SCENES[scene]
     with blamed_on_solver():
-        run = cb.prepare(
-            scene,
-            method,
-            engine=engine,
-            save_at=save_times(scene),
-            max_steps=max_steps,
-            **keywords(kind, value),
-        )
+        options = {"engine": engine, "save_at": save_times(scene), "max_steps": max_steps}
+        run = cb.prepare(scene, method, **options, **keywords(kind, value))
         start = perf_counter()
         solution = run()
         first = perf_counter() - start

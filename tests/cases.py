@@ -101,9 +101,9 @@ def few_slow(values, *slow):
     return [pytest.param(*given, marks=[pytest.mark.slow] if value in slow else []) for value, given in each]
 
 
-def most_slow(values, *quick):
-    """The values of a parametrisation, all slow but a few."""
-    return few_slow(values, *(value for value in values if value not in quick))
+def saved(scene, count=5):
+    """Equal times up to the end."""
+    return scene.t_end * np.arange(1, count + 1) / count
 
 
 def random_state(scene, seed: int = 0, carry=None):

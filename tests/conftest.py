@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 from mpmath import mp
 
+from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS
-from contactbench.plugins import OWN
+from contactbench.plugins import GROUPS, LOADED, OWN, VARIABLE
 from contactbench.scenes import SCENES
 
 
@@ -37,6 +38,19 @@ def has_users(item: pytest.Item) -> bool:
 
 def label(value: Any) -> Any:
     return getattr(value, "name", value)
+
+
+@pytest.fixture
+def registries(monkeypatch):
+    """Forget what a test registers."""
+    from contactbench.report.chapters import CHAPTERS
+
+    monkeypatch.setenv(VARIABLE, "")
+    kept = [(each, dict(each)) for each in (*GROUPS.values(), LAWS, CHAPTERS, LOADED)]
+    yield
+    for registry, items in kept:
+        registry.clear()
+        registry.update(items)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from contactbench.results.schema import TABLES
-from contactbench.results.store import typed
+from contactbench.results.store import set_types
 
 FAMILIES = {"contact": "contact", "herglotz": "variational", "limit": "limit"}
 
@@ -34,7 +34,7 @@ def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
 
 @cache
 def empty(name: str) -> pd.DataFrame:
-    return typed(pd.DataFrame(columns=[*TABLES[name].every_column]), TABLES[name])
+    return set_types(pd.DataFrame(columns=[*TABLES[name].every_column]), TABLES[name])
 
 
 def table(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
@@ -45,7 +45,7 @@ def table(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
     frame = pd.DataFrame(list(rows))
     unknown = set(frame) - set(columns)
     assert not unknown, unknown
-    return typed(frame.reindex(columns=[*columns]), TABLES[name])
+    return set_types(frame.reindex(columns=[*columns]), TABLES[name])
 
 
 def frames(**tables: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:

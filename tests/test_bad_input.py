@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 import signal
 import sys
 from dataclasses import dataclass
@@ -18,83 +20,91 @@ from contactbench.measure.laws import law
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition, verify
 
-CASES = [
-    (("partcle", "rk4", {"step": 0.1}), "unknown scene 'partcle': did you mean 'particle'?"),
-    (("particle", "contact-strnag", {"step": 0.1}), "did you mean 'contact-strang'?"),
-    (("particle", "rk4", {"step": -0.1}), "step = -0.1: must be > 0"),
-    (("particle", "rk4", {"step": 0}), "step = 0: must be > 0"),
-    (("particle", "rk4", {"step": math.nan}), "step = nan: must be a finite number"),
-    (("particle", "rk4", {"step": "small"}), "step = 'small'"),
-    (("particle", "rk4", {}), "give step, or rtol"),
-    (("particle", "rk4", {"rtol": 1e-6, "step": 0.1}), "rk4 takes one of them"),
-    (("particle", "rk4", {"rtol": 1e-20}), "rk4 takes 1e-13 to 0.1"),
-    (("particle", "cvode-bdf", {"step": 0.1}), "give rtol"),
-    (("particle", "cvode-bdf", {}), "rtol is missing"),
-    (("particle", "cvode-bdf", {"rtol": 1e-30}), "takes 2.3e-16 to 0.1"),
-    (("particle", "scipy-dop853", {"rtol": -1}), "rtol = -1: must be > 0"),
-    (("particle", "rk4", {"step": 0.1, "engine": "fortran"}), "engine = 'fortran': rk4 runs on numba, jax, python"),
-    (("particle", "rk4", {"step": 0.1, "save_at": [3.0, 1.0]}), "strictly increasing"),
-    (("particle", "rk4", {"step": 0.1, "save_at": [1.0, math.nan]}), "must be finite times"),
-    (("particle", "rk4", {"step": 0.1, "save_at": []}), "must be finite times"),
-    (("particle", "rk4", {"step": 0.1, "carry": ("R",)}), "can carry s"),
-    (("particle", "rk4", {"step": 0.1, "max_steps": 0}), "max_steps = 0"),
-]  # fmt: skip
+#: a scene, a method and options of a run, and a part of the refusal
+RUNS = [
+    ("partcle", "rk4", {"step": 0.1}, "unknown scene 'partcle': did you mean 'particle'?"),
+    ("particle", "contact-strnag", {"step": 0.1}, "did you mean 'contact-strang'?"),
+    ("particle", "rk4", {"rtol": 1e-20}, "rk4 takes 1e-13 to 0.1"),
+    ("particle", "cvode-bdf", {"step": 0.1}, "give rtol"),
+    ("particle", "cvode-bdf", {}, "rtol is missing"),
+    ("particle", "cvode-bdf", {"rtol": 1e-30}, "takes 2.3e-16 to 0.1"),
+    ("particle", "scipy-dop853", {"rtol": -1}, "rtol = -1: must be > 0"),
+]
+#: options of a run of rk4 on the particle, beside a step of 0.1
+OPTIONS = [
+    ({"step": -0.1}, "step = -0.1: must be > 0"),
+    ({"step": 0}, "step = 0: must be > 0"),
+    ({"step": math.nan}, "step = nan: must be a finite number"),
+    ({"step": "0.1"}, "step = '0.1': must be a finite number"),
+    ({"step": np.complex128(0.1)}, "step = "),
+    ({"step": 10**400}, "must be a finite number"),
+    ({"step": 10**5000}, "step = <int>: must be"),  # too long to be printed
+    ({"engine": "fortran"}, "engine = 'fortran': rk4 runs on numba, jax, python"),
+    ({"save_at": [3.0, 1.0]}, "strictly increasing"),
+    ({"save_at": [1.0, math.nan]}, "must be finite times"),
+    ({"save_at": []}, "must be finite times"),
+    ({"carry": ("R",)}, "can carry s"),
+    ({"carry": np.ones(10**6)}, "can carry s"),
+    ({"carry": 5}, "carry = 5: scene 'particle' can carry s"),
+    ({"max_steps": 0}, "max_steps = 0"),
+    ({"max_steps": math.nan}, "max_steps = nan: must be"),
+]
+RUNS += [("particle", "rk4", {"step": 0.1} | options, says) for options, says in OPTIONS]
 
 
-@pytest.mark.parametrize(("call", "says"), CASES, ids=[says for _, says in CASES])
-def test_solve_says_what_is_wrong_in_one_line(call, says):
-    scene, method, options = call
+def refusal(call, *arguments, **options):
+    """The message of a refusal: one line, short enough to be read."""
     with pytest.raises(cb.BadInput) as caught:
-        cb.solve(scene, method, **options)
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
+        call(*arguments, **options)
+    assert len(str(caught.value)) <= 300
+    assert str(caught.value).isprintable()
+    return str(caught.value)
 
 
-def test_registries_suggest_the_nearest_name():
-    for registry, wrong, right in (
-        (cb.SCENES, "rigidbody", "rigid_body"),
-        (cb.METHODS, "RK4", "rk4"),
-        (cb.LAWS, "momentum", "momentum_law"),
-    ):
-        with pytest.raises(KeyError) as caught:
-            registry[wrong]
-        assert isinstance(caught.value, cb.UnknownName)
-        assert f"did you mean {right!r}?" in str(caught.value) or right in str(caught.value)
-
-
-def test_prepared_solver_checks_its_initial_data():
-    run = cb.prepare("particle", "rk4", step=0.1)
-    with pytest.raises(cb.BadInput, match="q has 1 components"):
-        run(q=(1.0,))
-    with pytest.raises(cb.BadInput, match="unknown initial value"):
-        run(M=(1.0, 2.0, 3.0))
+@pytest.mark.parametrize(("scene", "method", "options", "says"), RUNS, ids=[run[-1] for run in RUNS])
+def test_a_run_is_refused_in_one_line(scene, method, options, says):
+    assert says in refusal(cb.solve, scene, method, **options)
 
 
 @pytest.mark.parametrize(
-    ("argv", "says"),
+    ("registry", "wrong", "right"),
+    [("SCENES", "rigidbody", "rigid_body"), ("METHODS", "RK4", "rk4"), ("LAWS", "momentum", "momentum_law")],
+)
+def test_registries_suggest_the_nearest_name(registry, wrong, right):
+    with pytest.raises(cb.UnknownName, match=right):
+        getattr(cb, registry)[wrong]
+
+
+def test_a_prepared_run_checks_its_initial_data():
+    run = cb.prepare("particle", "rk4", step=0.1)
+    assert "q has 1 components" in refusal(run, q=(1.0,))
+    assert "unknown initial value" in refusal(run, M=(1.0, 2.0, 3.0))
+
+
+# -- the command line ------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("line", "says"),
     [
-        (["solve", "particle", "rk5", "--step", "0.1"], "did you mean 'rk4'?"),
-        (["solve", "particle", "rk4", "--step", "-1"], "step = -1.0: must be > 0"),
-        (["solve", "particle", "rk4", "--step", "0.1", "--t-end", "nan"], "t_end = nan"),
-        (["solve", "particle", "rk4", "--step", "0.1", "--set", "q=[1]"], "q has 1 components and p 2"),
-        (["solve", "particle", "rk4", "--step", "0.1", "--set", "gamma=abc"], "--set gamma=abc"),
-        (["report", "--results", "/nonexistent"], "no tables there"),
+        ("solve particle rk5 --step 0.1", "did you mean 'rk4'?"),
+        ("solve particle rk4 --step -1", "step = -1.0: must be > 0"),
+        ("solve particle rk4 --step 0.1 --t-end nan", "t_end = nan"),
+        ("solve particle rk4 --step 0.1 --set q=[1]", "q has 1 components and p 2"),
+        ("solve particle rk4 --step 0.1 --set gamma=abc", "--set gamma=abc"),
+        ("report --results /nonexistent", "no tables there"),
     ],
 )
-def test_command_line_prints_one_line_and_exits_2(argv, says, capsys):
-    assert main(argv) == 2
+def test_command_line_prints_one_line_and_exits_2(line, says, capsys):
+    assert main(line.split()) == 2
     out, err = capsys.readouterr()
-    assert out == ""
-    assert says in err
-    assert err.count("\n") == 1
+    assert (out, err.count("\n")) == ("", 1)
     assert err.startswith("contactbench: ")
+    assert says in err
 
 
 def test_command_line_solves_and_prints_json(capsys):
-    import json
-
-    argv = ["solve", "particle", "contact-strang", "--step", "0.01", "--set", "gamma=0.3", "--json"]
-    assert main(argv) == 0
+    assert (
+        main(["solve", "particle", "contact-strang", "--step", "0.01", "--set", "gamma=0.3", "--json"]) == 0
+    )
     out = json.loads(capsys.readouterr().out)
     assert out["status"] == "ok"
     assert set(out["state"]) == {"q1", "q2", "p1", "p2", "s"}
@@ -104,78 +114,68 @@ def test_command_line_solves_and_prints_json(capsys):
     assert out["H"] == pytest.approx(start * math.exp(-0.3 * 20), rel=1e-3)
 
 
-def test_command_line_tells_the_stored_references(capsys):
+def test_command_line_lists_the_stored_references(capsys):
     assert main(["references"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    names = [line.split()[0] for line in lines]
-    assert names == [name for name in cb.SCENES if name in names]  # a plug-in's have none
-    assert {"particle", "rigid_body"} <= set(names)
-    assert all(int(line.split()[1]) >= 30 for line in lines)
+    digits = {line.split()[0]: int(line.split()[1]) for line in capsys.readouterr().out.splitlines()}
+    assert list(digits) == [name for name in cb.SCENES if name in digits]  # a plug-in's have none
+    assert {"particle", "rigid_body"} <= set(digits)
+    assert min(digits.values()) >= 30
 
 
 def test_command_line_lists_everything(capsys):
     assert main(["list"]) == 0
-    out = capsys.readouterr().out
-    for name in [*cb.SCENES, *cb.METHODS, *cb.LAWS]:
-        assert f"  {name} " in out
+    listed = {line.split()[0] for line in capsys.readouterr().out.splitlines()}
+    assert {*cb.SCENES, *cb.METHODS, *cb.LAWS} <= listed
 
 
 def euler(scene, x, h, xp):
     return cb.shifted(x, h, scene.rhs(x))
 
 
-# -- what is lost or never ends --------------------------------------------------------------------
-LINES = {
-    "a complex ensemble": (
-        lambda: cb.ensemble("particle", "rk4", {"q": (np.ones(4) * 1j, 0.5)}, step=0.5),
-        "q[0] = array([0.+1.j, 0.+1.j, 0.+1.j, 0.+1.j]): must be a number or an array of numbers",
-    ),
-    "dates": (
-        lambda: cb.ensemble("particle", "rk4", {"q": (np.array(["2020"], "datetime64[Y]"), 0.5)}, step=0.5),
-        "must be a number or an array of numbers",
-    ),
-    "a complex number": (lambda: cb.solve("particle", "rk4", step=np.complex128(0.1)), "step = "),
-    "a number as text": (lambda: cb.solve("particle", "rk4", step="0.1"), "step = '0.1': must be a finite number"),
-    "a million names": (lambda: cb.solve("particle", "rk4", step=0.1, carry=np.ones(10**6)), "can carry s"),
-    "a large integer": (lambda: cb.solve("particle", "rk4", step=10**400), "must be a finite number"),
-    "one that cannot be printed": (lambda: cb.solve("particle", "rk4", step=10**5000), "step = <int>: must be"),
-    "no budget": (lambda: cb.solve("particle", "rk4", step=0.1, max_steps=math.nan), "max_steps = nan: must be"),
-    "no carry": (lambda: cb.solve("particle", "rk4", step=0.1, carry=5), "carry = 5: scene 'particle' can carry s"),
-    "no chunk": (lambda: cb.ensemble("particle", "rk4", {"s": np.ones(2)}, step=0.5, chunk="x"), "chunk = 'x'"),
-    "no parameters": (lambda: cb.SCENES["particle"].with_(parameters=5), "parameters = 5: must be a dict"),
-    "no potential": (lambda: cb.SCENES["particle"].with_(potential=1), "potential = 1: must be a function"),
-    "no experiment": (
-        lambda: cb.SCENES["particle"].with_(experiments=("laws", "cost")),
-        "experiments = ('laws', 'cost'): must be a tuple of names among convergence, laws, decay_laws, ",
-    ),
-    "no mass": (lambda: cb.SCENES["particle"].with_(mass=5e-324), "mass = 5e-324"),
-    "no name": (lambda: cb.METHODS[[]], "unknown method []"),
-    "no order": (lambda: cb.fixed_step("x", None), "order = None"),
-    "no evaluations": (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
-    "a claim": (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
-    "far away": (lambda: cb.prepare("particle", "scipy-dop853", rtol=1e-6)(q=(1e160, 0.0)), "not finite there"),
-    "a number for a list": (lambda: cb.composition("x", 1, 0.5, [1]), "kick = 0.5: must be a list"),
-    "no item": (lambda: cb.METHODS.__setitem__("x", 3), "3 cannot be registered: it is no method"),
-    "no law": (lambda: cb.LAWS.__setitem__("x", 3), "3 cannot be registered: it is no law"),
-    "another name": (lambda: cb.METHODS.__setitem__("x", cb.METHODS["rk4"]), "method name 'x': must be"),
-    "a name of two lines": (lambda: cb.SCENES["particle"].with_(name="a\nb"), "name = 'a\\nb': must be"),
-    "a method's": (lambda: cb.solve("particle", FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
-    "a bell": (lambda: cb.SCENES["particle"].with_(about="\a"), "about = '\\x07': must be"),
-    "no end": (
-        lambda: cb.reference(cb.SCENES["particle"].with_(gamma=0.11), [1e9], seconds=3.0), "more): allow it more",
-    ),
-}  # fmt: skip
+# -- other calls -----------------------------------------------------------------------------------
+PARTICLE = cb.SCENES["particle"]
+
+
+def ensemble(start, **options):
+    return lambda: cb.ensemble("particle", "rk4", start, step=0.5, **options)
+
+
+def changed(**changes):
+    return lambda: PARTICLE.with_(**changes)
+
+
+def registered(registry, name, item):
+    return lambda: registry.__setitem__(name, item)
+
+
+CALLS = [
+    (ensemble({"q": (np.ones(2) * 1j, 0.5)}), "q[0] = array([0.+1.j, 0.+1.j]): must be a number or an array"),
+    (ensemble({"q": (np.array(["2020"], "datetime64[Y]"), 0.5)}), "must be a number or an array of numbers"),
+    (ensemble({"s": np.ones(2)}, chunk="x"), "chunk = 'x'"),
+    (changed(parameters=5), "parameters = 5: must be a dict"),
+    (changed(potential=1), "potential = 1: must be a function"),
+    (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
+    (changed(mass=5e-324), "mass = 5e-324"),
+    (changed(name="a\nb"), "name = 'a\\nb': must be"),
+    (changed(about="\a"), "about = '\\x07': must be"),
+    (lambda: cb.METHODS[[]], "unknown method []"),
+    (lambda: cb.fixed_step("x", None), "order = None"),
+    (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
+    (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
+    (lambda: cb.prepare("particle", "scipy-dop853", rtol=1e-6)(q=(1e160, 0.0)), "not finite there"),
+    (lambda: cb.composition("x", 1, 0.5, [1]), "kick = 0.5: must be a list"),
+    (registered(cb.METHODS, "x", 3), "3 cannot be registered: it is no method"),
+    (registered(cb.LAWS, "x", 3), "3 cannot be registered: it is no law"),
+    (registered(cb.METHODS, "x", cb.METHODS["rk4"]), "method name 'x': must be"),
+    (lambda: cb.solve("particle", FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
+    (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "more): allow it more"),
+]
 
 
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize("name", LINES)
-def test_it_is_refused_in_one_short_line(name):
-    call, says = LINES[name]
-    with pytest.raises(cb.BadInput) as caught:
-        call()
-    assert says in str(caught.value)
-    assert len(str(caught.value)) <= 300
-    assert str(caught.value).isprintable()
+@pytest.mark.parametrize(("call", "says"), CALLS, ids=[says for _, says in CALLS])
+def test_a_call_is_refused_in_one_line(call, says):
+    assert says in refusal(call)
 
 
 @pytest.mark.timeout(60)
@@ -209,19 +209,18 @@ def user(**changes):
     return cb.Mechanical(name="mine", q=(0.7, -0.4), p=(0.1, 0.3), gamma=0.1, t_end=1.0, **given)
 
 
-GRADIENT, HESSIAN = (
-    "gradient is not the potential's: component",
-    "Hessian is not the gradient's derivative: entry",
-)
+GRADIENT = "gradient is not the potential's: component"
 WRONG = {
     "sign": ({"gradient": lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)}, f"{GRADIENT} 1 is"),
     "factor": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 2 * q[1] + q[0] ** 2)}, f"{GRADIENT} 2 is"),
-    "missing term": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4 * q[1])}, f"{GRADIENT} 2 is"),
     "little": (
         {"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4.0001 * q[1] + q[0] ** 2)},
         f"{GRADIENT} 2 is",
     ),
-    "hessian": ({"hessian": lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))}, f"{HESSIAN} (2, 1) is"),
+    "hessian": (
+        {"hessian": lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))},
+        "derivative: entry (2, 1) is",
+    ),
     "shape": ({"hessian": lambda q: ((1.0, 2.0),)}, "must be 2 rows of 2 real numbers"),
     "symmetry": ({"rotation_invariant": True}, "exerts a torque"),
     "no number": ({"potential": lambda q: q}, "its potential is (0.7, -0.4)"),
@@ -238,11 +237,9 @@ FIRST = {
 @pytest.mark.parametrize("first", FIRST)
 def test_functions_that_do_not_fit_each_other_are_refused_with_both_numbers(name, first):
     changes, says = WRONG[name]
-    scene = user(**changes)
-    with pytest.raises(cb.BadInput) as caught:
-        FIRST[first](scene)
-    assert says in str(caught.value)
-    assert "scene 'mine'" in str(caught.value)
+    message = refusal(FIRST[first], user(**changes))
+    assert says in message
+    assert "scene 'mine'" in message
 
 
 @pytest.mark.parametrize(
@@ -275,20 +272,20 @@ def test_a_definition_is_checked_once(monkeypatch):
 
 
 ERRORS = {
-    "scene": (lambda: user(gradient=lambda q: q[5]), "q = (0.7, -0.4): wrong for scene 'mine'"),
-    "exit": (lambda: user(gradient=lambda q: sys.exit(0)), "scene 'mine', <lambda> (test_bad_input.py, line "),
+    "scene": (lambda: user(gradient=lambda q: q[5]), "test_bad_input.py, line "),
+    "exit": (
+        lambda: user(gradient=lambda q: sys.exit(0)),
+        "scene 'mine', <lambda> (test_bad_input.py, line ",
+    ),
     "potential": (lambda: cb.solve(user(potential=lambda q: {}["a"]), "rk4", step=0.1), "KeyError: 'a'"),
     "dict": (lambda: user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ERRORS)
 def test_an_error_of_a_users_function_is_told_as_theirs(name):
     call, says = ERRORS[name]
-    with pytest.raises(cb.BadInput) as caught:
-        call()
-    assert says in str(caught.value)
-    assert "test_bad_input.py, line" in str(caught.value) or name == "dict"
+    assert says in refusal(call)
 
 
 STEPS = {
@@ -299,21 +296,16 @@ STEPS = {
     "a list": (lambda scene, x, h, xp: x._replace(q=list(x.q)), "must be 2 numbers, a tuple"),
     "an error": (lambda scene, x, h, xp: {}["a"], "<lambda> (test_bad_input.py, line "),
     "an exit": (lambda scene, x, h, xp: sys.exit(0), "SystemExit: 0"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax", "python"])
 @pytest.mark.parametrize("name", STEPS)
 def test_a_step_map_that_makes_no_state_is_refused(name, engine):
     step, says = STEPS[name]
-    cb.fixed_step("mine", 1)(step)
-    try:
-        with pytest.raises(cb.BadInput) as caught:
-            cb.solve("particle", "mine", step=0.1, engine=engine)
-    finally:
-        del cb.METHODS["mine"]
-    assert says in str(caught.value)
-    assert "method 'mine'" in str(caught.value)
+    message = refusal(cb.solve, "particle", FixedStep("mine", 1, step), step=0.1, engine=engine)
+    assert says in message
+    assert "method 'mine'" in message
 
 
 def test_an_error_later_in_a_run_is_told_as_theirs():
@@ -324,77 +316,80 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
         float(x.q[0])  # a step map that wants values is not recorded, but called step by step
         return x if left[0] else {}["a"]
 
-    cb.fixed_step("mine", 1)(step)
-    try:
-        with pytest.raises(
-            cb.BadInput, match=r"mine on scene 'particle', step \(test_bad_input.py, line \d+\): KeyError"
-        ):
-            cb.solve("particle", "mine", step=0.1, engine="python")
-    finally:
-        del cb.METHODS["mine"]
+    message = refusal(cb.solve, "particle", FixedStep("mine", 1, step), step=0.1, engine="python")
+    assert re.search(r"mine on scene 'particle', step \(test_bad_input.py, line \d+\): KeyError", message)
 
 
 def test_a_damping_whose_slope_is_another_is_refused():
     base = user()
     given = {name: getattr(base, name) for name in ("name", "potential", "gradient", "q", "p", "t_end")}
-    cb.solve(
-        cb.GeneralDamping(**given, damping=lambda s: s**3, damping_slope=lambda s: 3 * s**2), "rk4", step=0.1
-    )
-    wrong = cb.GeneralDamping(**given, s=0.5, damping=lambda s: s**3, damping_slope=lambda s: s**2)
-    with pytest.raises(
-        cb.BadInput, match=r"damping_slope is not the damping's: 0.\d+ at s = 0.\d+, the derivative"
-    ):
-        cb.solve(wrong, "rk4", step=0.1)
+    given |= {"s": 0.5, "damping": lambda s: s**3}
+    assert cb.solve(cb.GeneralDamping(**given, damping_slope=lambda s: 3 * s**2), "rk4", step=0.1).ok
+    message = refusal(cb.solve, cb.GeneralDamping(**given, damping_slope=lambda s: s**2), "rk4", step=0.1)
+    assert re.search(r"damping_slope is not the damping's: 0.\d+ at s = 0.\d+, the derivative", message)
 
 
 # -- what functions of time and of s return --------------------------------------------------------
 GIVEN = {"name": "mine", "q": (1.0,), "p": (0.0,), "t_end": 1.0}
 TIMED = {"potential": lambda q, t: q[0] ** 2 / 2, "gradient": lambda q, t: (q[0],), **GIVEN}
 PLAIN = {"potential": lambda q: q[0] ** 2 / 2, "gradient": lambda q: (q[0],), **GIVEN}
-RETURNED = {
-    "no rate": (cb.Driven, {"rate": lambda t: None}, "rate: must return a real number; it returns None"),
-    "text": (cb.Driven, {"rate": lambda t: "1"}, "rate: must return a real number"),
-    "no span": (cb.Driven, {"rate": lambda t: 1.0, "span": lambda t, h, xp: None}, "span: must return a pair"),
-    "no pair": (cb.Driven, {"rate": lambda t: 1.0, "span": lambda t, h, xp: 1.0}, "span: must return a pair"),
-    "an error": (cb.Driven, {"rate": lambda t: 1 / 0}, "scene 'mine', <lambda> (test_bad_input.py, line "),
-    "no damping": (cb.GeneralDamping, {"damping": lambda s: None}, "damping: must return a real number"),
-    "no slope": (cb.GeneralDamping, {"damping_slope": lambda s: None}, "damping_slope: must return a real"),
-    "no flow": (cb.GeneralDamping, {"damping_flow": lambda s, h, xp: None}, "damping_flow: must return a real"),
-}  # fmt: skip
+OF_TIME = [
+    ({"rate": lambda t: None}, "rate: must return a real number; it returns None"),
+    ({"rate": lambda t: "1"}, "rate: must return a real number"),
+    ({"rate": lambda t: 1.0, "span": lambda t, h, xp: None}, "span: must return a pair"),
+    ({"rate": lambda t: 1.0, "span": lambda t, h, xp: 1.0}, "span: must return a pair"),
+    ({"rate": lambda t: 1 / 0}, "scene 'mine', <lambda> (test_bad_input.py, line "),
+]
+OF_S = [
+    ({"damping": lambda s: None}, "damping: must return a real number"),
+    ({"damping_slope": lambda s: None}, "damping_slope: must return a real"),
+    ({"damping_flow": lambda s, h, xp: None}, "damping_flow: must return a real"),
+]
 
 
-@pytest.mark.parametrize("name", RETURNED)
-def test_a_function_that_returns_no_number_is_refused_at_the_start(name):
-    kind, changes, says = RETURNED[name]
-    damping = {"damping": lambda s: s, "damping_slope": lambda s: 1.0} if kind is cb.GeneralDamping else {}
-    with pytest.raises(cb.BadInput) as caught:
-        kind(**(TIMED if kind is cb.Driven else PLAIN) | damping | changes)
-    assert says in str(caught.value)
+@pytest.mark.parametrize(("changes", "says"), OF_TIME)
+def test_a_function_of_time_that_returns_no_number_is_refused(changes, says):
+    assert says in refusal(cb.Driven, **TIMED | changes)
+
+
+@pytest.mark.parametrize(("changes", "says"), OF_S)
+def test_a_function_of_s_that_returns_no_number_is_refused(changes, says):
+    given = PLAIN | {"damping": lambda s: s, "damping_slope": lambda s: 1.0}
+    assert says in refusal(cb.GeneralDamping, **given | changes)
 
 
 # -- names of parameters ---------------------------------------------------------------------------
+FORCE = {"potential": lambda q, **_: q[0] ** 2 / 2, "gradient": lambda q, **_: (q[0],)}
+DRIVEN = {"potential": lambda q, t, **_: q[0] ** 2 / 2, "gradient": lambda q, t, **_: (q[0],)}
 KINDS = {
-    cb.Mechanical: {"potential": lambda q, **_: q[0] ** 2 / 2, "gradient": lambda q, **_: (q[0],)},
-    cb.GeneralDamping: {
-        "potential": lambda q, **_: q[0] ** 2 / 2, "gradient": lambda q, **_: (q[0],),
-        "damping": lambda s: s, "damping_slope": lambda s: 1.0,
-    },
-    cb.Driven: {
-        "potential": lambda q, t, **_: q[0] ** 2 / 2, "gradient": lambda q, t, **_: (q[0],),
-        "rate": lambda t, **_: 1.0, "span": lambda t, h, xp, **_: (h, h),
-    },
-}  # fmt: skip
+    cb.Mechanical: FORCE,
+    cb.GeneralDamping: {**FORCE, "damping": lambda s: s, "damping_slope": lambda s: 1.0},
+    cb.Driven: {**DRIVEN, "rate": lambda t, **_: 1.0, "span": lambda t, h, xp, **_: (h, h)},
+}
+TAKEN = [
+    "s",
+    "gamma",
+    "mass",
+    "t_end",
+    "q",
+    "p",
+    "t",
+    "h",
+    "xp",
+    "self",
+    "y",
+    "numbers",
+    "name",
+    "parameters",
+]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    "name",
-    ["s", "gamma", "mass", "t_end", "q", "p", "t", "h", "xp", "self", "y", "numbers", "name", "parameters"],
-)
+@pytest.mark.parametrize("name", TAKEN)
 def test_a_parameter_that_would_hide_another_name_is_refused(kind, name):
-    made = kind(**KINDS[kind], **GIVEN, parameters={"stiffness": 1.0})
-    with pytest.raises(cb.BadInput, match=f"parameter '{name}': must have a name of its own"):
-        made.with_(parameters={"stiffness": 1.0, name: 1.0})
+    scene = kind(**KINDS[kind], **GIVEN, parameters={"stiffness": 1.0})
+    message = refusal(scene.with_, parameters={"stiffness": 1.0, name: 1.0})
+    assert f"parameter '{name}': must have a name of its own" in message
 
 
 # -- functions without a hash ----------------------------------------------------------------------
@@ -406,16 +401,6 @@ class Euler:
 
     def __call__(self, scene, x, h, xp):
         return euler(scene, x, h, xp)
-
-
-@dataclass
-class Ended:
-    """A law of the same kind."""
-
-    offset: float = 1.0
-
-    def __call__(self, solution):
-        return self.offset
 
 
 @dataclass(frozen=True)
@@ -433,6 +418,13 @@ def test_a_step_map_need_not_be_hashable(method, engine):
 
 
 def test_nor_need_a_law():
+    @dataclass
+    class Ended:
+        offset: float = 1.0
+
+        def __call__(self, solution):
+            return self.offset
+
     law("the end", "end")(Ended())
     try:
         assert cb.solve("particle", "rk4", step=0.1).laws().loc["Ended", "deviation"] == 1.0

@@ -21,8 +21,11 @@ PLUGINS = [argument for file in FILES for argument in ("--plugin", str(file))]
 def contactbench(*arguments, code=0):
     done = subprocess.run(
         [sys.executable, "-m", "contactbench.cli", *map(str, arguments), *PLUGINS],
-        cwd=REPOSITORY, capture_output=True, text=True, timeout=240,
-    )  # fmt: skip
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout
 

@@ -58,9 +58,13 @@ __version__ = "0.1.0"
 
 #: what not every program needs, and where it is imported from when first asked for
 LATER = {
-    "Ensemble": "ensembles", "ensemble": "ensembles", "composition": "measure.own_composition",
-    "compare": "race.comparison", "Lyapunov": "ensembles.lyapunov", "lyapunov": "ensembles.lyapunov",
-}  # fmt: skip
+    "Ensemble": "ensembles",
+    "ensemble": "ensembles",
+    "composition": "measure.own_composition",
+    "compare": "race.comparison",
+    "Lyapunov": "ensembles.lyapunov",
+    "lyapunov": "ensembles.lyapunov",
+}
 
 
 def __getattr__(name: str) -> Any:

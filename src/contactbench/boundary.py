@@ -23,9 +23,22 @@ from contactbench.start import VARIABLE
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
 FUNCTIONS = (
-    "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan",
-    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-)  # fmt: skip
+    "exp",
+    "log",
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+)
 #: modules whose functions know plain numbers only, as they are usually called
 PLAIN = ("math", "numpy", "np")
 #: where no user's code is: this package, Python's library, installed packages, generated programs
@@ -137,7 +150,7 @@ def place(error: BaseException) -> str:
     )
 
 
-def reported(what: str, error: BaseException) -> BaseException:
+def blame(what: str, error: BaseException) -> BaseException:
     """The error as a `UserError` where it comes from a user's own code, else as it is."""
     passed = isinstance(error, BadInput | KeyboardInterrupt | GeneratorExit)
     return error if passed or frame_of(error) is None else user_error(what, error)

@@ -46,7 +46,7 @@ def one_line(message: object, longest: int = LONGEST) -> str:
 _SHORT = reprlib.Repr(maxlevel=3, maxtuple=8, maxlist=8, maxdict=4, maxset=4, maxstring=SHOWN, maxother=SHOWN)
 
 
-def shown(value: object) -> str:
+def excerpt(value: object) -> str:
     """The repr of any value, short and on one line, whatever it is."""
     try:
         return one_line(_SHORT.repr(value), SHOWN)
@@ -61,7 +61,7 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName
     plain = {known.lower(): known for known in names}
     near = get_close_matches(name.lower(), plain, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f"did you mean {plain[near[0]]!r}? " if near else ""
-    return UnknownName(f"unknown {kind} {shown(name)}: {hint}choose from {', '.join(names)}")
+    return UnknownName(f"unknown {kind} {excerpt(name)}: {hint}choose from {', '.join(names)}")
 
 
 #: a name is also a key in tables, a part of file names and a word on the command line
@@ -109,11 +109,11 @@ class Registry(dict):
         """Register `item` under its own name, in place of what had it; raises `BadInput` as `add` does."""
         own = getattr(item, "name", None)
         if not isinstance(item, self.of) or own is None:
-            raise BadInput(f"{shown(item)} cannot be registered: it is no {self.kind}")
+            raise BadInput(f"{excerpt(item)} cannot be registered: it is no {self.kind}")
         if not isinstance(own, str) or not NAME.fullmatch(own):
-            raise BadInput(f"{self.kind} name {shown(own)}: must be letters, digits, '_', '.', '+', '-'")
+            raise BadInput(f"{self.kind} name {excerpt(own)}: must be letters, digits, '_', '.', '+', '-'")
         if name != own:
-            raise BadInput(f"{self.kind} name {shown(name)}: must be the item's own, {own!r}")
+            raise BadInput(f"{self.kind} name {excerpt(name)}: must be the item's own, {own!r}")
         super().__setitem__(name, item)
 
 
@@ -124,7 +124,7 @@ def finite(name: str, value: Any) -> float:
         with suppress(TypeError, ValueError, OverflowError):
             number = float(value)
     if not math.isfinite(number):
-        raise BadInput(f"{name} = {shown(value)}: must be a finite number")
+        raise BadInput(f"{name} = {excerpt(value)}: must be a finite number")
     return number
 
 
@@ -140,17 +140,17 @@ def is_number(value: Any) -> bool:
     return is_real(value) and hasattr(value, "__float__")
 
 
-def returned(name: str, value: Any) -> None:
+def require_number(name: str, value: Any) -> None:
     """Raise `BadInput` unless what a user's function returned is a real number."""
     if not is_number(value):
-        raise BadInput(f"{name}: must return a real number; it returns {shown(value)}")
+        raise BadInput(f"{name}: must return a real number; it returns {excerpt(value)}")
 
 
 def positive(name: str, value: Any) -> float:
     """`value` as a finite float > 0, or `BadInput`."""
     number = finite(name, value)
     if number <= 0:
-        raise BadInput(f"{name} = {shown(value)}: must be > 0")
+        raise BadInput(f"{name} = {excerpt(value)}: must be > 0")
     return number
 
 
@@ -158,7 +158,7 @@ def whole(name: str, value: Any, most: int) -> int:
     """`value` as an int from 1 to `most`, or `BadInput`."""
     number = 0.0 if isinstance(value, bool) else finite(name, value)
     if not 1 <= number <= most or number != int(number):
-        raise BadInput(f"{name} = {shown(value)}: must be a whole number ≥ 1, at most {most:.0e}")
+        raise BadInput(f"{name} = {excerpt(value)}: must be a whole number ≥ 1, at most {most:.0e}")
     return int(number)
 
 
@@ -173,7 +173,7 @@ def array(name: str, value: Any, wanted: str) -> np.ndarray:
             raise TypeError
         return given.astype(float, copy=False)
     except (TypeError, ValueError, OverflowError):
-        raise BadInput(f"{name} = {shown(value)}: must be {wanted}") from None
+        raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}") from None
 
 
 def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...]:
@@ -184,33 +184,33 @@ def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...
         items = (value,)
     if items is None or (length is not None and len(items) != length) or not items:
         wanted = f"{length} numbers" if length is not None else "a sequence of numbers"
-        raise BadInput(f"{name} = {shown(value)}: must be {wanted}")
+        raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}")
     return tuple(finite(f"{name}[{i}]", item) for i, item in enumerate(items))
 
 
-def listed(name: str, value: Any, wanted: str) -> list[Any]:
+def items_of(name: str, value: Any, wanted: str) -> list[Any]:
     """The items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
     try:
         if isinstance(value, str | bytes):
             raise TypeError
         return list(value)
     except TypeError:
-        raise BadInput(f"{name} = {shown(value)}: must be {wanted}") from None
+        raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}") from None
 
 
 def function(name: str, value: Any) -> None:
     """Raise `BadInput` unless `value` can be called."""
     if not callable(value):
-        raise BadInput(f"{name} = {shown(value)}: must be a function")
+        raise BadInput(f"{name} = {excerpt(value)}: must be a function")
 
 
 def text(name: str, value: Any) -> None:
     """Raise `BadInput` unless `value` is a string without line breaks and other control characters."""
     if not isinstance(value, str) or CONTROL.search(value):
-        raise BadInput(f"{name} = {shown(value)}: must be a string of one line, without control characters")
+        raise BadInput(f"{name} = {excerpt(value)}: must be a string of one line, without control characters")
 
 
 def switch(name: str, value: Any) -> None:
     """Raise `BadInput` unless `value` is True or False."""
     if not isinstance(value, bool | np.bool_):
-        raise BadInput(f"{name} = {shown(value)}: must be True or False")
+        raise BadInput(f"{name} = {excerpt(value)}: must be True or False")

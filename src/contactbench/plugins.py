@@ -22,8 +22,7 @@ from typing import Any
 from contactbench.boundary import frame_of, limit, their_code, user_error, within
 from contactbench.errors import BadInput, Registry, one_line
 from contactbench.methods import METHODS
-from contactbench.methods.first_step import try_step
-from contactbench.methods.step_map import StepMap
+from contactbench.methods.step_map import StepMap, try_step
 from contactbench.scene import Scene, verify
 from contactbench.scenes import SCENES
 

@@ -60,7 +60,7 @@ class Counts(NamedTuple):
 EXACT = "exact"
 
 
-def printed_setting(control: str, value: float) -> str:
+def setting_key(control: str, value: float) -> str:
     """What is set and to what, as tables say it."""
     return control if control == EXACT else f"{control}={value:.6g}"
 

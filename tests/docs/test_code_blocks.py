@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-import contactbench as cb
 from cases import few_slow
-from contactbench.report.chapters import CHAPTERS
 from contactbench.results import shipped
 from made_up import folder
 
@@ -20,17 +18,6 @@ PAGES = [
 ]
 #: takes ten seconds
 LONG = [page for page in PAGES if page.name == "adding.md"]
-
-
-@pytest.fixture
-def registries():
-    """As they were, when a page is over."""
-    every = (cb.SCENES, cb.METHODS, cb.LAWS, CHAPTERS)
-    before = [dict(registry) for registry in every]
-    yield
-    for registry, was in zip(every, before, strict=True):
-        for name in set(registry) - set(was):
-            del registry[name]
 
 
 def line_of(text: str, block: re.Match[str]) -> int:

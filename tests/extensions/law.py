@@ -6,8 +6,9 @@ from contactbench.measure.laws import law, truth
 
 
 @law(
-    "|mean q − mean q*| over the saved times, first component", "mean q",
+    "|mean q − mean q*| over the saved times, first component",
+    "mean q",
     applies=lambda scene: scene.kind == "mechanical",
-)  # fmt: skip
+)
 def mean_position(solution):
     return float(abs(np.mean(solution.q[:, 0]) - np.mean(truth(solution).states().q[0])))

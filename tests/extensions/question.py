@@ -58,13 +58,7 @@ def answers(frames):
 
 CHAPTERS.add(
     Chapter(
-        "half_life",
-        "Half-life of the energy",
-        "When is half of it gone?",
-        90,
-        ("half_life",),
-        parts,
-        answers,
+        "half_life", "Half-life of the energy", "When is half of it gone?", 90, ("half_life",), parts, answers
     )
 )
 

@@ -14,7 +14,7 @@ import pytest
 import contactbench as cb
 import planted
 from bench_stability import rows_of
-from contactbench.measure.isolation import Workers
+from contactbench.measure.isolation import Worker
 
 EXPECTED = {
     "planted-hang": ("timeout", "no result after 2 s"),
@@ -31,21 +31,18 @@ def rows():
     order = ["scipy-dop853", *EXPECTED, "heyoka-taylor"]
     key = {"scene": "critical", "status": "failed", "setting": "rtol=1e-06"}
     calls = [(key | {"method": name}, planted.row, (name,)) for name in order]
-    with Workers([None]) as workers:
-        return {row["method"]: row for row in rows_of(calls, Impatient(workers))}
+    with Impatient() as worker:
+        return {row["method"]: row for row in rows_of(calls, worker)}
 
 
-class Impatient:
-    """Workers that wait two seconds for what hangs, and a minute for all else.
+class Impatient(Worker):
+    """A worker that waits two seconds for what hangs, and a minute for all else.
 
     A worker that starts anew, as after a crash, imports the package within the limit of its first call.
     """
 
-    def __init__(self, workers):
-        self.workers = workers
-
-    def submit(self, limit, function, name):
-        return self.workers.submit(2.0 if name == "planted-hang" else 60.0, function, name)
+    def call(self, limit, function, name):
+        return super().call(2.0 if name == "planted-hang" else 60.0, function, name)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
@@ -65,32 +62,30 @@ def test_the_sound_solvers_around_them_are_untouched(rows):
 
 def test_a_fault_of_the_experiment_is_no_row():
     """Only what a solver raises is a failed solver."""
-    with Workers([None]) as workers:
-        calls = [({"status": "failed", "setting": "rtol=1e-06"}, planted.row, ("no-such-method",))]
-        with pytest.raises(cb.UnknownName, match="no-such-method") as caught:
-            rows_of(calls, Impatient(workers))
+    calls = [({"status": "failed", "setting": "rtol=1e-06"}, planted.row, ("no-such-method",))]
+    with Impatient() as worker, pytest.raises(cb.UnknownName, match="no-such-method") as caught:
+        rows_of(calls, worker)
     assert "in planted" not in str(caught.value)
     assert "planted.py" in caught.value.__notes__[0]
 
 
-def test_no_process_is_left_and_later_calls_are_cancelled():
-    workers = Workers([None])
-    pids = [workers.submit(60.0, os.getpid) for _ in range(2)]
-    first, second = (future.result() for future in pids)
+def test_calls_share_a_process_and_none_is_left():
+    worker = Worker()
+    first, second = (worker.call(60.0, os.getpid) for _ in range(2))
     assert first == second != os.getpid()
-    workers.close()
+    worker.close()
     with pytest.raises(ProcessLookupError):
         os.kill(first, 0)
 
 
 ASKER = """
 import os, time
-from contactbench.measure.isolation import Workers
+from contactbench.measure.isolation import Worker
 
 if __name__ == "__main__":
-    with Workers([None]) as workers:
-        print(workers.submit(60.0, os.getpid).result(), flush=True)
-        workers.submit(60.0, time.sleep, 60.0).result()
+    with Worker() as worker:
+        print(worker.call(60.0, os.getpid), flush=True)
+        worker.call(60.0, time.sleep, 60.0)
 """
 
 

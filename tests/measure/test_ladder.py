@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.measure.ladder import carried, tolerances, work_ladder
+from contactbench.measure.ladder import carry_of, tolerances, work_ladder
 from contactbench.methods.base import CLAMPED, ROUNDING
 from contactbench.race.scout import Attempt, Question, Scout, ends
 
@@ -18,7 +18,7 @@ PEERS = [m for m in cb.METHODS.values() if m.adaptive and m.family == "establish
 
 def question(name, error=1e-300):
     scene = cb.SCENES[name]
-    return Question(scene, cb.reference(scene, ends(scene), carried(scene)), (error,), 60.0)
+    return Question(scene, cb.reference(scene, ends(scene), carry_of(scene)), (error,), 60.0)
 
 
 @pytest.mark.parametrize("method", PEERS, ids=lambda m: m.name)
@@ -78,7 +78,7 @@ def test_a_ladder_ends_where_the_error_stops_falling(monkeypatch):
     ("scene", "fields"), [("particle", ()), ("rigid_body", ("R",)), ("rigid_body_anisotropic", ())]
 )
 def test_the_attitude_is_carried_where_its_law_is_measured(scene, fields):
-    assert carried(cb.SCENES[scene]) == fields
+    assert carry_of(cb.SCENES[scene]) == fields
 
 
 def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six_on():

@@ -110,16 +110,3 @@ def test_bad_input_is_named(arguments, says):
     with pytest.raises(cb.BadInput) as caught:
         cb.composition(**{"name": "mine", "order": 2, **arguments})
     assert says in str(caught.value)
-
-
-def test_a_plug_in_may_bring_one(tmp_path, monkeypatch, capsys):
-    from contactbench import plugins
-    from contactbench.cli import main
-
-    monkeypatch.setenv(plugins.VARIABLE, "")
-    path = tmp_path / "scheme.py"
-    path.write_text(
-        "import contactbench as cb\ncb.composition('my-scheme', order=2, kick=['1/2', 0.5], drift=[1])\n"
-    )
-    assert main(["solve", "particle", "my-scheme", "--step", "0.1", "--plugin", str(path)]) == 0
-    assert "my-scheme" in capsys.readouterr().out

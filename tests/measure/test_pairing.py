@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import CONTACT_SCENES
+from cases import CONTACT_SCENES, saved
 from cases import pairs as of_methods
 from contactbench.measure.laws import row
 from contactbench.measure.pairing import pairs
@@ -21,10 +21,6 @@ from contactbench.splitting.tables import COMPOSITIONS
 LAW = cb.LAWS["pairing_drift"]
 MECHANICAL = [scene for scene in CONTACT_SCENES if isinstance(scene, cb.Mechanical)]
 PARTICLE = cb.SCENES["particle"]
-
-
-def saved(scene):
-    return scene.t_end * np.arange(1, 6) / 5
 
 
 def differential(*estimates):
@@ -65,13 +61,6 @@ def test_other_steps_pair_to_their_order_only(method):
     assert np.log2(found[0] / found[1]) == pytest.approx(cb.METHODS[method].order, abs=0.2)
 
 
-@pytest.mark.parametrize("method", ["scipy-dop853", "cvode-adams", "heyoka-taylor"])
-def test_solvers_with_a_tolerance_pair_to_the_tolerance_only(method):
-    rough, fine = (LAW(cb.solve(PARTICLE, method, rtol=r, save_at=saved(PARTICLE))) for r in (1e-4, 1e-8))
-    assert rough > 1e-6
-    assert 1e-12 < fine < rough / 25
-
-
 def test_a_changed_coefficient_breaks_the_pairs_by_as_much():
     """Strang with 1 + 10⁻⁶ times the damped drift: the factor is e^{−γt(1 + 10⁻⁶)}."""
     strang = next(c for c in COMPOSITIONS if c.name == "contact-strang")
@@ -96,9 +85,3 @@ def test_a_force_that_is_no_gradient_breaks_the_pairs():
     right, wrong = (LAW(cb.METHODS["contact-strang"].prepare(r)()) for r in (request, other))
     assert right < 1e-13
     assert wrong > 1e-6
-
-
-def test_the_law_is_for_mechanical_scenes_at_a_constant_rate():
-    for name in ("rigid_body", "rigid_body_anisotropic", "quadratic_damping"):
-        assert not LAW.applies(cb.SCENES[name])
-    assert cb.LAWS["pairing_drift_frozen"].applies(PARTICLE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure.stability import (
-    ISLAND,
     THEORY,
     eigenvalues,
     fixed_step_methods,
@@ -39,15 +37,6 @@ as_a_whole = pytest.mark.parametrize("method", fixed_step_methods(), ids=lambda 
 def test_limits_are_those_of_theory(name, gamma, omega):
     expected, found = THEORY[name](gamma, omega), stability(cb.METHODS[name], gamma, omega).limit
     assert found == expected or found == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("gamma", [0.0, 0.1, 1.0, 10.0, 50.0])
-def test_without_the_merged_flow_the_limit_is_two_at_every_damping(gamma):
-    assert stability(cb.METHODS["contact-abc"], gamma, 1.0).limit == pytest.approx(2.0, rel=1e-9)
-
-
-def test_with_the_merged_flow_it_grows_like_twice_the_damping():
-    assert stability(cb.METHODS["contact-strang"], 50.0, 1.0).limit == pytest.approx(100.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(("gamma", "limit"), [(499.8, 999.6), (500.2, math.inf)])
@@ -100,72 +89,6 @@ def test_the_first_loss_without_damping_is_a_narrow_window_next_to_half_a_period
     assert start == found.limit
     assert end - start < 0.02
     assert found.last > 5.0
-
-
-def trace_polynomial(method, digits=60):
-    """Coefficients of the trace without damping in x = h², lowest first, from the exact coefficients."""
-    from mpmath import mp
-
-    one = [mp.mpf(1)]
-
-    def times(a, b):
-        out = [mp.mpf(0)] * (len(a) + len(b) - 1)
-        for i, u in enumerate(a):
-            for j, v in enumerate(b):
-                out[i + j] += u * v
-        return out
-
-    def plus(a, b):
-        n = max(len(a), len(b))
-        pad = [[*c, *[mp.mpf(0)] * (n - len(c))] for c in (a, b)]
-        return [u + v for u, v in zip(*pad, strict=True)]
-
-    # rows of q and p as polynomials of h; a drift adds ah·p to q, a kick −bh·q to p, damping does nothing
-    q, p = [one, [mp.mpf(0)]], [[mp.mpf(0)], one]
-    for name, exact in method.composition.stages:
-        c = mp.mpf(exact.numerator) / exact.denominator
-        if name == "kick":
-            p = [plus(u, times([mp.mpf(0), -c], v)) for u, v in zip(p, q, strict=True)]
-        elif name in ("drift", "drift_damp"):
-            q = [plus(u, times([mp.mpf(0), c], v)) for u, v in zip(q, p, strict=True)]
-    trace = plus(q[0], p[1])
-    assert all(c == 0 for c in trace[1::2])
-    while abs(trace[-1]) < mp.mpf(10) ** (10 - digits):
-        trace.pop()
-    return trace[::2] if len(trace) % 2 else trace[:-1:2]
-
-
-@pytest.mark.filterwarnings("ignore:Descending")  # the order of coefficients, which mpmath turns around
-@pytest.mark.parametrize("method", [m for m in METHODS if hasattr(m, "composition")], ids=lambda m: m.name)
-def test_without_damping_limit_and_windows_are_roots_of_a_polynomial(method):
-    """tr = ±2 is a polynomial equation in h²; between neighbouring roots the sign of tr² − 4 decides."""
-    from mpmath import mp
-
-    with mp.workdps(60):
-        trace = trace_polynomial(method)
-        roots = [0.0]
-        for value in (2, -2):
-            shifted = [trace[0] - value, *trace[1:]][::-1]
-            for root in mp.polyroots(shifted, maxsteps=500, extraprec=600):
-                if abs(mp.im(root)) < 1e-20 and mp.re(root) > 1e-20:
-                    roots.append(float(mp.sqrt(mp.re(root))))
-        roots = sorted(roots)
-        stable = []
-        for start, end in zip(roots, [*roots[1:], 2 * roots[-1]], strict=True):
-            x = (mp.mpf(start + end) / 2) ** 2
-            if abs(mp.polyval(trace[::-1], x)) < 2 and end - start > ISLAND * start:
-                stable.append((start, end))
-    joined = [stable[0]]
-    for start, end in stable[1:]:  # a double root parts nothing
-        if start - joined[-1][1] < 1e-9:
-            joined[-1] = (joined[-1][0], end)
-        else:
-            joined.append((start, end))
-    found = stability(method, 0.0, 1.0)
-    assert found.limit == pytest.approx(joined[0][1], rel=1e-9)
-    assert found.last == pytest.approx(joined[-1][1], rel=1e-9)
-    expected = [(end, start) for (_, end), (start, _) in itertools.pairwise(joined)]
-    np.testing.assert_allclose(np.reshape(found.windows, (-1, 2)), np.reshape(expected, (-1, 2)), rtol=1e-7)
 
 
 @every
@@ -263,14 +186,6 @@ def test_the_slow_rate_is_the_one_orbits_show():
         assert row["true_rate"] == slow_rate(50.0)
 
 
-def test_a_rate_is_read_off_an_oscillating_energy():
-    from stability_rows import energy_rate
-
-    t = np.arange(1, 1001) * 10.0
-    energy = np.exp(-1e-5 * t) * (1 + 0.03 * np.cos(2.1 * t + 0.3))
-    assert energy_rate(t, energy) == pytest.approx(1e-5, rel=1e-4)
-
-
 @pytest.mark.parametrize(
     ("name", "off"),
     [
@@ -308,18 +223,3 @@ def test_the_truth_between_frozen_times_is_that_of_one_long_run():
     times = scene.t_end * np.arange(1, SAMPLES + 1) / SAMPLES
     run = cb.solve(scene, "heyoka-taylor", rtol=2.3e-16, save_at=times, carry=())
     assert against_truth(scene, times, run.states())["rate_error"] < 1e-11
-
-
-def test_the_error_of_a_rate_is_no_matter_of_sampling():
-    """Twice as many samples give the same; on the 200 frozen times, 50 apart, the oscillation of H0 is
-    taken for a slow one, and the error is a hundred times as large."""
-    from stability_rows import against_truth
-
-    scene, found = cb.SCENES["weak_damping_particle"], []
-    for samples in (200, 1000, 2000):
-        times = scene.t_end * np.arange(1, samples + 1) / samples
-        run = cb.solve(scene, "contact-strang", step=0.125, save_at=times, carry=(), engine="jax")
-        found.append(against_truth(scene, times, run.states())["rate_error"])
-    assert found[1] == pytest.approx(found[2], rel=0.01)
-    assert found[1] == pytest.approx(8.83e-6, rel=0.01)
-    assert found[0] > 50 * found[1]

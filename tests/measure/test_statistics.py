@@ -13,7 +13,7 @@ from contactbench.measure.statistics import (
     PROCESSES,
     WIDEST,
     Verdict,
-    cost_to_reach,
+    costs_to_reach,
     margin,
     paired_ratio,
     process_spread,
@@ -21,25 +21,10 @@ from contactbench.measure.statistics import (
 )
 
 
-def test_a_cost_is_interpolated_inside_and_refused_beyond_the_most_accurate():
-    errors, costs = [1e-2, 1e-4, 1e-6], [1.0, 10.0, 100.0]  # cost = error^{-1/2}/10
-    assert cost_to_reach(errors, costs, 1e-3) == pytest.approx(10**0.5)
-    assert cost_to_reach(errors, costs, 1e-6) == pytest.approx(100)
-    assert math.isnan(cost_to_reach(errors, costs, 1e-7))
-    assert math.isnan(cost_to_reach([], [], 0.1))
-
-
 def test_a_setting_that_costs_more_for_less_does_not_count():
-    assert cost_to_reach([1e-2, 1e-3, 1e-4], [1.0, 500.0, 10.0], 1e-3) == pytest.approx(10**0.5)
+    assert costs_to_reach([1e-2, 1e-3, 1e-4], [1.0, 500.0, 10.0], [1e-3]) == pytest.approx([10**0.5])
     # an accurate setting that is cheaper than all others
-    assert cost_to_reach([1e-2, 1e-4], [500.0, 10.0], 1e-3) == pytest.approx(10.0)
-
-
-def test_who_is_more_accurate_than_asked_pays_for_the_cheapest_setting():
-    errors, costs = [1e-4, 1e-6, 1e-5], [1.0, 100.0, math.nan]
-    assert cost_to_reach(errors, costs, 1e-2) == pytest.approx(1.0)
-    assert cost_to_reach(errors, costs, 1e-5) == pytest.approx(10.0)
-    assert math.isnan(cost_to_reach(errors, costs, 1e-7))
+    assert costs_to_reach([1e-2, 1e-4], [500.0, 10.0], [1e-3]) == pytest.approx([10.0])
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 1.3, 2.0])

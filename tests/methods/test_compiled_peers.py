@@ -154,8 +154,11 @@ def test_cvode_counts_as_many_calls_as_the_c_functions(method):
     run = cb.prepare(PARTICLE, method, rtol=1e-9, engine="c", save_at=[4.0])
     counts = run().counts
     lib, number = cvode.library(), ctypes.c_long()
-    for name, found in (("NumRhsEvals", counts.evaluations), ("NumJacEvals", counts.jacobians),
-                        ("NumSteps", counts.steps)):  # fmt: skip
+    for name, found in (
+        ("NumRhsEvals", counts.evaluations),
+        ("NumJacEvals", counts.jacobians),
+        ("NumSteps", counts.steps),
+    ):
         getattr(lib, f"CVodeGet{name}")(run.memory.memory, ctypes.byref(number))
         assert number.value == found > 0
 
@@ -212,9 +215,14 @@ def branching(q):
 @pytest.mark.parametrize(("method", "engine"), [*PEERS, ("heyoka-taylor", "llvm")])
 def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
     scene = cb.Mechanical(
-        name="kink", potential=lambda q: q[0] * q[0] / 2, gradient=branching, gamma=0.1, q=(1.0,), p=(0.0,),
+        name="kink",
+        potential=lambda q: q[0] * q[0] / 2,
+        gradient=branching,
+        gamma=0.1,
+        q=(1.0,),
+        p=(0.0,),
         t_end=2.0,
-    )  # fmt: skip
+    )
     solution = cb.solve(scene, method, rtol=1e-6, engine=engine)
     assert solution.status is Status.unsupported
     assert "known only when the program runs" in solution.message

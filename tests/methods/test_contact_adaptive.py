@@ -16,9 +16,10 @@ from contactbench.splitting.tables import RKN6
 NAME = "contact-adaptive"
 KEPLER = cb.SCENES["kepler_drag"]
 MECHANICAL = [
-    s for s in (*standard_scenes(), *hard_scenes(), USER)
+    s
+    for s in (*standard_scenes(), *hard_scenes(), USER)
     if isinstance(s, cb.Mechanical) and s.name not in ("escape", "weak_damping", "weak_damping_particle")
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-6, 1e-10])
@@ -142,9 +143,14 @@ def test_curvature_with_and_without_a_hessian_and_by_differences(scene):
 
 def test_free_motion_needs_few_steps_and_a_singularity_is_told():
     free = cb.Mechanical(
-        name="free", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],),
-        gamma=0.0, q=(0.0,), p=(1.0,), t_end=10.0,
-    )  # fmt: skip
+        name="free",
+        potential=lambda q: 0 * q[0],
+        gradient=lambda q: (0 * q[0],),
+        gamma=0.0,
+        q=(0.0,),
+        p=(1.0,),
+        t_end=10.0,
+    )
     solution = cb.solve(free, NAME, rtol=1e-10, save_at=[10.0], engine="python")
     assert solution.y[-1, 0] == pytest.approx(10.0, rel=1e-14)
     assert solution.counts.steps < 100

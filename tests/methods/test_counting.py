@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contactbench.peers.counting import counted
+from contactbench.peers.counting import count_callbacks
 from contactbench.xla import jax, jnp, lax
 
 LIMIT = 100.0
@@ -55,7 +55,7 @@ def turns(x):
 )
 @pytest.mark.parametrize("x", [0.5, 1.5, 2.5])
 def test_every_evaluation_counts_once_and_changes_nothing(function, expected, x):
-    y, number = jax.jit(lambda x: counted(function, x))(x)
+    y, number = jax.jit(lambda x: count_callbacks(function, x))(x)
     assert int(number) == expected(x)
     assert float(y) == float(function(x))
 
@@ -70,4 +70,4 @@ def test_every_evaluation_counts_once_and_changes_nothing(function, expected, x)
 )
 def test_what_has_no_rule_is_refused(function, where):
     with pytest.raises(NotImplementedError, match=where):
-        counted(function, 0.5)
+        count_callbacks(function, 0.5)

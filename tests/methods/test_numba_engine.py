@@ -15,7 +15,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.callback import recorded
+from contactbench.peers.callback import record_function
 from contactbench.solution import Status
 from contactbench.trace.compiled import compiled
 from contactbench.trace.form import FUNCTIONS
@@ -37,7 +37,9 @@ def test_source_computes_what_the_scene_does(scene, what):
         result = getattr(scene, what)(x)
         expected = scene.without_clock(scene.pack(result)) if what == "rhs" else result
         y, t = scene.pack(x), 0.0 if scene.clock is None else x.t
-        np.testing.assert_array_equal(recorded(scene, what, carry)(t, scene.without_clock(y)), expected)
+        np.testing.assert_array_equal(
+            record_function(scene, what, carry)(t, scene.without_clock(y)), expected
+        )
 
 
 # -- programs --------------------------------------------------------------------------------------

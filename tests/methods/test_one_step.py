@@ -136,9 +136,12 @@ BAD = {
     "adaptive": (lambda: cb.step_map("particle", "cvode-bdf"), "method = 'cvode-bdf': chooses its own steps"),
     "refused": (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
     "parameter": (lambda: cb.step_map("particle", "rk4")((1.0,) * 5, 0.1, gama=1.0), "did you mean 'gamma'?"),
-    "length": (lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1), "y has 4 entries: must be 5, q1, q2, p1"),
+    "length": (
+        lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1),
+        "y has 4 entries: must be 5, q1, q2, p1",
+    ),
     "unknown": (lambda: cb.step_map("particle", "rk5"), "unknown method 'rk5'"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("call", "says"), BAD.values(), ids=BAD)
@@ -152,10 +155,14 @@ def test_a_force_that_branches_on_values_runs_in_python_and_says_so_to_numba():
     from contactbench.numbers.protocol import CannotRecord
 
     scene = cb.Mechanical(
-        name="wall", q=(0.5,), p=(1.0,), gamma=0.1, t_end=1.0,
+        name="wall",
+        q=(0.5,),
+        p=(1.0,),
+        gamma=0.1,
+        t_end=1.0,
         potential=lambda q: 0.0 if q[0] < 1 else (q[0] - 1) ** 2,
         gradient=lambda q: (0.0 if q[0] < 1 else 2 * (q[0] - 1),),
-    )  # fmt: skip
+    )
     step = cb.step_map(scene, "contact-strang")
     assert math.isfinite(step(step.start, STEP)[0])
     with pytest.raises(CannotRecord):

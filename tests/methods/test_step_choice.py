@@ -52,9 +52,14 @@ def test_a_tolerance_out_of_reach_ends_as_budget(engine):
 
 def test_a_motion_every_step_solves_exactly_needs_no_small_step():
     free = cb.Mechanical(
-        name="free", potential=lambda q: 0 * q[0], gradient=lambda q: (0 * q[0],),
-        gamma=0.1, q=(0.0,), p=(1.0,), t_end=10.0,
-    )  # fmt: skip
+        name="free",
+        potential=lambda q: 0 * q[0],
+        gradient=lambda q: (0 * q[0],),
+        gamma=0.1,
+        q=(0.0,),
+        p=(1.0,),
+        t_end=10.0,
+    )
     assert cb.solve(free, "contact-strang", rtol=1e-10, save_at=[10.0]).counts.steps < 100
 
 

@@ -34,16 +34,29 @@ def stiffer_force(q):
 
 def driven(rate):
     return cb.Driven(
-        name="driven", potential=lambda q, t: quartic(q) - 0.3 * q[0] * cb.math.cos(t),
-        gradient=lambda q, t: (force(q)[0] - 0.3 * cb.math.cos(t),), rate=rate, q=(0.8,), p=(0.3,), s=0.1, t_end=2.0,
-    )  # fmt: skip
+        name="driven",
+        potential=lambda q, t: quartic(q) - 0.3 * q[0] * cb.math.cos(t),
+        gradient=lambda q, t: (force(q)[0] - 0.3 * cb.math.cos(t),),
+        rate=rate,
+        q=(0.8,),
+        p=(0.3,),
+        s=0.1,
+        t_end=2.0,
+    )
 
 
 def damped(damping, slope):
     return cb.GeneralDamping(
-        name="damped", potential=quartic, gradient=force, damping=damping, damping_slope=slope,
-        q=(0.8,), p=(0.3,), s=0.4, t_end=2.0,
-    )  # fmt: skip
+        name="damped",
+        potential=quartic,
+        gradient=force,
+        damping=damping,
+        damping_slope=slope,
+        q=(0.8,),
+        p=(0.3,),
+        s=0.4,
+        t_end=2.0,
+    )
 
 
 BODY = cb.SCENES["rigid_body"].with_(
@@ -59,7 +72,8 @@ PAIRS = {
         (BODY.with_(inertia=i), None) for i in ((1.0, 1.7, 2.1), (2.1, 1.0, 1.7), (1.7, 2.1, 1.0))
     ],
     "kind of damping": [
-        (BODY, None), (BODY.with_(damping=(0.1, 0.2, 0.3)), None),
+        (BODY, None),
+        (BODY.with_(damping=(0.1, 0.2, 0.3)), None),
         (BODY.with_(damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))), None),
     ],
     "fields of a body": [(BODY, ()), (BODY, ("s",)), (BODY, ("R",)), (BODY, ("R", "s"))],
@@ -78,28 +92,36 @@ PAIRS = {
     ],
     "our potential": [(cb.SCENES[name].with_(t_end=2.0), None) for name in ("particle", "central")],
     "rate": [
-        (driven(lambda t: 0.2 + 0.1 * cb.math.sin(t)), None), (driven(lambda t: 0.3 - 0.1 * cb.math.cos(t)), None)
+        (driven(lambda t: 0.2 + 0.1 * cb.math.sin(t)), None),
+        (driven(lambda t: 0.3 - 0.1 * cb.math.cos(t)), None),
     ],
     "damping": [
         (damped(lambda s: 0.2 * s, lambda s: 0.2), None),
         (damped(lambda s: 0.2 * s + s * s * s, lambda s: 0.2 + 3 * s * s), None),
     ],
-}  # fmt: skip
+}
 SOLVES = [
     (what, k, name, engine)
     for what, scenes in PAIRS.items()
     for k in range(len(scenes))
     for name, engine in (
-        ("contact-strang", "numba"), ("contact-adaptive", "numba"), ("contact-exact", "numba"),
-        ("cvode-bdf", "c"), ("cyrk-tsit5", "c++"), ("heyoka-taylor", "llvm"), ("contact-strang", "jax"),
+        ("contact-strang", "numba"),
+        ("contact-adaptive", "numba"),
+        ("contact-exact", "numba"),
+        ("cvode-bdf", "c"),
+        ("cyrk-tsit5", "c++"),
+        ("heyoka-taylor", "llvm"),
+        ("contact-strang", "jax"),
         ("diffrax-tsit5", "jax"),
     )
     if cb.METHODS[name].refuses(scenes[k][0]) is None
-]  # fmt: skip
+]
 #: compiled by XLA for seconds
 QUICK_ON_JAX = [
-    ("order of the inertias", "contact-strang"), ("sign of kappa", "contact-strang"), ("fields", "diffrax-tsit5"),
-]  # fmt: skip
+    ("order of the inertias", "contact-strang"),
+    ("sign of kappa", "contact-strang"),
+    ("fields", "diffrax-tsit5"),
+]
 
 
 def is_quick(what, name, engine):
@@ -120,11 +142,13 @@ def both_ways(quick):
     """What each solve ends in, in two processes: one after the other forwards, and backwards."""
     started = [
         subprocess.Popen(
-            [sys.executable, __file__, order, quick], stdout=subprocess.PIPE, text=True,
+            [sys.executable, __file__, order, quick],
+            stdout=subprocess.PIPE,
+            text=True,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         )
         for order in ("forwards", "backwards")
-    ]  # fmt: skip
+    ]
     outputs = [process.communicate(timeout=500)[0] for process in started]
     assert [process.returncode for process in started] == [0, 0]
     return [{tuple(solve): np.array(y) for solve, y in json.loads(output)} for output in outputs]

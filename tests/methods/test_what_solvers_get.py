@@ -33,26 +33,42 @@ def tolerances(name):
 
 #: two pairs of springs, nine components
 SCENE = cb.Mechanical(
-    name="asked", gamma=0.3, q=(0.9, -0.7, 0.4, 0.2), p=(0.1, 0.6, -0.5, 0.3), s=0.2, t_end=END,
-    potential=lambda q: sum(0.53 * c * c + 0.21 * c * c * c * c for c in q) + 0.37 * (q[0] * q[1] + q[2] * q[3]),
+    name="asked",
+    gamma=0.3,
+    q=(0.9, -0.7, 0.4, 0.2),
+    p=(0.1, 0.6, -0.5, 0.3),
+    s=0.2,
+    t_end=END,
+    potential=lambda q: (
+        sum(0.53 * c * c + 0.21 * c * c * c * c for c in q) + 0.37 * (q[0] * q[1] + q[2] * q[3])
+    ),
     gradient=lambda q: tuple(
-        1.06 * c + 0.84 * c * c * c + 0.37 * other for c, other in zip(q, (q[1], q[0], q[3], q[2]), strict=True)
+        1.06 * c + 0.84 * c * c * c + 0.37 * other
+        for c, other in zip(q, (q[1], q[0], q[3], q[2]), strict=True)
     ),
     hessian=lambda q: tuple(
         tuple(1.06 + 2.52 * c * c if i == j else 0.37 * (i // 2 == j // 2) for j in range(4))
         for i, c in enumerate(q)
     ),
-)  # fmt: skip
+)
 #: what each is in its library
 KINDS = {
-    ("scipy-dop853", "python"): "DOP853", ("scipy-radau", "python"): "Radau",
-    ("cvode-adams", "c+python"): "Adams", ("cvode-bdf", "c+python"): "BDF",
-    ("cvode-adams", "c"): "Adams", ("cvode-bdf", "c"): "BDF",
-    ("cyrk-dop853", "c++"): "DOP853", ("cyrk-vern8", "c++"): "Vern8", ("cyrk-tsit5", "c++"): "Tsit5",
-    ("cyrk-lsoda", "c++"): "LSODA", ("cyrk-radau", "c++"): "RADAU",
-    ("diffrax-tsit5", "jax"): "Tsit5", ("diffrax-dopri8", "jax"): "Dopri8", ("diffrax-kvaerno5", "jax"): "Kvaerno5",
+    ("scipy-dop853", "python"): "DOP853",
+    ("scipy-radau", "python"): "Radau",
+    ("cvode-adams", "c+python"): "Adams",
+    ("cvode-bdf", "c+python"): "BDF",
+    ("cvode-adams", "c"): "Adams",
+    ("cvode-bdf", "c"): "BDF",
+    ("cyrk-dop853", "c++"): "DOP853",
+    ("cyrk-vern8", "c++"): "Vern8",
+    ("cyrk-tsit5", "c++"): "Tsit5",
+    ("cyrk-lsoda", "c++"): "LSODA",
+    ("cyrk-radau", "c++"): "RADAU",
+    ("diffrax-tsit5", "jax"): "Tsit5",
+    ("diffrax-dopri8", "jax"): "Dopri8",
+    ("diffrax-kvaerno5", "jax"): "Kvaerno5",
     ("heyoka-taylor", "llvm"): None,
-}  # fmt: skip
+}
 ADAPTIVE = [(m.name, e) for m in cb.METHODS.values() if m.adaptive for e in m.engines]
 
 
@@ -126,9 +142,13 @@ def test_scikit_sundae(name, engine, times, monkeypatch):
     monkeypatch.setattr(sksundae.cvode, "CVODE", Recorded)
     calls(prepared(name, engine, times))
     asked = {
-        "method": KINDS[name, engine], "rtol": RTOL, "atol": ATOL, "max_num_steps": BUDGET, "max_step": END,
+        "method": KINDS[name, engine],
+        "rtol": RTOL,
+        "atol": ATOL,
+        "max_num_steps": BUDGET,
+        "max_step": END,
         "min_step": 1e-15 * END,
-    }  # fmt: skip
+    }
     assert len(seen) == 3
     for got in seen:
         assert callable(got.pop("jacfn"))
@@ -190,9 +210,14 @@ def test_cyrk_by_its_call_from_python(name, engine, times):
     for each in (run, run.variational()):
         rhs, _ = from_python(each.request)
         found = pysolve_ivp(
-            rhs, (0.0, END), each.start.copy(), method=KINDS[name, engine], rtol=RTOL, atol=ATOL,
+            rhs,
+            (0.0, END),
+            each.start.copy(),
+            method=KINDS[name, engine],
+            rtol=RTOL,
+            atol=ATOL,
             max_num_steps=BUDGET,
-        )  # fmt: skip
+        )
         out = each.integrate(each.start)
         np.testing.assert_array_equal(out.y[-1], found.y[:, -1])
         np.testing.assert_array_equal(each.bare(each.start), found.y[:, -1])
@@ -213,9 +238,15 @@ def test_cvode_by_scikit_sundae(name, times):
         J[:, :] = jacobian(t, y)
 
     solver = sksundae.cvode.CVODE(
-        f, method=KINDS[name, "c"], rtol=RTOL, atol=ATOL, jacfn=jac, max_num_steps=BUDGET,
-        min_step=1e-15 * END, max_step=END,
-    )  # fmt: skip
+        f,
+        method=KINDS[name, "c"],
+        rtol=RTOL,
+        atol=ATOL,
+        jacfn=jac,
+        max_num_steps=BUDGET,
+        min_step=1e-15 * END,
+        max_step=END,
+    )
     solver.init_step(0.0, run.start)
     found = solver.step(END, tstop=END).y
     np.testing.assert_array_equal(run().y[-1], found)
@@ -239,10 +270,15 @@ def test_diffrax(name, engine, times, monkeypatch):
     def returns_what_it_gets(terms, solver, t0, t1, dt0, y0, *, saveat, stepsize_controller, **options):
         budgeted, pid = stepsize_controller, stepsize_controller.controller
         finder = getattr(solver, "root_finder", pid)  # an explicit method has none
-        seen.append((
-            type(solver).__name__, type(pid), dt0, options["max_steps"],
-            other_than_default(pid, default, "rtol", "atol", "dtmin"),
-        ))  # fmt: skip
+        seen.append(
+            (
+                type(solver).__name__,
+                type(pid),
+                dt0,
+                options["max_steps"],
+                other_than_default(pid, default, "rtol", "atol", "dtmin"),
+            )
+        )
         numbers = [
             pid.rtol,
             pid.atol,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contactbench.measure.round_off import decided
+from contactbench.measure.round_off import decide
 from contactbench.results.judgement import bound, law_rows, structural_laws
 from frames import frames, row, table
 
@@ -73,7 +73,7 @@ def test_round_off_grows_with_the_map_and_where_that_is_unknown_with_the_motion(
     ],
 )
 def test_a_bound_above_a_millionth_decides_nothing(value, limit, judgement):
-    assert decided(value, limit) == judgement
+    assert decide(value, limit) == judgement
 
 
 def test_structural_laws_are_those_of_the_map_without_their_frozen_twins():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 
-import pandas as pd
 import pytest
 
 import contactbench as cb
@@ -31,12 +30,6 @@ def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tables):
     for column, about in TABLES[name].every_column.items():
         if about.type in kinds:
             assert frame[column].dtype.kind == kinds[about.type], column
-
-
-def test_the_name_is_not_lost_when_the_package_of_that_name_is_imported(tables):
-    import contactbench.results.store  # noqa: F401
-
-    assert isinstance(cb.results("claims"), pd.DataFrame)
 
 
 def test_times_come_along(tables):

@@ -155,14 +155,6 @@ def test_rows_whose_benchmark_no_longer_exists_are_forgotten(tmp_path):
     assert set(read(CONVERGENCE, tmp_path)["method"]) == {"rk4", "contact-strang", "of-a-larger-run"}
 
 
-def test_rows_are_in_registry_order_coarse_to_fine(tmp_path):
-    rows = [row(m, h) for m in ("rk4", "contact-strang") for h in (0.05, 0.1)]
-    back = merge(CONVERGENCE, rows, tmp_path)
-    assert list(zip(back["method"], back["setting"], strict=True)) == [
-        ("contact-strang", "step=0.1"), ("contact-strang", "step=0.05"), ("rk4", "step=0.1"), ("rk4", "step=0.05"),
-    ]  # fmt: skip
-
-
 def test_unknown_columns_are_refused(tmp_path):
     with pytest.raises(cb.BadInput, match="no columns \\['colour'\\]"):
         merge(CONVERGENCE, [row(colour="red")], tmp_path)
@@ -274,24 +266,3 @@ def test_an_odd_environment_is_refused(tmp_path, content):
     (tmp_path / "environment.json").write_text(content)
     with pytest.raises(cb.BadInput, match="not the record of a benchmark run"):
         provenance.runs(tmp_path)
-
-
-@pytest.mark.parametrize("table", [WORK_PRECISION, LAWS_TABLE, CONVERGENCE], ids=lambda table: table.name)
-def test_keys_of_many_rows_are_those_of_each(table):
-    rows = [
-        {
-            "scene": scene,
-            "method": "rk4",
-            "engine": "numba",
-            "setting": f"step={value:.6g}",
-            "id": "C01",
-            **more,
-        }
-        for scene in ("particle", "central")
-        for value in (0.1, 1 / 3, 1e-9)
-        for more in ({}, {"variant": "chosen"}, {"value": value})
-    ]
-    rows = [{name: row.get(name) for name in table.every_column} for row in rows]
-    alone = [key for row in rows for key in keys(table, [row])]
-    assert keys(table, rows) == alone
-    assert keys(table, []) == []

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import by_name, pairs
+from cases import by_name, pairs, saved
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.precision import error_at, order_at
 from contactbench.numbers import quadrature
@@ -29,10 +29,6 @@ from contactbench.truth import decimal_context
 CLOSED = [scene for scene in DRIVEN if scene.exact is not None]
 STEPPED = [method for method in cb.METHODS.values() if method.control == "step"]
 CONTACT = [method for method in STEPPED if method.contact]
-
-
-def saved(scene):
-    return scene.t_end * np.arange(1, 6) / 5
 
 
 @by_name(DRIVEN)

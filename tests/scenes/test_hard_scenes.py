@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import saved
 from contactbench.measure.laws import laws_of
 from contactbench.scenes import hard_scenes, standard_scenes
 from contactbench.truth import blow_up_time, condition_number
 
 HARD = hard_scenes()
 by_scene = pytest.mark.parametrize("scene", HARD, ids=lambda scene: scene.name)
-
-
-def save_times(scene):
-    return scene.t_end * np.arange(1, 26) / 25
 
 
 def test_hard_scenes_are_registered_beside_the_standard_ones():
@@ -29,7 +26,7 @@ def test_hard_scenes_are_registered_beside_the_standard_ones():
 
 @by_scene
 def test_every_hard_scene_has_a_truth(scene):
-    times = save_times(scene)
+    times = saved(scene, 25)
     blow_up = blow_up_time(scene) if scene.name == "escape" else None
     if blow_up is not None:
         times = times[times < float(blow_up[0])]
@@ -76,7 +73,7 @@ def test_singular_damping_ends_in_a_steady_rotation_and_contact_methods_find_it(
 def test_condition_numbers_are_the_growth_of_errors(name):
     """Against the derivative along heyoka's own run, its steps held fixed: an independent engine and derivative."""
     scene = cb.SCENES[name]
-    solution = cb.solve(scene, "heyoka-taylor", rtol=1e-14, save_at=save_times(scene))
+    solution = cb.solve(scene, "heyoka-taylor", rtol=1e-14, save_at=saved(scene, 25))
     growth = np.linalg.norm(solution.frozen_differential.value, ord=2, axis=(1, 2)).max()
     # other times, and unit tangents instead of coordinates
     assert 0.2 * condition_number(scene) < growth < 3 * condition_number(scene)
@@ -213,6 +210,6 @@ def test_momentum_law_where_strong_damping_cancels_it():
     ],
 )
 def test_laws_of_underflow_are_finite(method, setting):
-    solution = cb.solve("underflow", method, save_at=save_times(cb.SCENES["underflow"]), **setting)
+    solution = cb.solve("underflow", method, save_at=saved(cb.SCENES["underflow"], 25), **setting)
     assert solution.ok
     assert_finite(solution)

@@ -13,29 +13,9 @@ from cases import in_mp
 from contactbench.measure import precision
 from contactbench.splitting.dissipation import decay
 from contactbench.testing import check_scene
+from properties import GENERAL, cubic_flow
 
-GAMMA, C = 0.1, 0.25
-
-
-def cubic(s):
-    """Γ = γs + cs³: harder at large s of either sign."""
-    return GAMMA * s + C * s * s * s
-
-
-def cubic_slope(s):
-    return GAMMA + 3 * C * s * s
-
-
-def cubic_flow(s, h, xp):
-    """Bernoulli: s(h) = e^{−γh} s/√(1 + cs²(1 − e^{−2γh})/γ)."""
-    return xp.exp(-GAMMA * h) * s / xp.sqrt(1 - C * s * s * xp.expm1(-2 * GAMMA * h) / GAMMA)
-
-
-CENTRAL = cb.SCENES["central"]
-FORCE = {"potential": CENTRAL.potential, "gradient": CENTRAL.gradient, "parameters": CENTRAL.parameters}
-DAMPING = {"damping": cubic, "damping_slope": cubic_slope}
-START = {"q": (1.0, 0.0), "p": (0.3, 0.8), "s": 0.7, "t_end": 4.0}
-QUADRATURE = cb.GeneralDamping(name="quadrature", **FORCE, **DAMPING, **START, rotation_invariant=True)
+QUADRATURE = GENERAL.with_(name="quadrature", rotation_invariant=True)
 SCENE = QUADRATURE.with_(name="cubic", damping_flow=cubic_flow)
 both = pytest.mark.parametrize("scene", [SCENE, QUADRATURE], ids=lambda s: s.name)
 

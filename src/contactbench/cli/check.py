@@ -37,16 +37,16 @@ def check(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def add(command: Command) -> None:
-    """The command and its options."""
-    one = command(
-        "check", check, "check a method or a scene against every rule of its contract",
-        """examples:
+EXAMPLES = """examples:
   contactbench check my-method --plugin my.py
   contactbench check my-method --engine python --plugin my.py
   contactbench check double-well --plugin my.py
 
-Exit status: 0 all rules are kept, 1 one is broken (stderr says which), 2 bad input.""",
-    )  # fmt: skip
+Exit status: 0 all rules are kept, 1 one is broken (stderr says which), 2 bad input."""
+
+
+def add(command: Command) -> None:
+    """Add the command and its options."""
+    one = command("check", check, "check a method or a scene against every rule of its contract", EXAMPLES)
     one.add_argument("name", help="of a method or a scene")
     one.add_argument("--engine", action="append", help="of a method: only this one; may be repeated")

@@ -19,7 +19,7 @@ def claim(arguments: argparse.Namespace) -> int:
 
 
 def readable(row: dict[str, Any]) -> str:
-    """A claim's row: the claim, each measurement on a line, the verdict, the correction."""
+    """Return a claim's row as text: the claim, each measurement on a line, the verdict, the correction."""
     from contactbench.results.schema import SEPARATOR
 
     lines = [f"{row['id']}  {row['where']}", f"claim       {row['claim']}"]
@@ -35,10 +35,8 @@ def readable(row: dict[str, Any]) -> str:
 
 
 def add(command: Command) -> None:
-    """The command and its options."""
-    ledger = command(
-        "claim", claim, "measure one claim of the ledger",
-        "examples:\n  contactbench claim C25\n  contactbench claim C07 --json | jq -r .verdict",
-    )  # fmt: skip
+    """Add the command and its options."""
+    examples = "examples:\n  contactbench claim C25\n  contactbench claim C07 --json | jq -r .verdict"
+    ledger = command("claim", claim, "measure one claim of the ledger", examples)
     ledger.add_argument("id", help="C01 to C42, X01, X02, in either case (contactbench list claims)")
     ledger.add_argument("--json", action="store_true", help="print one JSON object")

@@ -6,11 +6,9 @@ import argparse
 import json
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
-from contactbench.cli.parsing import PICTURES, Command, writable
-from contactbench.cli.solve import assignments
+from contactbench.cli.parsing import PICTURES, Command, add_files, add_parameters, assignments, writable
 from contactbench.errors import BadInput
 
 
@@ -41,10 +39,8 @@ def compare(arguments: argparse.Namespace) -> int:
     from contactbench.report import race
 
     scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
-    frame = cb.compare(
-        scene, arguments.method or None, numbers(arguments.error), duration(arguments.budget),
-        progress=not arguments.quiet,
-    )  # fmt: skip
+    methods, budget = arguments.method or None, duration(arguments.budget)
+    frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
     if arguments.csv:
         frame.to_csv(arguments.csv, index=False, lineterminator="\n")
     if arguments.html:
@@ -70,32 +66,28 @@ def one_core() -> None:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-def add(command: Command) -> None:
-    """The command and its options."""
-    race = command(
-        "compare", compare, "race the methods on one scene: what each costs at each error, what it keeps",
-        """examples:
+EXAMPLES = """examples:
   contactbench compare particle
   contactbench compare double-well --plugin my.py --error 1e-4,1e-8 --html out.html
   contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq '.rows[].margin'
 
 Nothing is written but the files named.  Ctrl-C ends it with what there is.
-Exit status: 0 done, 1 nothing could be timed, 2 bad input or no reference, 130 interrupted.""",
-    )  # fmt: skip
+Exit status: 0 done, 1 nothing could be timed, 2 bad input or no reference, 130 interrupted."""
+
+
+def add(command: Command) -> None:
+    """Add the command and its options."""
+    about = "race the methods on one scene: what each costs at each error, what it keeps"
+    race = command("compare", compare, about, EXAMPLES)
     race.add_argument("scene", help="its name (contactbench list scenes)")
     race.add_argument(
         "method", nargs="*", default=[], help="names (contactbench list methods); by default all"
     )
-    race.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE",
-        help="change a parameter: a number or a list [1,2]; may be repeated",
-    )  # fmt: skip
-    race.add_argument(
-        "--error", default="1e-3,1e-6,1e-9", metavar="E,E,…", help="errors asked for, relative to the motion"
-    )
+    add_parameters(race)
+    errors = "errors asked for, relative to the motion"
+    race.add_argument("--error", default="1e-3,1e-6,1e-9", metavar="E,E,…", help=errors)
     race.add_argument("--budget", default="60s", metavar="TIME", help="for everything (default: 60s)")
-    race.add_argument("--html", type=Path, metavar="FILE", help="one page: tables and figure")
-    race.add_argument("--plot", type=Path, metavar="FILE", help="the figure alone (.svg, .png, .pdf)")
-    race.add_argument("--csv", type=Path, metavar="FILE", help="the rows")
+    figure = "the figure alone (.svg, .png, .pdf)"
+    add_files(race, html="one page: tables and figure", plot=figure, csv="the rows")
     race.add_argument("--json", action="store_true", help="print one JSON object")
     race.add_argument("--quiet", action="store_true", help="no progress on stderr")

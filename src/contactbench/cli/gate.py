@@ -12,7 +12,7 @@ from contactbench.errors import BadInput, positive
 
 
 def seconds(text: str) -> float:
-    """A positive number of seconds, for argparse."""
+    """Return a positive number of seconds, for argparse."""
     try:
         return positive("seconds", float(text))
     except (BadInput, ValueError) as error:
@@ -32,10 +32,9 @@ def gate(arguments: argparse.Namespace) -> int:
             raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
         found = compare_folders(arguments.baseline, arguments.fresh)
     else:
-        question = judge.Question(
-            Path.cwd(), arguments.results, arguments.fresh, arguments.base,
-            (arguments.only,) if arguments.only else judge.PARTS, arguments.tables_changed, arguments.budget,
-        )  # fmt: skip
+        parts = (arguments.only,) if arguments.only else judge.PARTS
+        folders = Path.cwd(), arguments.results, arguments.fresh
+        question = judge.Question(*folders, arguments.base, parts, arguments.tables_changed, arguments.budget)
         status = judge.by_base(question, arguments.json)
         if status is not None:
             return status
@@ -44,11 +43,7 @@ def gate(arguments: argparse.Namespace) -> int:
     return found.status
 
 
-def add(command: Command) -> None:
-    """The command and its options."""
-    check = command(
-        "gate", gate, "has anything become less accurate, more costly or slower?",
-        """examples:
+EXAMPLES = """examples:
   contactbench gate
   contactbench gate --only accuracy --fresh /tmp/results-of-a-run
   contactbench gate --only speed --base origin/main
@@ -58,30 +53,28 @@ the tables of another revision.  Speed: the working tree against another revisio
 minutes).  The gate of that revision judges, by its own rules.  Prints one table of what moved.  A change that
 means to change tables names them, in a line "Tables-changed: laws, claims" of a commit's message or with
 --tables-changed.
-Exit status: 0 green, cells that stay open named; 1 red; 2 inconclusive as a whole, or could not run.""",
-    )  # fmt: skip
+Exit status: 0 green, cells that stay open named; 1 red; 2 inconclusive as a whole, or could not run."""
+#: options that take a folder, and what of
+FOLDERS = {
+    "--results": "the committed tables, a folder of the repository (default: results)",
+    "--fresh": "tables of a run just made (default: make them now)",
+    "--baseline": "compare --fresh with this folder of tables instead, outside any repository",
+}
+BASE = "revision to compare with (default: where the main branch was left, on it HEAD's parent)"
+BUDGET = (
+    "time for the speed part; what is not decided by then is inconclusive, all of it below half of the cells"
+)
+CHANGED = "a table that is meant to change, or all; may be repeated"
+
+
+def add(command: Command) -> None:
+    """Add the command and its options."""
+    check = command("gate", gate, "has anything become less accurate or slower?", EXAMPLES)
     check.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")
-    check.add_argument(
-        "--results", type=Path, default=Path("results"), metavar="DIR",
-        help="the committed tables, a folder of the repository (default: results)",
-    )  # fmt: skip
-    check.add_argument(
-        "--fresh", type=Path, metavar="DIR", help="tables of a run just made (default: make them now)"
-    )
-    check.add_argument(
-        "--baseline", type=Path, metavar="DIR",
-        help="compare --fresh with this folder of tables instead, outside any repository: it vouches for no revision",
-    )  # fmt: skip
-    check.add_argument(
-        "--base", metavar="REV",
-        help="revision to compare with (default: where the main branch was left, on it HEAD's parent)",
-    )  # fmt: skip
-    check.add_argument(
-        "--tables-changed", action="append", default=[], metavar="TABLE",
-        help="a table that is meant to change, or all; may be repeated",
-    )  # fmt: skip
-    check.add_argument(
-        "--budget", type=seconds, metavar="SECONDS",
-        help="time for the speed part; what is not decided by then is inconclusive, all of it below half of the cells",
-    )  # fmt: skip
+    for option, about in FOLDERS.items():
+        default = Path("results") if option == "--results" else None
+        check.add_argument(option, type=Path, default=default, metavar="DIR", help=about)
+    check.add_argument("--base", metavar="REV", help=BASE)
+    check.add_argument("--tables-changed", action="append", default=[], metavar="TABLE", help=CHANGED)
+    check.add_argument("--budget", type=seconds, metavar="SECONDS", help=BUDGET)
     check.add_argument("--json", action="store_true", help="print one JSON object")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import tempfile
 from collections.abc import Callable
@@ -71,20 +72,42 @@ def writable_folder(option: str, folder: Path) -> None:
         raise BadInput(f"{option} {folder}: cannot be written: {error.strerror}") from None
 
 
+def assignments(pairs: list[str]) -> dict[str, Any]:
+    """Return the changes that ``name=value`` arguments name; a value is JSON (a number or a list of numbers)."""
+    changes = {}
+    for pair in pairs:
+        name, _, text = pair.partition("=")
+        try:
+            changes[name] = json.loads(text)
+        except (ValueError, RecursionError):
+            allowed = "must be name=value, the value a number or [list, of, numbers]"
+            raise BadInput(f"--set {pair}: {allowed}") from None
+        if isinstance(changes[name], list):
+            changes[name] = tuple(changes[name])
+    return changes
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add the option that changes parameters of a scene."""
+    about = "change a parameter: a number or a list [1,2]; may be repeated"
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=about)
+
+
+def add_files(parser: argparse.ArgumentParser, **about: str) -> None:
+    """Add options that name a file to be written."""
+    for name, text in about.items():
+        parser.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
+
+
 #: what a plot can be saved as
 PICTURES = (".svg", ".png", ".pdf")
 
 #: taken from anywhere on the line and loaded first, so that every command knows what it brings
 PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)
-PLUGIN.add_argument(
-    "--plugin", action="append", default=[], metavar="FILE", type=Path,
-    help="Python file that registers methods or scenes of your own; may be repeated",
-)  # fmt: skip
-
-PLUGIN.add_argument(
-    "--plugin-timeout", metavar="SECONDS",
-    help="for importing a plug-in and for each first evaluation of what it brings (default: 60; 0: any time)",
-)  # fmt: skip
+FILES = "Python file that registers methods or scenes of your own; may be repeated"
+PLUGIN.add_argument("--plugin", action="append", default=[], metavar="FILE", type=Path, help=FILES)
+LIMIT = "for importing a plug-in and for each first evaluation of what it brings (default: 60; 0: any time)"
+PLUGIN.add_argument("--plugin-timeout", metavar="SECONDS", help=LIMIT)
 PLUGIN.add_argument("--traceback", action="store_true", help="show where an error comes from")
 
 #: ``command(name, run, about, examples) -> parser`` makes one more command

@@ -23,5 +23,5 @@ def references(_: argparse.Namespace) -> int:
 
 
 def add(command: Command) -> None:
-    """The command and its options."""
+    """Add the command."""
     command("references", references, "the stored references, their digits and digests")

@@ -32,21 +32,19 @@ def report(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def add(command: Command) -> None:
-    """The command and its options."""
-    write = command(
-        "report", report, "markdown, figures and report.html from the CSV tables alone",
-        """examples:
+EXAMPLES = """examples:
   contactbench report
   contactbench report --results /tmp/mine
   contactbench report --check --readme README.md
 
-Nothing is solved: every number is read from the tables.  report.html is one page that needs no network.""",
-    )  # fmt: skip
+Nothing is solved: every number is read from the tables.  report.html is one page that needs no network."""
+
+
+def add(command: Command) -> None:
+    """Add the command and its options."""
+    write = command("report", report, "markdown, figures and report.html from the CSV tables alone", EXAMPLES)
     write.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
     write.add_argument("--png", action="store_true", help="save the figures as .png too")
     write.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
-    write.add_argument(
-        "--check", action="store_true",
-        help="write nothing; name each file that is not what the tables give, exit status 1 if there is one",
-    )  # fmt: skip
+    check = "write nothing; name each file that is not what the tables give, exit status 1 if there is one"
+    write.add_argument("--check", action="store_true", help=check)

@@ -8,24 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from contactbench.cli.parsing import PICTURES, Command, writable
-from contactbench.errors import BadInput
-
-
-def assignments(pairs: list[str]) -> dict[str, Any]:
-    """``name=value`` arguments; a value is JSON (a number or a list of numbers)."""
-    changes = {}
-    for pair in pairs:
-        name, _, text = pair.partition("=")
-        try:
-            changes[name] = json.loads(text)
-        except (ValueError, RecursionError):
-            raise BadInput(
-                f"--set {pair}: must be name=value, the value a number or [list, of, numbers]"
-            ) from None
-        if isinstance(changes[name], list):
-            changes[name] = tuple(changes[name])
-    return changes
+from contactbench.cli.parsing import PICTURES, Command, add_files, add_parameters, assignments, writable
 
 
 def solve(arguments: argparse.Namespace) -> int:
@@ -46,13 +29,13 @@ def solve(arguments: argparse.Namespace) -> int:
         solution.to_frame().to_csv(arguments.out, index=False, lineterminator="\n")
     if arguments.plot:
         plot(solution, arguments.plot)
-    said = summary(solution)
+    run = summary(solution)
     laws = solution.laws() if arguments.laws else None
     if arguments.json:
         known = {} if laws is None else {"laws": deviations(laws)}
-        print(json.dumps(said | known, allow_nan=False))
+        print(json.dumps(run | known, allow_nan=False))
     else:
-        print(described(said))
+        print(text(run))
         for law in () if laws is None else laws.itertuples():
             bound = "≤ " if law.upper_bound else ""
             print(f"{law.Index:26} {bound}{law.deviation:.1e}  {law.note or law.definition}")
@@ -60,40 +43,41 @@ def solve(arguments: argparse.Namespace) -> int:
 
 
 def deviations(laws: Any) -> dict[str, float | None]:
-    """By name; null for what is not known."""
+    """Return deviations by name; null for what is not known."""
     return {name: value if math.isfinite(value) else None for name, value in laws["deviation"].items()}
 
 
 def plot(solution: Any, path: Path) -> None:
-    """The motion and the energies against time."""
+    """Draw the motion and the energies against time."""
     from contactbench.report.draw import render
     from contactbench.report.drawing import Axis, Curve, Figure, Panel
 
     t, scene, states = tuple(solution.t.tolist()), solution.scene, solution.states()
-    energies = {"H0": scene.energy(states)}
+    groups: dict[str, dict[str, Any]] = {}
+    for name, values in zip(solution.labels, solution.y.T, strict=True):
+        groups.setdefault(name[0], {})[name] = values
+    groups["energies"] = {"H0": scene.energy(states)}
     if scene.is_contact and states.s is not None:
-        energies["H"] = scene.hamiltonian(states)
-    columns = dict(zip(solution.labels, solution.y.T, strict=True))
-    groups = [
-        {name: column for name, column in columns.items() if name[0] == letter}
-        for letter in dict.fromkeys(name[0] for name in columns)
-    ]
-    panels = [
+        groups["energies"]["H"] = scene.hamiltonian(states)
+
+    def curve(i: int, name: str, values: Any) -> Curve:
+        return Curve(t, tuple(values.tolist()), label=name, role=f"shade {i % 5}", markers=False)
+
+    panels = tuple(
         Panel(
-            "", Axis("t"), Axis(", ".join(group)),
-            tuple(
-                Curve(t, tuple(values.tolist()), label=name, role=f"shade {i % 5}", markers=False)
-                for i, (name, values) in enumerate(group.items())
-            ),
+            "",
+            Axis("t"),
+            Axis(", ".join(group)),
+            tuple(curve(i, *each) for i, each in enumerate(group.items())),
         )
-        for group in [*groups, energies]
-    ]  # fmt: skip
+        for group in groups.values()
+    )
     title = f"{scene.name}: {solution.method}, {solution.setting}"
-    render(Figure("run", title, tuple(panels), legend="each", across=2)).savefig(path)
+    render(Figure("run", title, panels, legend="each", across=2)).savefig(path)
 
 
 def summary(solution: Any) -> dict[str, Any]:
-    """Final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
+    """Return final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
     scene, out = solution.scene, {}
     if solution.ok:
         state = scene.unpack(tuple(solution.y[-1].tolist()), solution.carry)
@@ -104,51 +88,37 @@ def summary(solution: Any) -> dict[str, Any]:
             "H": scene.hamiltonian(state) if scene.is_contact else None,
             "J": None if momentum is None else list(momentum),
         }
-    return {
-        "scene": scene.name,
-        "method": solution.method,
-        "engine": solution.engine,
-        "setting": solution.setting,
-        "status": str(solution.status),
-        "message": solution.message,
-        "t": solution.end_time,
-        **out,
-        "counts": solution.counts._asdict(),
-    }
+    run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}
+    ended = {"status": str(solution.status), "t": solution.end_time}
+    return {"scene": scene.name, **run, **ended, **out, "counts": solution.counts._asdict()}
 
 
-def described(summary: dict[str, Any]) -> str:
-    """One line per entry."""
+def text(summary: dict[str, Any]) -> str:
+    """Return one line per entry."""
     return "\n".join(f"{key:8} {value}" for key, value in summary.items() if value not in (None, ""))
 
 
-def add(command: Command) -> None:
-    """The command and its options."""
-    one = command(
-        "solve", solve, "solve one scene with one method and print where it ended",
-        """examples:
+EXAMPLES = """examples:
   contactbench solve particle contact-strang --step 0.01
   contactbench solve particle contact-rkn6 --rtol 1e-8           the step chosen from pilots
   contactbench solve particle cvode-bdf --rtol 1e-8 --t-end 100
   contactbench solve central contact-strang --step 0.01 --laws --plot run.svg --out run.csv
   contactbench solve particle rk4 --step 0.01 --set gamma=0.3 --set q=[1,0.5] --json | jq .H0
 
-Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input.""",
-    )  # fmt: skip
+Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input."""
+
+
+def add(command: Command) -> None:
+    """Add the command and its options."""
+    one = command("solve", solve, "solve one scene with one method and print where it ended", EXAMPLES)
     one.add_argument("scene", help="its name (contactbench list scenes)")
     one.add_argument("method", help="its name (contactbench list methods)")
-    one.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE",
-        help="change a parameter: a number or a list [1,2]; may be repeated",
-    )  # fmt: skip
+    add_parameters(one)
     one.add_argument("--step", type=float, help="step size (fixed-step methods)")
     one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
     one.add_argument("--t-end", type=float, help="end time")
     one.add_argument("--engine", help="numba, jax or python, where a method has several")
     one.add_argument("--max-steps", type=int, help="step budget")
     one.add_argument("--laws", action="store_true", help="how far the run is from every law of the scene")
-    one.add_argument(
-        "--plot", type=Path, metavar="FILE", help="motion and energies over time (.svg, .png, .pdf)"
-    )
-    one.add_argument("--out", type=Path, metavar="FILE", help="the saved states as CSV")
+    add_files(one, plot="motion and energies over time (.svg, .png, .pdf)", out="the saved states as CSV")
     one.add_argument("--json", action="store_true", help="print one JSON object")

@@ -30,7 +30,7 @@ from contactbench.gate import revisions
 from contactbench.gate.findings import INCONCLUSIVE, Findings, rows_of
 from contactbench.measure.statistics import PairedRatio, paired_ratio
 from contactbench.methods import METHODS
-from contactbench.solution import printed_setting
+from contactbench.solution import setting_key
 
 LIMIT = 1.25
 ROUNDS = 15
@@ -76,7 +76,7 @@ class Cell:
         """Its setting as a table has it, and what is special about it."""
         many = f", {self.saves} saved times" if self.saves > 1 else ""
         call = f", {self.call}" if self.call != "prepared" else ""
-        return f"{printed_setting(self.control, self.value)}{many}{call}"
+        return f"{setting_key(self.control, self.value)}{many}{call}"
 
 
 #: what a user calls, on standard scenes; references on those where they take little: in closed form, and live

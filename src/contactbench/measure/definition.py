@@ -33,14 +33,14 @@ def digest(parts: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
-def printed(value: Any, context: Any) -> str:
+def digits_of(value: Any, context: Any) -> str:
     """Numbers, nested as they are, with their leading digits."""
     if isinstance(value, list | tuple):
-        return f"[{' '.join(printed(each, context) for each in value)}]"
+        return f"[{' '.join(digits_of(each, context) for each in value)}]"
     return str(value) if value is None else context.nstr(context.mpf(value), SHOWN)
 
 
-def declared(item: Any) -> list[str]:
+def declarations(item: Any) -> list[str]:
     """The fields of a scene or method that are data, as NAME=VALUE."""
     found = []
     for field in (each for each in dataclasses.fields(item) if each.init):
@@ -56,33 +56,33 @@ def scene_lines(scene: Scene) -> list[str]:
     """The scene's data, and its functions at a few points with their leading digits."""
     context = decimal_context(DIGITS)
     twin = with_decimals(scene, context.mpf)
-    lines = [*declared(scene), repr(scene.numbers())]
+    lines = [*declarations(scene), repr(scene.numbers())]
     start = twin.pack(twin.initial(scene.carry()))
     for offset in OFFSETS:
         y = [a + context.mpf(offset * (k + 1)) / 64 for k, a in enumerate(start)]
         x = twin.unpack(y, scene.carry())
         contact = [twin.hamiltonian(x)] if scene.is_contact else []
         values = [twin.pack(twin.rhs(x)), [twin.energy(x)], contact, twin.momentum(x), twin.jacobian(x)]
-        lines += [printed(value, context) for value in values]
+        lines += [digits_of(value, context) for value in values]
     return lines
 
 
 def method_lines(method: Any) -> list[str]:
     """What the method declares, and where one and two of its steps lead, where it has steps."""
-    lines = declared(method)
+    lines = declarations(method)
     if not hasattr(method, "advance"):
         return lines
     context = decimal_context(DIGITS)
     for name in STEPPED:
         if method.refuses(SCENES[name]) is None:
             ends = (march(method, SCENES[name], STEP, n, context) for n in (1, 2))
-            lines += [f"{name} {printed(end, context)}" for end in ends]
+            lines += [f"{name} {digits_of(end, context)}" for end in ends]
     return lines
 
 
 def scene_row(scene: Scene) -> dict[str, str]:
     """What the table of definitions says of a scene."""
-    shown = [line for line in declared(scene) if not line.endswith("=None")]
+    shown = [line for line in declarations(scene) if not line.endswith("=None")]
     return {
         "scene": scene.name,
         "method": "",
@@ -93,7 +93,7 @@ def scene_row(scene: Scene) -> dict[str, str]:
 
 def method_row(method: Any) -> dict[str, str]:
     """What the table of definitions says of a method."""
-    shown = [line for line in declared(method) if not line.endswith("=None")]
+    shown = [line for line in declarations(method) if not line.endswith("=None")]
     return {
         "scene": "",
         "method": method.name,

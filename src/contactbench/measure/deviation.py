@@ -36,7 +36,7 @@ class Deviation(NamedTuple):
     clamped: np.ndarray | None = None
 
 
-def scaled(values: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
+def scale_up(values: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
     """values · e^{γt}, in two halves so that neither factor overflows before the product would."""
     with np.errstate(over="ignore", invalid="ignore"):
         half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
@@ -50,7 +50,7 @@ def log_true_size(start: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
     return xp.log(xp.where(norm > 0, norm, 1.0)) - gamma * t
 
 
-def clamped(start: Any, t: Any, gamma: Any, terms: Any, xp: Any = np) -> Any:
+def is_clamped(start: Any, t: Any, gamma: Any, terms: Any, xp: Any = np) -> Any:
     """Where `conformal_deviation` is taken against `ATTAINABLE` of the terms."""
     with np.errstate(divide="ignore"):
         return xp.log(ATTAINABLE * terms) > log_true_size(start, t, gamma, xp)
@@ -68,10 +68,10 @@ def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any 
     norm = xp.where(norm > 0, norm, 1.0)
     true_log = log_true_size(start, t, gamma, xp)
     attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
-    unresolved = clamped(start, t, gamma, attainable / ATTAINABLE, xp)
+    unresolved = is_clamped(start, t, gamma, attainable / ATTAINABLE, xp)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # where the true size rules, values are scaled up rather than the start down: it may underflow
-        against_true = xp.linalg.norm(scaled(values, t, gamma, xp) - start, axis=-1) / norm
+        against_true = xp.linalg.norm(scale_up(values, t, gamma, xp) - start, axis=-1) / norm
         true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
         against_terms = xp.linalg.norm(values - true, axis=-1) / attainable
         excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
@@ -97,7 +97,7 @@ def conformal(
     """`conformal_deviation` with its error bar, `error` being that of the values, and where it was clamped."""
     bar = None if error is None else relative(error, start, t, rate, terms)
     size = conformal_deviation(values, start, t, rate, terms)
-    return Deviation(size, bar, clamped(start, t, rate, terms) & (t > 0))
+    return Deviation(size, bar, is_clamped(start, t, rate, terms) & (t > 0))
 
 
 def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:

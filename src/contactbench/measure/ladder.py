@@ -73,7 +73,7 @@ def fields(scene: Scene, method: Method, carry: tuple[str, ...]) -> list[str]:
     return [name for name in kept if not (name == "t" and method.own_time)]
 
 
-def carried(scene: Scene) -> tuple[str, ...]:
+def carry_of(scene: Scene) -> tuple[str, ...]:
     """The optional fields of a run where only the motion counts: the attitude where J = R M is measured, and s
     where the motion depends on it."""
     return scene.carry(("R",) if "R" in scene.optional and scene.conformal_rate is not None else ())

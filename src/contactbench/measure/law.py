@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from contactbench.boundary import reported
+from contactbench.boundary import blame
 from contactbench.errors import BadInput
 from contactbench.measure.deviation import Deviation
 from contactbench.numbers.protocol import CannotRecord
@@ -104,7 +104,7 @@ class Law:
         except CannotRecord as error:
             raise BadInput(f"law {self.name!r}: {error}") from error
         except Exception as error:
-            raise reported(f"law {self.name!r}", error) from error.__cause__
+            raise blame(f"law {self.name!r}", error) from error.__cause__
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
         """The optional fields it reads on this scene."""

@@ -53,13 +53,13 @@ def laws_of(scene: Scene) -> list[Law]:
     return [item for item in LAWS.values() if item.applies(scene)]
 
 
-def damped_linearly(scene: Scene) -> bool:
+def has_linear_damping(scene: Scene) -> bool:
     """H = T + V + γs, where γ may depend on the time."""
     return scene.canonical and (scene.conformal_rate is not None or scene.clock is not None)
 
 
 # -- comparisons with the truth --------------------------------------------------------------------
-def observed(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
+def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarray:
     """Packed states with the attitude as its nine matrix entries: what q and −q have in common."""
     if scene.clock is not None:
         return np.delete(y, scene.clock, axis=1)
@@ -84,8 +84,8 @@ def truth(solution: Solution) -> Any:
 
 def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
     """‖y_k − y*(t_k)‖₂ at every saved time, and max_k ‖y*‖₂."""
-    exact = observed(solution.scene, truth(solution).y, solution.carry)
-    numerical = observed(solution.scene, solution.y, solution.carry)
+    exact = observables(solution.scene, truth(solution).y, solution.carry)
+    numerical = observables(solution.scene, solution.y, solution.carry)
     return np.linalg.norm(numerical - exact, axis=1), float(np.linalg.norm(exact, axis=1).max())
 
 
@@ -155,7 +155,7 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 @law(
     "max |H̃ e^{γt} − H̃(y₀)| / |H̃(y₀)|, H̃ = H + O(h^p) the modified Hamiltonian up to h⁴, of which the numerical "
     "flow is the exact one up to h⁶; blank for a method that is not known to have one", "modified H law",
-    needs=("s",), applies=lambda scene: damped_linearly(scene) and scene.has_hamiltonian_law,
+    needs=("s",), applies=lambda scene: has_linear_damping(scene) and scene.has_hamiltonian_law,
 )  # fmt: skip
 def modified_hamiltonian(solution: Solution) -> Deviation | float:
     scene, states, run = solution.scene, solution.states(), solution.run
@@ -171,23 +171,23 @@ def modified_hamiltonian(solution: Solution) -> Deviation | float:
     return conformal(value[:, None], np.array([start]), solution.t, decay_rate(solution), terms)
 
 
-def of_contact_flows(solution: Solution) -> bool:
+def is_of_contact_flows(solution: Solution) -> bool:
     """Whether the method declares its runs to be composed of exact contact flows, by whatever steps."""
     method = METHODS.get(solution.method)
     return method is not None and method.family == "contact"
 
 
-def factor_known(solution: Solution) -> bool:
+def knows_factor(solution: Solution) -> bool:
     """Whether ∫Γ' is known without the motion: where Γ' follows s, a run has the factor of its own s."""
     return solution.scene.damped_by(solution.start(), solution.t, np) is not None
 
 
-def contact_map(solution: Solution) -> bool:
+def is_contact_map(solution: Solution) -> bool:
     """Whether the method declares its runs to be contact maps with the factor of the exact flow, and it is known."""
-    return of_contact_flows(solution) and METHODS[solution.method].contact and factor_known(solution)
+    return is_of_contact_flows(solution) and METHODS[solution.method].contact and knows_factor(solution)
 
 
-def composed(solution: Solution) -> bool:
+def is_composed(solution: Solution) -> bool:
     """Whether the run is a composition of contact maps, of whatever factors."""
     return solution.log_factor() is not None
 
@@ -204,7 +204,7 @@ def momentum_deviation(solution: Solution) -> Deviation:
     f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}", "J law",
     needs=("R",), applies=lambda scene: scene.is_contact and scene.has_momentum_law,
     gate=Gate.structure, shown=("laws", "stability"),
-    claimed=lambda solution: of_contact_flows(solution) and factor_known(solution),
+    claimed=lambda solution: is_of_contact_flows(solution) and knows_factor(solution),
 )  # fmt: skip
 def momentum_law(solution: Solution) -> Deviation:
     return momentum_deviation(solution)
@@ -258,13 +258,13 @@ def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
 
 @law(
     f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}", "contact drift",
-    shown=("laws", "stability"), claimed=contact_map, **CONTACT,
+    shown=("laws", "stability"), claimed=is_contact_map, **CONTACT,
 )  # fmt: skip
 def contact_drift(solution: Solution) -> Deviation | float:
     return contact_deviation(solution, pullback(solution, solution.differential))
 
 
-@law("sine of the angle between Φ*η and η", "ker η drift", claimed=composed, **CONTACT)
+@law("sine of the angle between Φ*η and η", "ker η drift", claimed=is_composed, **CONTACT)
 def distribution_drift(solution: Solution) -> Deviation | float:
     return distribution_deviation(pullback(solution, solution.differential))
 
@@ -286,7 +286,7 @@ def distribution_drift_frozen(solution: Solution) -> Deviation | float:
     "‖Φ*η − cη‖ / |c|‖η‖, c the product of the conformal factors of the contact maps applied, each taken "
     "from its formula at the numerical state; blank for a method that is no composition of such maps, and where "
     "a factor is negative",
-    "drift from its own factor", claimed=composed, **CONTACT,
+    "drift from its own factor", claimed=is_composed, **CONTACT,
 )  # fmt: skip
 def own_factor_drift(solution: Solution) -> Deviation | float:
     log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
@@ -299,14 +299,14 @@ def own_factor_drift(solution: Solution) -> Deviation | float:
 # -- pairs of Lyapunov exponents -------------------------------------------------------------------
 #: what the laws of pairs have in common
 PAIRS: dict[str, Any] = {
-    "applies": damped_linearly, "gate": Gate.structure, "differentiates": True,
+    "applies": has_linear_damping, "gate": Gate.structure, "differentiates": True,
 }  # fmt: skip
 
 
 @law(
     "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p), "
     "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖", "pairing drift",
-    claimed=contact_map, **PAIRS,
+    claimed=is_contact_map, **PAIRS,
 )  # fmt: skip
 def pairing_drift(solution: Solution) -> Deviation | float:
     return pairing_deviation(solution, solution.differential, decay_rate(solution))
@@ -320,7 +320,7 @@ def pairing_drift_frozen(solution: Solution) -> Deviation | float:
 @law(
     "max ‖RᵀR − 1‖_F; R of degree two in a quaternion whose length is free", "attitude drift",
     needs=("R",), applies=lambda scene: "R" in scene.optional,
-    gate=Gate.structure, claimed=of_contact_flows,
+    gate=Gate.structure, claimed=is_of_contact_flows,
 )  # fmt: skip
 def attitude_drift(solution: Solution) -> float:
     R = solution.R
@@ -408,7 +408,7 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
         if solution.differential.taken:
             columns["map_growth"] = growth(solution.differential)
         bounds = [name for name, measured in found.items() if measured.bound]
-        columns["derivative"] = said(solution.differential, solution.frozen_differential, bounds)
+        columns["derivative"] = describe(solution.differential, solution.frozen_differential, bounds)
     return columns | judgements(solution, found, columns)
 
 
@@ -435,7 +435,7 @@ def judgements(
     return row
 
 
-def said(true: Differential, frozen: Differential, bounds: list[str]) -> str:
+def describe(true: Differential, frozen: Differential, bounds: list[str]) -> str:
     """How the derivatives were obtained, in words."""
     parts = [true.source]
     if frozen.taken and frozen.source != true.source:

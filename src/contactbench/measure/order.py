@@ -79,13 +79,13 @@ def windows(
             continue
         more = WINDOW + int(sound[i : i + WINDOW + 1].sum() > WINDOW)  # the next point checks the trend
         blur = ROUND_OFF * floor / e[i : i + WINDOW]
-        limit, uncertainty = extrapolated(h[i : i + more], slopes[i : i + more - 1], blur)
+        limit, uncertainty = extrapolate(h[i : i + more], slopes[i : i + more - 1], blur)
         strays = np.abs(slopes[i : i + WINDOW - 1] - limit).max()
         if uncertainty <= USELESS and strays <= ASYMPTOTIC:
             yield uncertainty, i, limit
 
 
-def extrapolated(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
+def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
     """The limit of three or four slopes, finest first, and its uncertainty; blur : relative errors of the errors.
 
     The spread is the last difference of neighbouring limits, or what the one before it leads to expect

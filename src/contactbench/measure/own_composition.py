@@ -7,7 +7,7 @@ from fractions import Fraction
 from itertools import zip_longest
 from typing import Any
 
-from contactbench.errors import BadInput, listed, shown, switch, text, whole
+from contactbench.errors import BadInput, excerpt, items_of, switch, text, whole
 from contactbench.measure.precision import local_order
 from contactbench.methods.base import METHODS
 from contactbench.methods.contact import ContactMethod, contact_method
@@ -67,15 +67,15 @@ def composition(
 def exact(part: str, coefficients: Sequence[Any]) -> list[Fraction]:
     """As the decimals they are printed as, their sum made one; a palindrome stays one."""
     found: list[Fraction] = []
-    for i, coefficient in enumerate(listed(part, coefficients, "a list of coefficients")):
+    for i, coefficient in enumerate(items_of(part, coefficients, "a list of coefficients")):
         try:
             found.append(coefficient if isinstance(coefficient, Fraction) else Fraction(str(coefficient)))
         except (ValueError, ZeroDivisionError):
             raise BadInput(
-                f"{part}[{i}] = {shown(coefficient)}: must be a number, as 0.25 or '1/4'"
+                f"{part}[{i}] = {excerpt(coefficient)}: must be a number, as 0.25 or '1/4'"
             ) from None
     if not found:
-        raise BadInput(f"{part} = {shown(coefficients)}: must have at least one coefficient")
+        raise BadInput(f"{part} = {excerpt(coefficients)}: must have at least one coefficient")
     rest, n = 1 - sum(found, Fraction(0)), len(found)
     if abs(rest) > ROUNDED * n:
         raise BadInput(f"{part}: coefficients add up to {float(1 - rest)!r}, must be 1")

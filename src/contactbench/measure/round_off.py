@@ -51,7 +51,7 @@ def structural_bound(growth: Any, evaluations: Any) -> Any:
     return np.maximum(STRUCTURE, round_off_bound(growth, evaluations))
 
 
-def decided(value: Any, bound: Any) -> tuple[Any, Any]:
+def decide(value: Any, bound: Any) -> tuple[Any, Any]:
     """Whether a deviation shows that the law is kept, and whether it shows nothing; both may be columns."""
     within = value <= bound
     kept = within & ((bound <= DECIDABLE) | (value <= STRUCTURE))
@@ -65,7 +65,7 @@ def judge(value: Any, bound: Any, uncertainty: Any, all_clamped: Any, error: Any
     the solution, nan where it is not known.
     """
     judged = np.logical_not(np.asarray(error, dtype=float) > WRECKED)
-    kept, ill = decided(value, bound)
+    kept, ill = decide(value, bound)
     faded = kept & all_clamped
     kept = kept & np.logical_not(faded)
     unsure = (uncertainty > 0) & (value <= UNSURE * uncertainty)

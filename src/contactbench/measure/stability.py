@@ -160,7 +160,7 @@ def stability(method: Any, gamma: float, omega: float) -> Stability:
     if beyond[0]:
         return Stability(0.0, (), 0.0)
     changes = np.flatnonzero(beyond[1:] != beyond[:-1])
-    borders = bracketed(unstable, steps[changes], steps[changes + 1], beyond[changes]).tolist()
+    borders = bracket_changes(unstable, steps[changes], steps[changes + 1], beyond[changes]).tolist()
     lost, found = borders[::2], borders[1::2]
     ends = [*lost[1:], math.inf][: len(found)]
     usable = [(start, end) for start, end in zip(found, ends, strict=True) if end - start > ISLAND * start]
@@ -195,7 +195,7 @@ def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, valu
     return (low + high) / 2
 
 
-def bracketed(
+def bracket_changes(
     truth: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray, at_low: np.ndarray
 ) -> np.ndarray:
     """Where a truth value first changes between low and high, to round-off."""

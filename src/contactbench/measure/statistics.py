@@ -12,19 +12,14 @@ import numpy as np
 from contactbench.errors import BadInput
 
 
-def cost_to_reach(errors: Sequence[float], costs: Sequence[float], target: float) -> float:
-    """Cost at which the error reaches `target`, by log–log interpolation; nan where no setting is as accurate.
+def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Sequence[float]) -> list[float]:
+    """Return the costs of some errors, by log–log interpolation; nan where no setting is as accurate.
 
     The lower envelope of the points is used: the cheapest setting at least as accurate as each
     error, so that a method is not charged for a poor setting it has no need of.  Where every setting is more
     accurate than `target` it is the cost of the cheapest: no more than a bound, but a fair one, because a method
     that is better than asked for at a lower cost is the better choice.
     """
-    return costs_to_reach(errors, costs, (target,))[0]
-
-
-def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Sequence[float]) -> list[float]:
-    """`cost_to_reach` for several errors."""
     return interpolate(errors, costs, envelope(errors, costs), targets)
 
 

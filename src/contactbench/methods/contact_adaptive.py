@@ -86,26 +86,26 @@ class AdaptiveContactRun(Prepared):
         source = self.sensitivity_source if frozen else self.map_source
         return Differential(source, out.y, self.sensitivity(y0, frozen)[None])
 
-    def ended(
+    def outcome(
         self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: list[float], density: float
     ) -> Outcome:
         """The outcome of a run whose sequence of steps ended at (time, last); y : NaN where not reached."""
         if len(y) == 1:
-            out = self.at_end(y0, y[0].tolist(), y, self.counted(steps, 1))
+            out = self.at_end(y0, y[0].tolist(), y, self.cost(steps, 1))
             if out.checked:
                 return out
         r = self.request
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        counts = self.counted(steps, reached)
+        counts = self.cost(steps, reached)
         if reached == len(y):
-            return self.finished(y0, y, counts)
+            return self.finish(y0, y, counts)
         status, message = Status.budget, f"max_steps = {r.max_steps} spent (t = {time:.6g})"
         if steps < self.budget:
             status = Status.failed
             message = f"step {self.epsilon / density:.3g} below the resolution of time (t = {time:.6g})"
-        return self.finished(y0, y[:reached], counts, status, message, (time, np.array(last)))
+        return self.finish(y0, y[:reached], counts, status, message, (time, np.array(last)))
 
-    def counted(self, steps: int, reached: int) -> Counts:
+    def cost(self, steps: int, reached: int) -> Counts:
         """Counts of a sequence of steps, and of a shortened step to every saved time reached."""
         taken, curvatures = steps + reached, steps + 1
         evaluations = taken * self.per_step
@@ -139,7 +139,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
                 self.loop(y0.tolist(), r.scene.numbers(), options, r.save_at.tolist(), y, facts)
                 time, density, steps, *last = facts
-                return self.ended(y0, np.array(y), int(steps), time, last, density)
+                return self.outcome(y0, np.array(y), int(steps), time, last, density)
         return self.as_written(y0)
 
     def as_written(self, y0: np.ndarray) -> Outcome:
@@ -170,7 +170,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
                 break
         except NO_NUMBER:
             pass
-        return self.ended(y0, y, steps, time, [float(c) for c in scene.pack(x)], density)
+        return self.outcome(y0, y, steps, time, [float(c) for c in scene.pack(x)], density)
 
 
 _loops: Cache[tuple[Any, float]] = Cache(256)
@@ -202,23 +202,23 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
 
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 
-    def solved(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States at the saved times, and the facts about the end of the sequence."""
         y, facts = np.empty((len(self.times), len(start))), np.empty(3 + len(start))
         run(start, self.numbers, self.options, self.times, y, facts)
         return y, facts
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.solved(self.run, y0)[0][-1]
+        return self.solve(self.run, y0)[0][-1]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        y, facts = self.solved(self.run, y0)
+        y, facts = self.solve(self.run, y0)
         time, density, steps, *last = facts.tolist()
-        return self.ended(y0, y, int(steps), time, last, density)
+        return self.outcome(y0, y, int(steps), time, last, density)
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         run, _ = self.loop(tangent=True, moving=not frozen)
-        pushed = [self.solved(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in self.tangents(y0)]
+        pushed = [self.solve(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in self.tangents(y0)]
         return np.stack(pushed, axis=-1)
 
 
@@ -295,7 +295,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
     def integrate(self, y0: np.ndarray) -> Outcome:
         y, info, last = self.unflat(np.asarray(self.program(self.placed(y0), self.fixed)), len(y0))
         time, density, steps = info
-        return self.ended(y0, y, int(steps), time, last, density)
+        return self.outcome(y0, y, int(steps), time, last, density)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from contactbench.splitting.composition import own_equations
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
 
 
-def evolved(scene: Any, x: Any, t: Any, xp: Any) -> Any:
+def evolve(scene: Any, x: Any, t: Any, xp: Any) -> Any:
     """The state at time t from state x at time 0."""
     flow = flows_of(scene)["free_damp"]
     return flow.apply(scene, x, flow.constants(scene, t, xp), xp)
@@ -51,10 +51,10 @@ class ExactRun(Prepared):
         needed = len(self.later)
         if needed > self.request.max_steps:
             message = f"{needed} evaluations needed, max_steps = {self.request.max_steps}"
-            return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
+            return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
         y = self.from_start(y0, self.states_at(y0, self.later))
         each = FREE_COST if "R" in self.request.carry else MOMENTUM_COST
-        return self.finished(y0, y, Counts(needed, needed * each, 0, 0, "rotation"))
+        return self.finish(y0, y, Counts(needed, needed * each, 0, 0, "rotation"))
 
 
 class ExactPython(ExactRun):
@@ -73,7 +73,7 @@ class ExactPython(ExactRun):
         x, rows = scene.unpack(y0.tolist(), self.request.carry), []
         try:
             for t in times.tolist():
-                rows.append(scene.pack(evolved(scene, x, t, math)))
+                rows.append(scene.pack(evolve(scene, x, t, math)))
         except NO_NUMBER:
             rows.append([math.nan] * len(y0))
         return np.array(rows, dtype=float)
@@ -149,7 +149,7 @@ class ExactJax(ExactRun, CompiledRun):
         r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))
         x = scene.unpack(list(y0), r.carry)
-        return jax.vmap(lambda t: jnp.stack(scene.pack(evolved(scene, x, t, xp))))(times)
+        return jax.vmap(lambda t: jnp.stack(scene.pack(evolve(scene, x, t, xp))))(times)
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return np.asarray(self.program(self.placed(y0), self.fixed))[-1]
@@ -186,7 +186,7 @@ class ExactMethod(Method):
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat | None = None) -> Any:
         """The state after the time nh, for engines that write loops of steps."""
-        return evolved(scene, x, n * h, xp)
+        return evolve(scene, x, n * h, xp)
 
     def prepare(self, request: Request) -> Prepared:
         runs: dict[str, type[Any]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}

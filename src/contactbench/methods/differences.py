@@ -63,14 +63,15 @@ def differences(run: Any, y0: np.ndarray, out: Any) -> Differential:
     def end(v: object, amount: float) -> np.ndarray:
         return run.integrate(np.array(scene.pack(scene.displaced(x, v, amount)), dtype=float)).y
 
-    scales = np.array([scale(x, v) for v in tangents])
-    plain = np.array([
-        [(end(v, d * size) - end(v, -d * size)) / (2 * d * size) for v, size in zip(tangents, scales, strict=True)]
-        for d in INCREMENTS
-    ])  # fmt: skip
+    def quotient(v: object, amount: float) -> np.ndarray:
+        return (end(v, amount) - end(v, -amount)) / (2 * amount)
+
+    scales = [scale(x, v) for v in tangents]
+    moved = list(zip(tangents, scales, strict=True))
+    plain = np.array([[quotient(v, d * size) for v, size in moved] for d in INCREMENTS])
     better = (RATIO**2 * plain[1:] - plain[:-1]) / (RATIO**2 - 1)
     gap, size = (np.abs(values).max(axis=(1, 2)) for values in (better[-1] - better[-2], better[-1]))  # (m,)
-    round_off = ROUNDINGS * np.finfo(float).eps * np.abs(out.y).max() / (INCREMENTS[-1] * scales)
+    round_off = ROUNDINGS * np.finfo(float).eps * np.abs(out.y).max() / (INCREMENTS[-1] * np.array(scales))
     if not np.all(gap < np.maximum(UNRESOLVED * size, round_off)):
         return Differential("not taken: differences of the solver do not converge", out.y, none)
     return Differential(f"central differences of the solver, {runs} runs", out.y, np.moveaxis(better, 1, -1))

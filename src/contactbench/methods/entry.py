@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import reported
-from contactbench.errors import BadInput, positive, shown, text, whole
+from contactbench.boundary import blame
+from contactbench.errors import BadInput, excerpt, positive, text, whole
 from contactbench.methods.base import METHODS, Method, Request
 from contactbench.methods.engines import CALLBACKS
-from contactbench.methods.first_step import try_step
-from contactbench.methods.grid import default_times, long_enough, saved_times
 from contactbench.methods.prepared import Prepared, Refused, begins
-from contactbench.methods.step_map import StepMap
+from contactbench.methods.request import default_times, long_enough, saved_times
+from contactbench.methods.step_map import StepMap, try_step
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
@@ -66,7 +65,7 @@ def prepare(
     Raises `BadInput` for anything it cannot work with.
     """
     scene, chosen = lookup(scene, method)
-    request = asked(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
+    request = make_request(scene, chosen, step, rtol, atol, save_at, carry, engine, max_steps)
     if isinstance(request, Refused):
         return request
     engines = engines_of(chosen) if engine is None else (engine,)
@@ -77,37 +76,44 @@ def prepare(
                 return run
             run = chosen.prepare(replace(request, engine=other))
     except BaseException as error:
-        raise reported(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
+        raise blame(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
     return first if isinstance(run, Refused) else run
 
 
-def asked(
-    scene: Scene, chosen: Method, step: Any, rtol: Any = None, atol: Any = None, save_at: Any = None,
-    carry: Any = None, engine: Any = None, max_steps: Any = None,
-) -> Request | Refused:  # fmt: skip
-    """What `prepare` is asked for, checked, for the first engine; `Refused` where the method refuses the scene."""
+def make_request(
+    scene: Scene,
+    chosen: Method,
+    step: Any,
+    rtol: Any = None,
+    atol: Any = None,
+    save_at: Any = None,
+    carry: Any = None,
+    engine: Any = None,
+    max_steps: Any = None,
+) -> Request | Refused:
+    """Return the checked request for the first engine; `Refused` where the method refuses the scene."""
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
-        raise BadInput(f"engine = {shown(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
+        raise BadInput(f"engine = {excerpt(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
     if chosen.exact:
         if not step is rtol is atol is None:
             raise BadInput(
-                f"{_given(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance"
+                f"{_settings(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance"
             )
     elif chosen.adaptive:
         if step is not None:
-            raise BadInput(f"step = {shown(step)}: {chosen.name} chooses its own steps; give rtol")
+            raise BadInput(f"step = {excerpt(step)}: {chosen.name} chooses its own steps; give rtol")
         if atol is not None and not chosen.takes_atol:
-            raise BadInput(f"atol = {shown(atol)}: {chosen.name} takes rtol alone")
+            raise BadInput(f"atol = {excerpt(atol)}: {chosen.name} takes rtol alone")
         rtol, own = _tolerances(chosen, rtol, atol)
         atol = own if chosen.takes_atol else None
     else:
         if step is not None and rtol is not None:
             raise BadInput(
-                f"step = {shown(step)} and rtol = {shown(rtol)}: {chosen.name} takes one of them, a fixed step or "
+                f"step = {excerpt(step)} and rtol = {excerpt(rtol)}: {chosen.name} takes one of them, a fixed step or "
                 "a tolerance to choose it from"
             )
         if atol is not None:
-            raise BadInput(f"atol = {shown(atol)}: {chosen.name} has a fixed step and takes no atol")
+            raise BadInput(f"atol = {excerpt(atol)}: {chosen.name} has a fixed step and takes no atol")
         if step is rtol is None:
             raise BadInput(
                 f"step is missing: {chosen.name} has a fixed step; give step, or rtol to have it chosen"
@@ -134,8 +140,8 @@ def engines_of(method: Method) -> tuple[str, ...]:
     return method.engines if compiles() else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
 
 
-def _given(step: Any, rtol: Any, atol: Any) -> str:
-    return f"step = {shown(step)}, rtol = {shown(rtol)}, atol = {shown(atol)}"
+def _settings(step: Any, rtol: Any, atol: Any) -> str:
+    return f"step = {excerpt(step)}, rtol = {excerpt(rtol)}, atol = {excerpt(atol)}"
 
 
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:

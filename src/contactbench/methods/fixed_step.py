@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.errors import NAME, BadInput, function, shown, switch, text, whole
+from contactbench.errors import NAME, BadInput, excerpt, function, switch, text, whole
 from contactbench.methods.base import FAMILIES, METHODS, Request
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxLoop
@@ -42,16 +42,19 @@ MOST = 10**4
 def _one_of(allowed: tuple[str, ...]) -> Callable[[str, Any], None]:
     def check(name: str, value: Any) -> None:
         if not isinstance(value, str) or value not in allowed:
-            raise BadInput(f"{name} = {shown(value)}: must be one of {', '.join(allowed)}")
+            raise BadInput(f"{name} = {excerpt(value)}: must be one of {', '.join(allowed)}")
 
     return check
 
 
 #: what a step map may declare, and the check of each
 CLAIMS: dict[str, Callable[[str, Any], None]] = {
-    "kind": _one_of(("rhs", "gradient", "rotation")), "family": _one_of(FAMILIES),
-    "contact": switch, "symmetric": switch, "factor": function,
-}  # fmt: skip
+    "kind": _one_of(("rhs", "gradient", "rotation")),
+    "family": _one_of(FAMILIES),
+    "contact": switch,
+    "symmetric": switch,
+    "factor": function,
+}
 
 
 def fixed_step(
@@ -65,12 +68,12 @@ def fixed_step(
     """
 
     if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise BadInput(f"method name {shown(name)}: must be letters, digits, '_', '.', '+', '-'")
+        raise BadInput(f"method name {excerpt(name)}: must be letters, digits, '_', '.', '+', '-'")
     order, evaluations = whole("order", order, MOST), whole("evaluations", evaluations, MOST)
     text("about", about)
     for claim, value in claims.items():
         if claim not in CLAIMS:
-            raise BadInput(f"{shown(claim)}: a step map declares {', '.join(CLAIMS)}")
+            raise BadInput(f"{excerpt(claim)}: a step map declares {', '.join(CLAIMS)}")
         CLAIMS[claim](claim, value)
 
     def register(step: Step) -> Step:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.grid import UNCOUNTED, steps_in
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared
+from contactbench.methods.request import UNCOUNTED, steps_in
 from contactbench.methods.step_map import StepMap
 from contactbench.solution import Counts, Status
 
@@ -88,12 +88,12 @@ class FixedStepRun(Prepared):
             nothing = np.empty((0, len(y0)))
             needed = str(self.needed) if self.needed < UNCOUNTED else f"more than {UNCOUNTED:.0e}"
             message = f"{needed} steps needed, max_steps = {r.max_steps}"
-            return self.finished(y0, nothing, Counts(), Status.budget, message)
+            return self.finish(y0, nothing, Counts(), Status.budget, message)
         y = self.intervals(y0, self.h, self.n)
-        out = self.finished(y0, self.from_start(y0, y), self.totals)
-        return out if out.status is not Status.diverged else self._located(y0, out)
+        out = self.finish(y0, self.from_start(y0, y), self.totals)
+        return out if out.status is not Status.diverged else self._locate(y0, out)
 
-    def _located(self, y0: np.ndarray, out: Outcome) -> Outcome:
+    def _locate(self, y0: np.ndarray, out: Outcome) -> Outcome:
         """A divergence pinned down to the step, by bisecting the interval in which it happened."""
         r = self.request
         k = int(np.argmax(np.isnan(out.y).all(axis=1)))  # the first saved time not reached

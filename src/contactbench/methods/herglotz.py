@@ -128,15 +128,26 @@ def sigma2(h: Any, before: Any, after: Any) -> Any:
 
 METHODS.add(
     Herglotz(
-        "herglotz1", 1, herglotz1, kind="gradient", family="variational",
+        "herglotz1",
+        1,
+        herglotz1,
+        kind="gradient",
+        family="variational",
         about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)",
-        factor=lambda scene, h, xp: sigma1(h, scene.gamma, scene.gamma), sigma=sigma1,
+        factor=lambda scene, h, xp: sigma1(h, scene.gamma, scene.gamma),
+        sigma=sigma1,
     )
-)  # fmt: skip
+)
 METHODS.add(
     SecondHerglotz(
-        "herglotz2", 2, herglotz2, kind="gradient", family="variational", symmetric=True,
+        "herglotz2",
+        2,
+        herglotz2,
+        kind="gradient",
+        family="variational",
+        symmetric=True,
         about="Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767",
-        factor=lambda scene, h, xp: sigma2(h, scene.gamma, scene.gamma), sigma=sigma2,
+        factor=lambda scene, h, xp: sigma2(h, scene.gamma, scene.gamma),
+        sigma=sigma2,
     )
-)  # fmt: skip
+)

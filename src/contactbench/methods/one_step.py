@@ -20,7 +20,7 @@ from contactbench.scene import Scene
 from contactbench.trace.form import Element, Function, needed
 from contactbench.trace.formula import Formula, formula
 from contactbench.trace.python import SCOPE, source
-from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, operands, recorded
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, recorded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,17 +67,17 @@ class OneStep:
             if name not in self.names:
                 raise unknown_name(f"parameter of scene {self.scene.name!r}", name, filter(None, self.names))
             given[self.names.index(name)] = value
-        return self.applied(tuple(y), h, given, namespace(*y, h, *given))
+        return self.apply(tuple(y), h, given, namespace(*y, h, *given))
 
-    def applied(self, y: tuple[Any, ...], h: Any, numbers: list[Any], xp: Any) -> tuple[Any, ...]:
+    def apply(self, y: tuple[Any, ...], h: Any, numbers: list[Any], xp: Any) -> tuple[Any, ...]:
         """The step on the numbers of a namespace."""
         if len(y) != len(self.labels):
             raise BadInput(f"y has {len(y)} entries: must be {len(self.labels)}, {', '.join(self.labels)}")
         if self.recorded is not None:
             return tuple(self.recorded(y, h, numbers, xp))
-        return self.advanced(y, h, numbers, xp)
+        return self.advance(y, h, numbers, xp)
 
-    def advanced(self, y: tuple[Any, ...], h: Any, numbers: Sequence[Any], xp: Any) -> tuple[Any, ...]:
+    def advance(self, y: tuple[Any, ...], h: Any, numbers: Sequence[Any], xp: Any) -> tuple[Any, ...]:
         scene = self.scene.with_numbers(numbers)
         return tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
 
@@ -94,7 +94,7 @@ class OneStep:
             for name, size in (("y", len(self.labels)), ("numbers", len(self.names)))
         )
         h = Recorded(tape, "h", "f", tape.root)
-        end = operands(recorded(lambda: self.applied(tuple(y), h, numbers, RecordedNumbers(tape))))
+        end = tape.results(recorded(lambda: self.apply(tuple(y), h, numbers, RecordedNumbers(tape))))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
         return source(Function("step", ("y", "h", own), needed(tape.root.statements, end), end))
 
@@ -143,6 +143,6 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
         return step
     try:
         sizes = (len(step.labels), 0, len(step.names), "xp")
-        return replace(step, recorded=formula(step.advanced, sizes, ()))
+        return replace(step, recorded=formula(step.advance, sizes, ()))
     except CannotRecord:
         return step

@@ -99,13 +99,13 @@ class Saves:
     def at_end(self, y0: np.ndarray, end: list[float], y: np.ndarray, counts: Counts) -> Outcome:
         """Return the outcome of a solver that says it is at the only saved time: y (1, d), and the same as floats.
 
-        As `finished`, sooner: the call of a short run is not to cost more than the run.
+        As `finish`, sooner: the call of a short run is not to cost more than the run.
         """
         if hypot(*end) <= self._bound(y0):  # nan fails every comparison
             return Outcome(y, counts, Status.ok, "", self._end, True)
-        return self.finished(y0, y, counts)
+        return self.finish(y0, y, counts)
 
-    def finished(
+    def finish(
         self,
         y0: np.ndarray,
         y: np.ndarray,

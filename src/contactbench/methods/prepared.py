@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import reported
-from contactbench.errors import BadInput, shown
+from contactbench.boundary import blame
+from contactbench.errors import BadInput, excerpt
 from contactbench.methods.differences import differences
 from contactbench.methods.outcome import Outcome, Saves
 from contactbench.methods.request import METHODS, NO_NUMBER, Request
@@ -66,7 +66,7 @@ class Prepared(Saves, ABC):
         try:
             out = self.integrate(y0)
         except BaseException as error:
-            raise reported(f"{self.method} on scene {r.scene.name!r}", error) from error.__cause__
+            raise blame(f"{self.method} on scene {r.scene.name!r}", error) from error.__cause__
         out = self.audit(y0, out)
         if self._clock is not None:
             out.y = self.at_saved_times(y0, out.y)
@@ -186,10 +186,10 @@ def begins(scene: Scene, start: Any) -> None:
             raise
         slope = [math.nan]
     except BaseException as error:
-        raise reported(f"scene {scene.name!r}", error) from error.__cause__
+        raise blame(f"scene {scene.name!r}", error) from error.__cause__
     if not math.isfinite(math.hypot(*slope)):
         raise BadInput(
-            f"initial data: the right-hand side of scene {scene.name!r} is not finite there: {shown(start)}"
+            f"initial data: the right-hand side of scene {scene.name!r} is not finite there: {excerpt(start)}"
         )
 
 

@@ -9,9 +9,11 @@ from contactbench.scene import Scene, shifted
 
 
 @fixed_step(
-    "rk4", order=4, evaluations=4,
+    "rk4",
+    order=4,
+    evaluations=4,
     about="classical Runge–Kutta; Kutta, Z. Math. Phys. 46, 435 (1901); Hairer–Nørsett–Wanner I, table 1.2",
-)  # fmt: skip
+)
 def rk4(scene: Scene, x: Any, h: Any, xp: Any) -> Any:
     k1 = scene.rhs(x)
     k2 = scene.rhs(shifted(x, h / 2, k1))

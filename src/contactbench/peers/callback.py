@@ -17,12 +17,11 @@ import numpy as np
 from contactbench.methods.base import Request
 from contactbench.methods.prepared import Prepared
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.variational import SOURCE, integrated, numerical_derivative, variational_request
+from contactbench.peers.variational import SOURCE, numerical_derivative, run_variational, variational_request
 from contactbench.scene import System
 from contactbench.trace.form import Function, Unpack
 from contactbench.trace.python import executed
-from contactbench.trace.recording import Recorded, Tape, operands
-from contactbench.trace.recording import recorded as within
+from contactbench.trace.recording import Recorded, Tape, recorded
 
 Rows = list[list[float]]
 
@@ -48,17 +47,17 @@ class CallbackPeer(Prepared):
         return self.insert_clock(np.reshape(rows, (-1, len(y))), start, self.request.save_at[: len(rows)])
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return integrated(replace(self, request=variational(self.request)), y0)
+        return run_variational(replace(self, request=variational(self.request)), y0)
 
 
-def recorded(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
+def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
     """``f(t, y)`` on a list of floats: the slopes, or rows of a Jacobian; None if it cannot be had."""
     tape = Tape()
     names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
     slopes = scene.slopes if what == "rhs" else partial(motion_jacobian, scene)
     try:
-        results = operands(within(lambda: slopes(t, y, carry)))
+        results = tape.results(recorded(lambda: slopes(t, y, carry)))
     except (CannotRecord, TypeError):
         return None
     return executed(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
@@ -72,14 +71,14 @@ def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, .
 
 def flat_rhs(scene: System, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
     """``f(t, y) -> slopes`` on a list of floats."""
-    return recorded(scene, "rhs", carry) or scene.on_lists(carry)
+    return record_function(scene, "rhs", carry) or scene.on_lists(carry)
 
 
 def flat_jacobian(scene: System, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Rows] | None:
     """``J(t, y) -> rows`` on plain floats, or None when the scene has no Hessian."""
     if not scene.has_jacobian:
         return None
-    return recorded(scene, "jacobian", carry) or (lambda t, y: motion_jacobian(scene, t, y, carry))
+    return record_function(scene, "jacobian", carry) or (lambda t, y: motion_jacobian(scene, t, y, carry))
 
 
 def variational(request: Request) -> Request:

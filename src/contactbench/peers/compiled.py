@@ -13,7 +13,7 @@ from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared
 from contactbench.peers.abi import KNOWN
 from contactbench.peers.c_functions import c_functions, clock_of, derivative
-from contactbench.peers.variational import SOURCE, integrated, variational_request
+from contactbench.peers.variational import SOURCE, run_variational, variational_request
 from contactbench.solution import Counts, Status
 
 
@@ -72,9 +72,9 @@ class CompiledPeer(Prepared):
             return self.at_end(y0, last, rows, counts)
         rows = self.from_start(y0, rows[: int(saved)])
         if status is Status.ok:
-            return self.finished(y0, rows, counts)
+            return self.finish(y0, rows, counts)
         stopped = reached, facts[KNOWN:]
-        return self.finished(y0, rows, counts, status, f"{message} (t = {reached:.6g})", stopped)
+        return self.finish(y0, rows, counts, status, f"{message} (t = {reached:.6g})", stopped)
 
     def variational(self) -> Self:
         """Return the same run of the scene together with its tangent vectors."""
@@ -84,4 +84,4 @@ class CompiledPeer(Prepared):
         )
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return integrated(self.variational(), y0)
+        return run_variational(self.variational(), y0)

@@ -14,7 +14,7 @@ from contactbench.xla import jax, jnp, lax
 Rule = Callable[[dict[str, Any], Sequence[Any], Any], tuple[Sequence[Any], Any]]
 
 
-def counted(function: Callable[..., Any], *arguments: Any) -> tuple[Any, Any]:
+def count_callbacks(function: Callable[..., Any], *arguments: Any) -> tuple[Any, Any]:
     """What a traceable function returns, and how many `jax.debug.callback` it came by, which are not called.
 
     Raises `NotImplementedError` where one, or any other effect, is in a construct of JAX that has no rule here.

@@ -21,7 +21,7 @@ from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
 
-def evaluated() -> None:
+def mark() -> None:
     """What marks an evaluation in a program that is counted."""
 
 
@@ -42,7 +42,7 @@ class DiffraxRun(CompiledRun):
         self.fixed = jax.device_put(self.arguments())
         self.final_only = len(r.save_at) == 1
         self.program, self.compile_s = self.compiled(
-            "run", self.flat(self._counted), self._own_start, self.fixed
+            "run", self.flat(self._solve_and_count), self._own_start, self.fixed
         )
 
     def arguments(self) -> np.ndarray:
@@ -55,7 +55,7 @@ class DiffraxRun(CompiledRun):
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
 
-    def _counted(self, y0: Any, fixed: Any) -> Any:
+    def _solve_and_count(self, y0: Any, fixed: Any) -> Any:
         """As `_solve`; of an implicit method the facts have the evaluations too.
 
         diffrax does not report its Newton iterations.  To count them costs a program nothing: measured on
@@ -63,10 +63,10 @@ class DiffraxRun(CompiledRun):
         """
         if not self.method_.stiff:
             return self._solve(y0, fixed)
-        from contactbench.peers.counting import counted
+        from contactbench.peers.counting import count_callbacks
         from contactbench.xla import jnp
 
-        (y, info, last), evaluations = counted(partial(self._solve, marked=True), y0, fixed)
+        (y, info, last), evaluations = count_callbacks(partial(self._solve, marked=True), y0, fixed)
         return y, jnp.append(info, evaluations), last
 
     def _solve(self, y0: Any, fixed: Any, marked: bool = False) -> Any:
@@ -88,7 +88,7 @@ class DiffraxRun(CompiledRun):
 
         def field(t: Any, x: Any, args: Any) -> Any:
             if marked:
-                jax.debug.callback(evaluated)
+                jax.debug.callback(mark)
             slopes = scene.slopes(start + t, list(x), r.carry)
             return jnp.stack(slopes) if as_array else tuple(slopes)
 
@@ -143,14 +143,14 @@ class DiffraxRun(CompiledRun):
         if successful and self._saves == 1:
             return self.at_end(y0, last, y, counts)
         if successful:
-            return self.finished(y0, y, counts)
+            return self.finish(y0, y, counts)
         # Unsuccessful runs may still hold a finite state at the wrong time: keep only what was
         # saved before the end (saved times not reached are inf or nan).
         reached = 0 if self.final_only else int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
         status = Status.budget if exhausted else Status.failed
         why = "step below the resolution of time" if collapsed else "the nonlinear solve failed"
         message = f"max_steps = {r.max_steps} spent" if exhausted else f"diffrax: {why} (t = {time:.6g})"
-        return self.finished(y0, y[:reached], counts, status, message, (time, np.array(last)))
+        return self.finish(y0, y[:reached], counts, status, message, (time, np.array(last)))
 
 
 @dataclass(frozen=True)

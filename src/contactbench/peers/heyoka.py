@@ -20,7 +20,7 @@ from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Request
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared, Refused, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
-from contactbench.peers.variational import SOURCE, integrated, variational_request
+from contactbench.peers.variational import SOURCE, run_variational, variational_request
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
@@ -126,19 +126,21 @@ class TaylorRun(Prepared):
         counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
         # of a grid that takes exactly so many steps heyoka says that they are spent
         if outcome == self.outcomes.time_limit or len(y) == len(r.save_at):
-            return self.finished(y0, y, counts)
+            return self.finish(y0, y, counts)
         stopped = (float(ta.time) - origin, ta.state.copy())
         if outcome == self.outcomes.step_limit:
-            return self.finished(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
+            return self.finish(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
         message = f"{outcome.name} at t = {stopped[0]:.6g}"
         if not ta.time > origin:  # a function without a series at the start: no failure of the motion
             message += f"; {NO_SERIES}"
-            return self.finished(y0, y[:0], counts, Status.failed, message)
+            return self.finish(y0, y[:0], counts, Status.failed, message)
         status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
-        return self.finished(y0, y, counts, status, message, stopped)
+        return self.finish(y0, y, counts, status, message, stopped)
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return integrated(TaylorRun(self.method, variational_request(self.request, symbolic_derivative)), y0)
+        return run_variational(
+            TaylorRun(self.method, variational_request(self.request, symbolic_derivative)), y0
+        )
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ class ScipyRun(CallbackPeer):
         def f(t: float, y: np.ndarray) -> Any:
             return rhs(start + t, y.tolist())
 
-        def counted(t: float, y: np.ndarray) -> Any:
+        def counting(t: float, y: np.ndarray) -> Any:
             assert calls is not None
             calls[0] += 1
             return f(t, y)
@@ -53,7 +53,7 @@ class ScipyRun(CallbackPeer):
         if jacobian is not None:
             options["jac"] = lambda t, y: np.array(jacobian(start + t, y.tolist()))
         solver = getattr(scipy.integrate, self.solver)
-        return start, y, solver(f if calls is None else counted, 0.0, y, self._end, **options)
+        return start, y, solver(f if calls is None else counting, 0.0, y, self._end, **options)
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         start, _, solver = self.problem(y0)
@@ -71,7 +71,7 @@ class ScipyRun(CallbackPeer):
         except NO_NUMBER as error:  # the right-hand side failed at the initial state
             message = f"{type(error).__name__}: {error} (t = 0)"
             counts = Counts(0, calls[0], 0, None)
-            return self.finished(y0, np.empty((0, len(y0))), counts, Status.failed, message)
+            return self.finish(y0, np.empty((0, len(y0))), counts, Status.failed, message)
         rows = [y] if self.saves_start else []
         steps, interpolated, status, message = 0, 0, Status.ok, ""
         try:
@@ -95,7 +95,7 @@ class ScipyRun(CallbackPeer):
         evaluations = calls[0] or solver.nfev
         counts = Counts(steps, evaluations, solver.njev, self._rejected(steps, evaluations, interpolated))
         stopped = (float(solver.t), np.array(solver.y))
-        return self.finished(y0, self.packed(rows, y, start), counts, status, message, stopped)
+        return self.finish(y0, self.packed(rows, y, start), counts, status, message, stopped)
 
     def _rejected(self, steps: int, evaluations: int, interpolated: int) -> int | None:
         """Attempts less steps, from the evaluations."""

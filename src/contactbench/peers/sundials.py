@@ -43,7 +43,7 @@ class CvodeRun(CallbackPeer):
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
             yp[:] = rhs(start + t, y.tolist())
 
-        def counted(t: float, y: np.ndarray, yp: np.ndarray) -> None:
+        def counting(t: float, y: np.ndarray, yp: np.ndarray) -> None:
             assert calls is not None
             calls[0] += 1
             f(t, y, yp)
@@ -53,7 +53,7 @@ class CvodeRun(CallbackPeer):
             J[:, :] = jacobian(start + t, y.tolist())
 
         return CVODE(
-            f if calls is None else counted,
+            f if calls is None else counting,
             jacfn=None if jacobian is None else jac,
             method=self.solver,
             rtol=r.rtol,
@@ -69,10 +69,10 @@ class CvodeRun(CallbackPeer):
         # CVODE's nfev leaves out the calls that difference the Jacobian
         solver = self._solver(start, calls if self.jacobian is None else None)
         try:
-            rows, steps, result = (self._to_the_end if self._saves == 1 else self._step_by_step)(solver, y)
+            rows, steps, result = self._step_by_step(solver, y)
         except NO_NUMBER as error:
             message = f"{type(error).__name__}: {error}"
-            return self.finished(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
+            return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
         status, message = Status.ok, ""
         if not result.success or len(rows) < len(r.save_at):
             exhausted = result.success or result.status == TOO_MUCH_WORK
@@ -81,15 +81,9 @@ class CvodeRun(CallbackPeer):
             message = f"{reason} (t = {float(result.t):.6g})"
         counts = Counts(steps, calls[0] or result.nfev, result.njev, None)
         stopped = (float(result.t), np.array(result.y))
-        return self.finished(y0, self.packed(rows, y, start), counts, status, message, stopped)
+        return self.finish(y0, self.packed(rows, y, start), counts, status, message, stopped)
 
-    def _to_the_end(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
-        """Straight to the last time, in CVODE's fastest mode, which does not tell the steps."""
-        solver.init_step(0.0, y0)
-        result = solver.step(self._end, tstop=self._end)
-        return ([result.y] if result.success else []), None, result
-
-    def _step_by_step(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int | None, Any]:
+    def _step_by_step(self, solver: Any, y0: np.ndarray) -> tuple[list[np.ndarray], int, Any]:
         """One internal step at a time, so that steps are counted; saved times are interpolated."""
         times, budget, end = self.request.save_at, self.request.max_steps, self._end
         rows, steps, reached = ([y0] if self.saves_start else []), 0, 0.0
@@ -105,14 +99,6 @@ class CvodeRun(CallbackPeer):
                 at = float(times[len(rows)])
                 rows.append(result.y if at == reached else solver.step(at, tstop=end).y)
         return rows, steps, result
-
-    def count(self, counts: Counts) -> Counts:
-        """With the steps of a run to the last time."""
-        if counts.steps is None:
-            start, y = self.split_clock(self._own_start)
-            _, steps, _ = self._step_by_step(self._solver(start), y)
-            counts = counts._replace(steps=steps)
-        return counts
 
 
 class CompiledCvodeRun(CompiledPeer):

@@ -147,12 +147,15 @@ def variational_request(request: Request, derivative: Derivative) -> Request:
     count = len(scene.tangents(scene.initial(request.carry)))
     larger: Any = Variational(
         name=f"variational equations of {scene.name}",
-        t_end=scene.t_end, base=scene, count=count, derivative=derivative,
-    )  # fmt: skip
+        t_end=scene.t_end,
+        base=scene,
+        count=count,
+        derivative=derivative,
+    )
     return replace(request, scene=larger)
 
 
-def integrated(run: Prepared, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def run_variational(run: Prepared, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """States (k, d) and tangents (k, d, m) at the saved times, from a run of a `variational_request`.
 
     NaN where the run did not get.

@@ -10,10 +10,10 @@ from typing import Any
 import pandas as pd
 from tqdm import tqdm
 
-from contactbench.errors import BadInput, finite, listed, positive, shown, switch
+from contactbench.errors import BadInput, excerpt, finite, items_of, positive, switch
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import setting
-from contactbench.measure.laws import Law, laws_of, row
+from contactbench.measure.laws import laws_of, row
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import lookup, prepare
@@ -90,10 +90,10 @@ def compare(
         For a wrong argument, and where no reference can be computed.
     """
     scene, _ = lookup(scene, next(iter(METHODS)))
-    given = listed("methods", METHODS if methods is None else methods, "a list of names")
+    given = items_of("methods", METHODS if methods is None else methods, "a list of names")
     for name in given:
         METHODS[name]  # an unknown one raises
-    asked = listed("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
+    asked = items_of("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
     wanted = tuple(sorted({_error(error) for error in asked}, reverse=True))
     if not wanted:
         raise BadInput("errors: at least one, as in errors=[1e-3, 1e-6]")
@@ -104,13 +104,10 @@ def compare(
 def _error(value: Any) -> float:
     error = finite("error", value)
     if not 0 < error < 1:
-        raise BadInput(f"error = {shown(value)}: must be between 0 and 1, relative to the size of the motion")
+        raise BadInput(
+            f"error = {excerpt(value)}: must be between 0 and 1, relative to the size of the motion"
+        )
     return error
-
-
-def law_columns(scene: Scene) -> list[Law]:
-    """Return the laws of a scene that a comparison has columns for."""
-    return [law for law in laws_of(scene) if law.name not in LEFT_OUT and not law.name.endswith("_frozen")]
 
 
 class Comparison:
@@ -133,6 +130,11 @@ class Comparison:
         self.too_slow: set[int] = set()
         self.unrefined: list[str] = []
         self.laws: dict[int, dict[str, Any]] = {}
+        self.columns = {
+            law.name: law.label or law.name
+            for law in laws_of(scene)
+            if law.name not in LEFT_OUT and not law.name.endswith("_frozen")
+        }
 
     def left(self, part: float) -> float:
         """Return the seconds until that part of the budget is spent."""
@@ -152,9 +154,10 @@ class Comparison:
         self.bar.close()
         question = self.question
         frame = pd.DataFrame([self.row(each, error) for each in self.scouts for error in question.errors])
-        laws = [law.name for law in law_columns(question.scene)]
-        frame = judge_times(frame.reindex(columns=[*frame, *(name for name in laws if name not in frame)]))
-        frame = frame.reindex(columns=[*COLUMNS, *laws, "map_growth", "time_halves_ratio"]).astype(COLUMNS)
+        frame = judge_times(frame)
+        frame = frame.reindex(columns=[*COLUMNS, *self.columns, "map_growth", "time_halves_ratio"]).astype(
+            COLUMNS
+        )
         truth = question.truth
         known = {"source": truth.source, "digits": truth.digits, "confirmed": self.confirmed}
         frame.attrs = {
@@ -268,30 +271,18 @@ class Comparison:
     # -- rows ------------------------------------------------------------------------------------------
     def row(self, each: Scout, error: float) -> dict[str, Any]:
         """Return the row of a method at an error."""
-        attempt = self.soonest(each, error)
-        times, laws = (
-            ({}, {}) if attempt is None else (self.times.get(id(attempt), {}), self.laws.get(id(attempt), {}))
-        )
-        known = self.unreached(each, error)
-        if attempt is not None:
+        known, times, laws = self.unreached(each, error), {}, {}
+        if (attempt := self.soonest(each, error)) is not None:
+            times, laws = self.times.get(id(attempt), {}), self.laws.get(id(attempt), {})
             reason = "too slow for the time that was left" if id(attempt) in self.too_slow else ""
             known = reached(attempt, self.question.floor) | {"status": "ok", "reason": reason}
-        kept = [
-            law.label or law.name for law in law_columns(self.question.scene) if laws.get(f"{law.name}_kept")
-        ]
-        return {
-            "scene": self.question.scene.name,
-            "method": each.method.name,
-            "family": each.method.family,
-            "engine": each.engine,
-            "kind": each.kind,
-            "error_asked": error,
-            **known,
-            "time_s": times.get("time_min_s", math.nan),
-            "time_halves_ratio": times.get("time_halves_ratio", math.nan),
-            "laws_kept": ", ".join(kept),
-            "map_growth": laws.get("map_growth", math.nan),
-            **{law.name: laws.get(law.name, math.nan) for law in law_columns(self.question.scene)},
+        row = {"scene": self.question.scene.name, "method": each.method.name, "family": each.method.family}
+        row |= {"engine": each.engine, "kind": each.kind, "error_asked": error, **known}
+        row |= {"time_s": times.get("time_min_s", math.nan)}
+        row |= {name: laws.get(name, math.nan) for name in (*self.columns, "map_growth")}
+        row |= {"time_halves_ratio": times.get("time_halves_ratio", math.nan)}
+        return row | {
+            "laws_kept": ", ".join(label for law, label in self.columns.items() if laws.get(f"{law}_kept"))
         }
 
     def soonest(self, each: Scout, error: float) -> Attempt | None:

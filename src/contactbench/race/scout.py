@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import UserError
-from contactbench.measure.ladder import ENDS, carried, setting, tolerances, work_ladder
-from contactbench.measure.laws import observed
+from contactbench.measure.ladder import ENDS, carry_of, setting, tolerances, work_ladder
+from contactbench.measure.laws import observables
 from contactbench.methods.base import METHODS
 from contactbench.methods.engines import ENGINES
 from contactbench.methods.entry import prepare
@@ -58,11 +58,11 @@ class Question:
 
     def error(self, solutions: Sequence[Solution]) -> float:
         """Return max ‖y − y*‖₂ / max ‖y*‖₂ over the ends of several runs."""
-        scene, carry = self.scene, carried(self.scene)
+        scene, carry = self.scene, carry_of(self.scene)
         labels = self.truth.scene.labels(self.truth.carry)
         exact = self.truth.y[:, [labels.index(name) for name in scene.labels(carry)]]
-        exact = observed(scene, exact, carry)
-        numerical = observed(scene, np.array([solution.y[-1] for solution in solutions]), carry)
+        exact = observables(scene, exact, carry)
+        numerical = observables(scene, np.array([solution.y[-1] for solution in solutions]), carry)
         size = np.linalg.norm(exact, axis=1).max()
         return float(np.linalg.norm(numerical - exact, axis=1).max() / size)
 
@@ -188,7 +188,7 @@ class Scout:
     def attempt(self, value: float) -> Attempt:
         """Make five runs at one setting, the longest first."""
         scene, name, first = self.question.scene, self.method.name, not self.attempts
-        options: dict[str, Any] = {**setting(self.method, value), "carry": carried(scene)}
+        options: dict[str, Any] = {**setting(self.method, value), "carry": carry_of(scene)}
         *earlier, end = ends(scene).tolist()
         start = perf_counter()
         run = prepare(scene, name, save_at=[end], max_steps=self.most_steps(), **options)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.measure.round_off import DECIDABLE, UNSURE, decided
+from contactbench.measure.round_off import DECIDABLE, UNSURE, decide
 from contactbench.report.chapters import Frames
 from contactbench.report.numbers import DASH, scientific
 from contactbench.report.views import Cell, Mark, as_cell
@@ -41,7 +41,7 @@ def drift_cell(row: Any, law: str) -> Cell:
     if pd.isna(row.get(law)):
         return Cell(DASH)
     value, error, limit = (number(name) for name in (law, f"{law}_uncertainty", f"{law}_bound"))
-    kept, ill = decided(value, limit) if limit else (False, False)
+    kept, ill = decide(value, limit) if limit else (False, False)
     unsure = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
     signs = (DAGGER if number(f"{law}_clamped") > 0 else "") + (DOUBLE_DAGGER if ill else "")

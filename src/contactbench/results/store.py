@@ -57,12 +57,12 @@ def read(table: Table, results: Path) -> pd.DataFrame:
             clock = part(table, path).drop(columns="schema")
             frame = frame.drop(columns=[name for name in table.timed if name in frame])
             frame = frame.merge(clock, how="left", on=list(table.key))
-    return typed(frame.reindex(columns=[*table.every_column]), table)
+    return set_types(frame.reindex(columns=[*table.every_column]), table)
 
 
 def no_rows(table: Table) -> pd.DataFrame:
     """Return the table without rows."""
-    return typed(pd.DataFrame(columns=[*table.every_column]), table)
+    return set_types(pd.DataFrame(columns=[*table.every_column]), table)
 
 
 def part(table: Table, path: Path) -> pd.DataFrame:
@@ -95,7 +95,7 @@ def part(table: Table, path: Path) -> pd.DataFrame:
         column = table.every_column[name]
         damaged = ~fits(frame[name], column)
         check(path, frame, damaged, f"is no {WORDS.get(column.type)}; restore the file", name)
-    frame = typed(frame, table)
+    frame = set_types(frame, table)
     double = frame.duplicated(list(table.key))
     check(path, frame, double, f"the key {table.key} of an earlier row; move it away or restore it")
     return frame
@@ -135,15 +135,15 @@ def fits(values: pd.Series, column: Column) -> pd.Series:
     return blank | np.isfinite(numbers) | (column.infinite & values.isin(["inf", "-inf"]))
 
 
-def typed(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     """Return the frame with its columns in the types of the table."""
     try:
-        return pd.DataFrame({name: converted(frame[name], table.every_column[name]) for name in frame})
+        return pd.DataFrame({name: convert(frame[name], table.every_column[name]) for name in frame})
     except (ValueError, TypeError) as error:
         raise BadInput(f"table {table.name!r}, column {error}") from None
 
 
-def converted(values: pd.Series, column: Column) -> pd.Series:
+def convert(values: pd.Series, column: Column) -> pd.Series:
     """Return the values in the type of a column; blanks are missing, and missing text is empty.
 
     No flag is not set, no answer is missing.  Infinity is blank as well, where it is no value of the column.
@@ -201,7 +201,7 @@ def merge(
         frame = frame[~stale]
     if new.empty and len(frame) == len(old):
         return old
-    frame = typed(in_order(frame, table), table)
+    frame = set_types(in_order(frame, table), table)
     write(frame, table, results)
     return frame
 
@@ -213,14 +213,14 @@ def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     if unknown:
         raise BadInput(f"table {table.name!r} has no columns {sorted(unknown)}")
     frame["schema"] = table.version
-    frame = typed(frame.reindex(columns=[*table.every_column]), table)
-    return rounded(frame, table).drop_duplicates(list(table.key), keep="last")
+    frame = set_types(frame.reindex(columns=[*table.every_column]), table)
+    return round_digits(frame, table).drop_duplicates(list(table.key), keep="last")
 
 
 def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
     """Return the key of each row as it stands in the table."""
     named = pd.DataFrame([{name: row.get(name) for name in table.key} for row in rows], columns=[*table.key])
-    return list(index(rounded(typed(named, table), table), list(table.key)))
+    return list(index(round_digits(set_types(named, table), table), list(table.key)))
 
 
 def index(frame: pd.DataFrame, names: list[str]) -> pd.Index:
@@ -255,12 +255,12 @@ def write(frame: pd.DataFrame, table: Table, results: Path) -> None:
             if part.empty:
                 path.unlink(missing_ok=True)
                 continue
-        text = pd.DataFrame({name: written(part[name], table.every_column[name]) for name in names})
+        text = pd.DataFrame({name: as_text(part[name], table.every_column[name]) for name in names})
         with replacing(path) as file:
             text.to_csv(file, index=False, lineterminator="\n")
 
 
-def written(values: pd.Series, column: Column) -> list[str]:
+def as_text(values: pd.Series, column: Column) -> list[str]:
     """A column as text; errors in scientific notation."""
     if column.type != "number":
         return ["" if pd.isna(value) else str(value) for value in values]
@@ -274,7 +274,7 @@ def written(values: pd.Series, column: Column) -> list[str]:
     ]  # fmt: skip
 
 
-def rounded(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
+def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
     """The frame with the digits that are written: no more than say something."""
     for name in frame:
         column = table.every_column[name]

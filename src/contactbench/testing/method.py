@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.errors import NAME, BadInput, shown
+from contactbench.errors import NAME, BadInput, excerpt
 from contactbench.measure.laws import LAWS
 from contactbench.measure.precision import march, order_at
 from contactbench.methods.base import FAMILIES, METHODS, Method
@@ -364,7 +364,7 @@ def method_cases(
     scenes, chosen = tuple(scenes), tuple(method.engines if engines is None else engines)
     if not (chosen and scenes and set(chosen) <= set(method.engines)):
         raise BadInput(
-            f"engines = {shown(chosen)}, scenes = {shown(scenes)}: must be one or more, engines of "
+            f"engines = {excerpt(chosen)}, scenes = {excerpt(scenes)}: must be one or more, engines of "
             f"{', '.join(method.engines)}"
         )
     for engine in chosen:
