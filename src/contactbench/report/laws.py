@@ -10,7 +10,7 @@ from contactbench.report.figures import laws as figures
 from contactbench.report.figures.structure import structure
 from contactbench.report.law_cells import LEGEND, law_label, range_cell
 from contactbench.report.numbers import DASH, how_often, names, readable, scientific, times
-from contactbench.report.views import Cell, Mark, View, frame_of, matrix
+from contactbench.report.views import Cell, Mark, Show, View, frame_of, matrix
 from contactbench.results.contest import CONTACT
 from contactbench.results.judgement import law_rows, laws_in, structural_laws
 from contactbench.results.schema import Column, Rule
@@ -88,7 +88,7 @@ def broken_view(rows: pd.DataFrame) -> View:
         "deviation",
         "worst",
     ]
-    show = {"over the bound": times, "deviation": scientific}
+    show: dict[str, Show] = {"over the bound": times, "deviation": scientific}
     legend = "Claimed, and not kept; the worst run by its deviation over the bound of round-off."
     return View("law_exceptions", "Exceptions", frame_of(lines, labels), legend, SOURCE, show)
 
