@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -123,6 +123,6 @@ def as_cell(value: object, show: Show = readable, mark: Mark | None = None) -> C
     return Cell(show(number), number, mark)
 
 
-def frame_of(rows: list[tuple[object, ...]], labels: list[str] | list[tuple[str, str]]) -> pd.DataFrame:
+def frame_of(rows: Sequence[tuple[object, ...]], labels: Sequence[str | tuple[str, str]]) -> pd.DataFrame:
     """Return rows of entries as a frame that keeps them as they are."""
     return pd.DataFrame(rows, columns=pd.Index(labels, tupleize_cols=False), dtype=object)

@@ -253,7 +253,7 @@ def parts(frames: Frames) -> list[Part]:
         Section(
             scene,
             (
-                figures.figure(work, scene),
+                *filter(None, [figures.figure(work, scene)]),
                 *(costs_view(own, scene) for own in found.values() if scene in set(own.standings["scene"])),
             ),
             choice="scene",

@@ -18,7 +18,7 @@ import pandas as pd
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 
-from contactbench.report.chapters import COUNT, QUESTION, Contents, Part, Section, Text
+from contactbench.report.chapters import COUNT, QUESTION, Chapter, Contents, Part, Section, Text
 from contactbench.report.drawing import Curve, Figure, Live, Panel
 from contactbench.report.look import look
 from contactbench.report.page.words import inline
@@ -188,7 +188,7 @@ def page(
     recorded : the runs that made the tables.  glossary : parts of a last section.  links : name → address.
     """
     known: set[object] = set()
-    chapters = []
+    chapters: list[tuple[Chapter, list[dict[str, str]], list[Part]]] = []
     for one in contents:
         parts = one.parts
         if live and not chapters:  # the live plot stands for the figures of the first chapter
@@ -208,11 +208,9 @@ def page(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {
-        "inline": lambda text: inline(text, addresses),
-        "kind": lambda part: KINDS[type(part)],
-        "grouped": grouped,
-    }
+    environment.filters["inline"] = lambda text: inline(text, addresses)
+    environment.filters["kind"] = lambda part: KINDS[type(part)]
+    environment.filters["grouped"] = grouped
     return environment.get_template("page.html").render(
         css=source("page.css"),
         script="".join(map(source, SCRIPTS)),
