@@ -183,13 +183,8 @@ def chosen_view(work: pd.DataFrame) -> View:
         "time_min_s": "time",
     }
     frame = pick(part, labels).assign(**{"error / rtol": part["solution_error"] / part["value"]})
-    show: dict[str, Show] = {
-        "rtol": scientific,
-        "error": scientific,
-        "time": duration,
-        "error / rtol": times,
-        "": count,
-    }
+    show: dict[str, Show] = dict.fromkeys(("rtol", "error"), scientific)
+    show |= {"time": duration, "error / rtol": times, "": count}
     legend = "The step is chosen from pilot runs, which count."
     return View("chosen", "A step chosen from a tolerance", frame, legend, SOURCE, show)
 
