@@ -17,10 +17,10 @@ from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.callback import record_function
 from contactbench.solution import Status
-from contactbench.trace.compiled import compiled
+from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS
 from contactbench.trace.program import record
-from contactbench.trace.python import executed, source
+from contactbench.trace.python import execute, source
 from contactbench.trace.recording import ALIASES
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
@@ -89,7 +89,7 @@ def test_every_operation_is_compiled_to_what_it_is():
     program = record(every_operation, 1, d, 1, 1e6)
     w, y = np.empty((1, program.width)), np.empty((1, d))
     start, shape = np.full(d, INSIDE), np.append(program.shape, 0)
-    for back_end in (compiled, executed):
+    for back_end in (compiled, execute):
         setup, run = back_end(program.setup), back_end(program.run)
         y[:] = math.nan
         setup(np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)
@@ -101,11 +101,11 @@ def test_every_operation_is_compiled_for_many_states_side_by_side():
     """Every lane is the run of its own state."""
     program = record(every_operation_of_one, 1, 1, 1, 1e6)
     w, shape = np.empty((1, program.width)), np.append(program.shape, 0)
-    run, lanes = compiled(program.run), 4
-    compiled(program.setup)(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
+    run, lanes = compile_function(program.run), 4
+    compile_function(program.setup)(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
     starts = np.linspace(0.2, 0.4, 3 * lanes)[None]
     ends = np.full((1, *starts.shape), math.nan)
-    compiled(program.many, lanes)(starts, w, shape, ends, np.array([1, 3]))
+    compile_function(program.many, lanes)(starts, w, shape, ends, np.array([1, 3]))
     alone = np.empty((1, 1))
     for k in range(lanes, 3 * lanes):
         run(starts[:, k].copy(), w, shape, alone)

@@ -20,7 +20,7 @@ import numpy as np
 
 from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
-from contactbench.numbers.nested import leaves, rebuilt
+from contactbench.numbers.nested import leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
 from contactbench.trace.form import (
     FUNCTIONS,
@@ -105,7 +105,7 @@ class Tape:
         carried = [Recorded(self, name, kind, inner) for name, kind in zip(names, kinds, strict=True)]
         self.block = inner
         try:
-            end = leaves(body(rebuilt(x, carried)))
+            end = leaves(body(rebuild(x, carried)))
         finally:
             self.block = outer
         if len(end) != len(start):
@@ -119,7 +119,7 @@ class Tape:
             Update(names, before),
             Loop("_", self.read(n, outer, "i"), tuple(inner.statements)),
         ]
-        return rebuilt(
+        return rebuild(
             x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
         )
 
@@ -334,17 +334,17 @@ class RecordedNumbers(Numbers):
         return ~a if isinstance(a, Recorded) else not a
 
 
-def recorded(function: Callable[[], Any]) -> Any:
+def attempt(function: Callable[[], Any]) -> Any:
     """What a function records; `CannotRecord` for whatever goes wrong in it."""
     try:
         return function()
     except CannotRecord as error:
-        raise advised(error) from error.__cause__
+        raise reason_of(error) from error.__cause__
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise advised(error) from error
+        raise reason_of(error) from error
 
 
-def advised(error: BaseException) -> CannotRecord:
+def reason_of(error: BaseException) -> CannotRecord:
     """The reason, and what to write instead where that is known."""
     if (advice := plain_function(error)) is not None:
         return CannotRecord(f"{place(error)[2:]}: {advice}")
