@@ -89,7 +89,7 @@ def test_every_operation_is_compiled_to_what_it_is():
     program = record(every_operation, 1, d, 1, 1e6)
     w, y = np.empty((1, program.width)), np.empty((1, d))
     start, shape = np.full(d, INSIDE), np.append(program.shape, 0)
-    for back_end in (compiled, execute):
+    for back_end in (compile_function, execute):
         setup, run = back_end(program.setup), back_end(program.run)
         y[:] = math.nan
         setup(np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)

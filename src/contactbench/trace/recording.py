@@ -241,14 +241,30 @@ class Recorded(Unknown):
         return function(*inputs)
 
 
-#: NumPy's names of what Python has operators for
+#: NumPy's names of what Python has operators for, where they are not the same
+RENAMED = {
+    "subtract": "sub",
+    "multiply": "mul",
+    "divide": "truediv",
+    "negative": "neg",
+    "power": "pow",
+    "absolute": "abs",
+}
+RENAMED |= {
+    "equal": "eq",
+    "not_equal": "ne",
+    "less": "lt",
+    "less_equal": "le",
+    "greater": "gt",
+    "greater_equal": "ge",
+}
 OPERATORS: dict[str, Callable[..., Any]] = {
-    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
-    "negative": operator.neg, "power": operator.pow, "float_power": operator.pow, "absolute": operator.abs,
-    "equal": operator.eq, "not_equal": operator.ne, "less": operator.lt, "less_equal": operator.le,
-    "greater": operator.gt, "greater_equal": operator.ge,
-    "square": lambda x: x * x, "reciprocal": lambda x: 1 / x,
-}  # fmt: skip
+    **{name: getattr(operator, of) for name, of in RENAMED.items()},
+    "add": operator.add,
+    "float_power": operator.pow,
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1 / x,
+}
 
 
 def is_constant(x: Any, value: float) -> bool:
@@ -274,10 +290,7 @@ def power(x: Recorded, exponent: Any) -> Any:
 
 
 #: what NumPy calls some of them
-ALIASES = {
-    "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arccosh": "acosh",
-    "arctanh": "atanh", "arctan2": "atan2",
-}  # fmt: skip
+ALIASES = {f"arc{name}": f"a{name}" for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "tan2")}
 
 
 class RecordedNumbers(Numbers):
