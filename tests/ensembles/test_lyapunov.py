@@ -244,12 +244,6 @@ def test_where_all_of_them_leave_there_is_no_number():
     ).all()
 
 
-def test_it_has_a_short_repr():
-    said = repr(duffing("rk4", n=2, intervals=2))
-    assert said.startswith("<Lyapunov exponents of duffing by rk4: ")
-    assert len(said) < 150
-
-
 @pytest.mark.parametrize(("gamma", "every"), [(50.0, 2.0), (50.0, 1.0), (5.0, 10.0)])
 def test_an_interval_that_loses_a_tangent_to_rounding_is_refused(gamma, every):
     """e^{−γt} apart: the smaller one is rounding, and the sum of the exponents would not be −γ."""

@@ -16,37 +16,24 @@ from contactbench.testing.method import CASES, case_findings
 
 RK4 = cb.METHODS["rk4"]
 
-#: one of its own, and the cross-checks of one of each kind
-ON_JAX = ("diffrax-tsit5", "contact-printed", "contact-rkn6", "herglotz2")
+PRODUCT = [
+    # of a user's method all rules, whichever engine of theirs is chosen
+    (case.method, case.engine, case.scene, case.first or case.method.name not in OWN)
+    for method in cb.METHODS.values()
+    for case in method_cases(method)
+]
+LABELS = [f"{method.name}-{engine}-{scene.name}" for method, engine, scene, _ in PRODUCT]
 
 
-def quick_scene(method, engine, k, taken):
-    """Of the scenes that the k-th method takes the one that is not slow."""
-    if engine == "jax":
-        return taken[0] if method.name in ON_JAX else None
-    cross_check = engine == "python" != method.engines[0]
-    return None if cross_check and k % 2 else taken[k % len(taken)]
+BODY_METHODS = ("contact-exact", "contact-bm4", "cvode-bdf", "cyrk-dop853")
 
 
-def product():
-    """Every method, engine and kind of scene; of our own each method on one scene, and the rest slow.
-
-    In turn, but on JAX, which compiles for seconds, the first it takes of a few methods, and where plain Python is a
-    cross-check every other one.
-    """
-    for k, method in enumerate(cb.METHODS.values()):
-        taken = [scene for scene in CASES if method.refuses(scene) is None]
-        for case in method_cases(method):
-            turn = quick_scene(method, case.engine, k, taken)
-            name = f"{method.name}-{case.engine}-{case.scene.name}"
-            quick = case.scene is turn or case.scene not in taken or method.name not in OWN
-            if method.name not in OWN:  # whichever engine of theirs is chosen: all rules
-                case = replace(case, first=True)
-            yield pytest.param(case, id=name, marks=[] if quick else pytest.mark.slow)
-
-
-@pytest.mark.parametrize("case", list(product()))
-def test_a_method_keeps_its_contract(case):
+@pytest.mark.parametrize(("method", "engine", "scene", "first"), PRODUCT, ids=LABELS)
+@pytest.mark.quick(scene="particle", engine=("numba", "python", "c", "c++", "llvm"))
+@pytest.mark.quick(scene="rigid_body", engine=("numba", "c", "c++"), method=BODY_METHODS)
+@pytest.mark.quick(scene="particle", engine="jax", method=("diffrax-tsit5", "contact-rkn6", "herglotz2"))
+def test_a_method_keeps_its_contract(method, engine, scene, first):
+    case = MethodCase(method, engine, scene, first)
     assert [found.rule for found in case_findings(case)] == list(METHOD_RULES)
 
 

@@ -262,7 +262,7 @@ def test_derived_derivatives_are_those_written_by_hand_and_as_short(scene):
             np.testing.assert_allclose(
                 np.array(mine, dtype=float), np.array(theirs, dtype=float), rtol=1e-12, atol=1e-13
             )
-    assert len(derived.steps) <= 1.3 * len(written.steps) + 1
+    assert len(derived.body) <= 1.3 * len(written.body) + 1
 
 
 def inverse_functions(q):

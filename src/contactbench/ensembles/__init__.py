@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ MOST_AT_ONCE = 10**12
 
 @dataclass(frozen=True)
 class Ensemble:
-    """What `ensemble` returns.
+    """The result of `ensemble`.
 
     statistics : mean and maximum of every measure.  endings : how many trajectories ended `ok` and how
     many `diverged`.  Both are over all processes.  counts : what one trajectory cost.
@@ -78,20 +78,38 @@ def ensemble(
 ) -> Ensemble:
     """Integrate many trajectories of a scene with a fixed-step method.
 
-    initial_conditions : a State, BodyState or dict of fields, each component a number or an array (n,)
-        with one entry per trajectory; fields left out are the scene's own.
-    step : as in `prepare`.  measure_at : increasing times at which divergence is noticed and laws are
-        measured, the last of them the end; by default the scene's end time alone.
-    parameters : numbers of the scene that differ from one trajectory to the next, by name, arrays (n,).
-    carry : which of s and R to integrate; by default all the scene has.
-    keep : False returns the statistics alone, for ensembles larger than memory.
-    chunk : trajectories per device, or per task of an executor, at a time.
-    progress : show a bar; by default on a terminal.
-    engine : "numba" (CPUs, one set of parameters for all) or "jax"; by default the first that can.
-    executor : maps the chunks, each on one core of a worker: any executor of `concurrent.futures`, such as a
-        process pool, Dask's ``Client.get_executor()`` or an MPI pool.  A chunk whose worker dies is run again.
     After `jax.distributed.initialize` every process calls with its own share of the trajectories.
-    Raises `BadInput` for anything it cannot work with.
+
+    Parameters
+    ----------
+    scene, method, step
+        As in `prepare`.
+    initial_conditions
+        A State, BodyState or dict of fields, each component a number or an array (n,) with one entry per
+        trajectory; fields left out are the scene's own.
+    measure_at
+        Increasing times at which divergence is noticed and laws are measured, the last of them the end; by default
+        the scene's end time alone.
+    parameters
+        Numbers of the scene that differ from one trajectory to the next, by name, arrays (n,).
+    carry
+        Which of s and R to integrate; by default all the scene has.
+    keep
+        False returns the statistics alone, for ensembles larger than memory.
+    chunk
+        Trajectories per device, or per task of an executor, at a time.
+    progress
+        Whether to show a bar; by default on a terminal.
+    engine
+        "numba" (CPUs, one set of parameters for all) or "jax"; by default the first that can.
+    executor
+        Maps the chunks, each on one core of a worker: any executor of `concurrent.futures`, such as a process pool,
+        Dask's ``Client.get_executor()`` or an MPI pool.  A chunk whose worker dies is run again.
+
+    Raises
+    ------
+    BadInput
+        For anything it cannot work with.
     """
     from tqdm import tqdm
 
@@ -111,7 +129,7 @@ def ensemble(
     switch("keep", keep)
     if progress is not None:
         switch("progress", progress)
-    if executor is not None and not hasattr(executor, "submit"):
+    if executor is not None and not isinstance(executor, Executor):
         raise BadInput(f"executor = {excerpt(executor)}: must be an executor, as in concurrent.futures")
     chunk = None if chunk is None else whole("chunk", chunk, MOST_AT_ONCE)
     y0, own = members(scene, request.carry, initial_conditions, {} if parameters is None else parameters)
@@ -129,10 +147,9 @@ def ensemble(
                 everything[..., first : first + len(end_time)] = part
             bar.update(len(end_time))
     statistics, endings = overall(names, [rows[first] for first in sorted(rows)])
+    found = Ensemble(scene, method, request.save_at, run.totals, statistics, endings)
     if not keep:
-        return Ensemble(scene, method, request.save_at, run.totals, statistics, endings)
+        return found
     y, measures, end_time = kept
-    return Ensemble(
-        scene, method, request.save_at, run.totals, statistics, endings,
-        scene.unpack(tuple(y), request.carry), dict(zip(names, measures, strict=True)), end_time,
-    )  # fmt: skip
+    final, by_name = scene.unpack(tuple(y), request.carry), dict(zip(names, measures, strict=True))
+    return replace(found, final=final, measures=by_name, end_time=end_time)

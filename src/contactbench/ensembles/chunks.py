@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.ensembles.cores import on_cores
-from contactbench.ensembles.devices import CHUNK, Result, on_devices
+from contactbench.ensembles.devices import CHUNK, Own, Result, on_devices
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS, Request
 from contactbench.methods.fixed_step import FixedStep
@@ -29,7 +29,7 @@ from contactbench.methods.numba_engine import loop_of
 from contactbench.numbers.protocol import CannotRecord
 
 ENGINES = ("numba", "jax")
-#: trajectories in a task of an executor: how many workers share them nobody knows
+#: trajectories in a task of an executor, whose number of workers is not known
 TASK = 2**14
 #: how often a chunk is given to an executor that loses it
 ATTEMPTS = 3
@@ -44,8 +44,8 @@ class Task:
     names: tuple[str, ...]
     engine: str | None
 
-    def __call__(self, y0: np.ndarray, own: dict[int, np.ndarray]) -> Result | Exception:
-        """One chunk on one core; an error of its own is its result, so that all others are its worker's."""
+    def __call__(self, y0: np.ndarray, own: Own) -> Result | Exception:
+        """Return one chunk by one core; an error of its own is its result, so that all others are its worker's."""
         try:
             chosen = METHODS[self.method]
             assert isinstance(chosen, FixedStep)
@@ -57,14 +57,9 @@ class Task:
         return y, measures, end_time
 
     def chunks(
-        self,
-        run: FixedStepRun,
-        y0: np.ndarray,
-        own: dict[int, np.ndarray],
-        chunk: int | None,
-        cores: int | None = None,
+        self, run: FixedStepRun, y0: np.ndarray, own: Own, chunk: int | None, cores: int | None = None
     ) -> Iterator[Result]:
-        """Results of one chunk after the other, in this process; cores : by default all it may use."""
+        """Yield the results of one chunk after the other, in this process; cores : by default all it may use."""
         from contactbench.xla import jax
 
         devices = jax.local_devices()
@@ -76,58 +71,52 @@ class Task:
             except CannotRecord as error:
                 why = str(error)
             else:
-                yield from on_cores(
-                    run, loop, [*self.names], y0, cores or len(devices), chunk or CHUNK["cpu"]
-                )
+                yield from on_cores(run, loop, self.names, y0, cores or len(devices), chunk or CHUNK["cpu"])
                 return
         if self.engine == "numba":
             raise BadInput(f"engine = 'numba': {why}; leave the choice open, or take 'jax'")
-        yield from on_devices(run, [*self.names], y0, own, chunk)
+        yield from on_devices(run, self.names, y0, own, chunk)
 
 
 def results(
-    task: Task,
-    run: FixedStepRun,
-    y0: np.ndarray,
-    own: dict[int, np.ndarray],
-    chunk: int | None,
-    executor: Executor | None,
+    task: Task, run: FixedStepRun, y0: np.ndarray, own: Own, chunk: int | None, executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
-    """(first trajectory of a chunk, its result), every chunk once; by an executor in the order they are done."""
-    if executor is None:
-        first = 0
-        for result in task.chunks(run, y0, own, chunk):
-            yield first, result
-            first += len(result[-1])
-    else:
+    """Yield (first trajectory of a chunk, its result), every chunk once; by an executor in the order they end."""
+    if executor is not None:
         yield from spread(executor, task, y0, own, chunk or TASK)
+        return
+    first = 0
+    for result in task.chunks(run, y0, own, chunk):
+        yield first, result
+        first += len(result[-1])
 
 
 def spread(
-    executor: Executor, task: Any, y0: np.ndarray, own: dict[int, np.ndarray], size: int
+    executor: Executor, task: Any, y0: np.ndarray, own: Own, size: int
 ) -> Iterator[tuple[int, Result]]:
-    """The chunks by an executor; one that its worker lost is given to another, `ATTEMPTS` times in all.
+    """Yield the chunks by an executor; one that its worker lost is given to another, `ATTEMPTS` times in all.
 
-    A process pool cannot be used any more once a worker of it has died: this process does the rest.
+    A process pool cannot be used any more once a worker of it has died: threads of this process do the rest.
     """
     lost: Counter[int] = Counter()
-    own_threads: ThreadPoolExecutor | None = None
+    pending: dict[Future[Any], int] = {}
+    threads = ThreadPoolExecutor()
 
-    def begin(k: int) -> Future[Any]:
-        nonlocal own_threads
+    def begin(k: int) -> None:
+        nonlocal executor
         part = slice(k * size, (k + 1) * size)
-        given, numbers = y0[:, part], {place: values[part] for place, values in own.items()}
-        if own_threads is None:
-            try:
-                return executor.submit(task, given, numbers)
-            except BrokenExecutor as error:
-                said = f"{type(executor).__name__} is broken: {error}; this process goes on alone"
-                warnings.warn(said, RuntimeWarning, stacklevel=2)
-                own_threads = ThreadPoolExecutor()
-        return own_threads.submit(task, given, numbers)
+        states, numbers = y0[:, part], {place: values[part] for place, values in own.items()}
+        try:
+            pending[executor.submit(task, states, numbers)] = k
+        except BrokenExecutor as error:
+            message = f"{type(executor).__name__} is broken: {error}; this process goes on alone"
+            warnings.warn(message, RuntimeWarning, stacklevel=2)
+            executor = threads
+            pending[executor.submit(task, states, numbers)] = k
 
     try:
-        pending = {begin(k): k for k in range(-(-y0.shape[1] // size))}
+        for k in range(-(-y0.shape[1] // size)):
+            begin(k)
         while pending:
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 k = pending.pop(future)
@@ -137,11 +126,10 @@ def spread(
                     lost[k] += 1
                     if lost[k] == ATTEMPTS:
                         raise BadInput(f"executor: chunk {k} was lost {ATTEMPTS} times: {error!r}") from error
-                    pending[begin(k)] = k
+                    begin(k)
                     continue
                 if isinstance(result, Exception):
                     raise result
                 yield k * size, result
     finally:
-        if own_threads is not None:
-            own_threads.shutdown(cancel_futures=True)
+        threads.shutdown(cancel_futures=True)

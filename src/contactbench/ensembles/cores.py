@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from contactbench.ensembles.devices import Result
-from contactbench.ensembles.measures import DECAYING, furthest, within
-from contactbench.measure.deviation import conformal_deviation
+from contactbench.ensembles.measures import deviation, furthest, quantity, within
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.numba_engine import Loop
 from contactbench.trace.compiled import compiled
@@ -23,9 +22,9 @@ AHEAD = 2
 
 
 def on_cores(
-    run: FixedStepRun, loop: Loop, names: list[str], y0: np.ndarray, cores: int, chunk: int
+    run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, cores: int, chunk: int
 ) -> Iterator[Result]:
-    """Results of one chunk after the other, a thread on every core.
+    """Yield the results of one chunk after the other, a thread on every core.
 
     No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
     and a few are always begun ahead of the one that is asked for.
@@ -43,28 +42,21 @@ def on_cores(
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
-    finally:  # where one has failed or nobody asks any more, none is begun
+    finally:  # begin no other where one has failed or the rest is not wanted
         threads.shutdown(cancel_futures=True)
 
 
 def equal_share(n: int, cores: int, chunk: int) -> int:
-    """Trajectories in each of the fewest chunks of at most `chunk`, a multiple of `cores` of them; in whole tiles
-    where these fit.
-    """
+    """Return the size of the fewest chunks of at most `chunk`, a multiple of `cores`; whole tiles if they fit."""
     share = -(-n // (cores * -(-n // (cores * chunk))))
     whole = LANES * -(-share // LANES)
     return whole if whole <= chunk else share
 
 
 def side_by_side(
-    run: FixedStepRun,
-    many: Callable[..., Any],
-    rows: np.ndarray,
-    shape: np.ndarray,
-    names: list[str],
-    y0: np.ndarray,
+    run: FixedStepRun, many: Any, rows: np.ndarray, shape: np.ndarray, names: Sequence[str], y0: np.ndarray
 ) -> Result:
-    """Final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core.
+    """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core.
 
     rows, shape : as `Loop.rows` gives them.
     """
@@ -73,14 +65,11 @@ def side_by_side(
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
     part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
 
-    def quantity(name: str, x: Any) -> Any:
-        return np.stack(np.broadcast_arrays(*DECAYING[name][0](scene, x)), axis=-1)
-
     start, motion = scene.unpack(tuple(y0), r.carry), run._motion
     bound = furthest(y0[:motion])
     alive, end = np.ones(m, dtype=bool), np.zeros(m)
     with np.errstate(all="ignore"):
-        origin = {name: quantity(name, start) for name in names[1:]}
+        origin = {name: quantity(name, scene, start) for name in names[1:]}
         worst = {name: np.zeros(m) for name in origin}
         for which, t in zip(shape[place:], run.later, strict=True):
             after = np.empty((1, *y.shape))
@@ -90,9 +79,7 @@ def side_by_side(
             alive &= within(y[:, :m], motion, bound)
             end = np.where(alive, t, end)
             for name, first in origin.items():
-                terms = DECAYING[name][1](scene, x)
-                law = conformal_deviation(quantity(name, x), first, t, scene.conformal_rate, terms)
-                worst[name] = np.maximum(worst[name], law)
+                worst[name] = np.maximum(worst[name], deviation(name, scene, x, first, t))
         energy = scene.energy(x) / scene.energy(start) - 1
     y, measures = y[:, :m], np.array([energy, *worst.values()])
     if not alive.all():

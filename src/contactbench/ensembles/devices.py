@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.measures import DECAYING, furthest, within
-from contactbench.measure.deviation import conformal_deviation
+from contactbench.ensembles.measures import deviation, furthest, quantity, within
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
 from contactbench.methods.step_map import identity
@@ -23,19 +22,20 @@ AXIS = "trajectories"
 
 #: final states (d, m), measures (·, m) and end times (m,)
 Result = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: values (n,) of parameters that differ from one trajectory to the next, by their place among the scene's numbers
+Own = dict[int, np.ndarray]
 _programs: Cache[Callable[..., Any]] = Cache(256)
 
 
 def on_devices(
-    run: FixedStepRun, names: list[str], y0: np.ndarray, own: dict[int, np.ndarray], chunk: int | None
+    run: FixedStepRun, names: tuple[str, ...], y0: np.ndarray, own: Own, chunk: int | None
 ) -> Iterator[Result]:
-    """Results of one chunk after the other, each divided among this process's devices."""
-    from contactbench.xla import jax
-
-    devices = jax.local_devices()
+    """Yield the results of one chunk after the other, each divided among this process's devices."""
     from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-    mesh = Mesh(np.array(devices), (AXIS,))
+    from contactbench.xla import jax
+
+    mesh = Mesh(np.array(jax.local_devices()), (AXIS,))
     platform = mesh.devices.flat[0].platform
     at_once = mesh.size * (chunk or CHUNK.get(platform, CHUNK["gpu"]))
     n = y0.shape[1]
@@ -45,37 +45,36 @@ def on_devices(
     size = mesh.size * tile * -(-share // tile)
     r, places = run.request, tuple(own)
 
-    def make() -> Callable[..., Any]:
-        cut, whole = PartitionSpec(None, AXIS), PartitionSpec()
-        return jax.jit(
-            jax.shard_map(
-                share_of(run, names, places, tile), mesh=mesh, in_specs=(cut, cut, whole, whole),
-                out_specs=(cut, cut, PartitionSpec(AXIS)), check_vma=False,
-            )
-        )  # fmt: skip
+    cut, whole = PartitionSpec(None, AXIS), PartitionSpec()
 
-    own_key = key(identity(run.method_, r.scene, r.carry), tuple(names), places, tile, mesh)
-    program = _programs.get(own_key, make)
-    sharding = NamedSharding(mesh, PartitionSpec(None, AXIS))
+    def make() -> Callable[..., Any]:
+        share = share_of(run, names, places, tile)
+        specs = {"in_specs": (cut, cut, whole, whole), "out_specs": (cut, cut, PartitionSpec(AXIS))}
+        return jax.jit(jax.shard_map(share, mesh=mesh, check_vma=False, **specs))
+
+    program = _programs.get(key(identity(run.method_, r.scene, r.carry), names, places, tile, mesh), make)
+    sharding = NamedSharding(mesh, cut)
     individual = np.array([*own.values()]).reshape(len(own), n)
     numbers = np.array(r.scene.numbers())
 
-    def begun(part: slice) -> Any:
+    def begin(part: slice) -> Any:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
         arrays = (np.pad(a[:, part], filled, mode="edge") for a in (y0, individual))
         return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.later))
 
     parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
-    ahead = begun(parts[0])
+    ahead = begin(parts[0])
     for part, following in zip(parts, [*parts[1:], None], strict=True):
         out = ahead
         if following is not None:  # begun before this one is waited for: no device idles at its end
-            ahead = begun(following)
+            ahead = begin(following)
         yield tuple(np.asarray(a)[..., : part.stop - part.start] for a in out)  # type: ignore[misc]
 
 
-def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile: int) -> Callable[..., Any]:
-    """What one device does: its part of a chunk, tile by tile."""
+def share_of(
+    run: FixedStepRun, names: tuple[str, ...], places: tuple[int, ...], tile: int
+) -> Callable[..., Any]:
+    """Return the function of one device: its part of a chunk, tile by tile."""
     from contactbench.xla import jnp, lax
 
     base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
@@ -86,12 +85,9 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
             values[place] = value
         scene = base.with_numbers(values)
 
-        def quantity(name: str, x: Any) -> Any:
-            return jnp.stack(DECAYING[name][0](scene, x), axis=-1)
-
         start = scene.unpack(tuple(y0), carry)
         bound = furthest(y0[:motion], jnp)
-        origin = {name: quantity(name, start) for name in names[1:]}
+        origin = {name: quantity(name, scene, start, jnp) for name in names[1:]}
 
         def span(carried: Any, interval: Any) -> Any:
             (x, worst, alive, end), (h, n, t) = carried, interval
@@ -100,10 +96,8 @@ def share_of(run: FixedStepRun, names: list[str], places: tuple[int, ...], tile:
             x = run.method_.advance(scene, x, h, n, xp, rolled)
             y = jnp.stack(scene.pack(x))
             alive = alive & within(y, motion, bound, jnp)
-            for name in origin:
-                terms, rate = DECAYING[name][1](scene, x), scene.conformal_rate
-                law = conformal_deviation(quantity(name, x), origin[name], t, rate, terms, jnp)
-                worst = {**worst, name: jnp.maximum(worst[name], law)}
+            laws = {name: deviation(name, scene, x, first, t, jnp) for name, first in origin.items()}
+            worst = {name: jnp.maximum(worst[name], law) for name, law in laws.items()}
             return (x, worst, alive, jnp.where(alive, t, end)), None
 
         nothing = jnp.zeros(tile)

@@ -10,7 +10,7 @@ doi:10.1016/0168-9274(95)00033-Q.  R is that of the modified Gram–Schmidt proc
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ FEW = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Lyapunov:
-    """What `lyapunov` returns; errors are standard errors.
+    """The result of `lyapunov`; errors are standard errors.
 
     exponents : per unit of time, (m,), in the order of the orthonormalisation, the largest first.
     total : their sum, the mean rate at which volume grows.
@@ -54,7 +54,7 @@ class Lyapunov:
     rates : log diag R over the length of an interval, (intervals, m, n), the settling and the diverged left out.
     """
 
-    scene: Scene
+    scene: Scene = field(repr=False)
     method: str
     exponents: Average
     total: Average
@@ -62,21 +62,11 @@ class Lyapunov:
     energy: Average
     evaluations: float
     diverged: int
-    rates: np.ndarray
-
-    def __repr__(self) -> str:
-        """One line: the spectrum, and of how many trajectories."""
-        spectrum = ", ".join(
-            f"{value:.4g} ± {error:.1g}" for value, error in zip(*self.exponents, strict=True)
-        )
-        return (
-            f"<Lyapunov exponents of {self.scene.name} by {self.method}: {spectrum}; "
-            f"{self.rates.shape[2]} trajectories of {self.rates.shape[0]} intervals>"
-        )
+    rates: np.ndarray = field(repr=False)
 
 
 def kaplan_yorke(exponents: np.ndarray) -> float:
-    """j + (λ₁ + … + λ_j)/|λ_{j+1}|, j the most exponents, largest first, whose sum is not negative.
+    """Return j + (λ₁ + … + λ_j)/|λ_{j+1}|, j the most exponents, largest first, whose sum is not negative.
 
     Frederickson, Kaplan, Yorke, Yorke, J. Differ. Equ. 49, 185 (1983), doi:10.1016/0022-0396(83)90011-6.
     """
@@ -100,22 +90,36 @@ def lyapunov(
     initial_conditions: Mapping[str, Any] | None = None,
     carry: Sequence[str] = (),
 ) -> Lyapunov:
-    """The Lyapunov spectrum of a scene under a method, with its error bar.
+    """Return the Lyapunov spectrum of a scene under a method, with its error bar.
 
-    every : time between two orthonormalisations, at whose ends the energy is taken.  intervals : how many of them
-        count.  settle : how many come before that, for trajectories and tangents to settle, at least one.
-    step, rtol : as in `solve`; equal steps in every interval.  Of the methods that choose their steps those of CyRK
-        are taken: they solve the variational equations with the tangents in their error control, afresh in every
-        interval.
-    initial_conditions : as in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where
-        trajectories end on different attractors the result is the mean over them.
-    carry : as in `solve`; by default nothing that does not act back on the motion.
     The error bar is that of sampling, from independent trajectories or blocks of a few (see `measure.averages`).  It
-    knows nothing of the bias of a finite time, which is all there is where motion is not chaotic: 1/T where tangents
+    does not contain the bias of a finite time, which is all there is where motion is not chaotic: 1/T where tangents
     turn or are sheared on the way.  The exponents are those of R: they come in pairs in the limit only.
-    Where every trajectory leaves the scene's scale all is nan.  Raises `BadInput` for anything it cannot work with,
-    also for an interval in which tangents grow so far apart that rounding loses the small ones.
+    Where every trajectory leaves the scene's scale all is nan.
 
+    Parameters
+    ----------
+    scene, method, step, rtol
+        As in `solve`; equal steps in every interval.  Of the methods that choose their steps those of CyRK are taken:
+        they solve the variational equations with the tangents in their error control, afresh in every interval.
+    every
+        Time between two orthonormalisations, at whose ends the energy is taken.
+    intervals, settle
+        How many intervals count, and how many come before, at least one, for trajectories and tangents to settle.
+    initial_conditions
+        As in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where trajectories end on
+        different attractors the result is the mean over them.
+    carry
+        As in `solve`; by default nothing that does not act back on the motion.
+
+    Raises
+    ------
+    BadInput
+        For anything it cannot work with, also an interval in which tangents grow so far apart that rounding loses
+        the small ones.
+
+    Examples
+    --------
     >>> import contactbench as cb
     >>> found = cb.lyapunov("oscillator", "contact-strang", step=0.1, every=1.0, intervals=64)
     >>> round(float(found.total.value), 12)  # −γ
@@ -150,11 +154,11 @@ def lyapunov(
     kept = alive if alive.any() else ~alive
     near_enough(rates[:, :, alive] * every, every)
     means = blocks(rates[:, :, kept])
-    return Lyapunov(
-        scene, method, jackknife(means), scalar(jackknife(means, np.sum)), scalar(jackknife(means, kaplan_yorke)),
-        scalar(jackknife(blocks(energy[:, :, kept]), np.sum)), float(spent[kept].mean()) / (every * count),
-        int((~alive).sum()), rates[:, :, kept],
-    )  # fmt: skip
+    exponents, total, dimension = (jackknife(means, f) for f in (np.array, np.sum, kaplan_yorke))
+    mean_energy = jackknife(blocks(energy[:, :, kept]), np.sum)
+    cost, diverged = float(spent[kept].mean()) / (every * count), int((~alive).sum())
+    averages = exponents, total, dimension, mean_energy
+    return Lyapunov(scene, method, *averages, cost, diverged, rates[:, :, kept])
 
 
 def near_enough(logs: np.ndarray, every: float) -> None:
@@ -164,18 +168,12 @@ def near_enough(logs: np.ndarray, every: float) -> None:
     """
     lost = ~(logs.max(axis=1, initial=-np.inf) - logs.min(axis=1, initial=np.inf) <= APART)
     if lost.size and lost.mean() > FEW:
-        raise BadInput(
-            f"every = {every:g}: one tangent grows more than e^{APART:g} times as much as another within that, and "
-            "rounding loses the other: take a shorter interval"
-        )
-
-
-def scalar(average: Average) -> Average:
-    return Average(float(average.value), float(average.error))
+        apart = f"one tangent grows more than e^{APART:g} times as much as another within that"
+        raise BadInput(f"every = {every:g}: {apart}, and rounding loses the other: take a shorter interval")
 
 
 def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Q (m, d, n) and log diag R (m, n) of n sets of m vectors, by the modified Gram–Schmidt process."""
+    """Return Q (m, d, n) and log diag R (m, n) of n sets of m vectors, by the modified Gram–Schmidt process."""
     v, logs = v.copy(), np.empty((len(v), v.shape[2]))
     for j in range(len(v)):
         for i in range(j):
@@ -188,7 +186,7 @@ def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 # -- tangent maps ----------------------------------------------------------------------------------
 def tangent_map(run: Prepared) -> TangentMap:
-    """States and tangents over the one interval of a run."""
+    """Return the map of states and tangents over the one interval of a run."""
     if isinstance(run, FixedStepRun):
         try:
             return side_by_side(run)
@@ -200,7 +198,7 @@ def tangent_map(run: Prepared) -> TangentMap:
 
 
 def side_by_side(run: FixedStepRun) -> TangentMap:
-    """By dual numbers through the compiled steps: a trajectory for every tangent of every member."""
+    """Return the map by dual numbers through the compiled steps: a trajectory for every tangent of every member."""
     r = run.request
     loop = loop_of(run.method_, r.scene, r.carry, tangent=True)
     many = compiled(loop.program.many, LANES)
@@ -219,17 +217,17 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
 
 
 def one_by_one(run: CyrkRun) -> TangentMap:
-    """By the variational equations."""
+    """Return the map by the variational equations."""
     larger = run.variational()
     clock = larger.request.scene.clock
 
     def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
         m, d, n = v.shape
         moved = v if clock is None else np.delete(v, clock, axis=1)
-        told = larger.many(np.ascontiguousarray(np.concatenate([x, moved.reshape(-1, n)]).T))
-        ends = np.where(told[:, :1] == SUCCESS, told[:, KNOWN:], np.nan).T
+        outcomes = larger.many(np.ascontiguousarray(np.concatenate([x, moved.reshape(-1, n)]).T))
+        ends = np.where(outcomes[:, :1] == SUCCESS, outcomes[:, KNOWN:], np.nan).T
         moved = ends[d:].reshape(m, -1, n)
         v = moved if clock is None else np.insert(moved, clock, 0.0, axis=1)
-        return ends[:d], v, told[:, FACTS.index("evaluations")]
+        return ends[:d], v, outcomes[:, FACTS.index("evaluations")]
 
     return advance

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from contactbench.measure.deviation import conformal_deviation
 from contactbench.measure.laws import LAWS
 from contactbench.scene import Scene
 from contactbench.solution import DIVERGENCE, Status
@@ -32,48 +33,55 @@ class Statistic(NamedTuple):
 
 
 def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
-    """The decay laws that are defined on a scene and read only what is carried."""
+    """Return the decay laws that are defined on a scene and read only what is carried."""
     if scene.conformal_rate is None:  # the rate follows s: what is true is not known
         return []
-    return [
-        name for name in DECAYING if LAWS[name].applies(scene) and {*LAWS[name].needs_on(scene)} <= {*carry}
-    ]
+    laws = {name: LAWS[name] for name in DECAYING}
+    return [name for name, law in laws.items() if law.applies(scene) and {*law.needs_on(scene)} <= {*carry}]
+
+
+def quantity(name: str, scene: Scene, x: Any, xp: Any = np) -> Any:
+    """Return the quantity of a decay law, its components along the last axis."""
+    return xp.stack(xp.broadcast_arrays(*DECAYING[name][0](scene, x)), axis=-1)
+
+
+def deviation(name: str, scene: Scene, x: Any, origin: Any, t: Any, xp: Any = np) -> Any:
+    """Return the deviation from a decay law at the time t, `origin` its quantity at the start."""
+    terms, rate = DECAYING[name][1](scene, x), scene.conformal_rate
+    return conformal_deviation(quantity(name, scene, x, xp), origin, t, rate, terms, xp)
 
 
 def furthest(motion: Any, xp: Any = np) -> Any:
-    """How large the motion of each trajectory may become, (m,), from its start (·, m)."""
+    """Return how large the motion of each trajectory may become, (m,), from its start (·, m)."""
     size = xp.sqrt((motion * motion).sum(axis=0))
     return DIVERGENCE * xp.where(size > 0, size, 1.0)
 
 
 def within(y: Any, motion: int, bound: Any, xp: Any = np) -> Any:
-    """Which of the states y (d, m) are finite, and their motion, the first entries, no larger than `bound` (m,)."""
+    """Return which of the states y (d, m) are finite, and their motion, the first entries, within `bound` (m,)."""
     return xp.isfinite(y).all(axis=0) & (xp.abs(y[:motion]).max(axis=0) <= bound)
 
 
 def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
-    """One row: how many are ok, how many not, and the sums and maxima of the measures of those that are."""
+    """Return one row: how many are ok, how many not, and the sums and maxima of the measures of those that are."""
     good = measures if ok.all() else measures[:, ok]
     return np.array([ok.sum(), (~ok).sum(), *good.sum(axis=1), *good.max(axis=1, initial=-np.inf)])
 
 
 def overall(names: list[str], rows: list[np.ndarray]) -> tuple[dict[str, Statistic], dict[Status, int]]:
-    """Statistics and endings from the rows of all chunks of all processes."""
+    """Return statistics and endings from the rows of all chunks of all processes."""
     from jax.experimental import multihost_utils
 
     from contactbench.xla import jax
 
-    def joined(rows: Any) -> np.ndarray:
+    def join(rows: Any) -> np.ndarray:
         rows, split = np.asarray(rows), 2 + len(names)
         return np.concatenate([rows[:, :split].sum(axis=0), rows[:, split:].max(axis=0)])
 
-    row = joined(rows)
+    row = join(rows)
     if jax.process_count() > 1:
-        row = joined(multihost_utils.process_allgather(row))
+        row = join(multihost_utils.process_allgather(row))
     ok, diverged, rest = int(row[0]), int(row[1]), row[2:].reshape(2, len(names))
     total, largest = rest if ok else np.full_like(rest, np.nan)
-    statistics = {
-        name: Statistic(float(s) / max(ok, 1), float(m))
-        for name, s, m in zip(names, total, largest, strict=True)
-    }
-    return statistics, {Status.ok: ok, Status.diverged: diverged}
+    pairs = (Statistic(float(s) / max(ok, 1), float(m)) for s, m in zip(total, largest, strict=True))
+    return dict(zip(names, pairs, strict=True)), {Status.ok: ok, Status.diverged: diverged}

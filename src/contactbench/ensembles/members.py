@@ -14,7 +14,7 @@ from contactbench.scene import BodyState, DrivenState, Scene, State, quaternion_
 def members(
     scene: Scene, carry: tuple[str, ...], given: Any, parameters: Mapping[str, Any]
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-    """Packed initial states (d, n), and by its place among the scene's numbers each parameter (n,)."""
+    """Return packed initial states (d, n), and by its place among the scene's numbers each parameter (n,)."""
     if isinstance(given, State | BodyState | DrivenState):
         given = {name: value for name, value in given._asdict().items() if value is not None}
     if not isinstance(given, Mapping):
@@ -61,7 +61,7 @@ def members(
 
 
 def _column(name: str, value: Any) -> np.ndarray:
-    """A number or a one-dimensional array of finite numbers, or `BadInput`."""
+    """Return a number or a one-dimensional array of finite numbers, or `BadInput`."""
     column = array(name, value, "a number or an array of numbers")
     if column.ndim > 1:
         raise BadInput(f"{name}: must be a number or an array (n,), got shape {column.shape}")
@@ -72,7 +72,7 @@ def _column(name: str, value: Any) -> np.ndarray:
 
 
 def _parameter(scene: Scene, name: str, value: Any) -> np.ndarray:
-    """Values of a parameter, each of which the scene accepts without becoming another problem."""
+    """Return values of a parameter, each of which the scene accepts without becoming another problem."""
     allowed = [known for known in scene.number_names() if known]
     if name not in allowed:
         raise unknown_name(f"parameter of an ensemble of scene {scene.name!r}", name, allowed)

@@ -38,11 +38,11 @@ def blocks(series: np.ndarray) -> np.ndarray:
 
 
 def jackknife(means: np.ndarray, function: Callable[[np.ndarray], Any] = lambda mean: mean) -> Average:
-    """A function of the mean over blocks (B, m), with its standard error."""
+    """Return a function of the mean over blocks (B, m), with its standard error."""
     count = len(means)
-    value = np.asarray(function(means.mean(axis=0)))
+    value = np.asarray(function(means.mean(axis=0)))[()]
     if count < 2:
-        return Average(value, np.full_like(value, np.nan, dtype=float))
+        return Average(value, np.nan * value)
     without = np.array([function(mean) for mean in (means.sum(axis=0) - means) / (count - 1)])
     spread = ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     return Average(value, np.sqrt(spread * (count - 1) / count))

@@ -20,7 +20,7 @@ from contactbench.scene import Scene
 from contactbench.trace.form import Element, Function, needed
 from contactbench.trace.formula import Formula, formula
 from contactbench.trace.python import SCOPE, source
-from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, operands, recorded
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, recorded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,7 +94,7 @@ class OneStep:
             for name, size in (("y", len(self.labels)), ("numbers", len(self.names)))
         )
         h = Recorded(tape, "h", "f", tape.root)
-        end = operands(recorded(lambda: self.apply(tuple(y), h, numbers, RecordedNumbers(tape))))
+        end = tape.results(recorded(lambda: self.apply(tuple(y), h, numbers, RecordedNumbers(tape))))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
         return source(Function("step", ("y", "h", own), needed(tape.root.statements, end), end))
 

@@ -21,7 +21,7 @@ from contactbench.peers.variational import SOURCE, numerical_derivative, run_var
 from contactbench.scene import System
 from contactbench.trace.form import Function, Unpack
 from contactbench.trace.python import executed
-from contactbench.trace.recording import Recorded, Tape, operands, recorded
+from contactbench.trace.recording import Recorded, Tape, recorded
 
 Rows = list[list[float]]
 
@@ -57,7 +57,7 @@ def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callabl
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
     slopes = scene.slopes if what == "rhs" else partial(motion_jacobian, scene)
     try:
-        results = operands(recorded(lambda: slopes(t, y, carry)))
+        results = tape.results(recorded(lambda: slopes(t, y, carry)))
     except (CannotRecord, TypeError):
         return None
     return executed(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))

@@ -32,7 +32,7 @@ class BodyState(NamedTuple):
 
 
 def shifted(x: Any, h: Any, slope: Any) -> Any:
-    """x + h·slope, component by component, fields that are not carried left alone."""
+    """Return x + h·slope, component by component, fields that are not carried left alone."""
     parts: list[Any] = []
     for part, rate in zip(x, slope, strict=True):
         if isinstance(part, tuple):
@@ -43,7 +43,7 @@ def shifted(x: Any, h: Any, slope: Any) -> Any:
 
 
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """a·b, summed left to right."""
+    """Return a·b, summed left to right."""
     total = a[0] * b[0]
     for x, y in zip(a[1:], b[1:], strict=True):
         total = total + x * y
@@ -51,17 +51,17 @@ def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
 
 
 def norm(a: Vector) -> Any:
-    """‖a‖."""
+    """Return ‖a‖."""
     return dot(a, a) ** 0.5
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """a × b in R³."""
+    """Return a × b in R³."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def quaternion_product(a: Vector, b: Vector) -> Vector:
-    """Hamilton product a ⊗ b of quaternions (w, x, y, z)."""
+    """Return the Hamilton product a ⊗ b of quaternions (w, x, y, z)."""
     w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
     x = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
     y = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
@@ -70,7 +70,7 @@ def quaternion_product(a: Vector, b: Vector) -> Vector:
 
 
 def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
-    """The 3×3 matrix of a quaternion.
+    """Return the 3×3 matrix of a quaternion.
 
     Homogeneous of degree two and deliberately not normalised: what a solver lets drift in the
     quaternion's length shows up in RᵀR − 1 and in J = R M, as it would with a drifting matrix.
@@ -84,12 +84,12 @@ def rotation_matrix(R: Vector) -> tuple[Vector, Vector, Vector]:
 
 
 def rotate(R: Vector, v: Vector) -> Vector:
-    """R v for an attitude quaternion R."""
+    """Return R v for an attitude quaternion R."""
     return tuple(dot(row, v) for row in rotation_matrix(R))
 
 
 def quaternion_of(value: Any) -> Vector:
-    """An attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion."""
+    """Return an attitude given as 1 (identity), a unit quaternion or a rotation matrix, as a quaternion."""
     wanted = "1, a unit quaternion (w, x, y, z) or a 3×3 rotation matrix"
     matrix = array("R", value, wanted)
     if matrix.ndim == 0 and matrix == 1:

@@ -44,7 +44,7 @@ class System(ABC):
 
     # -- packing -------------------------------------------------------------------------------
     def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
-        """The optional fields to integrate, validated; None means all the scene has."""
+        """Return the optional fields to integrate, validated; None means all the scene has."""
         if names is None:
             return self.optional
         given = (names,) if isinstance(names, str) else names
@@ -63,7 +63,7 @@ class System(ABC):
 
     @abstractmethod
     def labels(self, carry: Sequence[str]) -> list[str]:
-        """Component names of the packed state, in order."""
+        """Return the component names of the packed state, in order."""
 
     @property
     def motion(self) -> int:
@@ -72,7 +72,7 @@ class System(ABC):
 
     @abstractmethod
     def initial(self, carry: Sequence[str], **data: Any) -> Any:
-        """The initial state; `data` overrides the scene's own initial values."""
+        """Return the initial state; `data` overrides the scene's own initial values."""
 
     @property
     def clock(self) -> int | None:
@@ -80,20 +80,20 @@ class System(ABC):
         return None
 
     def without_clock(self, y: Sequence[Any]) -> Sequence[Any]:
-        """A packed state less the time, as a solver integrates it that has a time of its own."""
+        """Return a packed state less the time, as a solver integrates it that has a time of its own."""
         return y if self.clock is None else [*y[: self.clock], *y[self.clock + 1 :]]
 
     def with_clock(self, y: Sequence[Any], t: Any) -> Sequence[Any]:
-        """The packed state again."""
+        """Return the packed state again."""
         return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
 
     @abstractmethod
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
-        """A packed state as a NamedTuple of components."""
+        """Return a packed state as a NamedTuple of components."""
 
     @staticmethod
     def pack(state: Any) -> list[Any]:
-        """A state as a flat list, fields that are not carried left out."""
+        """Return a state as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for part in state:
             if isinstance(part, tuple):
@@ -105,11 +105,11 @@ class System(ABC):
     # -- numbers -------------------------------------------------------------------------------
     @abstractmethod
     def numbers(self) -> list[float]:
-        """The scene's parameters as a flat list (initial data and end time are not among them)."""
+        """Return the scene's parameters as a flat list (initial data and end time are not among them)."""
 
     @abstractmethod
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        """The same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
+        """Return the same scene with its parameters replaced, unchecked: tracers, mpmath numbers, …"""
 
     @property
     @abstractmethod
@@ -155,7 +155,7 @@ class System(ABC):
             return None
 
     def recorded(self) -> Self:
-        """The scene with its user's functions as formulas: what they compute now.
+        """Return the scene with its user's functions as formulas: what they compute now.
 
         A function that cannot be recorded stays as it is.
         Raises `BadInput` where a function gives another value for recorded numbers than for floats.
@@ -164,7 +164,7 @@ class System(ABC):
         return self._replaced(**found) if found else self
 
     def __reduce__(self) -> Any:
-        """Pickled with its functions as they compute now; `BadInput` for one that can be neither recorded nor found."""
+        """Pickle the scene with its functions recorded; `BadInput` for one that can be neither recorded nor found."""
         scene = self.recorded()
         for name in (*self.functions, "exact"):
             try:
@@ -215,11 +215,11 @@ class System(ABC):
     # -- equations -----------------------------------------------------------------------------
     @abstractmethod
     def rhs(self, x: Any) -> Any:
-        """Time derivative of the state, a state of the same fields."""
+        """Return the time derivative of the state, a state of the same fields."""
 
     @abstractmethod
     def jacobian(self, x: Any) -> Any:
-        """∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
+        """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
 
     @property
     def has_jacobian(self) -> bool:
@@ -227,11 +227,11 @@ class System(ABC):
         return True
 
     def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
-        """f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
+        """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 
     def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
-        """`slopes` on lists of floats, for solvers that call back."""
+        """Return `slopes` on lists of floats, for solvers that call back."""
         return lambda t, y: self.slopes(t, y, carry)
 
 
@@ -305,13 +305,13 @@ class Scene(System):
                 )
 
     def is_in(self, experiment: str) -> bool:
-        """Whether an experiment runs it."""
+        """Return whether an experiment runs it."""
         if self.experiments:
             return experiment in self.experiments
         return self.hard == (experiment == "stability")
 
     def with_(self, **changes: Any) -> Self:
-        """A copy with some parameters changed, any of them by keyword.
+        """Return a copy with some parameters changed, any of them by keyword.
 
         Raises `BadInput` for an unknown parameter or a value that is not allowed.
         """
@@ -331,10 +331,10 @@ class Scene(System):
 
     @abstractmethod
     def number_names(self) -> list[str]:
-        """What `with_` calls each of `numbers`; empty where it is part of a larger parameter."""
+        """Return the names by which `with_` knows each of `numbers`; empty where it is part of a larger parameter."""
 
     def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Initial data given by keyword, validated against the scene's own."""
+        """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:
             if key not in self.initial_fields:
                 raise unknown_name(f"initial value of scene {self.name!r}", key, self.initial_fields)
@@ -346,39 +346,39 @@ class Scene(System):
     # -- physics -------------------------------------------------------------------------------
     @abstractmethod
     def energy(self, x: Any) -> Any:
-        """Mechanical energy H0."""
+        """Return the mechanical energy H0."""
 
     @abstractmethod
     def hamiltonian(self, x: Any) -> Any:
-        """Contact Hamiltonian H = H0 + Γ(s); needs s."""
+        """Return the contact Hamiltonian H = H0 + Γ(s); needs s."""
 
     @abstractmethod
     def momentum(self, x: Any) -> Vector | None:
-        """Momentum map J of the rotations, None where there is none."""
+        """Return the momentum map J of the rotations, None where there is none."""
 
     @abstractmethod
     def tangents(self, x: Any) -> list[Any]:
-        """A basis of the tangent space at x, as states."""
+        """Return a basis of the tangent space at x, as states."""
 
     def displaced(self, x: Any, v: Any, amount: float) -> Any:
-        """The state at `amount` along a curve that leaves x with tangent v."""
+        """Return the state at `amount` along a curve that leaves x with tangent v."""
         return shifted(x, amount, v)
 
     @abstractmethod
     def contact_form(self, x: Any, dx: Any) -> Any:
-        """η(dx) at x."""
+        """Return η(dx) at x."""
 
     @abstractmethod
     def contact_terms(self, x: Any, dx: Any) -> Any:
-        """The size of the terms that η(dx) is the difference of."""
+        """Return the size of the terms that η(dx) is the difference of."""
 
     @abstractmethod
     def hamiltonian_terms(self, x: Any) -> Any:
-        """The size of the terms that H is the sum of."""
+        """Return the size of the terms that H is the sum of."""
 
     @abstractmethod
     def momentum_terms(self, x: Any) -> Any:
-        """The size of the terms that J is the sum of."""
+        """Return the size of the terms that J is the sum of."""
 
     @property
     @abstractmethod
@@ -386,7 +386,7 @@ class Scene(System):
         """γ when φ_t*η = e^{−γt} η holds with a constant rate, else None."""
 
     def damped_by(self, x: Any, t: Any, xp: Any) -> Any | None:
-        """∫Γ' over the time t from x, None where it depends on the motion."""
+        """Return ∫Γ' over the time t from x, None where it depends on the motion."""
         return None if self.conformal_rate is None else self.conformal_rate * t
 
     @property
@@ -425,5 +425,5 @@ class Scene(System):
         return not self.may_gain_energy
 
     def energy_terms(self, x: Any) -> Any:
-        """The size of the terms that H0 is the sum of."""
+        """Return the size of the terms that H0 is the sum of."""
         return abs(self.energy(x))

@@ -18,7 +18,7 @@ class Cache[Made]:
         return len(self.items)
 
     def get(self, key: Hashable | None, make: Callable[[], Made]) -> Made:
-        """The thing of a key, made if it is not there."""
+        """Return the object of a key, made if it is not there."""
         if key is None:
             return make()
         made = self.items.get(key)
@@ -30,5 +30,5 @@ class Cache[Made]:
 
 
 def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
-    """The key of what depends on a scene or a method, and more; None where the first of them is."""
+    """Return the key of what depends on a scene or a method, and more; None where the first of them is."""
     return None if identity is None else (identity, *rest)

@@ -1,18 +1,17 @@
-"""Whether the functions of a user's scene fit each other: a gradient that is not the potential's, a Hessian
-that is not the gradient's, a symmetry that is not there.  A wrong one would be integrated without a word, the
-reference included.
+"""Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's parts
+fit each other, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
 
-The check is by differences of the potential near the initial data, not by dual numbers, since a user's functions
-may be ones that these cannot pass through.
+Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, since a
+user's functions may be ones that these cannot pass through.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from math import isfinite
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -20,6 +19,8 @@ from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, excerpt, is_real
 from contactbench.scene.base import Scene
 from contactbench.scene.cache import Cache, key
+from contactbench.scene.driven import Driven
+from contactbench.scene.general_damping import GeneralDamping
 from contactbench.scene.mechanical import Mechanical, derived_gradient
 from contactbench.trace.formula import Formula
 
@@ -35,6 +36,8 @@ UNSURE = 1e-3
 
 #: evaluations that a motion is followed for, and places on every step of it
 FOLLOWED, BETWEEN = 3000, 4
+#: states of a motion at which is compared what is called state by state, and the step of its flows in parts of t_end
+SOME, LATER = 32, 1e-2
 
 _verified: Cache[bool] = Cache(1024)
 
@@ -48,26 +51,37 @@ def verify(scene: Scene) -> None:
 
 
 def verify_along(scene: Scene) -> None:
-    """The same for the gradient along the motion, as far as some thousand evaluations lead."""
+    """Raise `BadInput` unless they fit along the motion, as far as some thousand evaluations lead."""
     _once(scene, "along the motion", _verify_along)
 
 
 def verify_at(scene: Scene, y: np.ndarray) -> None:
-    """Raise `BadInput` unless the gradient is that of the potential at packed states (k, d)."""
+    """Raise `BadInput` unless they fit at packed states (k, d)."""
     if _has_functions(scene):
         with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
-            _compare(scene, _places(scene, y.T))
+            _check(scene, y.T)
 
 
 def _has_functions(scene: Scene) -> TypeGuard[Mechanical]:
-    """Whether a user has written any of them."""
+    """Return whether a user has written any of them."""
     return isinstance(scene, Mechanical) and not all(
         is_ours(part) for name in scene.functions if (part := getattr(scene, name)) is not None
     )
 
 
+@contextmanager
+def _within_the_domain() -> Iterator[None]:
+    """Leave out what is to be compared where a function is not defined."""
+    try:
+        yield
+    except BadInput:  # a ValueError too
+        raise
+    except (ArithmeticError, ValueError):
+        return
+
+
 def _places(scene: Mechanical, states: np.ndarray) -> np.ndarray:
-    """The coordinates of packed states (d, k), the time below them if it is a component."""
+    """Return the coordinates of packed states (d, k), the time below them if it is a component."""
     n = len(scene.q)
     return states[:n] if scene.clock is None else np.vstack([states[:n], states[scene.clock]])
 
@@ -76,14 +90,14 @@ def _once(scene: Scene, where: str, check: Callable[[Mechanical], None]) -> None
     if not _has_functions(scene):
         return
 
-    def made() -> bool:
+    def passes() -> bool:
         with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
             check(scene)
         return True
 
     start = tuple(getattr(scene, name) for name in scene.initial_fields)
     data = (where, tuple(scene.numbers()), start, scene.t_end, scene.rotation_invariant)
-    _verified.get(key(scene.identity, *data), made)
+    _verified.get(key(scene.identity, *data), passes)
 
 
 def _verify_along(scene: Mechanical) -> None:
@@ -96,16 +110,26 @@ def _verify_along(scene: Mechanical) -> None:
         return scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))
 
     path: list[np.ndarray] = []
-    with suppress(ArithmeticError, ValueError):  # the motion ends there
+    with _within_the_domain():  # the motion ends there
         start = scene.pack(scene.initial(carry))
         solver = DOP853(slope, 0.0, start, scene.t_end, rtol=1e-6, atol=1e-9)
         while solver.status == "running" and solver.nfev < FOLLOWED and isfinite(solver.h_abs):
             before = solver.t
             solver.step()
-            steps = solver.dense_output()(np.linspace(before, solver.t, BETWEEN + 1)[1:])
-            path.append(_places(scene, steps))
+            path.append(solver.dense_output()(np.linspace(before, solver.t, BETWEEN + 1)[1:]))
     if path:
-        _compare(scene, np.concatenate(path, axis=1))
+        _check(scene, np.concatenate(path, axis=1))
+
+
+def _check(scene: Mechanical, states: np.ndarray) -> None:
+    """Compare the gradient at packed states (d, k), and symmetry and damping at some of them."""
+    _compare(scene, _places(scene, states))
+    some = states[:, :: max(1, states.shape[1] // SOME)].T
+    if scene.has_momentum_law:
+        _symmetry(scene, some[:, : len(scene.q)])
+    for y in some:
+        with _within_the_domain():
+            _damping(scene, y)
 
 
 def _compare(scene: Mechanical, places: np.ndarray) -> None:
@@ -113,8 +137,8 @@ def _compare(scene: Mechanical, places: np.ndarray) -> None:
     n = len(scene.q)
     q, rest = tuple(places[:n]), () if scene.clock is None else (places[n],)
     if not _has_formulas(scene):
-        for place in places[:, :: max(1, places.shape[1] // 8)].T:
-            with suppress(ArithmeticError, ValueError):
+        for place in places[:, :: max(1, places.shape[1] // SOME)].T:
+            with _within_the_domain():
                 _gradient(scene, place[:n], np.ones(n), np.where(place[:n] == 0, 1.0, np.abs(place[:n])))
         return
     assert isinstance(scene.potential, Formula)
@@ -148,11 +172,12 @@ def _verify(scene: Mechanical) -> None:
     start = np.array(scene.q)
     size = np.where(start == 0, np.abs(start).max() or 1.0, np.abs(start))
     rng = np.random.default_rng(1)
-    _number(scene, start)  # the scene's own data: whatever is wrong here is told
+    _number(scene, start)  # the scene's own data: whatever is wrong here is reported
+    beside = []
     for _ in range(POINTS):
         q = start + SPREAD * size * rng.uniform(-1, 1, len(start))
         direction = size * rng.uniform(0.5, 1, len(start)) * rng.choice([-1, 1], len(start))
-        try:
+        with _within_the_domain():
             if _has_formulas(scene):
                 time = [] if scene.clock is None else [scene.pack(scene.initial(()))[scene.clock]]
                 _compare(scene, np.array([*q, *time])[:, None])
@@ -160,17 +185,16 @@ def _verify(scene: Mechanical) -> None:
                 _gradient(scene, q, direction, size)
             if scene.hessian is not None and not _follows(scene):
                 _hessian(scene, q, direction, size)
-        except BadInput:
-            raise
-        except (ArithmeticError, ValueError):  # outside the domain of the potential
-            continue
-        if scene.has_momentum_law:
-            _symmetry(scene, q)
-    _damping(scene, scene.s + SPREAD * rng.uniform(-1, 1))
+            beside.append(q)
+    if scene.has_momentum_law:
+        _symmetry(scene, beside)
+    s = scene.s + SPREAD * rng.uniform(-1, 1)
+    with _within_the_domain():
+        _damping(scene, np.array(scene.pack(scene.initial(scene.carry(("s",)), s=s))))
 
 
 def _number(scene: Mechanical, q: np.ndarray) -> float:
-    """V(q), a real number."""
+    """Return V(q), a real number."""
     value = scene.V(tuple(q.tolist()))
     if not is_real(value) or not hasattr(value, "__float__"):
         raise BadInput(
@@ -180,12 +204,12 @@ def _number(scene: Mechanical, q: np.ndarray) -> float:
 
 
 def _force(scene: Mechanical, q: np.ndarray) -> np.ndarray:
-    """∇V(q), n real numbers; a number of another length is told as soon as the scene is made."""
+    """Return ∇V(q), n real numbers; a number of another length is told as soon as the scene is made."""
     return np.array(scene.dV(tuple(q.tolist())), dtype=float)
 
 
 def _rows(scene: Mechanical, q: np.ndarray) -> np.ndarray:
-    """The Hessian at q, n rows of n real numbers."""
+    """Return the Hessian at q, n rows of n real numbers."""
     assert scene.hessian is not None
     n, rows = len(q), scene.hessian(tuple(q.tolist()), **scene.parameters)
     try:
@@ -217,13 +241,13 @@ def _gradient(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.
 
 
 def _has_formulas(scene: Mechanical) -> bool:
-    """Whether potential and gradient are formulas, and those that a kind of a user's own goes by."""
+    """Return whether potential and gradient are formulas, and those that a kind of a user's own goes by."""
     both = isinstance(scene.potential, Formula) and isinstance(scene.gradient, Formula)
     return both and is_ours(type(scene))
 
 
 def _follows(scene: Mechanical) -> bool:
-    """Whether the Hessian was derived from the gradient."""
+    """Return whether the Hessian was derived from the gradient."""
     return isinstance(scene.hessian, Formula) and scene.hessian.live is None
 
 
@@ -242,31 +266,66 @@ def _hessian(scene: Mechanical, q: np.ndarray, direction: np.ndarray, size: np.n
     )
 
 
-def _symmetry(scene: Mechanical, q: np.ndarray) -> None:
-    """V(Rq) = V(q): ∇V is along q."""
-    force = _force(scene, q)
-    across = force - q * (q @ force) / (q @ q)
-    torque = float(np.linalg.norm(across) * np.linalg.norm(q))
-    if torque > TOLERANCE * float(np.linalg.norm(force) * np.linalg.norm(q)):
-        raise BadInput(
-            f"scene {scene.name!r}: rotation_invariant = True, but the potential exerts a torque, "
-            f"‖q × ∇V‖ = {torque:.6g} at q = {_at(q)}"
+def _symmetry(scene: Mechanical, places: Iterable[np.ndarray]) -> None:
+    """Raise `BadInput` unless V(Rq) = V(q), so that ∇V is along q, at each place."""
+    found = []
+    for q in places:
+        with _within_the_domain():
+            force, size = _force(scene, q), float(np.linalg.norm(q))
+            across = force - q * (q @ force) / size**2
+            found.append((float(np.linalg.norm(across)) * size, float(np.linalg.norm(force)) * size, q))
+    largest = max((terms for _, terms, _ in found if isfinite(terms)), default=0.0)
+    for torque, terms, q in found:
+        if torque > TOLERANCE * (terms + 1e-3 * largest):  # at an equilibrium a force is rounding
+            raise BadInput(
+                f"scene {scene.name!r}: rotation_invariant = True, but the potential exerts a torque, "
+                f"‖q × ∇V‖ = {torque:.6g} at q = {_at(q)}"
+            )
+
+
+def _damping(scene: Mechanical, y: np.ndarray) -> None:
+    """Raise `BadInput` unless the parts of a damping that is the user's fit each other at a packed state."""
+    h = LATER * scene.t_end
+    if isinstance(scene, GeneralDamping):
+        s, flow = float(y[-1]), scene.damping_flow
+        there = f"at s = {s:.6g}, the derivative of the damping there"
+        _slope(
+            scene, scene.damping, s, 1.0, scene.damping_slope(s), "damping_slope is not the damping's", there
         )
+        if flow is not None:
+            end = flow(s, h, math)
+            _begins(
+                scene, "damping_flow", lambda h: flow(s, h, math), s, h, -scene.damping(end), f"s = {s:.6g}"
+            )
+    if isinstance(scene, Driven) and scene.span is not None:
+        t, there = float(y[scene.clock]), f"t = {y[scene.clock]:.6g}"
+        total, _ = scene.spent(t, h, math)
+        _begins(scene, "span[0]", lambda h: scene.spent(t, h, math)[0], 0.0, h, scene.rate_at(t + h), there)
+        _begins(scene, "span[1]", lambda h: scene.spent(t, h, math)[1], 0.0, h, math.exp(-total), there)
 
 
-def _damping(scene: Mechanical, s: float) -> None:
-    """Γ' is the derivative of Γ."""
+def _begins(
+    scene: Mechanical, name: str, f: Callable[[float], Any], start: float, h: float, slope: float, where: str
+) -> None:
+    """Raise `BadInput` unless a function of h begins with `start` and has a slope at h."""
+    if abs(f(0.0) - start) > TOLERANCE * max(abs(start), abs(f(h))):
+        raise BadInput(f"scene {scene.name!r}: {name} is {f(0.0):.6g} at {where}, h = 0: must be {start:.6g}")
+    there = f"at {where}, h = {h:.6g}, the derivative by h of the function"
+    _slope(scene, f, h, h / 2, slope, f"{name} has not the slope of its definition", there)
 
-    def damping(s: np.ndarray) -> np.ndarray:
-        return np.array([scene.dissipation(float(s[0]))], dtype=float)
 
-    here, given = np.array([s]), float(scene.dissipation_rate(s))
-    if not _agree(damping, here, np.ones(1), np.array([given]), abs(given)):
-        found = difference(damping, here, np.ones(1))[0][0]
-        raise BadInput(
-            f"scene {scene.name!r}: damping_slope is not the damping's: {given:.6g} at s = {s:.6g}, the derivative "
-            f"of the damping there {found:.6g}"
-        )
+def _slope(
+    scene: Mechanical, f: Callable[[float], Any], x: float, size: float, given: float, says: str, where: str
+) -> None:
+    """Raise `BadInput` unless `given` is the derivative of f at x, by differences of up to `size`."""
+
+    def along(x: np.ndarray) -> np.ndarray:
+        return np.array([f(float(x[0]))], dtype=float)
+
+    here, unit = np.array([x]), np.array([size])
+    if not _agree(along, here, unit, np.array([given * size]), abs(given * size)):
+        found = difference(along, here, unit)[0][0] / size
+        raise BadInput(f"scene {scene.name!r}: {says}: {given:.6g} {where} {found:.6g}")
 
 
 def _agree(
@@ -276,7 +335,7 @@ def _agree(
     given: np.ndarray,
     terms: float,
 ) -> bool:
-    """Whether `given` is the derivative of f along a direction, or differences cannot tell."""
+    """Return whether `given` is the derivative of f along a direction, or differences cannot tell."""
     found, error = difference(f, q, direction)
     if not (np.isfinite(given).all() and np.isfinite(found).all()):
         raise FloatingPointError
@@ -288,7 +347,7 @@ def _agree(
 def difference(
     f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """The derivative of f along a direction by central differences of order 4, and about its error.
+    """Return the derivative of f along a direction by central differences of order 4, and about its error.
 
     Two estimates may agree by luck where rounding leaves f but a few values: it adds ε |f| over the step.
     """

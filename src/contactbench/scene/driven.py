@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 from contactbench.boundary import their_code
 from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
 from contactbench.numbers import quadrature
-from contactbench.scene.algebra import State, Vector
+from contactbench.scene.algebra import Vector
 from contactbench.scene.base import TRIED, System
 from contactbench.scene.mechanical import Mechanical
 
@@ -68,7 +68,7 @@ class Driven(Mechanical):
         self._check_rate()
 
     def _check_rate(self) -> None:
-        """Whether rate and span give a number and a pair of them at the start."""
+        """Raise `BadInput` unless rate and span give a number and a pair of them at the start."""
         with their_code(f"scene {self.name!r}"):
             rate = self.rate_at(self.t)
             span = (0.0, 0.0) if self.span is None else self.spent(self.t, TRIED * self.t_end, math)
@@ -125,14 +125,14 @@ class Driven(Mechanical):
         return (Driven, *super().structure, self.rate, self.span)
 
     def tangents(self, x: Any) -> list[Any]:
-        """The coordinate basis of (q, p, s); t is not moved."""
+        """Return the coordinate basis of (q, p, s); t is not moved."""
         found = super().tangents(x)
         n = 2 * len(x.q)
         return found[:n] + found[n + 1 :]
 
     # -- physics -------------------------------------------------------------------------------
     def V(self, q: Vector, t: Any = None) -> Any:
-        """V(q, t), at the start where no time is given."""
+        """Return V(q, t), at the start where no time is given."""
         return self.potential(q, self.t if t is None else t, **self.parameters)
 
     def dV(self, q: Vector, t: Any = None) -> Vector:
@@ -147,9 +147,6 @@ class Driven(Mechanical):
 
     def damping_at(self, x: Any) -> Any:
         return self.rate_at(x.t)
-
-    def energy(self, x: Any) -> Any:
-        return self.kinetic(x.p) + self.potential_at(x)
 
     def hamiltonian(self, x: Any) -> Any:
         return self.energy(x) + self.damping_at(x) * x.s
@@ -166,14 +163,10 @@ class Driven(Mechanical):
         return False
 
     def jacobian(self, x: Any) -> None:
-        """∂∇V/∂t is not asked for: solvers difference."""
-        return None
+        """Return None, since ∂∇V/∂t is not asked for: solvers difference."""
 
     def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
         return System.on_lists(self, carry)
-
-    def torque(self, x: Any) -> Vector | None:
-        return self.momentum(State(x.q, tuple(-g for g in self.gradient_at(x))))
 
     @property
     def has_torque(self) -> bool:
@@ -200,11 +193,11 @@ class Driven(Mechanical):
         return False
 
     def rate_at(self, t: Any) -> Any:
-        """γ(t)."""
+        """Return γ(t)."""
         return self.gamma if self.rate is None else self.rate(t, **self.parameters)
 
     def spent(self, t: Any, h: Any, xp: Any) -> tuple[Any, Any]:
-        """(G, φ) of the damping from t to t + h, a step."""
+        """Return (G, φ) of the damping from t to t + h, a step."""
         if self.span is not None:
             return self.span(t, h, xp, **self.parameters)
         return quadrature.integrals(self.rate_at, t, h, xp)

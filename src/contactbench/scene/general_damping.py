@@ -35,8 +35,10 @@ class GeneralDamping(Mechanical):
 
     kind: ClassVar[str] = "general damping"
     functions: ClassVar[dict[str, tuple[str, ...]]] = {
-        **Mechanical.functions, "damping": ("s",), "damping_slope": ("s",), "damping_flow": ("s", "h", "xp"),
-    }  # fmt: skip
+        **Mechanical.functions,
+        **dict.fromkeys(("damping", "damping_slope"), ("s",)),
+        "damping_flow": ("s", "h", "xp"),
+    }
 
     def _check_kinds(self) -> None:
         super()._check_kinds()
@@ -78,13 +80,12 @@ class GeneralDamping(Mechanical):
         return (*super().structure, GeneralDamping, self.damping, self.damping_slope, self.damping_flow)
 
     def dissipation(self, s: Any) -> Any:
-        """Γ(s)."""
+        """Return Γ(s)."""
         return self.damping(s)
 
     def dissipation_rate(self, s: Any) -> Any:
-        """Γ'(s)."""
+        """Return Γ'(s)."""
         return self.damping_slope(s)
 
     def jacobian(self, x: State) -> None:
-        """Γ'' is not asked for: solvers difference."""
-        return None
+        """Return None, since Γ'' is not asked for: solvers difference."""

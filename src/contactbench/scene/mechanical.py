@@ -24,7 +24,7 @@ LARGEST_HESSIAN = 32
 
 @lru_cache(256)
 def derived_gradient(potential: Formula) -> Formula:
-    """∇V from V.  Raises `BadInput` for a function whose derivative is not known."""
+    """Return ∇V from V.  Raises `BadInput` for a function whose derivative is not known."""
     try:
         return potential.gradient()
     except CannotRecord as why:
@@ -33,7 +33,7 @@ def derived_gradient(potential: Formula) -> Formula:
 
 @lru_cache(256)
 def derived_hessian(gradient: Formula) -> Formula:
-    """The Hessian from ∇V.  Raises `CannotRecord`."""
+    """Return the Hessian from ∇V.  Raises `CannotRecord`."""
     return gradient.jacobian(symmetric=True)
 
 
@@ -99,7 +99,7 @@ class Mechanical(Scene):
         self._check_names(self.parameters)
 
     def _check_force(self) -> None:
-        """Whether the gradient at the initial position is n finite numbers."""
+        """Raise `BadInput` unless the gradient at the initial position is n finite numbers."""
         try:
             force = self.dV(self.q)
         except (ZeroDivisionError, OverflowError):
@@ -152,15 +152,8 @@ class Mechanical(Scene):
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
         gamma, kappa, mass, *rest = numbers
         parameters = dict(zip(self.parameters, rest, strict=True))
-        sign = self.kappa_sign
-        return self._replaced(
-            gamma=gamma,
-            kappa=kappa,
-            mass=mass,
-            inverse_mass=1 / mass,
-            parameters=parameters,
-            _kappa_sign=sign,
-        )
+        own = {"gamma": gamma, "kappa": kappa, "mass": mass, "inverse_mass": 1 / mass}
+        return self._replaced(**own, parameters=parameters, _kappa_sign=self.kappa_sign)
 
     @property
     def kappa_sign(self) -> int:
@@ -175,13 +168,11 @@ class Mechanical(Scene):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        return (
-            Mechanical, self.potential, self.gradient, self.hessian, len(self.q),
-            tuple(self.parameters), self.kappa_sign,
-        )  # fmt: skip
+        functions = self.potential, self.gradient, self.hessian
+        return (Mechanical, *functions, len(self.q), tuple(self.parameters), self.kappa_sign)
 
     def recorded(self) -> Self:
-        """With a gradient and a Hessian derived where they are left out."""
+        """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""
         scene = super().recorded()
         if scene.gradient is None:
             scene = scene._replaced(gradient=derived_gradient(scene._potential_formula()))
@@ -193,7 +184,7 @@ class Mechanical(Scene):
         return scene
 
     def _potential_formula(self) -> Formula:
-        """The potential as a formula; `BadInput` where it cannot be recorded."""
+        """Return the potential as a formula; `BadInput` where it cannot be recorded."""
         if isinstance(self.potential, Formula):
             return self.potential
         sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
@@ -206,7 +197,7 @@ class Mechanical(Scene):
 
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
-        """T(p) = ‖p‖²/2m."""
+        """Return T(p) = ‖p‖²/2m."""
         return dot(p, p) * self.inverse_mass / 2
 
     def V(self, q: Vector) -> Any:
@@ -216,32 +207,32 @@ class Mechanical(Scene):
         return (self.gradient or self.recorded().gradient)(q, **self.parameters)  # type: ignore[misc]
 
     def potential_at(self, x: Any) -> Any:
-        """V at a state."""
+        """Return V at a state."""
         return self.V(x.q)
 
     def gradient_at(self, x: Any) -> Vector:
-        """∇V at a state."""
+        """Return ∇V at a state."""
         return self.dV(x.q)
 
     def damping_at(self, x: Any) -> Any:
-        """γ at a state."""
+        """Return γ at a state."""
         return self.gamma
 
     def energy(self, x: State) -> Any:
-        """H0 = T + V."""
-        return self.kinetic(x.p) + self.V(x.q)
+        """Return H0 = T + V."""
+        return self.kinetic(x.p) + self.potential_at(x)
 
     def dissipation(self, s: Any) -> Any:
-        """Γ(s) = γ s + ½ κ s²."""
+        """Return Γ(s) = γ s + ½ κ s²."""
         linear = self.gamma * s
         return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
 
     def dissipation_rate(self, s: Any) -> Any:
-        """Γ'(s) = γ + κ s."""
+        """Return Γ'(s) = γ + κ s."""
         return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
 
     def hamiltonian(self, x: State) -> Any:
-        """H = H0 + Γ(s); needs s."""
+        """Return H = H0 + Γ(s); needs s."""
         return self.energy(x) + self.dissipation(x.s)
 
     def rhs(self, x: State) -> State:
@@ -257,7 +248,7 @@ class Mechanical(Scene):
         return self.hessian is not None
 
     def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
-        """Shorter where only q and p are carried."""
+        """Return a shorter function where only q and p are carried."""
         if carry:
             return super().on_lists(carry)
         n, rhs = len(self.q), self.rhs
@@ -269,7 +260,7 @@ class Mechanical(Scene):
         return short
 
     def jacobian(self, x: State) -> list[list[Any]] | None:
-        """∂(rhs)/∂(state) in packed order, or None when the scene has no Hessian."""
+        """Return ∂(rhs)/∂(state) in packed order, or None when the scene has no Hessian."""
         if self.hessian is None:
             return None
         n = len(x.q)
@@ -286,15 +277,15 @@ class Mechanical(Scene):
         return rows
 
     def momentum(self, x: State) -> Vector | None:
-        """Angular momentum q × p (one component in the plane, three in space), else None."""
+        """Return the angular momentum q × p (one component in the plane, three in space), else None."""
         q, p = x.q, x.p
         if len(q) == 2:
             return (q[0] * p[1] - q[1] * p[0],)
         return cross(q, p) if len(q) == 3 else None
 
     def torque(self, x: State) -> Vector | None:
-        """−q × ∇V, the rate at which the potential changes the angular momentum."""
-        return self.momentum(State(x.q, tuple(-g for g in self.dV(x.q))))
+        """Return −q × ∇V, the rate at which the potential changes the angular momentum."""
+        return self.momentum(State(x.q, tuple(-g for g in self.gradient_at(x))))
 
     @property
     def has_momentum_law(self) -> bool:
@@ -317,28 +308,28 @@ class Mechanical(Scene):
         return not self.nonlinear_damping and self.gamma >= 0
 
     def energy_terms(self, x: State) -> Any:
-        """T + |V|."""
+        """Return T + |V|."""
         return self.kinetic(x.p) + abs(self.potential_at(x))
 
     def contact_form(self, x: State, dx: State) -> Any:
-        """η(dx) = ds − p·dq at x."""
+        """Return η(dx) = ds − p·dq at x."""
         return dx.s - dot(x.p, dx.q)
 
     def contact_terms(self, x: State, dx: State) -> Any:
-        """|ds| + ‖p‖‖dq‖."""
+        """Return |ds| + ‖p‖‖dq‖."""
         return abs(dx.s) + norm(x.p) * norm(dx.q)
 
     def hamiltonian_terms(self, x: State) -> Any:
-        """|T| + |V + Γ|."""
+        """Return |T| + |V + Γ|."""
         kinetic = self.kinetic(x.p)
         return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
 
     def momentum_terms(self, x: State) -> Any:
-        """‖q‖‖p‖."""
+        """Return ‖q‖‖p‖."""
         return norm(x.q) * norm(x.p)
 
     def tangents(self, x: State) -> list[State]:
-        """The coordinate basis of the tangent space at x, in packed order."""
+        """Return the coordinate basis of the tangent space at x, in packed order."""
         flat = self.pack(x)
         carry = ("s",) if x.s is not None else ()
         size = len(flat)

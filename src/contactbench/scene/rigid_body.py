@@ -129,11 +129,11 @@ class RigidBody(Scene):
 
     # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:
-        """Ω = I⁻¹ M."""
+        """Return Ω = I⁻¹ M."""
         return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
 
     def damp_matrix_function(self, M: Vector, f: Callable[[Any], Any]) -> Vector:
-        """f(D) M through the eigen-decomposition of D."""
+        """Return f(D) M through the eigen-decomposition of D."""
         if self.isotropic:
             return tuple(f(self.gamma) * m for m in M)
         if self.axes is None:
@@ -143,11 +143,11 @@ class RigidBody(Scene):
         return tuple(dot(row, modal) for row in self.axes)
 
     def energy(self, x: BodyState) -> Any:
-        """H0 = ½ M·I⁻¹M."""
+        """Return H0 = ½ M·I⁻¹M."""
         return dot(x.M, self.angular_velocity(x.M)) / 2
 
     def hamiltonian(self, x: BodyState) -> Any:
-        """H = H0 + γ s; needs s."""
+        """Return H = H0 + γ s; needs s."""
         return self.energy(x) + self.gamma * x.s
 
     def rhs(self, x: BodyState) -> BodyState:
@@ -168,7 +168,7 @@ class RigidBody(Scene):
         return BodyState(dM, dR, ds)
 
     def jacobian(self, x: BodyState) -> list[list[Any]]:
-        """∂(rhs)/∂(state) in packed order."""
+        """Return ∂(rhs)/∂(state) in packed order."""
         inv = self.inverse_inertia
         omega = self.angular_velocity(x.M)
         width = 3 + (4 if x.R is not None else 0) + (1 if x.s is not None else 0)
@@ -196,7 +196,7 @@ class RigidBody(Scene):
         return rows
 
     def momentum(self, x: BodyState) -> Vector | None:
-        """J = R M, the spatial angular momentum, R ~ |quaternion|²; None when R is not carried."""
+        """Return J = R M, the spatial angular momentum, R ~ |quaternion|²; None when R is not carried."""
         return None if x.R is None else rotate(x.R, x.M)
 
     @property
@@ -208,7 +208,7 @@ class RigidBody(Scene):
         return self.isotropic and self.gamma <= 0
 
     def contact_form(self, x: BodyState, dx: BodyState) -> Any:
-        """η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
+        """Return η(dx) = ds − M·ξ, ξ = 2 Im(R̄ ⊗ dR) the body-frame displacement (left trivialisation)."""
         assert x.R is not None
         assert dx.R is not None
         w, a, b, c = x.R
@@ -216,21 +216,21 @@ class RigidBody(Scene):
         return dx.s - 2 * dot(x.M, xi)
 
     def contact_terms(self, x: BodyState, dx: BodyState) -> Any:
-        """|ds| + ‖M‖‖ξ‖, ‖ξ‖ = 2‖dR‖."""
+        """Return |ds| + ‖M‖‖ξ‖, ‖ξ‖ = 2‖dR‖."""
         assert dx.R is not None
         return abs(dx.s) + 2 * norm(x.M) * norm(dx.R)
 
     def hamiltonian_terms(self, x: BodyState) -> Any:
-        """|H0| + |γs|."""
+        """Return |H0| + |γs|."""
         energy = self.energy(x)
         return abs(energy) + abs(self.hamiltonian(x) - energy)
 
     def momentum_terms(self, x: BodyState) -> Any:
-        """‖M‖."""
+        """Return ‖M‖."""
         return norm(x.M)
 
     def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:
-        """M and s along straight lines, R along the group: R exp(amount ξ̂), ξ = 2 Im(R̄ ⊗ dR)."""
+        """Return M and s along straight lines, R along the group: R exp(amount ξ̂), ξ = 2 Im(R̄ ⊗ dR)."""
         moved = super().displaced(x, v, amount)
         if x.R is None or v.R is None:
             return moved
@@ -241,7 +241,7 @@ class RigidBody(Scene):
         return moved._replace(R=quaternion_product(x.R, (math.cos(angle), *(scale * h for h in half))))
 
     def tangents(self, x: BodyState) -> list[BodyState]:
-        """Basis of the tangent space: ∂/∂M_i, the body-frame rotations e_i (and ∂/∂s)."""
+        """Return a basis of the tangent space: ∂/∂M_i, the body-frame rotations e_i (and ∂/∂s)."""
         zero3, zero4 = (0.0,) * 3, (0.0,) * 4
         s0 = 0.0 if x.s is not None else None
         R0 = zero4 if x.R is not None else None
@@ -261,7 +261,7 @@ class RigidBody(Scene):
 
 
 def damping_matrix(value: Any) -> np.ndarray:
-    """D as a 3×3 array, from three rates or a matrix; `BadInput` unless symmetric and ≥ 0."""
+    """Return D as a 3×3 array, from three rates or a matrix; `BadInput` unless symmetric and ≥ 0."""
     wanted = "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix"
     message = f"damping = {excerpt(value)}: must be {wanted}"
     given = array("damping", value, wanted)

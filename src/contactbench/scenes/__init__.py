@@ -14,7 +14,7 @@ for _scene in (*STANDARD, *DRIVEN, *HARD):
 
 
 def scene_of(scene: object) -> Scene:
-    """A scene, itself or by name, its functions recorded; `UnknownName`, a `BadInput`, with a suggestion otherwise."""
+    """Return a scene, itself or by name, its functions recorded; else raise `UnknownName` with a suggestion."""
     if isinstance(scene, str):
         scene = SCENES[scene]
     if not isinstance(scene, Scene):
@@ -23,15 +23,15 @@ def scene_of(scene: object) -> Scene:
 
 
 def scenes_of(experiment: str) -> list[Scene]:
-    """The registered scenes that an experiment runs."""
+    """Return the registered scenes that an experiment runs."""
     return [scene for scene in SCENES.values() if scene.is_in(experiment)]
 
 
 def standard_scenes() -> list[Scene]:
-    """The registered scenes that every experiment runs but that of stability."""
+    """Return the registered scenes that every experiment runs but that of stability."""
     return [scene for scene in SCENES.values() if not scene.hard and not scene.experiments]
 
 
 def hard_scenes() -> list[Scene]:
-    """The registered scenes of the stability experiment."""
+    """Return the registered scenes of the stability experiment."""
     return scenes_of("stability")

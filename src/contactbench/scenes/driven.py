@@ -161,7 +161,7 @@ def lane_emden_5(scene: Driven, t: Any, mp: Any) -> DrivenState:
 
 
 def with_action(scene: Driven, t: Any, motion: Any, area: Any) -> DrivenState:
-    """The state of a solution under γ = 2/t: s = ½ q p + r with (t² r)' = t² (½ q V' − V), the integral of `area`."""
+    """Return a state under γ = 2/t: s = ½ q p + r with (t² r)' = t² (½ q V' − V), whose integral is `area`."""
     q, p = motion(scene.t + t)
     rest = scene.t**2 * (scene.s - scene.q[0] * scene.p[0] / 2) + area(scene.t + t) - area(scene.t)
     return DrivenState((q,), (p,), scene.t + t, q * p / 2 + rest / (scene.t + t) ** 2)

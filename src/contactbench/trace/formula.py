@@ -18,7 +18,6 @@ from contactbench.numbers import functions
 from contactbench.trace.adjoints import Adjoints
 from contactbench.trace.form import (
     FUNCTIONS,
-    Assign,
     Function,
     Operand,
     Operation,
@@ -26,11 +25,11 @@ from contactbench.trace.form import (
     Unpack,
     Update,
     digest,
-    leaves,
     mapped,
+    needed,
 )
 from contactbench.trace.python import FORMS, executed
-from contactbench.trace.recording import FormulaTape, Place, RecordedNumbers, Step, recorded
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, recorded
 
 NAMESPACE = "xp"
 
@@ -63,25 +62,26 @@ class Formula:
     """What a function of numbers computes.
 
     arguments : of every positional argument the length of the tuple it is, 0 for a number, "xp" for a namespace of
-    numbers, which is not read.  names : keyword arguments, numbers.  steps : its operations.
-    results : the place that is returned, or nested tuples of them.  live : the function it was recorded from.
+    numbers, which is not read.  names : keyword arguments, numbers.  body : `Operation`s, on the arguments v0, v1, …
+    one after the other.  results : the operand that is returned, or nested tuples of them.
+    live : the function it was recorded from.
     Raises `BadInput` for an argument of another length.
     """
 
     arguments: tuple[int | str, ...]
     names: tuple[str, ...]
-    steps: tuple[Step, ...]
+    body: tuple[Any, ...]
     results: Results
     live: Callable[..., Any] | None = None
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all that it computes."""
-        return digest(self.arguments, self.names, self.steps, self.results)
+        return digest(self.arguments, self.names, self.body, self.results)
 
     def __repr__(self) -> str:
         name = getattr(self.live, "__name__", "derived" if self.live is None else type(self.live).__name__)
-        return f"<formula of {name}: {len(self.steps)} operations>"
+        return f"<formula of {name}: {len(self.body)} operations>"
 
     def __eq__(self, other: object) -> bool:
         return self.digest == other.digest if isinstance(other, Formula) else NotImplemented
@@ -90,19 +90,13 @@ class Formula:
         return hash(self.digest)
 
     def __reduce__(self) -> Any:
-        return Formula, (self.arguments, self.names, self.steps, self.results)
+        return Formula, (self.arguments, self.names, self.body, self.results)
 
-    @property
-    def size(self) -> int:
-        """The number of its arguments, every component counted."""
-        return sum(n or 1 for n in self.arguments if isinstance(n, int)) + len(self.names)
-
-    @property
-    def written(self) -> Function:
-        """The formula as a function of the intermediate form."""
-        supply = (f"v{i}" for i in range(self.size))
+    @cached_property
+    def function(self) -> Callable[..., Any]:
         signature: list[str] = []
         body: list[Any] = []
+        supply = iter(numbered(self.arguments, self.names))
         for i, n in enumerate(self.arguments):
             if isinstance(n, str) or not n:
                 signature.append(NAMESPACE if n else next(supply))
@@ -110,13 +104,8 @@ class Formula:
                 signature.append(f"a{i}")
                 body.append(Unpack(tuple(next(supply) for _ in range(n)), f"a{i}"))
         body += [Update((own,), (name,)) for own, name in zip(supply, self.names, strict=True)]
-        for place, (function, _, operands) in enumerate(self.steps, self.size):
-            body.append(Assign(f"v{place}", Operation(function, tuple(map(_name, operands)))))
-        return Function("formula", (*signature, *self.names), tuple(body), mapped(_name, self.results))
-
-    @cached_property
-    def function(self) -> Callable[..., Any]:
-        return executed(self.written, WRITTEN, SCOPE)
+        written = Function("formula", (*signature, *self.names), (*body, *self.body), self.results)
+        return executed(written, WRITTEN, SCOPE)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         for given, n in zip(arguments, self.arguments, strict=True):
@@ -125,64 +114,52 @@ class Formula:
         return self.function(*arguments, **named)
 
     # -- derivatives -------------------------------------------------------------------------------
-    def replayed(self) -> FormulaTape:
-        """A tape with its operations at their places."""
-        tape = FormulaTape(self.size)
-        for function, kind, operands in self.steps:
-            tape.operation(function, kind, *map(tape.value, operands))
-        return tape
-
     def gradient(self) -> Formula:
         """The derivative of a single result along the components of the first argument, by reverse mode.
 
         Raises `CannotRecord` for a function whose derivative is not known.
         """
-        tape = self.replayed()
-        return self.derived(
-            tape,
-            tuple(recorded(lambda: Adjoints(tape, self.parameters).along(self.results, self.components))),
-        )
+        tape, result, adjoints = self.replayed()
+        row = recorded(lambda: adjoints.along(result, self.components))
+        return finished(self.arguments, self.names, tape, row)
 
     def jacobian(self, symmetric: bool = False) -> Formula:
         """The derivative of a tuple of results, a row for each; zeros are constants.
 
         symmetric : it is, so that half of it is enough.
         """
-        tape, n = self.replayed(), self.components
-        adjoints = Adjoints(tape, self.parameters)
-
-        def row(result: Place) -> list[Any]:
-            found = adjoints.along(result, n)
-            adjoints.found.clear()
-            return found
-
-        rows = [recorded(lambda out=out: row(out)) for out in self.results]  # type: ignore[misc]
+        tape, results, adjoints = self.replayed()
+        rows = [recorded(lambda out=out: adjoints.along(out, self.components)) for out in results]  # type: ignore[misc]
         if symmetric:
-            for i in range(n):
-                rows[i][i + 1 :] = [rows[j][i] for j in range(i + 1, n)]
-        return self.derived(tape, tuple(map(tuple, rows)))
+            for i in range(len(rows)):
+                rows[i][i + 1 :] = [rows[j][i] for j in range(i + 1, len(rows))]
+        return finished(self.arguments, self.names, tape, rows)
 
     @property
-    def components(self) -> int:
-        """The number of components of the first argument."""
-        n = self.arguments[0]
-        assert isinstance(n, int)
-        return n or 1
+    def components(self) -> tuple[str, ...]:
+        """The components of the first argument."""
+        return numbered(self.arguments[:1], ())
 
-    @property
-    def parameters(self) -> range:
-        """The places of the keyword arguments."""
-        return range(self.size - len(self.names), self.size)
+    def replayed(self) -> tuple[Tape, Results, Adjoints]:
+        """A tape with its operations, its results there, and their derivatives."""
+        tape, moved = Tape(), dict[Operand, Operand]()
+        for target, operation in self.body:
+            there = Operation(operation.function, mapped(lambda x: moved.get(x, x), operation.operands))
+            moved[target] = tape.assign(there, "f", tape.root).name
+        arguments = numbered(self.arguments, self.names)
+        adjoints = Adjoints(tape, arguments, arguments[len(arguments) - len(self.names) :])
+        return tape, mapped(lambda x: moved.get(x, x), self.results), adjoints
 
-    def derived(self, tape: FormulaTape, results: Results) -> Formula:
-        """A formula of the same arguments."""
-        return finished(self.arguments, self.names, tape, results)
+
+def numbered(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:
+    """A name for every number in the arguments of a formula."""
+    return tuple(f"v{i}" for i in range(sum(n or 1 for n in arguments if isinstance(n, int)) + len(names)))
 
 
 def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], names: Sequence[str]) -> Formula:
     """Record a function; arguments, names : as in `Formula`.  Raises `CannotRecord`."""
-    tape = FormulaTape(sum(n or 1 for n in arguments if isinstance(n, int)) + len(names))
-    supply = iter(tape.arguments)
+    tape = Tape()
+    supply = (Recorded(tape, name, "f", tape.root) for name in numbered(arguments, names))
     given: list[Any] = []
     for n in arguments:
         if isinstance(n, str):
@@ -194,41 +171,8 @@ def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], name
 
 
 def finished(
-    arguments: tuple[int | str, ...],
-    names: tuple[str, ...],
-    tape: FormulaTape,
-    results: Results,
-    live: Callable[..., Any] | None = None,
+    arguments: tuple[int | str, ...], names: tuple[str, ...], tape: Tape, results: Any, live: Any = None
 ) -> Formula:
     """The formula of some results, without the operations that none of them needs."""
-    places = _places(tape, results)
-    first = len(tape.arguments)
-    wanted = {x for x in leaves(places) if isinstance(x, int) and x >= first}
-    waiting = list(wanted)
-    while waiting:
-        for x in tape.steps[waiting.pop() - first][2]:
-            if isinstance(x, int) and x >= first and x not in wanted:
-                wanted.add(x)
-                waiting.append(x)
-    order = sorted(wanted)
-    moved: dict[Any, int] = dict(zip(order, range(first, first + len(order)), strict=True))
-
-    def again(x: Place) -> Place:
-        return moved.get(x, x) if isinstance(x, int) else x
-
-    operations = tuple(
-        Step(function, kind, tuple(map(again, given)))
-        for function, kind, given in (tape.steps[place - first] for place in order)
-    )
-    return Formula(arguments, names, operations, mapped(again, places), live)
-
-
-def _places(tape: FormulaTape, results: Any) -> Results:
-    if isinstance(results, tuple | list):
-        return tuple(_places(tape, part) for part in results)
-    return tape.operand(results)
-
-
-def _name(place: Place) -> Operand:
-    """A place as a name; a constant as it is."""
-    return place if isinstance(place, float) else f"v{place}"
+    found = tape.results(results)
+    return Formula(arguments, names, needed(tape.root.statements, found), found, live)

@@ -10,17 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, While
+from contactbench.trace import form
 
-#: functions LLVM knows; all others are the C library's
+#: functions LLVM knows, and its names for them; all others are the C library's
 INTRINSICS = {
-    "abs": "llvm.fabs",
-    **{f: f"llvm.{f}" for f in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")},
+    "abs": "fabs",
+    **{name: name for name in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")},
 }
 ARITHMETIC = ("add", "sub", "mul", "div")
 COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 #: products and sums may be fused
 CONTRACT = ("contract",)
+#: arrays whose last index is that of a state in a tile
+TILED = ("starts", "ends")
 
 
 class Array(NamedTuple):
@@ -35,54 +37,71 @@ class Lowering:
     """The instructions of one function.
 
     Variables live on the stack, from where LLVM takes them into registers.
+    lanes : how many states it runs on at a time, with a vector of LLVM's for every number of the state.  They are
+    the columns of starts (d, n) and ends (k, d, n), n a multiple of `lanes`; part : the first tile and the last.
     """
 
-    def __init__(self, builder: Any, arrays: dict[str, Array], numbers: dict[str, Any], fused: bool) -> None:
+    def __init__(
+        self, builder: Any, arrays: dict[str, Array], numbers: dict[str, Any], fused: bool, lanes: int
+    ) -> None:
         from llvmlite import ir
 
         self.ir, self.builder, self.arrays, self.values = ir, builder, arrays, dict(numbers)
-        self.flags = CONTRACT if fused else ()
+        self.flags, self.lanes = CONTRACT if fused else (), lanes
         self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
+        self.wide = ir.VectorType(self.double, lanes) if lanes > 1 else self.double
         self.variables: dict[str, Any] = {}
+        #: the first state of the tile
+        self.first: Any = None
 
-    def lower(self, function: Function) -> Any:
+    def lower(self, function: form.Function) -> Any:
         """Write the function; returns its result."""
-        self.run(function.body)
-        return self.value(function.result)
+        from numba.core.cgutils import for_range
+
+        if self.lanes == 1:
+            self.run(function.body)
+            return self.value(function.result)
+        begin, end = (self.load(form.Element("part", (i,))) for i in (0, 1))
+        with for_range(self.builder, end, begin) as turn:
+            self.first = self.builder.mul(turn.index, self.whole(self.lanes))
+            self.run(function.body)
+        return self.whole(0)
 
     # -- statements --------------------------------------------------------------------------------
     def run(self, body: Sequence[Any]) -> None:
         for statement in body:
             match statement:
-                case Assign(target, Element() as element):
+                case form.Assign(target, form.Element() as element):
                     self.values[target] = self.load(element)
-                case Assign(target, Operation(function, operands)):
+                case form.Assign(target, form.Operation(function, operands)):
                     self.values[target] = self.operation(function, operands)
-                case Store(element, value):
+                case form.Store(element, value):
                     self.store(element, self.value(value))
-                case Update(variables, values):
+                case form.Update(variables, values):
                     for name, value in zip(variables, list(map(self.value, values)), strict=True):
                         self.update(name, value)
-                case Loop():
+                case form.Loop():
                     self.loop(statement)
-                case While():
+                case form.While():
                     self.repeat(statement)
 
     def update(self, name: str, value: Any) -> None:
+        if value.type == self.double:  # the state may be wide from the second turn of a loop on
+            value = self.spread(value)
         if name not in self.variables:
             with self.builder.goto_entry_block():
                 self.variables[name] = self.builder.alloca(value.type)
         slot = self.variables[name]
         self.builder.store(self.floating(value) if slot.type.pointee == self.double else value, slot)
 
-    def loop(self, loop: Loop) -> None:
+    def loop(self, loop: form.Loop) -> None:
         from numba.core.cgutils import for_range
 
         with for_range(self.builder, self.value(loop.times)) as turn:
             self.values[loop.counter] = turn.index
             self.run(loop.body)
 
-    def repeat(self, loop: While) -> None:
+    def repeat(self, loop: form.While) -> None:
         test, body, after = (self.builder.append_basic_block(name) for name in ("test", "body", "after"))
         self.builder.branch(test)
         self.builder.position_at_end(test)
@@ -94,49 +113,61 @@ class Lowering:
         self.builder.position_at_end(after)
 
     # -- elements of arrays ------------------------------------------------------------------------
-    def place(self, element: Element) -> Any:
-        """The pointer to an element."""
+    def place(self, element: form.Element) -> Any:
+        """The pointer to an element, in tiles to those of all states of the tile."""
         array, add, mul = self.arrays[element.array], self.builder.add, self.builder.mul
         *rows, last = map(self.value, element.indices)
         offset = last if element.shift == 0 else add(last, self.value(element.shift))
+        tiled = element.array in TILED
+        row = self.arrays["starts"].length if tiled else array.row
         if rows:
-            offset = add(mul(rows[0], array.row), offset)
-        return self.builder.gep(array.first, [offset], inbounds=True)
+            offset = add(mul(rows[0], row), offset)
+        if tiled:
+            offset = add(mul(offset, self.arrays["starts"].row), self.first)
+        pointer = self.builder.gep(array.first, [offset], inbounds=True)
+        return self.builder.bitcast(pointer, self.wide.as_pointer()) if tiled else pointer
 
-    def load(self, element: Element) -> Any:
-        value = self.builder.load(self.place(element))
+    def load(self, element: form.Element) -> Any:
+        value = self.builder.load(self.place(element), align=8)
         if element.kind == "b":
             return self.builder.fcmp_unordered("!=", value, self.double(0.0))
-        return (
-            self.builder.fptosi(value, self.whole)
-            if (element.kind, value.type) == ("i", self.double)
-            else value
-        )
+        whole = element.kind == "i" and value.type == self.double
+        return self.builder.fptosi(value, self.whole) if whole else value
 
-    def store(self, element: Element, value: Any) -> None:
+    def store(self, element: form.Element, value: Any) -> None:
         if element.kind == "b":
             value = self.builder.select(value, self.double(1.0), self.double(0.0))
-        self.builder.store(self.floating(value), self.place(element))
+        value = self.spread(value) if element.array in TILED else self.floating(value)
+        self.builder.store(value, self.place(element), align=8)
 
     # -- operations --------------------------------------------------------------------------------
-    def value(self, operand: Operand) -> Any:
+    def value(self, operand: form.Operand) -> Any:
+        if operand in self.variables:
+            return self.builder.load(self.variables[operand])
         if isinstance(operand, str):
-            return (
-                self.builder.load(self.variables[operand])
-                if operand in self.variables
-                else self.values[operand]
-            )
+            return self.values[operand]
         kind = {bool: self.truth, int: self.whole, float: self.double}[type(operand)]
         return self.ir.Constant(kind, operand)
 
     def floating(self, value: Any) -> Any:
         return self.builder.sitofp(value, self.double) if value.type == self.whole else value
 
+    def spread(self, value: Any) -> Any:
+        """A number as a vector of it."""
+        value = self.floating(value)
+        if value.type != self.double or self.lanes == 1:
+            return value
+        empty, index = self.ir.Constant(self.wide, self.ir.Undefined), self.ir.IntType(32)
+        one = self.builder.insert_element(empty, value, index(0))
+        zeros = self.ir.Constant(self.ir.VectorType(index, self.lanes), [0] * self.lanes)
+        return self.builder.shuffle_vector(one, empty, zeros)
+
     def alike(self, values: Sequence[Any]) -> list[Any]:
         """Numbers as floating-point numbers of one type."""
-        return [self.floating(value) for value in values]
+        wide = any(value.type == self.wide for value in values)
+        return [self.spread(value) if wide else self.floating(value) for value in values]
 
-    def operation(self, function: str, operands: Sequence[Operand]) -> Any:
+    def operation(self, function: str, operands: Sequence[form.Operand]) -> Any:
         if function == "len":
             return self.arrays[str(operands[0])].length
         x = [self.value(operand) for operand in operands]
@@ -162,109 +193,37 @@ class Lowering:
         return self.call(function, *self.alike(x))
 
     def choose(self, condition: Any, a: Any, b: Any) -> Any:
-        if not a.type == b.type == self.whole:
+        if isinstance(condition.type, self.ir.VectorType):
+            a, b = self.spread(a), self.spread(b)
+        elif not a.type == b.type == self.whole:
             a, b = self.alike((a, b))
         return self.builder.select(condition, a, b)
 
     def call(self, name: str, *x: Any) -> Any:
+        """A function of numbers of one type."""
         from numba.core.cgutils import get_or_insert_function
 
-        module = self.builder.module
+        kind = x[0].type
         if name in INTRINSICS:
-            function = module.declare_intrinsic(INTRINSICS[name], [self.double])
-        else:
-            kind = self.ir.FunctionType(self.double, [self.double] * len(x))
-            function = get_or_insert_function(module, kind, name)
-        return self.builder.call(function, x)
-
-
-class Lanes(Lowering):
-    """The same instructions for many states at once: a vector of LLVM's for every number of the state.
-
-    starts : (d, n), ends : (k, d, n), n a multiple of `lanes`.  part : the first tile of so many states, and the last.
-    """
-
-    def __init__(
-        self, builder: Any, arrays: dict[str, Array], numbers: dict[str, Any], fused: bool, lanes: int
-    ) -> None:
-        super().__init__(builder, arrays, numbers, fused)
-        self.lanes, self.wide = lanes, self.ir.VectorType(self.double, lanes)
-
-    def lower(self, function: Function) -> Any:
-        """Write the function, for one tile of states after the other."""
-        from numba.core.cgutils import for_range
-
-        begin, end = (self.load(Element("part", (i,))) for i in (0, 1))
-        with for_range(self.builder, end, begin) as turn:
-            #: the first state of the tile
-            self.first = self.builder.mul(turn.index, self.whole(self.lanes))
-            self.run(function.body)
-        return self.whole(0)
-
-    def place(self, element: Element) -> Any:
-        if element.array not in ("starts", "ends"):
-            return super().place(element)
-        array, starts, add, mul = (
-            self.arrays[element.array],
-            self.arrays["starts"],
-            self.builder.add,
-            self.builder.mul,
-        )
-        *before, place = map(self.value, element.indices)
-        if before:  # ends[j, i]
-            place = add(mul(before[0], starts.length), place)
-        pointer = self.builder.gep(array.first, [add(mul(place, starts.row), self.first)], inbounds=True)
-        return self.builder.bitcast(pointer, self.wide.as_pointer())
-
-    def load(self, element: Element) -> Any:
-        if element.array != "starts":
-            return super().load(element)
-        return self.builder.load(self.place(element), align=8)
-
-    def store(self, element: Element, value: Any) -> None:
-        self.builder.store(self.spread(value), self.place(element), align=8)
-
-    def update(self, name: str, value: Any) -> None:
-        # the state may be wide from the second turn of a loop on
-        super().update(name, self.spread(value) if value.type == self.double else value)
-
-    def alike(self, values: Sequence[Any]) -> list[Any]:
-        values = super().alike(values)
-        return list(map(self.spread, values)) if any(value.type == self.wide for value in values) else values
-
-    def choose(self, condition: Any, a: Any, b: Any) -> Any:
-        each = isinstance(condition.type, self.ir.VectorType)
-        return super().choose(condition, *(map(self.spread, (a, b)) if each else (a, b)))
-
-    def call(self, name: str, *x: Any) -> Any:
-        if x[0].type == self.double:
-            return super().call(name, *x)
-        if name in INTRINSICS:
-            kind = self.ir.FunctionType(self.wide, [self.wide] * len(x))
-            full = f"{INTRINSICS[name]}.v{self.lanes}f64"
-            known = self.builder.module.globals.get(full)
-            return self.builder.call(known or self.ir.Function(self.builder.module, kind, full), x)
+            suffix = "f64" if kind == self.double else f"v{self.lanes}f64"
+            signature = self.ir.FunctionType(kind, [kind] * len(x))
+            return self.builder.call(
+                get_or_insert_function(self.builder.module, signature, f"llvm.{INTRINSICS[name]}.{suffix}"), x
+            )
+        if kind == self.double:
+            signature = self.ir.FunctionType(kind, [kind] * len(x))
+            return self.builder.call(get_or_insert_function(self.builder.module, signature, name), x)
         result = self.ir.Constant(self.wide, self.ir.Undefined)
         for i in map(self.ir.IntType(32), range(self.lanes)):
-            each = super().call(name, *(self.builder.extract_element(v, i) for v in x))
+            each = self.call(name, *(self.builder.extract_element(v, i) for v in x))
             result = self.builder.insert_element(result, each, i)
         return result
 
-    def spread(self, value: Any) -> Any:
-        """A number as a vector of it."""
-        value = self.floating(value)
-        if value.type != self.double:
-            return value
-        empty, index = self.ir.Constant(self.wide, self.ir.Undefined), self.ir.IntType(32)
-        one = self.builder.insert_element(empty, value, index(0))
-        zeros = self.ir.Constant(self.ir.VectorType(index, self.lanes), [0] * self.lanes)
-        return self.builder.shuffle_vector(one, empty, zeros)
 
-
-def intrinsic(function: Function, lanes: int = 1, fused: bool = True) -> Any:
+def intrinsic(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
     """The function as a numba intrinsic.
 
-    lanes : how many states it runs on at a time, see `Lanes`.  fused : whether products and sums may be one operation.
+    lanes : how many states it runs on at a time.  fused : whether products and sums may be one operation.
     Its arguments are contiguous arrays of one or two dimensions, pointers to numbers, and numbers.
     """
     from numba.core import cgutils, types
@@ -282,12 +241,7 @@ def intrinsic(function: Function, lanes: int = 1, fused: bool = True) -> Any:
                 else:
                     array = make_array(kind)(context, builder, value)
                     arrays[name] = Array(array.data, *cgutils.unpack_tuple(builder, array.shape)[:2])
-            lowering = (
-                Lanes(builder, arrays, numbers, fused, lanes)
-                if lanes > 1
-                else Lowering(builder, arrays, numbers, fused)
-            )
-            return lowering.lower(function)
+            return Lowering(builder, arrays, numbers, fused, lanes).lower(function)
 
         return types.int64(*kinds), instructions
 

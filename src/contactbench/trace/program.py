@@ -66,37 +66,28 @@ class Column(Block):
 
 
 class Vector(Recorded):
-    """An element of a column, standing for all of them: ``v[3]``, ``v[rows]`` and ``v[k]`` for a recorded k."""
+    """Some elements of a column, an expression for all of them: ``v[3]``, ``v[rows]`` and ``v[k]`` for a recorded k."""
 
-    __slots__ = ()
+    __slots__ = ("rows",)
+
+    def __init__(
+        self, tape: ProgramTape, name: str, column: Column, rows: Sequence[int] | None = None
+    ) -> None:
+        super().__init__(tape, name, "f", column)
+        self.rows = range(len(column.values)) if rows is None else rows
 
     def __getitem__(self, key: Any) -> Any:
-        column = self.block
-        assert isinstance(column, Column)
-        if isinstance(key, Recorded):
-            return Picked(self, range(len(column.values)))[key]
-        rows = np.atleast_1d(key)
-        return Picked(self, rows) if np.ndim(key) else Picked(self, rows)[0]
-
-
-class Picked:
-    """Some elements of a vector, in an order of their own."""
-
-    def __init__(self, vector: Vector, rows: Sequence[int]) -> None:
-        self.vector, self.rows = vector, rows
-
-    def __getitem__(self, k: Any) -> Any:
-        vector, rows = self.vector, self.rows
-        if not isinstance(k, Recorded):
-            rows, k = [rows[k]], 0
-        tape, column = vector.tape, vector.block
+        tape, column = self.tape, self.block
         assert isinstance(tape, ProgramTape)
         assert isinstance(column, Column)
-        first = tape.place(column, vector.name, column.pick(rows))
-        element = Element("w", ("u", first.name))
-        if isinstance(k, int):
+        known = not isinstance(key, Recorded)
+        if known and np.ndim(key):
+            return Vector(tape, self.name, column, [self.rows[row] for row in key])
+        rows = [self.rows[key]] if known else self.rows
+        element = Element("w", ("u", tape.place(column, self.name, column.pick(rows)).name))
+        if known:
             return tape.assign(element, "f", tape.main)
-        return tape.assign(element._replace(shift=tape.read(k, k.block, "i")), "f", k.block)
+        return tape.assign(element._replace(shift=tape.read(key, key.block, "i")), "f", key.block)
 
 
 class ProgramTape(Tape):
@@ -142,7 +133,7 @@ class ProgramTape(Tape):
 
     def assign(self, value: Operation | Element, kind: str, block: Block) -> Recorded:
         made = super().assign(value, kind, block)
-        return Vector(self, made.name, kind, block) if isinstance(block, Column) else made
+        return Vector(self, made.name, block) if isinstance(block, Column) else made
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
         times = n if isinstance(n, Recorded) else self.size(("times", n), lambda: n)
@@ -165,7 +156,7 @@ class RecordedArrays(RecordedNumbers):
         tape = self.tape
         assert isinstance(tape, ProgramTape)
         column = Column(tape, tuple(map(float, values)))
-        return Vector(tape, column.element, "f", column)
+        return Vector(tape, column.element, column)
 
 
 def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int, factor: float) -> Program:

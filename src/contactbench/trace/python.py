@@ -6,20 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from contactbench.trace.form import (
-    FUNCTIONS,
-    Assign,
-    Element,
-    Function,
-    Loop,
-    Operation,
-    Results,
-    Store,
-    Unpack,
-    Update,
-    While,
-    text,
-)
+from contactbench.trace import form
+from contactbench.trace.form import text
 
 #: operations that are no calls
 NAMES = ("add", "sub", "mul", "div", "pow", "lt", "le", "gt", "ge", "eq", "ne", "and", "or")
@@ -31,12 +19,12 @@ FORMS = {
     "where": "{1} if {0} else {2}",
 }
 #: the names that printed functions use
-SCOPE = {name: getattr(math, name) for name in (*FUNCTIONS, "atan2", "hypot", "inf", "nan")}
+SCOPE = {name: getattr(math, name) for name in (*form.FUNCTIONS, "atan2", "hypot", "inf", "nan")}
 READ = {"f": "{}", "i": "int({})", "b": "{} != 0.0"}
 
 
 def executed(
-    function: Function, forms: Mapping[str, str] = FORMS, scope: Mapping[str, Any] = SCOPE
+    function: form.Function, forms: Mapping[str, str] = FORMS, scope: Mapping[str, Any] = SCOPE
 ) -> Callable[..., Any]:
     """Return the function, run by Python; forms : how operations are written, scope : what names stand for."""
     names = dict(scope)
@@ -44,20 +32,20 @@ def executed(
     return names[function.name]
 
 
-def source(function: Function, forms: Mapping[str, str] = FORMS) -> str:
+def source(function: form.Function, forms: Mapping[str, str] = FORMS) -> str:
     """Return a function as Python source."""
     head = f"def {function.name}({', '.join(function.arguments)}):"
     return "\n".join([head, *lines(function.body, forms), f"    return {written(function.result)}", ""])
 
 
-def written(results: Results) -> str:
+def written(results: form.Results) -> str:
     """Nested tuples of operands."""
     if isinstance(results, tuple):
         return f"({''.join(f'{written(part)}, ' for part in results)})"
     return text(results)
 
 
-def place(element: Element) -> str:
+def place(element: form.Element) -> str:
     """An element of nested lists."""
     *rows, last = map(text, element.indices)
     if element.shift != 0:
@@ -65,12 +53,12 @@ def place(element: Element) -> str:
     return "".join([element.array, *(f"[{index}]" for index in (*rows, last))])
 
 
-def value(expression: Operation | Element, forms: Mapping[str, str]) -> str:
-    if isinstance(expression, Element):
+def value(expression: form.Operation | form.Element, forms: Mapping[str, str]) -> str:
+    if isinstance(expression, form.Element):
         return READ[expression.kind].format(place(expression))
     function, operands = expression
-    form = forms.get(function) or f"{function}({', '.join(['{}'] * len(operands))})"
-    return form.format(*map(text, operands))
+    template = forms.get(function) or f"{function}({', '.join(['{}'] * len(operands))})"
+    return template.format(*map(text, operands))
 
 
 def lines(body: Sequence[Any], forms: Mapping[str, str] = FORMS, indent: str = "    ") -> Iterator[str]:
@@ -78,19 +66,19 @@ def lines(body: Sequence[Any], forms: Mapping[str, str] = FORMS, indent: str = "
     within = indent + "    "
     for statement in body:
         match statement:
-            case Assign(target, expression):
+            case form.Assign(target, expression):
                 yield f"{indent}{target} = {value(expression, forms)}"
-            case Update(variables, values):
+            case form.Update(variables, values):
                 yield f"{indent}{', '.join(variables)} = {', '.join(map(text, values))}"
-            case Unpack(targets, sequence):
+            case form.Unpack(targets, sequence):
                 yield f"{indent}{', '.join(targets)}, = {sequence}"
-            case Store(element, stored):
+            case form.Store(element, stored):
                 number = f"1.0 if {text(stored)} else 0.0" if element.kind == "b" else text(stored)
                 yield f"{indent}{place(element)} = {number}"
-            case Loop(index, times, inner):
+            case form.Loop(index, times, inner):
                 yield f"{indent}for {index} in range({text(times)}):"
                 yield from lines(inner, forms, within)
-            case While(test, condition, inner):
+            case form.While(test, condition, inner):
                 yield f"{indent}while True:"
                 yield from lines(test, forms, within)
                 yield f"{within}if not {text(condition)}:"

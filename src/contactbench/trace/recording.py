@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Hashable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -90,6 +90,11 @@ class Tape:
             raise CannotRecord("vectors of different origin are combined")
         return operand_of(x, kind)
 
+    def results(self, numbers: Any) -> Results:
+        """Nested tuples or lists of numbers as nested tuples of operands."""
+        nested = isinstance(numbers, tuple | list)
+        return tuple(map(self.results, numbers)) if nested else self.read(numbers, self.root)
+
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
         """n-fold application, recorded as a loop."""
         outer = self.block
@@ -136,6 +141,26 @@ def operand_of(x: Any, kind: str = "f") -> Operand:
         raise CannotRecord(f"{x!r} of type {type(x).__name__} is not a number") from None
 
 
+def _arithmetic(
+    function: str, neutral: float | None = None, reflected: bool = False, commutes: bool = False
+) -> Callable[..., Any]:
+    """An operator; neutral : the operand that changes nothing."""
+
+    def apply(self: Recorded, other: Any) -> Any:
+        if isinstance(other, Dual | np.ndarray):
+            return NotImplemented
+        if neutral is not None and is_constant(other, neutral):
+            return self
+        a, b = (other, self) if reflected else (self, other)
+        if self.kind == "i" and (isinstance(other, int) or kind_of(other) == "i"):
+            return self.tape.operation(function, "i", a, b)
+        if commutes and text(operand_of(b)) < text(operand_of(a)):
+            a, b = b, a
+        return self.tape.operation(function, "f", a, b)
+
+    return apply
+
+
 def _comparison(function: str) -> Callable[..., Any]:
     def compare(self: Recorded, other: Any) -> Any:
         if isinstance(other, Dual):
@@ -143,11 +168,6 @@ def _comparison(function: str) -> Callable[..., Any]:
         return self.tape.operation(function, "b", self, other)
 
     return compare
-
-
-def operands(results: Any) -> Results:
-    """Nested tuples or lists of numbers as nested tuples of operands."""
-    return tuple(map(operands, results)) if isinstance(results, tuple | list) else operand_of(results)
 
 
 class Recorded(Unknown):
@@ -166,35 +186,10 @@ class Recorded(Unknown):
         return RecordedNumbers(self.tape)
 
     # -- arithmetic --------------------------------------------------------------------------------
-    def _binary(self, function: str, a: Any, b: Any, commutes: bool = False) -> Any:
-        if isinstance(a, Dual | np.ndarray) or isinstance(b, Dual | np.ndarray):
-            return NotImplemented
-        if self.kind == "i" and all(isinstance(x, int) or kind_of(x) == "i" for x in (a, b)):
-            a, b = (int(x) if isinstance(x, int) else x for x in (a, b))
-            return self.tape.operation(function, "i", a, b)
-        if commutes and text(operand_of(b)) < text(operand_of(a)):
-            a, b = b, a
-        return self.tape.operation(function, "f", a, b)
-
-    def __add__(self, other: Any) -> Any:
-        return self._binary("add", self, other, commutes=True)
-
-    def __sub__(self, other: Any) -> Any:
-        return self if is_constant(other, 0) else self._binary("sub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self._binary("sub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return self if is_constant(other, 1) else self._binary("mul", self, other, commutes=True)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self if is_constant(other, 1) else self._binary("div", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self._binary("div", other, self)
-
-    __radd__, __rmul__ = __add__, __mul__
+    __add__ = __radd__ = _arithmetic("add", commutes=True)
+    __mul__ = __rmul__ = _arithmetic("mul", neutral=1, commutes=True)
+    __sub__, __rsub__ = _arithmetic("sub", neutral=0), _arithmetic("sub", reflected=True)
+    __truediv__, __rtruediv__ = _arithmetic("div", neutral=1), _arithmetic("div", reflected=True)
 
     def __neg__(self) -> Any:
         return self.tape.operation("neg", self.kind, self)
@@ -337,57 +332,6 @@ class RecordedNumbers(Numbers):
 
     def logical_not(self, a: Any) -> Any:
         return ~a if isinstance(a, Recorded) else not a
-
-
-#: where a number of a formula is: the place of an argument or a step, or a constant
-Place = int | float
-
-
-class Step(NamedTuple):
-    """An operation of a formula, whose place is its number."""
-
-    function: str
-    kind: str
-    operands: tuple[Place, ...]
-
-
-class FormulaTape(Tape):
-    """A recording that keeps its operations by their places, equal ones once."""
-
-    def __init__(self, arguments: int) -> None:
-        super().__init__()
-        self.arguments = [Recorded(self, f"v{i}", "f", self.root) for i in range(arguments)]
-        self.steps: list[Step] = []
-        self.places = {x.name: i for i, x in enumerate(self.arguments)}
-        self.made: dict[Hashable, int] = {}
-
-    def operation(self, function: str, kind: str, *operands: Any) -> Recorded:
-        given = tuple(map(self.operand, operands))
-        key = (function, *map(repr, given))
-        if key not in self.made:
-            place = self.made[key] = len(self.arguments) + len(self.steps)
-            self.places[f"v{place}"] = place
-            self.steps.append(Step(function, kind, given))
-        return self.at(self.made[key], kind)
-
-    def operand(self, x: Any) -> Place:
-        """The place of a recorded number, or a constant."""
-        if not isinstance(x, Recorded):
-            return float(operand_of(x))
-        if x.tape is not self:
-            raise CannotRecord("numbers of different origin are combined")
-        return self.places[x.name]
-
-    def at(self, place: int, kind: str = "f") -> Recorded:
-        """The number at a place."""
-        return Recorded(self, f"v{place}", kind, self.root)
-
-    def value(self, operand: Place) -> Any:
-        """The number an operand stands for."""
-        if isinstance(operand, float):
-            return operand
-        before = operand - len(self.arguments)
-        return self.at(operand, "f" if before < 0 else self.steps[before].kind)
 
 
 def recorded(function: Callable[[], Any]) -> Any:

@@ -48,14 +48,14 @@ class Stopwatch:
         self.scene, self.span, self.deadline, self.begun = scene, span, deadline, perf_counter()
 
     def is_over(self, t: float) -> bool:
-        """Whether the deadline has passed, or, seen from t, will pass long before the end."""
+        """Return whether the deadline has passed, or, seen from t, will pass long before the end."""
         now = perf_counter()
         if now <= self.deadline < NEVER and now - self.begun > FORESEEN:
             return self.needed(t) > HOPELESS * (self.deadline - self.begun)
         return now > self.deadline
 
     def needed(self, t: float) -> float:
-        """Seconds for the whole span at the pace so far."""
+        """Return the seconds for the whole span at the pace so far."""
         return (perf_counter() - self.begun) * self.span / t if t > 0 else math.inf
 
     def check(self, t: float) -> None:
@@ -71,7 +71,7 @@ class Stopwatch:
 
 
 def spoken(seconds: float) -> str:
-    """A duration in the unit that suits it."""
+    """Return a duration in the unit that suits it."""
     for unit, size in (("years", 3.156e7), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.2g} {unit}"
@@ -97,17 +97,17 @@ class Reference:
     source: str
 
     def __repr__(self) -> str:
-        """One line: of what, how much of it, how well it is known."""
+        """Return one line: of what, how much of it, how well it is known."""
         what = f"{len(self.t)} states to t = {self.t.max():g}, {self.digits} digits, {self.source}"
         return f"<Reference of {self.scene.name}: {what}>"
 
     def states(self) -> Any:
-        """The states as one NamedTuple of arrays over time."""
+        """Return the states as one NamedTuple of arrays over time."""
         return self.scene.unpack(tuple(self.y.T), self.carry)
 
 
 def checked_times(times: Any) -> np.ndarray:
-    """`times` as a new float array of shape (k,), k ≥ 1, or `BadInput`."""
+    """Return `times` as a new float array of shape (k,), k ≥ 1, or `BadInput`."""
     t = np.array(array("times", times, "finite numbers ≥ 0"), ndmin=1)  # a copy
     if t.ndim != 1 or not t.size:
         raise BadInput(f"times: must be one number or a flat list of numbers, not of shape {t.shape}")
@@ -117,7 +117,7 @@ def checked_times(times: Any) -> np.ndarray:
 
 
 def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
-    """The scene with every float x, initial data included, replaced by ``number(repr(x))``."""
+    """Return the scene with every float x, initial data included, replaced by ``number(repr(x))``."""
 
     def convert(value: Any) -> Any:
         return tuple(map(convert, value)) if isinstance(value, tuple) else number(repr(float(value)))
@@ -127,14 +127,14 @@ def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
 
 
 def _definition(function: Any) -> list[str]:
-    """A function of this package by its name; a user's by what it computes, or, unknown, as none other."""
+    """Return a function of this package by its name; a user's by what it computes, or, unknown, as none other."""
     if is_ours(function):
         return [function.__module__, function.__qualname__]
     return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
 
 
 def digest(scene: Scene) -> str:
-    """SHA-256 of what determines the trajectory: kind, functions, numbers and initial data.
+    """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data.
 
     The scene's own name, its end time, and the Hessian and closed form (which follow from the rest)
     do not count.

@@ -14,7 +14,7 @@ CLOSED_FORM_DIGITS = 50
 
 
 def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
-    """Decimals, digits and source from the scene's closed form, or None if it lacks a field."""
+    """Return decimals, digits and source from the scene's closed form, or None if it lacks a field."""
     probe = closed_form_columns(scene, t[:1], carry)  # elliptic functions at every time are slow
     if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry)) is None:
         return None
@@ -23,7 +23,7 @@ def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | 
 
 
 def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> list | None:
-    """Decimals and digits of every column of the closed form; None for a column it lacks.
+    """Return decimals and digits of every column of the closed form; None for a column it lacks.
 
     Evaluated at two precisions; every entry keeps its own agreeing significant digits.  None where
     the scene has no closed form, or has one that does not solve its equations (as after a change
@@ -45,7 +45,7 @@ def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> 
 
 
 def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits: int) -> Rows:
-    """The closed form in mpmath numbers of so many digits, None for what it does not know."""
+    """Return the closed form in mpmath numbers of so many digits, None for what it does not know."""
     context = decimal_context(digits)
     twin = with_decimals(scene, context.mpf)
     start = twin.initial(carry)
@@ -61,7 +61,7 @@ def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits
 
 
 def solves_equations(scene: Scene, end: float) -> bool:
-    """Whether the closed form starts at the initial data and obeys the right-hand side.
+    """Return whether the closed form starts at the initial data and obeys the right-hand side.
 
     Central differences of step 10⁻²⁰ at 65 digits, so a right formula passes with room to spare.
     """

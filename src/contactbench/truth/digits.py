@@ -13,31 +13,31 @@ Rows = list[list[Any]]  #: one list of components per time
 
 
 def scales(rows: Rows) -> list[Any]:
-    """The largest |entry| of every column (1 for a column of zeros)."""
+    """Return the largest |entry| of every column (1 for a column of zeros)."""
     return [max(abs(x) for x in column) or 1 for column in zip(*rows, strict=True)]
 
 
 def disagreement(a: Rows, b: Rows) -> list[Any]:
-    """max_k |a − b| of every column."""
+    """Return max_k |a − b| of every column."""
     pairs = zip(zip(*a, strict=True), zip(*b, strict=True), strict=True)
     return [max(abs(x - y) for x, y in zip(p, q, strict=True)) for p, q in pairs]
 
 
 def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
-    """Decimal digits to which two computations agree, relative to the scale of the worst column."""
+    """Return the decimal digits to which two computations agree, relative to the scale of the worst column."""
     worst = max(e / scale for e, scale in zip(disagreement(a, b), scales(b), strict=True))
     return matching_digits(worst, at_most)
 
 
 def matching_digits(error: Any, at_most: int) -> int:
-    """Whole decimal digits that a relative error leaves."""
+    """Return the whole decimal digits that a relative error leaves."""
     import mpmath
 
     return at_most if error == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(error)))))
 
 
 def rounded(value: Any, places: int) -> str:
-    """A number to a number of decimal places (half to even), in plain or scientific notation."""
+    """Return a number to a number of decimal places (half to even), in plain or scientific notation."""
     import mpmath
 
     with localcontext() as context:
@@ -47,25 +47,25 @@ def rounded(value: Any, places: int) -> str:
 
 
 def place(value: Any, digits: int) -> int:
-    """The decimal place of the last of `digits` significant digits of value."""
+    """Return the decimal place of the last of `digits` significant digits of value."""
     import mpmath
 
     return digits if value == 0 else digits - 1 - int(mpmath.floor(mpmath.log10(abs(value))))
 
 
 def print_columns(rows: Rows, digits: int) -> list[list[str]]:
-    """Every column to `digits` digits of its scale."""
+    """Return every column to `digits` digits of its scale."""
     places = [place(scale, digits) for scale in scales(rows)]
     return [[rounded(x, p) for x, p in zip(row, places, strict=True)] for row in rows]
 
 
 def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """max |a − b|."""
+    """Return max |a − b|."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
 def decimal_context(digits: int) -> Any:
-    """An mpmath context of its own, so that nobody's global precision is touched."""
+    """Return an mpmath context of its own, so that nobody's global precision is touched."""
     import mpmath
 
     context = mpmath.MPContext()

@@ -19,7 +19,7 @@ def extrapolation(
     collapse: float = COLLAPSE,
     deadline: float = NEVER,
 ) -> Rows:
-    """States at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
+    """Return states at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
 
     Raises `BlowUp` when a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of
     `perf_counter`).
@@ -62,7 +62,7 @@ def extrapolation(
 def extrapolated(
     slope: Callable[[list[Any]], list[Any]], y: list[Any], step: Any, most: int, tolerance: Any
 ) -> tuple[int, list[Any] | None]:
-    """One extrapolated step and the number of columns it took; None if `most` are not enough."""
+    """Return one extrapolated step and the number of columns it took; None if `most` are not enough."""
     first = slope(y)
     previous: Rows = []
     for j in range(1, most + 1):

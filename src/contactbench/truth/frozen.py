@@ -17,7 +17,7 @@ from contactbench.truth.base import digest
 
 
 def frozen_folder() -> Path | None:
-    """Where the frozen files are: beside the sources, or inside the installed package."""
+    """Return the folder of the frozen files: beside the sources, or inside the installed package."""
     here = Path(__file__).resolve()
     for folder in (here.parents[3] / "references", here.parents[1] / "_references"):
         if (folder / "MANIFEST.json").is_file():
@@ -27,13 +27,13 @@ def frozen_folder() -> Path | None:
 
 @lru_cache
 def manifest(folder: Path) -> dict[str, dict[str, Any]]:
-    """The manifest's entries by scene name."""
+    """Return the manifest's entries by scene name."""
     return json.loads((folder / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
 
 
 @lru_cache
 def table(path: Path, sha256: str) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of decimal strings of a frozen file; `BadInput` if it is not what it was."""
+    """Return header and rows of decimal strings of a frozen file; `BadInput` if it is not what it was."""
     content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != sha256:
         raise BadInput(f"{path.name}: does not match its SHA-256 in MANIFEST.json; restore the file")
@@ -42,7 +42,7 @@ def table(path: Path, sha256: str) -> tuple[list[str], list[list[str]]]:
 
 
 def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
-    """Decimals, digits and source from the frozen file of this very scene, if it has these times."""
+    """Return decimals, digits and source from the frozen file of this very scene, if it has these times."""
     folder = frozen_folder()
     wanted = digest(scene)
     for entry in manifest(folder).values() if folder else ():
@@ -59,13 +59,13 @@ def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
 
 
 def frozen_entry(scene: Scene) -> dict[str, Any] | None:
-    """The manifest's entry of this very scene, whatever its name, or None."""
+    """Return the manifest's entry of this very scene, whatever its name, or None."""
     folder, wanted = frozen_folder(), digest(scene)
     entries = manifest(folder).values() if folder else ()
     return next((entry for entry in entries if entry["scene_digest"] == wanted), None)
 
 
 def condition_number(scene: Scene) -> float | None:
-    """max_t ‖∂x(t)/∂x(0)‖₂ along the true trajectory: what errors grow to.  None where it is not stored."""
+    """Return max_t ‖∂x(t)/∂x(0)‖₂ along the true trajectory: what errors grow to.  None where it is not stored."""
     entry = frozen_entry(scene)
     return entry.get("condition_number") if entry else None

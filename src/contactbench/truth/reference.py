@@ -49,7 +49,7 @@ _cache: Cache[Reference] = Cache(1024)
 def reference(
     scene: Scene | str, times: Any, carry: Sequence[str] | None = None, seconds: float = LIVE_SECONDS
 ) -> Reference:
-    """The truth of a scene, itself or by name, at `times` (k,), any order, t ≥ 0; `carry` as in `solve`.
+    """Return the truth of a scene, itself or by name, at `times` (k,), any order, t ≥ 0; `carry` as in `solve`.
 
     seconds : how long a live computation may take; it ends sooner where it is seen to need far more.
     A time within 4 units in the last place of a frozen grid time means that grid time.
@@ -81,7 +81,7 @@ def reference(
 
 
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
-    """Decimals, digits and source from two precisions, keeping the digits that agree.
+    """Return decimals, digits and source from two precisions, keeping the digits that agree.
 
     heyoka's Taylor series where it is installed, else extrapolation in mpmath.  Enough means 20
     digits of every column and of the smallest state along the way, neither counted as less than
@@ -119,7 +119,7 @@ def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = 
 def computations(
     scene: Scene, times: list[str], carry: tuple[str, ...], deadline: float = NEVER
 ) -> Iterator[tuple[Rows, Rows]]:
-    """Pairs (more, less precise) of solutions, each pair more precise than the one before."""
+    """Return pairs (more, less precise) of solutions, each pair more precise than the one before."""
     try:
         if importlib.util.find_spec("heyoka") is not None:
             for bits in LIVE_BITS:
@@ -146,7 +146,7 @@ CONFIRMED_DIGITS = 20
 
 
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
-    """Digits of a reference that extrapolation, which shares nothing with Taylor series, agrees with; at most 20.
+    """Return the digits of a reference that extrapolation, independent of Taylor series, confirms; at most 20.
 
     t ascending.  None where there was no time for it, or the reference is from that engine itself.
     """
@@ -169,7 +169,7 @@ BLOW_UP_COLLAPSE = 1e-45
 
 
 def blow_up_time(scene: Scene) -> tuple[str, int] | None:
-    """When the trajectory reaches infinity, as a decimal string, and how many digits of it are known.
+    """Return when the trajectory reaches infinity, as a decimal string, and how many digits of it are known.
 
     Frozen where it is stored, else from heyoka's Taylor series at two precisions: steps shrink in
     proportion to the time that is left.  None if the trajectory is finite up to the scene's t_end, as
@@ -189,7 +189,7 @@ def blow_up_time(scene: Scene) -> tuple[str, int] | None:
 
 
 def taylor_blow_up(scene: Scene, bits: int) -> Any:
-    """The time of blow-up by heyoka at one precision, an mpmath number, or None."""
+    """Return the time of blow-up by heyoka at one precision, an mpmath number, or None."""
     try:
         taylor(scene, [repr(scene.t_end)], scene.carry(), bits, BLOW_UP_COLLAPSE)
     except BlowUp as found:

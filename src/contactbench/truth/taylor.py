@@ -21,7 +21,7 @@ COLLAPSE = 1e-12
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], bits: int, heyoka: Any) -> tuple[list, list]:
-    """The scene as heyoka expressions with numbers of `bits` bits, and its initial state."""
+    """Return the scene as heyoka expressions with numbers of `bits` bits, and its initial state."""
     twin = with_decimals(scene, lambda text: heyoka.real(text, bits))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
     slopes = equations(twin, variables, carry)
@@ -37,7 +37,7 @@ def taylor(
     start: list[str] | None = None,
     deadline: float = NEVER,
 ) -> Rows:
-    """States at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
+    """Return states at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
 
     start : packed initial state as decimal strings, by default the scene's own.  Raises `BlowUp` when
     a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of `perf_counter`).
@@ -76,7 +76,7 @@ def taylor(
 
 
 def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool:
-    """Whether heyoka and mpmath evaluate the same right-hand side at y to 35 digits.
+    """Return whether heyoka and mpmath evaluate the same right-hand side at y to 35 digits.
 
     They do not where a force divides by an integer that is no power of two: heyoka turns ``x / 3``
     into a product with the double nearest to 1/3.
