@@ -154,7 +154,12 @@ def test_derivatives_of_functions(name, mp50):
 
 
 # -- the engine ------------------------------------------------------------------------------------
-@pairs(FIXED, ALL_SCENES)
+def stays(method, scene):
+    """Whether a step of 0.06 is fine enough: `herglotz1` falls into the centre of force."""
+    return method.refuses(scene) is None and (method.name, scene.name) != ("herglotz1", "kepler_drag")
+
+
+@pairs(FIXED, ALL_SCENES, stays)
 @pytest.mark.quick(scene="particle")
 @pytest.mark.quick(method="contact-abc")
 def test_the_compiled_loop_is_the_same_map(method, scene):
@@ -169,7 +174,7 @@ def test_the_compiled_loop_is_the_same_map(method, scene):
             np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=2e-14 * np.abs(theirs.y).max())
 
 
-@pairs(FIXED, ALL_SCENES)
+@pairs(FIXED, ALL_SCENES, stays)
 @pytest.mark.quick(scene=("user", "rigid_body"))
 @pytest.mark.quick(method="contact-abc")
 def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):

@@ -135,6 +135,6 @@ def test_a_table_that_has_moved_on_leaves_its_documents_behind(results, capsys):
 
 
 def test_no_test_reads_what_the_benchmark_writes():
-    """The tables of a clone may be those of any run; `committed` takes them from git, if there is git."""
+    """The tables of a clone may be those of any run."""
     folder = 'REPOSITORY / "' + 'results"'
     assert not [path.name for path in TESTS.rglob("*.py") if folder in path.read_text()]

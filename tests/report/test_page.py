@@ -233,6 +233,7 @@ def test_a_table_is_drawn_when_it_is_opened_and_sorted_with_blanks_last(chrome):
     opened(chrome)
     assert len(visible(chrome, "table")) == 1  # the answers
     next(s for s in visible(chrome, ".view > summary") if s.text.startswith("All rows")).click()
+    chrome.execute_async_script("setTimeout(arguments[0], 100)")  # the event follows the click
     (head,) = (h for h in visible(chrome, ".heads th") if h.text == "n")
     for reverse in (False, True):
         head.click()

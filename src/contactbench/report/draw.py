@@ -117,7 +117,7 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
     for (_, point, curve), height in zip(ends, heights, strict=True):
         color = properties(curve)["color"]
         line = {"arrowstyle": "-", "color": color, "linewidth": 0.7, "alpha": 0.6, "shrinkB": 4, "shrinkA": 1}
-        place = {"xytext": (1.03, height), "textcoords": "axes fraction", "va": "center"}
+        place: dict[str, Any] = {"xytext": (1.03, height), "textcoords": "axes fraction", "va": "center"}
         axes.annotate(plain(curve.label), point, **place, color=color, arrowprops=line, gid="name")
     if any(curve.muted for curve in curves):
         axes.text(1.03, -0.06, f"grey: {OTHERS}", transform=axes.transAxes, fontsize=9, color="#777777")

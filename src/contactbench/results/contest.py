@@ -145,8 +145,8 @@ def costs(
         tried = [list(_costs_on(one, kind, targets, spreads[one["engine"].iloc[0]])) for one in engines]
         lead = dict(zip(keys, key, strict=True)) | {"family": own["family"].iloc[0]}
         found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
-    names = [*keys, "family", "engine", "error", "cost", "bound", "reason", "fixed", "halves", "processes"]
-    return pd.DataFrame(found, columns=names)
+    columns = ("family", "engine", "error", "cost", "bound", "reason", "fixed", "halves", "processes")
+    return pd.DataFrame(found, columns=list(dict.fromkeys([*keys, *columns])))
 
 
 def _preference(row: dict[str, Any]) -> tuple[bool, float]:
@@ -246,7 +246,17 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
                 next(part[(part["family"] == CONTACT) == own].itertuples(), None) for own in (True, False)
             )
             rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
-    names = ("scene", "error", "contact", "contact_cost", "other", "other_cost", "ratio", "margin", "winner")
+    names = (
+        "scene",
+        "error",
+        "contact",
+        "contact_cost",
+        "other",
+        "other_cost",
+        "ratio",
+        "margin",
+        "winner",
+    )
     return pd.DataFrame(rows, columns=list(names))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -73,7 +73,8 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     middle of the errors that both reach."""
     rows = contestants(work)
     table = contest.contests(contest.costs(rows[rows["scene"] == scene], COMPILED, targets=contest.TARGETS))
-    table = table[np.isfinite(table["ratio"]) & (table["ratio"] > 0)]
+    ratios = table["ratio"].astype(float)
+    table = table[np.isfinite(ratios) & (ratios > 0)]
     if not len(table):
         return f"{scene}: cost against error", []
     row = table.iloc[(len(table) - 1) // 2]
@@ -89,7 +90,7 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     return f"{scene}: {first} needs {1 / ratio:.0%} of the time of {second} {at}", [first, second]
 
 
-def live(frames: dict[str, pd.DataFrame]) -> Live | None:
+def live(frames: Mapping[str, pd.DataFrame]) -> Live | None:
     """Return every scene and kind of cost, the hard scenes in evaluations, to be chosen from."""
     work, hard = frames["work_precision"], frames["stability"]
     panels = {}

@@ -18,7 +18,7 @@ import pandas as pd
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 
-from contactbench.report.chapters import COUNT, QUESTION, Contents, Part, Section, Text
+from contactbench.report.chapters import COUNT, QUESTION, Chapter, Contents, Part, Section, Text
 from contactbench.report.drawing import Curve, Figure, Live, Panel
 from contactbench.report.look import look
 from contactbench.report.page.words import inline
@@ -109,15 +109,11 @@ def cell(of: Cell, addresses: Mapping[str, str]) -> str | list[Any]:
 
 def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
     """Return a view."""
-    heads = [
-        [str(inline(head.label)), int(head.words), head.group, inline(head.meaning).striptags()]
-        for head in view.columns
-    ]
+    heads = [[str(inline(head.label)), int(head.words), head.group] for head in view.columns]
     return {
         "title": view.title,
         "legend": str(inline(view.legend, addresses)),
         "source": view.source,
-        "map": int(view.map),
         "heads": heads,
         "rows": [[cell(entry, addresses) for entry in row] for row in view.rows],
     }
@@ -188,7 +184,7 @@ def page(
     recorded : the runs that made the tables.  glossary : parts of a last section.  links : name → address.
     """
     known: set[object] = set()
-    chapters = []
+    chapters: list[tuple[Chapter, list[dict[str, str]], list[Part]]] = []
     for one in contents:
         parts = one.parts
         if live and not chapters:  # the live plot stands for the figures of the first chapter
@@ -208,11 +204,9 @@ def page(
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {
-        "inline": lambda text: inline(text, addresses),
-        "kind": lambda part: KINDS[type(part)],
-        "grouped": grouped,
-    }
+    environment.filters["inline"] = lambda text: inline(text, addresses)
+    environment.filters["kind"] = lambda part: KINDS[type(part)]
+    environment.filters["grouped"] = grouped
     return environment.get_template("page.html").render(
         css=source("page.css"),
         script="".join(map(source, SCRIPTS)),
