@@ -29,7 +29,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.adaptive_program import recorded_loop
+from contactbench.methods.adaptive_program import record_loop
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
@@ -125,7 +125,7 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         super().__post_init__()
         r, elapsed, scene, self.loop = self.request, stopwatch(), cast("Mechanical", self.request.scene), None
         with suppress(CannotRecord):
-            loop = attempt(lambda: recorded_loop(self.composition, scene, r.carry, tangent=False))
+            loop = attempt(lambda: record_loop(self.composition, scene, r.carry, tangent=False))
             self.loop = execute(loop)
             self.compile_s = elapsed()
 
@@ -198,7 +198,7 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             scene: Any = r.scene
-            loop = attempt(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
+            loop = attempt(lambda: record_loop(self.composition, scene, r.carry, tangent, moving))
             return compile_function(loop), elapsed()
 
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)

@@ -51,10 +51,10 @@ class PythonLoop(FixedStepRun):
         spans = list(zip(h.tolist(), n.tolist(), strict=True))
         if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                return np.array(self.recorded(self.program, y0.tolist(), spans))
+                return np.array(self.run_program(self.program, y0.tolist(), spans))
         return np.array(self.as_written(y0.tolist(), spans), dtype=float)
 
-    def recorded(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
+    def run_program(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
         """States after each interval, by the recorded loop."""
         setup, run = self.functions
         numbers, data, shape = self.request.scene.numbers(), program.data.tolist(), program.shape.tolist()
