@@ -55,13 +55,7 @@ def along_time(frame: pd.DataFrame, scene: str, laws: pd.DataFrame) -> Figure:
         "colour: the closest to the true $H_0$ of contact methods of order 1, 2 and higher, RK4, Herglotz, SUNDIALS, "
         "heyoka and the other adaptive solvers."
     )
-    return Figure(
-        f"laws_{scene}",
-        message(rows, laws[laws["scene"] == scene], scene),
-        panels,
-        caption,
-        source="laws_time.csv",
-    )
+    return Figure(f"laws_{scene}", message(rows, laws[laws["scene"] == scene], scene), panels, caption)
 
 
 def message(rows: pd.DataFrame, laws: pd.DataFrame, scene: str) -> str:

@@ -28,7 +28,7 @@ def pairs(frame: pd.DataFrame) -> Iterator[Figure]:
         x, y = Axis("evaluations per unit of time", "log"), Axis("pairing defect per unit of time", "log")
         panel = Panel("", x, y, curves, spans=(ROUND_OFF,))
         caption = "Root mean square of $λ_1 + λ_2 + γ$ over one period. Shaded: round-off."
-        yield Figure("pairing", message(rows), (panel,), caption, source="long_time.csv")
+        yield Figure("pairing", message(rows), (panel,), caption)
 
 
 def message(rows: pd.DataFrame) -> str:
