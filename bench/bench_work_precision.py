@@ -83,12 +83,8 @@ def options(cell, profile):
     """The names of scene and method of a cell, and what `prepare` is given but the times to be saved."""
     name, method, engine, control, value = cell
     scene = cb.SCENES[name]
-    return name, method, {
-        **keywords(control, value),
-        "engine": engine,
-        "carry": carry_of(scene),
-        "max_steps": step_budget(profile, scene, cb.METHODS[method], engine),
-    }  # fmt: skip
+    given = {**keywords(control, value), "engine": engine, "carry": carry_of(scene)}
+    return name, method, given | {"max_steps": step_budget(profile, scene, cb.METHODS[method], engine)}
 
 
 def errors(cell, profile):
@@ -180,10 +176,8 @@ def prepared_limit(cell):
     """The same for a C loop."""
     name, method, step = cell
     scene = cb.SCENES[name]
-    row = {
-        "scene": name, "method": "limit-c", "family": "limit", "engine": "c", **controlled("step", step, method),
-        "carried": "q p", "jacobians": 0, "evaluation_kind": "gradient",
-    }  # fmt: skip
+    row = {"scene": name, "method": "limit-c", "family": "limit", "engine": "c", "carried": "q p"}
+    row |= {**controlled("step", step, method), "jacobians": 0, "evaluation_kind": "gradient"}
     made = kernel(method, scene, step)
     if isinstance(made, str):
         return row | {"status": "unsupported", "message": made}, None
@@ -192,11 +186,14 @@ def prepared_limit(cell):
     end = run()
     first = perf_counter() - start
     truth = cb.reference(scene, [scene.t_end], ()).y[0]
-    return row | {
-        "status": "ok", "message": "", "steps": round(scene.t_end / step), "evaluations": evaluations,
-        "rhs_equivalents": float(evaluations), "compile_s": 0.0, "first_call_s": first,
-        "solution_error": float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p])),
-    }, Call(run)  # fmt: skip
+    error = float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p]))
+    row |= {"status": "ok", "message": "", "compile_s": 0.0, "first_call_s": first, "solution_error": error}
+    row |= {
+        "steps": round(scene.t_end / step),
+        "evaluations": evaluations,
+        "rhs_equivalents": float(evaluations),
+    }
+    return row, Call(run)
 
 
 @pytest.mark.timed

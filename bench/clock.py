@@ -39,8 +39,11 @@ class Process:
     def __init__(self, cores: list[int], timed_on: list[int]) -> None:
         self.process = subprocess.Popen(
             [sys.executable, Path(__file__).with_name("other_process.py"), json.dumps([cores, timed_on])],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
         self.prepared = 0
 
     def prepare(self, function: Callable[..., Any], *arguments: Any) -> Remote:

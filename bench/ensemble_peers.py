@@ -48,11 +48,18 @@ def diffrax_program(name: str, shape: str, scene_name: str) -> Any:
 
     def solve(y: Any, tolerance: Any, end: Any) -> Any:
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, x, args: scene.rhs(x)), solver, 0.0, end, None,
-            scene.unpack(list(y), ()), saveat=diffrax.SaveAt(t1=True),
+            diffrax.ODETerm(lambda t, x, args: scene.rhs(x)),
+            solver,
+            0.0,
+            end,
+            None,
+            scene.unpack(list(y), ()),
+            saveat=diffrax.SaveAt(t1=True),
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
-            max_steps=10**6, adjoint=diffrax.ForwardMode(), throw=False,
-        )  # fmt: skip
+            max_steps=10**6,
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        )
         return jnp.stack([c[0] for c in scene.pack(solution.ys)]), solution.stats["num_steps"]
 
     if shape == "vmap":

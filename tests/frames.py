@@ -26,10 +26,16 @@ def row(scene: str, method: str, value: float, **more: Any) -> dict[str, Any]:
         if {f"{what}_min_s", f"{what}_s"} & {*more}
     }
     family = next((f for start, f in FAMILIES.items() if method.startswith(start)), "established")
-    return {
-        "scene": scene, "method": method, "family": family, "engine": "jax", "control": control, "value": value,
-        "variant": "", "setting": f"{control}={value:g}", "status": "ok", "message": "", **halves, **more,
-    }  # fmt: skip
+    made = {
+        "scene": scene,
+        "method": method,
+        "family": family,
+        "engine": "jax",
+        "status": "ok",
+        "message": "",
+    }
+    setting = {"control": control, "value": value, "variant": "", "setting": f"{control}={value:g}"}
+    return made | setting | halves | more
 
 
 @cache

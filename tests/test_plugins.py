@@ -12,7 +12,8 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
-from contactbench import plugins
+from contactbench import boundary, plugins
+from contactbench.cli import main
 from contactbench.report import write
 from contactbench.results.provenance import runs
 from contactbench.results.store import merge, read
@@ -36,10 +37,9 @@ def example(tmp_path_factory):
 def run(*command, **variables):
     """A command of its own, no worker of the tests."""
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    return subprocess.run(
-        [sys.executable, "-m", *map(str, command)], cwd=REPOSITORY, capture_output=True, text=True, timeout=240,
-        env={**own, "JAX_PLATFORMS": "cpu", **variables},
-    )  # fmt: skip
+    own |= {"JAX_PLATFORMS": "cpu", **variables}
+    line = [sys.executable, "-m", *map(str, command)]
+    return subprocess.run(line, cwd=REPOSITORY, capture_output=True, text=True, timeout=240, env=own)
 
 
 @pytest.fixture(scope="module")
@@ -77,10 +77,17 @@ def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
 
 @pytest.mark.slow
 def test_the_tests_take_it_in(example):
-    done = run(
-        "pytest", "tests/methods/test_contract.py", "tests/scene/test_scene_contract.py", "--plugin", example, "-q",
-        "-p", "no:cacheprovider", "-k", "(my-method and python) or double-well",
-    )  # fmt: skip
+    tests = ("tests/methods/test_contract.py", "tests/scene/test_scene_contract.py")
+    options = (
+        "--plugin",
+        example,
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-k",
+        "(my-method and python) or double-well",
+    )
+    done = run("pytest", *tests, *options)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "4 passed" in done.stdout  # on a scene of every kind, none of them put off as slow
 
@@ -91,83 +98,57 @@ def test_the_command_line_takes_it_anywhere_on_the_line(example):
         done = run("contactbench.cli", *command)
         assert done.returncode == 0, done.stderr
         out = json.loads(done.stdout)
-        assert (out["scene"], out["method"], out["counts"]["evaluations"]) == (
-            "double-well",
-            "my-method",
-            4000,
-        )
+        assert (out["scene"], out["method"], out["counts"]["evaluations"]) == (*MINE[::-1], 4000)
 
 
 # -- files that fail -------------------------------------------------------------------------------
+STEP = "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    "
+SCENE = "import contactbench as cb\ncb.SCENES.add("
 FAILURES = {
     "syntax": ("x = (", "line 1: SyntaxError"),
     "exception": ("import contactbench as cb\n\ncb.SCENES['partcle']", "line 3: UnknownName: unknown scene"),
     "nothing": ("x = 1", "registers nothing"),
-    "no scene": ("import contactbench as cb\ncb.SCENES.add(3)", "line 2: BadInput: 3 cannot be registered"),
+    "no scene": (f"{SCENE}3)", "line 2: BadInput: 3 cannot be registered"),
     "no method": ("import contactbench as cb\ncb.METHODS.add(cb.SCENES['central'])", "it is no method"),
-    "taken": ("import contactbench as cb\ncb.SCENES.add(cb.SCENES['central'])", "'central' is already registered"),
-    "name": (
-        "import contactbench as cb\ncb.SCENES.add(cb.SCENES['central'].with_(name='a/b'))",
-        "scene name 'a/b': must be letters",
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "says"), FAILURES.values(), ids=FAILURES)
-def test_a_file_that_fails_is_one_line_that_names_it(text, says, tmp_path, registries, capsys):
-    from contactbench.cli import main
-
-    path = tmp_path / "bad.py"
-    path.write_text(text)
-    assert main(["list", "--plugin", str(path)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith(f"contactbench: plug-in {path}")
-    assert says in err
-
-
-ENDS = {
+    "taken": (f"{SCENE}cb.SCENES['central'])", "'central' is already registered"),
+    "name": (f"{SCENE}cb.SCENES['central'].with_(name='a/b'))", "scene name 'a/b': must be letters"),
     "exit at import": ("import sys\nsys.exit(0)", "bad.py, line 2): SystemExit: 0"),
     "loop at import": ("while True:\n    pass", "ended after 1 s, the time it was given (--plugin-timeout"),
-    "exit in a step": (
-        "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    raise SystemExit(0)",
-        "method 'bad', step (bad.py, line 4): SystemExit: 0",
-    ),
+    "exit in a step": (f"{STEP}raise SystemExit(0)", "method 'bad', step (bad.py, line 4): SystemExit: 0"),
     "loop in a step": (
-        "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    while x:\n        pass",
+        f"{STEP}while x:\n        pass",
         "ended after 1 s, the time it was given (--plugin-timeout",
     ),
-    "a step that fails": (
-        "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    return {}['a']",
-        "method 'bad', step (bad.py, line 4): KeyError: 'a'",
-    ),
-}  # fmt: skip
+    "a step that fails": (f"{STEP}return {{}}['a']", "method 'bad', step (bad.py, line 4): KeyError: 'a'"),
+}
+
+
+@pytest.fixture
+def solve_with(registries, tmp_path, monkeypatch):
+    """Solve by the method of a plug-in that is given as text, and has a second for everything."""
+    monkeypatch.setenv(boundary.VARIABLE, "60")
+    path = tmp_path / "bad.py"
+
+    def solve(text, *more):
+        path.write_text(text)
+        line = ["solve", "particle", "bad", "--step", "0.1", "--plugin", str(path), "--plugin-timeout", "1"]
+        return main([*line, *more])
+
+    return solve
 
 
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize(("text", "says"), ENDS.values(), ids=ENDS)
-def test_a_file_that_leaves_or_never_ends_is_told(text, says, tmp_path, registries, capsys, monkeypatch):
-    from contactbench.boundary import VARIABLE
-    from contactbench.cli import main
-
-    monkeypatch.setenv(VARIABLE, "60")
-    path = tmp_path / "bad.py"
-    path.write_text(text)
-    line = ["solve", "particle", "bad", "--step", "0.1", "--plugin", str(path), "--plugin-timeout", "1"]
-    assert main(line) == 2
+@pytest.mark.parametrize(("text", "says"), FAILURES.values(), ids=FAILURES)
+def test_a_file_that_fails_leaves_or_never_ends_is_one_line(text, says, solve_with, capsys):
+    assert solve_with(text) == 2
     out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
+    assert (out, err.count("\n")) == ("", 1)
     assert says in err
+    assert err.startswith("contactbench: ")
 
 
-def test_a_traceback_is_shown_where_it_is_asked_for(tmp_path, registries, capsys):
-    from contactbench.cli import main
-
-    path = tmp_path / "bad.py"
-    path.write_text(ENDS["a step that fails"][0])
-    assert main(["list", "--plugin", str(path), "--traceback"]) == 2
+def test_a_traceback_is_shown_where_it_is_asked_for(solve_with, capsys):
+    assert solve_with(FAILURES["a step that fails"][0], "--traceback") == 2
     err = capsys.readouterr().err
     assert "Traceback (most recent call last)" in err
     assert "return {}['a']" in err
@@ -266,13 +247,19 @@ def test_entry_points_are_loaded_and_a_broken_one_is_a_warning(tmp_path):
 # -- tables and figures know nobody by name --------------------------------------------------------
 def test_rows_of_unknown_names_come_last_by_name_and_stay_together(tmp_path):
     """The same table whatever came first: scenes and methods of no registry by name, coarse to fine."""
-    merge(
-        WORK_PRECISION, [row("theirs", "b", 0.1), row("theirs", "a", 0.2), row("theirs", "b", 0.4)], tmp_path
-    )
-    frame = merge(
-        WORK_PRECISION, [row("theirs", "a", 0.1), row("particle", "a", 1), row("theirs", "rk4", 1)], tmp_path
-    )
-    assert list(zip(frame["scene"], frame["method"], frame["setting"], strict=True)) == [
-        ("particle", "a", "step=1"), ("theirs", "rk4", "step=1"), ("theirs", "a", "step=0.2"),
-        ("theirs", "a", "step=0.1"), ("theirs", "b", "step=0.4"), ("theirs", "b", "step=0.1"),
-    ]  # fmt: skip
+    theirs = [
+        row("theirs", name, step)
+        for name, step in (("b", 0.1), ("a", 0.2), ("b", 0.4), ("a", 0.1), ("rk4", 1))
+    ]
+    merge(WORK_PRECISION, theirs[:3], tmp_path)
+    frame = merge(WORK_PRECISION, [*theirs[3:], row("particle", "a", 1)], tmp_path)
+    assert (frame["scene"] + " " + frame["method"] + " " + frame["setting"]).tolist() == [
+        "particle a step=1",
+        *(
+            "theirs rk4 step=1",
+            "theirs a step=0.2",
+            "theirs a step=0.1",
+            "theirs b step=0.4",
+            "theirs b step=0.1",
+        ),
+    ]

@@ -12,10 +12,19 @@ from two_runs import main
 
 def folder(path, ours, theirs, halves=1.0):
     rows = [
-        row("particle", method, error, solution_error=error, rhs_equivalents=1 / error, time_min_s=time / error,
-            time_halves_ratio=halves, profile="smoke")
-        for method, time in (("contact-a", ours), ("rk4", theirs)) for error in (1e-2, 1e-13)
-    ]  # fmt: skip
+        row(
+            "particle",
+            method,
+            error,
+            solution_error=error,
+            rhs_equivalents=1 / error,
+            time_min_s=time / error,
+            time_halves_ratio=halves,
+            profile="smoke",
+        )
+        for method, time in (("contact-a", ours), ("rk4", theirs))
+        for error in (1e-2, 1e-13)
+    ]
     merge(WORK_PRECISION, rows, path)
     return path
 

@@ -89,17 +89,6 @@ def test_the_number_of_cores_changes_nothing(workers):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_states_are_taken_as_they_were_when_the_ensemble_began():
-    """What is returned shares no memory with what was given."""
-    start = states(100)
-    given = SCENE.unpack(tuple(start), ())
-    out = cb.ensemble(SCENE, "contact-rkn6", given, step=1.0, carry=(), progress=False)
-    before = np.array(SCENE.pack(out.final))
-    start[:] = np.nan
-    np.testing.assert_array_equal(np.array(SCENE.pack(out.final)), before)
-    assert not any(np.shares_memory(a, start) for a in SCENE.pack(out.final))
-
-
 def test_a_loop_is_recorded_once_for_all_calls(monkeypatch):
     """Recording takes milliseconds, which every ensemble's call would add to its own time."""
 

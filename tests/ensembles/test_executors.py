@@ -120,8 +120,6 @@ def test_a_chunk_is_given_again_but_not_for_ever(alone):
 
 def test_an_error_of_the_chunk_itself_is_not_tried_again():
     executor = Losing(0)
+    own = {"parameters": {"gamma": np.full(4, 0.1)}, "engine": "numba", "progress": False}
     with pytest.raises(cb.BadInput, match="engine = 'numba'"):
-        cb.ensemble(
-            SCENE, "rk4", {"q": (np.ones(4), 0.5)}, step=0.1, parameters={"gamma": np.full(4, 0.1)},
-            engine="numba", executor=executor, progress=False,
-        )  # fmt: skip
+        cb.ensemble(SCENE, "rk4", {"q": (np.ones(4), 0.5)}, step=0.1, executor=executor, **own)

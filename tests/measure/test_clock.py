@@ -58,9 +58,14 @@ class Scripted:
 def test_the_least_round_is_the_estimate_and_median_and_spread_stay():
     columns = time_columns([Visit([3.0, 2.0, 4.0], iterations=7), Visit([6.0, 1.0, 5.0], iterations=9)])
     assert columns == {
-        "time_min_s": 1.0, "time_median_s": 3.5, "time_iqr_s": 2.5, "time_halves_ratio": 0.5, "visits": 2, "rounds": 6,
+        "time_min_s": 1.0,
+        "time_median_s": 3.5,
+        "time_iqr_s": 2.5,
+        "time_halves_ratio": 0.5,
+        "visits": 2,
+        "rounds": 6,
         "iterations": 9,
-    }  # fmt: skip
+    }
 
 
 def test_the_halves_are_odd_and_even_visits():
@@ -165,8 +170,10 @@ def test_an_interrupted_race_keeps_the_visits_it_finished():
 def test_a_slow_phase_changes_no_verdict(slow):
     """The machine takes half as long again in some visits, in which only one of the two calls is met."""
     times = {"a": 1.00, "b": 1.10, "c": 1.02}
-    met = {name: [Visit([t * (1.5 if v in slow and name == "a" else 1.0)]) for v in range(VISITS)] for name, t in
-           times.items()}  # fmt: skip
+    met = {
+        name: [Visit([t * (1.5 if v in slow and name == "a" else 1.0)]) for v in range(VISITS)]
+        for name, t in times.items()
+    }
     columns = {name: time_columns(visits) for name, visits in met.items()}
 
     def judged(a, b):

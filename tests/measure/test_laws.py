@@ -18,9 +18,14 @@ from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)
 WELL = cb.Mechanical(
-    name="well", potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, gradient=lambda q: (q[0] ** 3 - q[0],),
-    gamma=0.125, q=(0.75,), p=(0.0,), t_end=20.0,
-)  # fmt: skip
+    name="well",
+    potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
+    gradient=lambda q: (q[0] ** 3 - q[0],),
+    gamma=0.125,
+    q=(0.75,),
+    p=(0.0,),
+    t_end=20.0,
+)
 STANDARD = [
     *(cb.SCENES[n] for n in ("oscillator", "particle", "central", "rigid_body", "rigid_body_anisotropic")),
     # no damping, energies below zero, states far from one
@@ -96,9 +101,14 @@ def test_energy_increases_counts_the_steps_on_which_energy_grows():
 def test_energy_that_stays_does_not_grow_whatever_its_sign_and_size(bottom, size):
     """H0 a constant of either sign but for round-off of 2 ε, and one saved time 10 ε away: one rise."""
     scene = cb.Mechanical(
-        name="level", potential=lambda q: q[0], gradient=lambda q: (1.0,), gamma=0.1, q=(bottom * size,),
-        p=(0.0,), t_end=4.0,
-    )  # fmt: skip
+        name="level",
+        potential=lambda q: q[0],
+        gradient=lambda q: (1.0,),
+        gamma=0.1,
+        q=(bottom * size,),
+        p=(0.0,),
+        t_end=4.0,
+    )
     eps = np.finfo(float).eps
     level = bottom * size * (1 + eps * np.array([0, 2, 0, 10, 0, 2, 0]))
     y = np.stack([level, 0 * level], axis=1)

@@ -189,10 +189,12 @@ def test_the_slow_rate_is_the_one_orbits_show():
 @pytest.mark.parametrize(
     ("name", "off"),
     [
-        ("cvode-adams", 0.3), ("contact-adaptive", 1e-4), ("contact-strang", 1e-4),
+        ("cvode-adams", 0.3),
+        ("contact-adaptive", 1e-4),
+        ("contact-strang", 1e-4),
         pytest.param("diffrax-dopri8", 0.3, marks=pytest.mark.slow),
     ],
-)  # fmt: skip
+)
 def test_weak_damping_is_measured_at_the_same_cost(name, off):
     """At eight evaluations a unit of time the dissipation of a peer is a good part of the true one."""
     from stability_rows import COST, weak_row

@@ -76,12 +76,16 @@ def test_a_noisy_cell_says_nothing_of_processes():
 @pytest.mark.parametrize(
     ("ratio", "within", "expected"),
     [
-        (1.06, 1.05, Verdict.loss), (1 / 1.06, 1.05, Verdict.win), (1.04, 1.05, Verdict.tie),
+        (1.06, 1.05, Verdict.loss),
+        (1 / 1.06, 1.05, Verdict.win),
+        (1.04, 1.05, Verdict.tie),
         (1 / 1.04, 1.05, Verdict.tie),
-        (1.04, 2 * WIDEST, Verdict.undecided), (46.0, 56.0, Verdict.undecided), (60.0, 56.0, Verdict.loss),
+        (1.04, 2 * WIDEST, Verdict.undecided),
+        (46.0, 56.0, Verdict.undecided),
+        (60.0, 56.0, Verdict.loss),
         (1e9, math.inf, Verdict.undecided),
     ],
-)  # fmt: skip
+)
 def test_a_verdict_is_a_tie_only_where_the_clock_can_tell(ratio, within, expected):
     assert verdict(ratio, within) is expected
 

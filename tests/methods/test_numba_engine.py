@@ -17,10 +17,10 @@ from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.callback import record_function
 from contactbench.solution import Status
-from contactbench.trace.compiled import compiled
+from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS
 from contactbench.trace.program import record
-from contactbench.trace.python import executed, source
+from contactbench.trace.python import execute, source
 from contactbench.trace.recording import ALIASES
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
@@ -89,7 +89,7 @@ def test_every_operation_is_compiled_to_what_it_is():
     program = record(every_operation, 1, d, 1, 1e6)
     w, y = np.empty((1, program.width)), np.empty((1, d))
     start, shape = np.full(d, INSIDE), np.append(program.shape, 0)
-    for back_end in (compiled, executed):
+    for back_end in (compile_function, execute):
         setup, run = back_end(program.setup), back_end(program.run)
         y[:] = math.nan
         setup(np.array(numbers), np.array([[h, n]]), program.data, program.shape, w)
@@ -101,11 +101,11 @@ def test_every_operation_is_compiled_for_many_states_side_by_side():
     """Every lane is the run of its own state."""
     program = record(every_operation_of_one, 1, 1, 1, 1e6)
     w, shape = np.empty((1, program.width)), np.append(program.shape, 0)
-    run, lanes = compiled(program.run), 4
-    compiled(program.setup)(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
+    run, lanes = compile_function(program.run), 4
+    compile_function(program.setup)(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
     starts = np.linspace(0.2, 0.4, 3 * lanes)[None]
     ends = np.full((1, *starts.shape), math.nan)
-    compiled(program.many, lanes)(starts, w, shape, ends, np.array([1, 3]))
+    compile_function(program.many, lanes)(starts, w, shape, ends, np.array([1, 3]))
     alone = np.empty((1, 1))
     for k in range(lanes, 3 * lanes):
         run(starts[:, k].copy(), w, shape, alone)
@@ -154,30 +154,25 @@ def test_derivatives_of_functions(name, mp50):
 
 
 # -- the engine ------------------------------------------------------------------------------------
-@pairs(FIXED, ALL_SCENES)
+def stays(method, scene):
+    """Whether a step of 0.06 is fine enough: `herglotz1` falls into the centre of force."""
+    return method.refuses(scene) is None and (method.name, scene.name) != ("herglotz1", "kepler_drag")
+
+
+@pairs(FIXED, ALL_SCENES, stays)
 @pytest.mark.quick(scene="particle")
 @pytest.mark.quick(method="contact-abc")
-def test_the_compiled_loop_is_the_same_map(method, scene):
-    """As plain Python, to round-off: uneven saved times, other initial data, every field carried or none."""
-    times = [0.0, 0.5, 0.75, 2.0]
+def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
+    """As the step map is written, to round-off: uneven saved times, every field carried or none."""
     for carry in {scene.carry(()), scene.carry()}:
-        options = {"step": 0.06, "save_at": times, "carry": carry}
+        options = {"step": 0.06, "save_at": [0.5, 0.75, 2.0], "carry": carry}
         run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
-        for data in ({}, {"s": 0.4} if "s" in carry else {}):
-            ours, theirs = run(**data), plain(**data)
-            assert (ours.status, ours.counts) == (Status.ok, theirs.counts)
-            np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=2e-14 * np.abs(theirs.y).max())
-
-
-@pairs(FIXED, ALL_SCENES)
-@pytest.mark.quick(scene=("user", "rigid_body"))
-@pytest.mark.quick(method="contact-abc")
-def test_python_runs_the_recorded_loop_as_the_map_is_written(method, scene):
-    run = cb.prepare(scene, method.name, engine="python", step=0.06, save_at=[0.5, 0.75, 2.0])
-    y0, spans = run.start.tolist(), list(zip(run.h.tolist(), run.n.tolist(), strict=True))
-    ours, theirs = np.array(run.recorded(run.program, y0, spans)), np.array(run.as_written(y0, spans))
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-14 * np.abs(theirs).max())
-    assert np.array_equal(run().y, ours)
+        spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
+        written = np.array(plain.as_written(plain.start.tolist(), spans))
+        assert plain.program is not None
+        for solution in run(), plain():
+            assert (solution.status, solution.counts) == (Status.ok, plain.totals)
+            np.testing.assert_allclose(solution.y, written, rtol=0, atol=2e-14 * np.abs(written).max())
 
 
 @pairs(FIXED, ALL_SCENES)
@@ -304,32 +299,23 @@ print(sum(run.run.stats.cache_hits.values()), run().y[-1].tolist())
 """
 
 
-def test_a_second_process_compiles_nothing(tmp_path):
-    environment = {"CONTACTBENCH_CACHE": str(tmp_path), "PYTHONPATH": str(REPOSITORY / "src")}
+def run_elsewhere(folder):
+    environment = os.environ | {"CONTACTBENCH_CACHE": str(folder), "PYTHONPATH": str(REPOSITORY / "src")}
+    command = [sys.executable, "-c", SECOND]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.split(" ", 1)
 
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", SECOND],
-            env=os.environ | environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split(" ", 1)
-        for _ in range(2)
-    ]
-    assert [hits for hits, _ in said] == ["0", "1"]
-    assert said[0][1] == said[1][1]
+
+def test_a_second_process_compiles_nothing(tmp_path):
+    (none, states), (one, again) = run_elsewhere(tmp_path), run_elsewhere(tmp_path)
+    assert (none, one) == ("0", "1")
+    assert states == again
     assert len(list(tmp_path.glob("programs/*.py"))) == 1
 
 
 def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
     (tmp_path / "file").write_text("")
-    environment = {"CONTACTBENCH_CACHE": str(tmp_path / "file"), "PYTHONPATH": str(REPOSITORY / "src")}
-
-    done = subprocess.run(
-        [sys.executable, "-c", SECOND], env=os.environ | environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    assert run_elsewhere(tmp_path / "file")[0] == "0"
 
 
 # -- ensembles -------------------------------------------------------------------------------------

@@ -28,10 +28,14 @@ ERRORS = (1e-2, 1e-5)
 def double_well():
     """A scene of nobody's: there is no stored reference of it."""
     return cb.Mechanical(
-        name="well", q=(0.5, 0.3), p=(0.8, 0.1), gamma=0.05, t_end=5.0,
+        name="well",
+        q=(0.5, 0.3),
+        p=(0.8, 0.1),
+        gamma=0.05,
+        t_end=5.0,
         potential=lambda q: (q[0] ** 2 - 1) ** 2 / 4 + q[1] ** 2 / 2,
         gradient=lambda q: (q[0] ** 3 - q[0], q[1]),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")

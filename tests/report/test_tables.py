@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from contactbench.report import damping, ensemble, limits, long_time, stability, work_precision
 from contactbench.report.equal_cost import equal_cost_view, mission_view, most_met_cost
-from contactbench.report.escape import blow_up_view
 from contactbench.report.views import Mark
 from contactbench.results.contest import COMPILED
 from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
@@ -71,7 +71,7 @@ def cost(method, factor=1.0, **more):
 
 def test_the_cheapest_is_named_with_the_factor_of_the_best_contact_method():
     lost = work_precision.contest(table("work_precision", [*cost("contact-a", 2.0), *cost("rk4")]), COMPILED)
-    cell = work_precision.winners_view(lost, "w", "").rows[0][1]
+    cell = work_precision.winners_view(lost, "w").rows[0][1]
     assert cell.text.startswith("rk4 ")
     assert cell.text.endswith("(contact ×2.00)")
     assert cell.mark is None
@@ -79,7 +79,7 @@ def test_the_cheapest_is_named_with_the_factor_of_the_best_contact_method():
     assert line[1].text.startswith("4 of 4: ")
     assert line[1].text.endswith("rk4 ×2.00")
     won = work_precision.contest(table("work_precision", [*cost("contact-a"), *cost("rk4", 2.0)]), COMPILED)
-    assert work_precision.winners_view(won, "w", "").rows[0][1].mark is Mark.best
+    assert work_precision.winners_view(won, "w").rows[0][1].mark is Mark.best
     assert not work_precision.losses_view({"time": won.contests}, "l").rows
 
 
@@ -92,24 +92,14 @@ def test_a_cost_that_is_mostly_fixed_is_marked():
 
 
 # -- hard scenes -----------------------------------------------------------------------------------
-def test_blow_up_is_one_line_per_method_and_each_criterion_has_its_own_columns():
-    def run(method, value, end, **more):
-        ends = {"status": "diverged", "blow_up_time": 2.0, "end_time": 2.0 + end}
-        return row("escape", method, value, **ends, rhs_equivalents=8, **more)
-
-    rows = [run("rk4", 0.1, -0.02), run("rk4", 0.01, -0.01), run("cvode-bdf", 1e-9, 0.0, control="rtol")]
-    lines = texts(blow_up_view(table("stability", rows)))
-    assert lines["rk4"] == ["diverged", "-0.500 %", "-1.000 %", "-0.500 %", "—", "—", "—"]
-    assert lines["cvode-bdf"] == ["diverged", "—", "—", "—", "+0.000 %", "+0.000 %", "+0.000 %"]
-
-
-def test_a_setting_that_was_not_run_is_no_ending():
+def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does_is_right():
     rows = [
         row("critical", "rk4", 0.1, status="budget", end_time=1.0),
         row("critical", "rk4", 0.01, status="budget"),
         row("critical", "rk4", 0.001, status="unsupported"),
     ]
-    assert len(stability.tried_runs(table("stability", rows))) == 1
+    rows += [row("escape", "rk4", 0.1, status=s, end_time=1.0, blow_up_time=1.5) for s in ("diverged", "ok")]
+    assert stability.started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
 
 
 def test_the_worst_of_a_law_is_bold_only_where_every_run_keeps_it():
@@ -122,11 +112,9 @@ def test_the_worst_of_a_law_is_bold_only_where_every_run_keeps_it():
 def test_the_first_loss_of_stability_is_marked_where_larger_steps_are_stable_again():
     one = {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8}
     rows = [one | {"windows": "", "theory": 2.8}, one | {"gamma": 1.0, "windows": "1…2", "theory": math.inf}]
-    view = limits.limit_view(table("stability_limits", rows), "limit", "v", "t")
-    assert [(cell.text, cell.mark) for cell in view.rows[0][1:]] == [
-        ("2.8 (2.8)", None),
-        ("2.8 (∞)", Mark.exception),
-    ]
+    view = limits.limit_view(table("stability_limits", rows), "limit")
+    cells = [(cell.text, cell.mark) for cell in view.rows[0][1:]]
+    assert cells == [("2.8 (2.8)", None), ("2.8 (∞)", Mark.exception)]
 
 
 # -- damping ---------------------------------------------------------------------------------------
@@ -146,12 +134,10 @@ def test_rates_are_compared_at_equal_cost_and_ties_are_named():
 
 
 def test_a_method_is_usable_up_to_the_first_damping_at_which_it_is_worse():
-    rows = [
-        {"method": m, "family": "contact", "gamma": 1.0, "damping_per_evaluation": d, "step": 0.1, "error": e}
-        for m, errors in (("contact-strang", (1.0, 1.0, 1.0)), ("contact-bm4", (0.1, 2.0, 0.1)))
-        for d, e in zip((0.1, 0.2, 0.3), errors, strict=True)
-    ]
-    assert damping.usable(table("strong_damping", rows), "contact-bm4", 1.0) == 0.1
+    own, base = (
+        {"damping_per_evaluation": [0.1, 0.2, 0.3], "error": e} for e in ([0.1, 2.0, 0.1], [1.0] * 3)
+    )
+    assert damping.usable(pd.DataFrame(own), pd.DataFrame(base)) == 0.1
 
 
 # -- ensembles -------------------------------------------------------------------------------------

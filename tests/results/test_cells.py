@@ -44,10 +44,8 @@ def methods(results, table=CONVERGENCE):
 
 
 def row(method="rk4", setting="step=0.1", **more):
-    return {
-        "scene": "particle", "method": method, "engine": "jax", "setting": setting, "status": "ok",
-        "message": "", "profile": "smoke", **more,
-    }  # fmt: skip
+    made = {"scene": "particle", "method": method, "engine": "jax", "setting": setting}
+    return made | {"status": "ok", "message": "", "profile": "smoke"} | more
 
 
 def test_a_run_ends_in_the_tables(tmp_path):
@@ -189,7 +187,8 @@ def assert_there_once(results, entries):
                 assert mine[column].iloc[0] == pytest.approx(one[column], rel=1e-5, nan_ok=True), column
 
 
-@pytest.mark.parametrize("moment"([0, 1, 4], 1), ids="killed after {} cells".format)
+@pytest.mark.parametrize("moment", [0, 1, 4], ids="killed after {} cells".format)
+@pytest.mark.quick(moment=1)
 def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
     process = bench(tmp_path, SMALL)
     deadline = time.monotonic() + 60

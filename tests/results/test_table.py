@@ -28,16 +28,13 @@ from contactbench.results.tables import (
 
 
 def row(method="rk4", step=0.1, error=1e-3, **more):
-    return {
-        "scene": "particle", "method": method, "engine": "jax", **controlled("step", step), "status": "ok",
-        "message": "", "step": step, "solution_error": error, "steps": 200, "profile": "smoke", **more,
-    }  # fmt: skip
+    made = {"scene": "particle", "method": method, "engine": "jax", "status": "ok", "profile": "smoke"}
+    return made | controlled("step", step) | {"step": step, "solution_error": error, "steps": 200} | more
 
 
 def timed(method="rk4", seconds=1.0, **more):
-    return {name: value for name, value in row(method).items() if name != "step"} | {
-        "time_median_s": seconds, "rounds": 6, **more,
-    }  # fmt: skip
+    untimed = {name: value for name, value in row(method).items() if name != "step"}
+    return untimed | {"time_median_s": seconds, "rounds": 6} | more
 
 
 def test_a_row_comes_back_typed(tmp_path):
@@ -254,8 +251,9 @@ def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_pat
     }
     assert ran("two", ["laws"], commit="b")["two"] == {"laws": "part"}
     assert ran("three", ["laws"], ["laws"], commit="c") == {
-        "one": {"convergence": "whole"}, "three": {"laws": "whole"},
-    }  # fmt: skip
+        "one": {"convergence": "whole"},
+        "three": {"laws": "whole"},
+    }
     assert set(ran("four", ["laws"], commit="d")) == {"one", "three", "four"}
     assert set(ran("five", ["laws"], commit="d")) == {"one", "three", "five"}  # four again
     assert set(ran("six", ["laws", "convergence"], ["laws", "convergence"])) == {"six"}

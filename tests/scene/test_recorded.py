@@ -14,7 +14,7 @@ import pytest
 import contactbench as cb
 from contactbench.peers import heyoka
 from contactbench.scene import Mechanical
-from contactbench.trace.compiled import compiled
+from contactbench.trace.compiled import compile_function
 from contactbench.trace.formula import formula
 
 
@@ -423,6 +423,6 @@ def test_methods_whose_steps_follow_from_rtol_alone_take_no_other_tolerance(meth
 def test_equal_programs_are_compiled_once():
     """Two functions that compute the same are one to the compiler."""
     cb.solve(oscillator(*from_a_closure()[:2]), "rk4", step=0.1)
-    before = compiled.cache_info().misses
+    before = compile_function.cache_info().misses
     cb.solve(oscillator(*from_an_attribute()[:2]), "rk4", step=0.1)
-    assert compiled.cache_info().misses == before
+    assert compile_function.cache_info().misses == before

@@ -142,12 +142,10 @@ def test_the_rule_integrates_polynomials_with_all_digits_of_its_numbers():
     for xp, bound in ((math, 4e-16), (decimal_context(60), 1e-58)):
         nodes, weights, matrix = quadrature.rule(xp)
         for k in range(16):
-            assert abs(quadrature.weighted(weights, [c**k for c in nodes]) * (k + 1) - 1) < 4 * bound
+            assert abs(quadrature.weigh(weights, [c**k for c in nodes]) * (k + 1) - 1) < 4 * bound
         for c, row_of in zip(nodes, matrix, strict=True):
             for k in range(8):
-                assert (
-                    abs(quadrature.weighted(row_of, [c**k for c in nodes]) * (k + 1) - c ** (k + 1)) < bound
-                )
+                assert abs(quadrature.weigh(row_of, [c**k for c in nodes]) * (k + 1) - c ** (k + 1)) < bound
 
 
 def test_integrals_of_the_damping_are_those_in_closed_form_where_there_is_one():

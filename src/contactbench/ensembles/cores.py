@@ -13,7 +13,7 @@ from contactbench.ensembles.devices import Result
 from contactbench.ensembles.measures import deviation, furthest, quantity, within
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.numba_engine import Loop
-from contactbench.trace.compiled import compiled
+from contactbench.trace.compiled import compile_function
 
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
 LANES = 32
@@ -29,7 +29,7 @@ def on_cores(
     No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
     and a few are always begun ahead of the one that is asked for.
     """
-    many = compiled(loop.program.many, LANES)
+    many = compile_function(loop.program.many, LANES)
     rows, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
     share = equal_share(y0.shape[1], cores, chunk)
     ahead: deque[Future[Result]] = deque()

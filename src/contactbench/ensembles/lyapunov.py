@@ -29,7 +29,7 @@ from contactbench.peers.abi import FACTS, KNOWN
 from contactbench.peers.abi.cyrk import SUCCESS
 from contactbench.peers.cyrk import CyrkRun
 from contactbench.scene import Scene
-from contactbench.trace.compiled import compiled
+from contactbench.trace.compiled import compile_function
 
 #: ``(x, v) -> (x, v, evaluations)``: states (d, n) and tangents (m, d, n) over one interval, and what it cost, (n,)
 TangentMap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]
@@ -201,7 +201,7 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
     """Return the map by dual numbers through the compiled steps: a trajectory for every tangent of every member."""
     r = run.request
     loop = loop_of(run.method_, r.scene, r.carry, tangent=True)
-    many = compiled(loop.program.many, LANES)
+    many = compile_function(loop.program.many, LANES)
     rows, shape = loop.rows(np.array(r.scene.numbers()), run.h, run.n)
     evaluations = run.totals.evaluations
 

@@ -145,10 +145,8 @@ def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
     """Return the time columns of one call: the estimate is the least round, the rest says how it came about."""
     rounds = np.concatenate([visit.whole for visit in visits])
     low, median, high = np.percentile(rounds, (25, 50, 75)).tolist()
-    columns = {
-        "time_min_s": least(visits), "time_median_s": median, "time_iqr_s": high - low,
-        "visits": len(visits), "rounds": len(rounds), "iterations": visits[-1].iterations,
-    }  # fmt: skip
+    columns = {"time_min_s": least(visits), "time_median_s": median, "time_iqr_s": high - low}
+    columns |= {"visits": len(visits), "rounds": len(rounds), "iterations": visits[-1].iterations}
     if len(visits) > 1:
         columns["time_halves_ratio"] = least(visits[1::2]) / least(visits[::2])
     return columns

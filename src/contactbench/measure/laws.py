@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LAWS = Registry("law", Law)
+#: the documents that show the laws read most
+BOTH = ("laws", "stability")
 
 
 def law(
@@ -89,7 +91,7 @@ def absolute_error(solution: Solution) -> tuple[np.ndarray, float]:
     return np.linalg.norm(numerical - exact, axis=1), float(np.linalg.norm(exact, axis=1).max())
 
 
-@law("max ‖y − y*‖ / max ‖y*‖", "solution error", shown=("laws", "stability"))
+@law("max ‖y − y*‖ / max ‖y*‖", "solution error", shown=BOTH)
 def solution_error(solution: Solution) -> float:
     error, size = absolute_error(solution)
     return float(error.max() / size)
@@ -102,7 +104,7 @@ def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray, float]:
     return scene.energy(solution.states()), scene.energy(exact), float(scene.energy(solution.start()))
 
 
-@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=("laws", "stability"))
+@law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=BOTH)
 def energy_law(solution: Solution) -> float:
     numerical, exact, start = energies(solution)
     return float(np.abs(numerical - exact).max() / abs(start))
@@ -142,9 +144,12 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
 
 
 @law(
-    f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}", "H law",
-    needs=("s",), applies=lambda scene: scene.has_hamiltonian_law, shown=("laws", "stability"),
-)  # fmt: skip
+    f"max |H e^{{∫Γ'}} − H(y₀)| / |H(y₀)|; {RATE}",
+    "H law",
+    needs=("s",),
+    applies=lambda scene: scene.has_hamiltonian_law,
+    shown=BOTH,
+)
 def hamiltonian_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
     value, terms = scene.hamiltonian(states), scene.hamiltonian_terms(states)
@@ -154,9 +159,11 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 
 @law(
     "max |H̃ e^{γt} − H̃(y₀)| / |H̃(y₀)|, H̃ = H + O(h^p) the modified Hamiltonian up to h⁴, of which the numerical "
-    "flow is the exact one up to h⁶; blank for a method that is not known to have one", "modified H law",
-    needs=("s",), applies=lambda scene: has_linear_damping(scene) and scene.has_hamiltonian_law,
-)  # fmt: skip
+    "flow is the exact one up to h⁶; blank for a method that is not known to have one",
+    "modified H law",
+    needs=("s",),
+    applies=lambda scene: has_linear_damping(scene) and scene.has_hamiltonian_law,
+)
 def modified_hamiltonian(solution: Solution) -> Deviation | float:
     scene, states, run = solution.scene, solution.states(), solution.run
     if run is None:
@@ -201,19 +208,23 @@ def momentum_deviation(solution: Solution) -> Deviation:
 
 
 @law(
-    f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}", "J law",
-    needs=("R",), applies=lambda scene: scene.is_contact and scene.has_momentum_law,
-    gate=Gate.structure, shown=("laws", "stability"),
+    f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}",
+    "J law",
+    needs=("R",),
+    applies=lambda scene: scene.is_contact and scene.has_momentum_law,
+    gate=Gate.structure,
+    shown=BOTH,
     claimed=lambda solution: is_of_contact_flows(solution) and knows_factor(solution),
-)  # fmt: skip
+)
 def momentum_law(solution: Solution) -> Deviation:
     return momentum_deviation(solution)
 
 
 @law(
-    "max |J − J*| e^{γt} / max |J* e^{γt}|, J* of the truth: J' = −γJ − ∂V/∂θ", "J balance",
+    "max |J − J*| e^{γt} / max |J* e^{γt}|, J* of the truth: J' = −γJ − ∂V/∂θ",
+    "J balance",
     applies=lambda scene: scene.has_torque,
-)  # fmt: skip
+)
 def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
     weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
@@ -226,10 +237,8 @@ def momentum_balance(solution: Solution) -> float:
 
 # -- contact structure -----------------------------------------------------------------------------
 #: what the laws of Φ*η have in common
-CONTACT: dict[str, Any] = {
-    "needs": ("R", "s"), "applies": lambda scene: scene.is_contact, "gate": Gate.structure,
-    "differentiates": True,
-}  # fmt: skip
+CONTACT: dict[str, Any] = {"needs": ("R", "s"), "gate": Gate.structure, "differentiates": True}
+CONTACT["applies"] = lambda scene: scene.is_contact
 FROZEN = "the steps taken held fixed"
 
 
@@ -257,9 +266,12 @@ def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
 
 
 @law(
-    f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}", "contact drift",
-    shown=("laws", "stability"), claimed=is_contact_map, **CONTACT,
-)  # fmt: skip
+    f"‖Φ*η − e^{{−∫Γ'}} η‖ / ‖e^{{−∫Γ'}} η‖; {RATE}",
+    "contact drift",
+    shown=BOTH,
+    claimed=is_contact_map,
+    **CONTACT,
+)
 def contact_drift(solution: Solution) -> Deviation | float:
     return contact_deviation(solution, pullback(solution, solution.differential))
 
@@ -269,10 +281,7 @@ def distribution_drift(solution: Solution) -> Deviation | float:
     return distribution_deviation(pullback(solution, solution.differential))
 
 
-@law(
-    f"contact_drift with {FROZEN}", "contact drift, steps frozen",
-    **CONTACT,
-)  # fmt: skip
+@law(f"contact_drift with {FROZEN}", "contact drift, steps frozen", **CONTACT)
 def contact_drift_frozen(solution: Solution) -> Deviation | float:
     return contact_deviation(solution, pullback(solution, solution.frozen_differential))
 
@@ -286,8 +295,10 @@ def distribution_drift_frozen(solution: Solution) -> Deviation | float:
     "‖Φ*η − cη‖ / |c|‖η‖, c the product of the conformal factors of the contact maps applied, each taken "
     "from its formula at the numerical state; blank for a method that is no composition of such maps, and where "
     "a factor is negative",
-    "drift from its own factor", claimed=is_composed, **CONTACT,
-)  # fmt: skip
+    "drift from its own factor",
+    claimed=is_composed,
+    **CONTACT,
+)
 def own_factor_drift(solution: Solution) -> Deviation | float:
     log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
     if log_factor is None or pulled is None or np.isnan(log_factor).any():
@@ -298,16 +309,16 @@ def own_factor_drift(solution: Solution) -> Deviation | float:
 
 # -- pairs of Lyapunov exponents -------------------------------------------------------------------
 #: what the laws of pairs have in common
-PAIRS: dict[str, Any] = {
-    "applies": has_linear_damping, "gate": Gate.structure, "differentiates": True,
-}  # fmt: skip
+PAIRS: dict[str, Any] = {"applies": has_linear_damping, "gate": Gate.structure, "differentiates": True}
 
 
 @law(
     "max ‖σ_i σ_{2n+1−i} − e^{−γt}‖ / ‖e^{−γt}‖ over the n pairs of singular values of the tangent map of (q, p), "
-    "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖", "pairing drift",
-    claimed=is_contact_map, **PAIRS,
-)  # fmt: skip
+    "e^{−∫γ} where γ changes with time; relative to no less than a thousandth of σ_1‖σ‖",
+    "pairing drift",
+    claimed=is_contact_map,
+    **PAIRS,
+)
 def pairing_drift(solution: Solution) -> Deviation | float:
     return pairing_deviation(solution, solution.differential, decay_rate(solution))
 
@@ -318,10 +329,13 @@ def pairing_drift_frozen(solution: Solution) -> Deviation | float:
 
 
 @law(
-    "max ‖RᵀR − 1‖_F; R of degree two in a quaternion whose length is free", "attitude drift",
-    needs=("R",), applies=lambda scene: "R" in scene.optional,
-    gate=Gate.structure, claimed=is_of_contact_flows,
-)  # fmt: skip
+    "max ‖RᵀR − 1‖_F; R of degree two in a quaternion whose length is free",
+    "attitude drift",
+    needs=("R",),
+    applies=lambda scene: "R" in scene.optional,
+    gate=Gate.structure,
+    claimed=is_of_contact_flows,
+)
 def attitude_drift(solution: Solution) -> float:
     R = solution.R
     assert R is not None
@@ -329,9 +343,11 @@ def attitude_drift(solution: Solution) -> float:
 
 
 @law(
-    "saved steps on which H0 grows although γ > 0", "H0 grows",
-    applies=lambda scene: not scene.may_gain_energy, gate=Gate.count,
-)  # fmt: skip
+    "saved steps on which H0 grows although γ > 0",
+    "H0 grows",
+    applies=lambda scene: not scene.may_gain_energy,
+    gate=Gate.count,
+)
 def energy_increases(solution: Solution) -> float:
     energy = solution.scene.energy(solution.states())
     energy = np.concatenate([[solution.scene.energy(solution.start())], energy])
@@ -424,9 +440,12 @@ def judgements(
         growth = 1.0 if name in OF_THE_STATE else of_map
         bound = float(structural_bound(growth, solution.counts.evaluations or 0))
         judged, kept, undecided = judge(
-            measured.value, bound, measured.uncertainty or 0.0,
-            measured.clamped is not None and measured.clamped >= len(solution.t), columns["solution_error"],
-        )  # fmt: skip
+            measured.value,
+            bound,
+            measured.uncertainty or 0.0,
+            measured.clamped is not None and measured.clamped >= len(solution.t),
+            columns["solution_error"],
+        )
         answers = (
             (None if undecided else bool(kept), bool(undecided), bound) if judged else (None, None, math.nan)
         )

@@ -15,7 +15,7 @@ from contactbench.trace.form import Assign, Element, Function, Loop, Operation, 
 from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, operand_of
 
 
-def recorded_loop(
+def record_loop(
     composition: Composition, scene: Mechanical, carry: tuple[str, ...], tangent: bool, moving: bool = False
 ) -> Function:
     """``run(start, numbers, options, times, y, facts)``, the loop over steps and saved times.

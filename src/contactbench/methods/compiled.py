@@ -12,7 +12,7 @@ import numpy as np
 
 from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.scene.cache import Cache, key
-from contactbench.trace.recording import advised
+from contactbench.trace.recording import reason_of
 
 _programs: Cache[tuple[Any, float]] = Cache(1024)
 
@@ -100,7 +100,7 @@ class CompiledRun(Prepared):
             try:
                 return jax.jit(function).lower(*arguments).compile(), elapsed()
             except jax.errors.JAXTypeError as error:
-                raise advised(error) from error
+                raise reason_of(error) from error
 
         return _programs.get(key(self.identity, purpose, self.request.carry, *self.key()), make)
 

@@ -29,13 +29,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.adaptive_program import recorded_loop
+from contactbench.methods.adaptive_program import record_loop
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared, Refused, stopwatch
 from contactbench.methods.request import NO_NUMBER
 from contactbench.methods.step_density import first_density, next_density
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Mechanical, Scene
 from contactbench.scene.cache import Cache, key
@@ -43,9 +44,9 @@ from contactbench.solution import DIVERGENCE, Counts, Differential, Status, dive
 from contactbench.splitting.composition import advance, own_equations, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
-from contactbench.trace.compiled import compiled
-from contactbench.trace.python import executed
-from contactbench.trace.recording import CannotRecord, recorded
+from contactbench.trace.compiled import compile_function
+from contactbench.trace.python import execute
+from contactbench.trace.recording import attempt
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
@@ -124,8 +125,8 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         super().__post_init__()
         r, elapsed, scene, self.loop = self.request, stopwatch(), cast("Mechanical", self.request.scene), None
         with suppress(CannotRecord):
-            loop = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent=False))
-            self.loop = executed(loop)
+            loop = attempt(lambda: record_loop(self.composition, scene, r.carry, tangent=False))
+            self.loop = execute(loop)
             self.compile_s = elapsed()
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
@@ -197,8 +198,8 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             scene: Any = r.scene
-            loop = recorded(lambda: recorded_loop(self.composition, scene, r.carry, tangent, moving))
-            return compiled(loop), elapsed()
+            loop = attempt(lambda: record_loop(self.composition, scene, r.carry, tangent, moving))
+            return compile_function(loop), elapsed()
 
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 

@@ -17,9 +17,9 @@ from contactbench.methods.step_map import StepMap, identity, program_of, tangent
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Status
-from contactbench.trace.compiled import compiled
+from contactbench.trace.compiled import compile_function
 from contactbench.trace.program import Program
-from contactbench.trace.python import executed
+from contactbench.trace.python import execute
 
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22
@@ -41,13 +41,13 @@ class Loop:
     def setup(self) -> Any:
         """What is computed ahead of a run, compiled: the same bits as in Python, whose operations are not fused."""
         elapsed = stopwatch()
-        setup = compiled(self.program.setup, fused=False)
+        setup = compile_function(self.program.setup, fused=False)
         self.setup_seconds = elapsed()
         return setup
 
     @cached_property
     def in_python(self) -> Any:
-        return executed(self.program.setup)
+        return execute(self.program.setup)
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
@@ -86,7 +86,7 @@ def loop_of(method: StepMap, scene: Scene, carry: tuple[str, ...], tangent: bool
 
 def loop_from(program: Program, elapsed: Any) -> Loop:
     """A recorded loop compiled; elapsed : the stopwatch it is timed by."""
-    return Loop(program, compiled(program.run), elapsed())
+    return Loop(program, compile_function(program.run), elapsed())
 
 
 class NumbaLoop(FixedStepRun):

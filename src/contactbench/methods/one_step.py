@@ -17,10 +17,10 @@ from contactbench.methods.step_map import StepMap, is_fixed
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Scene
-from contactbench.trace.form import Element, Function, needed
+from contactbench.trace.form import Element, Function, prune
 from contactbench.trace.formula import Formula, formula
 from contactbench.trace.python import SCOPE, source
-from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, recorded
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,9 +94,9 @@ class OneStep:
             for name, size in (("y", len(self.labels)), ("numbers", len(self.names)))
         )
         h = Recorded(tape, "h", "f", tape.root)
-        end = tape.results(recorded(lambda: self.apply(tuple(y), h, numbers, RecordedNumbers(tape))))
+        end = tape.results(attempt(lambda: self.apply(tuple(y), h, numbers, RecordedNumbers(tape))))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
-        return source(Function("step", ("y", "h", own), needed(tape.root.statements, end), end))
+        return source(Function("step", ("y", "h", own), prune(tape.root.statements, end), end))
 
     @cached_property
     def compiled(self) -> Any:

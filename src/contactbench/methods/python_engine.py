@@ -16,7 +16,7 @@ from contactbench.methods.request import NO_NUMBER
 from contactbench.methods.step_map import program_of, tangent_program, trajectory
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace.program import Program
-from contactbench.trace.python import executed
+from contactbench.trace.python import execute
 
 Span = tuple[float, int]  #: a step size, and how many steps
 
@@ -34,7 +34,7 @@ class PythonLoop(FixedStepRun):
         self.program: Program | None = None
         with suppress(CannotRecord):
             self.program = program_of(self.method_, self.request.scene, self.request.carry)
-            self.functions = executed(self.program.setup), executed(self.program.run)
+            self.functions = execute(self.program.setup), execute(self.program.run)
             self.compile_s = elapsed()
         self.with_tangent = tangent_program(self.method_, self.request.scene, self.request.carry)
         super().__post_init__()
@@ -51,10 +51,10 @@ class PythonLoop(FixedStepRun):
         spans = list(zip(h.tolist(), n.tolist(), strict=True))
         if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                return np.array(self.recorded(self.program, y0.tolist(), spans))
+                return np.array(self.run_program(self.program, y0.tolist(), spans))
         return np.array(self.as_written(y0.tolist(), spans), dtype=float)
 
-    def recorded(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
+    def run_program(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
         """States after each interval, by the recorded loop."""
         setup, run = self.functions
         numbers, data, shape = self.request.scene.numbers(), program.data.tolist(), program.shape.tolist()

@@ -47,7 +47,7 @@ def choose(condition: Any, yes: Any, no: Any, xp: Any) -> Any:
     return xp.where(condition, yes, no)
 
 
-def settled(x: Any, xp: Any) -> Any:
+def settle(x: Any, xp: Any) -> Any:
     """x, computed once: XLA would redo divisions and sines for every later component that reads them,
     which grows exponentially along a chain of flows."""
     return xp.settle(x) if abilities(xp).barrier else x

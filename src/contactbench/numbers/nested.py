@@ -19,7 +19,7 @@ def leaves(x: Any) -> list[Any]:
     return [x]
 
 
-def rebuilt(x: Any, values: Sequence[Any]) -> Any:
+def rebuild(x: Any, values: Sequence[Any]) -> Any:
     """A nested state like x of other numbers."""
     supply = iter(values)
 

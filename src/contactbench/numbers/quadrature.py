@@ -52,7 +52,7 @@ def rule(xp: Any) -> Rule:
     return gauss(xp.dps) if abilities(xp).digits else gauss_on_doubles()
 
 
-def weighted(weights: list[Any], values: list[Any]) -> Any:
+def weigh(weights: list[Any], values: list[Any]) -> Any:
     """Σ w_j v_j."""
     return sum(w * v for w, v in zip(weights, values, strict=True))
 
@@ -64,8 +64,8 @@ def integrals(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> tuple[Any,
     """
     nodes, weights, matrix = rule(xp)
     values = [rate(t + c * h) for c in nodes]
-    kept = [xp.exp(-h * weighted(row, values)) for row in matrix]
-    return h * weighted(weights, values), h * weighted(weights, kept)
+    kept = [xp.exp(-h * weigh(row, values)) for row in matrix]
+    return h * weigh(weights, values), h * weigh(weights, kept)
 
 
 def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> Any:
@@ -76,7 +76,7 @@ def integral(rate: Callable[[Any], Any], t: Any, h: Any, xp: Any) -> Any:
         parts, width = 2**k, h / 2**k
         total = 0 * h
         for j in range(parts):
-            total = total + width * weighted(weights, [rate(t + (j + c) * width) for c in nodes])
+            total = total + width * weigh(weights, [rate(t + (j + c) * width) for c in nodes])
         if before is not None and bool(abs(total - before).max() <= 1e-15 * abs(total).max()):
             break
         before = total

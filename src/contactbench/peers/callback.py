@@ -20,8 +20,8 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.variational import SOURCE, numerical_derivative, run_variational, variational_request
 from contactbench.scene import System
 from contactbench.trace.form import Function, Unpack
-from contactbench.trace.python import executed
-from contactbench.trace.recording import Recorded, Tape, recorded
+from contactbench.trace.python import execute
+from contactbench.trace.recording import Recorded, Tape, attempt
 
 Rows = list[list[float]]
 
@@ -57,10 +57,10 @@ def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callabl
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
     slopes = scene.slopes if what == "rhs" else partial(motion_jacobian, scene)
     try:
-        results = tape.results(recorded(lambda: slopes(t, y, carry)))
+        results = tape.results(attempt(lambda: slopes(t, y, carry)))
     except (CannotRecord, TypeError):
         return None
-    return executed(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
+    return execute(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
 
 
 def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:

@@ -19,12 +19,13 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Request
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared, Refused, stopwatch
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.peers.variational import SOURCE, run_variational, variational_request
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
-from contactbench.trace.recording import CannotRecord, advised
+from contactbench.trace.recording import reason_of
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
@@ -162,7 +163,7 @@ class TaylorMethod(Adaptive):
         try:
             return TaylorRun(self.name, request)
         except CannotRecord as why:
-            return Refused(self.name, request, str(advised(why)))
+            return Refused(self.name, request, str(reason_of(why)))
 
 
 METHODS.add(TaylorMethod())

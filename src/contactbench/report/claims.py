@@ -74,19 +74,6 @@ def claims_view(frame: pd.DataFrame) -> View:
     return View("claims", "All claims", frame_of(rows, labels), LEGEND, SOURCE, {"": "{:.2g}".format})
 
 
-def corrections_view(frame: pd.DataFrame) -> View:
-    """Return the corrections of claims that do not hold as printed."""
-    fell = frame[
-        frame["verdict"].isin([name for name in VERDICTS if name != "holds"]) & (frame["correction"] != "")
-    ]
-    rows: list[tuple[object, ...]] = [
-        (Cell(r["id"], link=f"#{slug(heading(r))}"), r["where"], r["verdict"], r["correction"])
-        for _, r in fell.iterrows()
-    ]
-    labels = ["id", "where", "verdict", "correction"]
-    return View("corrections", "Corrections to the paper", frame_of(rows, labels), "", SOURCE)
-
-
 def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
     """Return one claim: where, evidence, correction, command, figures; a figure once, where it is first needed."""
     parts: list[Part] = [Text(f"**Claim** ({row['where']}). {row['claim']}")]
@@ -115,21 +102,11 @@ def parts(frames: Frames) -> list[Part]:
     ]
     return [
         claims_view(frame),
-        corrections_view(frame),
         Section("Claim by claim", sections[0]),
         *([Section("Beyond the paper", sections[1])] if sections[1] else []),
         *([Section("Other figures", tuple(drawn.values()))] if drawn else []),
     ]
 
 
-CHAPTERS.add(
-    Chapter(
-        "claims",
-        "The paper's claims, measured",
-        "Which claims of the paper hold?",
-        70,
-        ("claims", "paper_figures"),
-        parts,
-        answers,
-    )
-)
+TITLE, QUESTION = "The paper's claims, measured", "Which claims of the paper hold?"
+CHAPTERS.add(Chapter("claims", TITLE, QUESTION, 70, ("claims", "paper_figures"), parts, answers))

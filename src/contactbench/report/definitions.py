@@ -22,13 +22,5 @@ def parts(frames: Frames) -> list[Part]:
     return [definitions_view(frames["definitions"], kind) for kind in ("scene", "method")]
 
 
-CHAPTERS.add(
-    Chapter(
-        "definitions",
-        "Definitions",
-        "What was every scene and method when the tables were made?",
-        85,
-        ("definitions",),
-        parts,
-    )
-)
+QUESTION = "What was every scene and method when the tables were made?"
+CHAPTERS.add(Chapter("definitions", "Definitions", QUESTION, 85, ("definitions",), parts))

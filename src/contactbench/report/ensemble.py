@@ -9,10 +9,10 @@ import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.figures import ensemble as figures
-from contactbench.report.numbers import DASH, count, duration, names, power, times
-from contactbench.report.views import Cell, View, frame_of
-from contactbench.report.work_precision import LEGEND, cost_cell, errors
-from contactbench.results.contest import COMPILED, LIMIT, MARGINAL, TARGETS, Kind, costs, standings
+from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.report.views import View, matrix, pick
+from contactbench.report.work_precision import LEGEND, cost_cell, error_label
+from contactbench.results.contest import COMPILED, LIMIT, MARGINAL, Kind, costs, standings
 
 SOURCE = "ensemble.csv"
 #: how the trajectories of a run share their work; the column `variant`
@@ -25,8 +25,8 @@ SHAPES = {
     "plain": "drift and kick in one loop",
     "tiled": "all steps of some trajectories before the next",
 }
-#: times per trajectory: of a whole call, and of one more
-WHOLE_CALLS, ONE_MORE = replace(COMPILED, cost="each"), MARGINAL
+#: time of a whole call per trajectory
+WHOLE_CALLS = replace(COMPILED, cost="each")
 
 
 def with_rates(frame: pd.DataFrame) -> pd.DataFrame:
@@ -58,108 +58,64 @@ def standing(frame: pd.DataFrame, kind: Kind, keys: tuple[str, ...]) -> pd.DataF
 
 
 def answers(frames: Frames) -> pd.DataFrame:
-    frame = with_rates(frames["ensemble"])
-    lines = []
+    frame, lines = with_rates(frames["ensemble"]), []
     calls = standing(frame, WHOLE_CALLS, ("method", "variant"))
-    first = calls[calls["verdict"].isin(["win", "tie", "undecided"])]
-    if len(first):
-        best = [
-            f"{power(e)} {names(list(dict.fromkeys(own['method'])), 2)}"
-            for e, own in first.groupby("error", sort=False)
-        ]
-        least = "; ".join(
-            f"{power(e)} {duration(own['cost'].min())}" for e, own in first.groupby("error", sort=False)
-        )
-        lines.append(("Who takes the least time per trajectory at equal error?", "; ".join(best), least))
-    shapes, own = beside_loops(frame)
-    if len(own) and shapes:
-        ratios = (own["stage"] / own[shapes].min(axis=1)).groupby(own["method"]).min().dropna()
-        if len(ratios):
-            text = f"{times(ratios.min())} to {times(ratios.max())} of the fastest loop"
-            lines.append(("How near to a C loop of the same steps?", text, f"{len(ratios)} methods"))
+    for error, own in calls[calls["verdict"].isin(["win", "tie", "undecided"])].groupby("error", sort=False):
+        question = f"Who takes the least time per trajectory, error {power(error)}?"
+        lines.append((question, names(list(dict.fromkeys(own["method"])), 3), duration(own["cost"].min())))
     return summary(*lines)
 
 
 # -- views -----------------------------------------------------------------------------------------
-def arithmetic_view(frame: pd.DataFrame) -> View | None:
+def arithmetic_view(frame: pd.DataFrame) -> View:
     """Return every method beside each shape of the C loop of the same method, same step."""
     shapes, own = beside_loops(frame)
-    if not len(own):
-        return None
-    table = own[["method", "engine", "setting", "stage", *shapes]]
-    for shape in shapes:
-        table = table.assign(**{f"ratio to {shape}": own["stage"] / own[shape]})
-    table = table.rename(columns={"stage": "per gradient"} | {shape: f"C loop, {shape}" for shape in shapes})
+    labels = {"method": "method", "engine": "engine", "setting": "setting", "stage": "per gradient"}
+    table = pick(own, labels | {shape: f"C loop, {shape}" for shape in shapes})
+    table = table.assign(**{f"ratio to {shape}": own["stage"] / own[shape] for shape in shapes})
     show = {"": duration} | {f"ratio to {shape}": times for shape in shapes}
-    legend = f"Time per gradient and trajectory, least round, one core, the same steps. {shapes_of(shapes)}"
+    meant = "; ".join(f"`{shape}`: {SHAPES[shape]}" for shape in shapes if shape in SHAPES)
+    legend = f"Time per gradient and trajectory, least round, one core, the same steps. {meant}."
     return View("ensemble_arithmetic", "The same arithmetic as C loops", table, legend, SOURCE, show)
 
 
-def shapes_of(variants: list[str]) -> str:
-    """Return the meanings of some shapes."""
-    return "; ".join(f"`{v}`: {SHAPES[v]}" for v in variants if v in SHAPES) + "."
-
-
-def error_view(frame: pd.DataFrame, kind: Kind, name: str, title: str, legend: str) -> View | None:
+def error_view(frame: pd.DataFrame, kind: Kind, name: str, title: str, legend: str) -> View:
     """Return the time per trajectory at equal error on one core, one row for each way to run a method."""
-    keys = ("method", "engine", "variant")
-    found = standing(frame, kind, keys)
-    if not found["cost"].notna().any():
-        return None
-    by_key: dict[tuple[str, ...], dict[float, Cell]] = {}
-    for row in found.itertuples():
-        by_key.setdefault((row.method, row.engine, row.variant), {})[row.error] = cost_cell(row, duration)
-    rows = [(*key, *(cells.get(t, Cell(DASH)) for t in TARGETS)) for key, cells in by_key.items()]
-    frame = frame_of(sorted(rows, key=lambda row: row[:3]), ["method", "engine", "shape", *errors()])
-    return View(name, title, frame, f"{legend} {LEGEND}", SOURCE)
+    found = standing(frame, kind, ("method", "engine", "variant"))
+    way = found["method"] + ", " + found["engine"] + found["variant"].map(lambda v: f", {v}" if v else "")
+    found = found.assign(way=way).sort_values(["way", "error"], ascending=[True, False])
+    return View(
+        name, title, matrix(found, "way", "error", cost_cell, error_label), f"{legend} {LEGEND}", SOURCE
+    )
 
 
-def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View | None:
+def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View:
     """Return throughput against the number of something, and relative to the smallest number."""
-    part = frame[frame["question"] == question].sort_values(
-        ["method", "engine", "setting", by], kind="stable"
-    )
-    if not len(part):
-        return None
-    first = part.groupby(["method", "engine", "setting"])["rate"].transform("first")
-    table = part[["method", "engine", "setting", by, "rate"]].assign(
-        g=1 / part["stage"], r=part["rate"] / first
-    )
-    table.columns = pd.Index(["method", "engine", "setting", by, "trajectories/s", "gradients/s", "relative"])
+    ways = ["method", "engine", "setting"]
+    part = frame[frame["question"] == question].sort_values([*ways, by], kind="stable")
+    first = part.groupby(ways)["rate"].transform("first")
+    table = pick(part, {name: name for name in (*ways, by)} | {"rate": "trajectories/s"})
+    table = table.assign(**{"gradients/s": 1 / part["stage"], "relative": part["rate"] / first})
     show = {by: count, "relative": times, "": "{:.3g}".format}
     return View(f"ensemble_{question}", title, table, "Of the whole call, least round.", SOURCE, show)
 
 
-def bad_view(frame: pd.DataFrame) -> View | None:
-    """Return the runs that did not end ok."""
-    bad = frame[frame["status"] != "ok"][["method", "engine", "setting", "status", "message"]]
-    return View("ensemble_endings", "Runs that did not end ok", bad, "", SOURCE) if len(bad) else None
-
-
 def parts(frames: Frames) -> list[Part]:
-    frame = with_rates(frames["ensemble"])
+    frame, every = with_rates(frames["ensemble"]), frames["ensemble"]
     called = "Time of a whole call per trajectory, one core."
     more = "Time of one more trajectory, one core: from calls with a quarter of them and all."
+    bad = every[every["status"] != "ok"][["method", "engine", "setting", "status", "message"]]
     views = (
         error_view(frame, WHOLE_CALLS, "ensemble_error", "A trajectory at equal error", called),
-        error_view(frame, ONE_MORE, "ensemble_marginal", "One more trajectory at equal error", more),
+        error_view(frame, MARGINAL, "ensemble_marginal", "One more trajectory at equal error", more),
         arithmetic_view(frame),
         growth_view(frame, "size", "trajectories", "With the number of trajectories"),
         growth_view(frame, "cores", "cores", "With the number of cores"),
-        bad_view(frames["ensemble"]),
+        View("ensemble_endings", "Runs that did not end ok", bad, "", SOURCE),
     )
     drawn = figures.figure(frame)
-    return [*(view for view in views if view is not None), *([drawn] if drawn else [])]
+    return [*(view for view in views if len(view.frame)), *([drawn] if drawn else [])]
 
 
-CHAPTERS.add(
-    Chapter(
-        "ensemble",
-        "Ensembles",
-        "How fast are many trajectories at once?",
-        60,
-        ("ensemble",),
-        parts,
-        answers,
-    )
-)
+TITLE, QUESTION = "Ensembles", "How fast are many trajectories at once?"
+CHAPTERS.add(Chapter("ensemble", TITLE, QUESTION, 60, ("ensemble",), parts, answers))

@@ -22,7 +22,7 @@ from contactbench.report.chapters import (
 )
 from contactbench.report.equal_cost import mission_view
 from contactbench.report.figures import work_precision as figures
-from contactbench.report.numbers import names
+from contactbench.report.numbers import how_often, names
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
 
@@ -36,17 +36,12 @@ PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
 # -- six answers -----------------------------------------------------------------------------------
 def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
     """Return whether J and the contact form are kept where that is promised."""
-    found = {
-        label: rows[rows["claimed"]]
-        for law, label in PROMISED.items()
-        if (rows := once(laws.judged_rows, frames).get(law)) is not None
-    }
-    found = {label: rows for label, rows in found.items() if len(rows)}
-    if not found:
-        return None
-    answer = ", ".join(f"{label} {laws.how_often(*laws.kept_of(rows))}" for label, rows in found.items())
-    count = "; ".join(laws.counts(rows) for rows in found.values())
-    return "Does it keep J and the contact form where it promises to?", answer, count
+    rows = once(laws.judged_rows, frames)
+    promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
+    found = [(PROMISED[str(law)], own) for law, own in promised.groupby("law", sort=False)]
+    answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
+    count = "; ".join(laws.counts(own) for _, own in found)
+    return ("Does it keep J and the contact form where it promises to?", answer, count) if found else None
 
 
 def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
@@ -105,8 +100,7 @@ def parts(frames: Frames) -> list[Part]:
             "cheapest; italic: it ties. [Scene by scene](work_precision.md); [hard scenes](stability.md)."
         )
         tables = (
-            replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}", own.kind.title), legend="")
-            for own in timed
+            replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}"), legend="") for own in timed
         )
         found.append(Section("Who is cheapest where", (Text(legend), *tables)))
         lost = {own.kind.title: own.contests for own in timed}
@@ -126,15 +120,5 @@ def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
     )
 
 
-CHAPTERS.add(
-    Chapter(
-        NAME,
-        "Results",
-        "What was found?",
-        0,
-        ("laws", "decay_laws", "work_precision", "convergence", "claims"),
-        parts,
-        answers,
-        "README.md",
-    )
-)
+TABLES = ("laws", "decay_laws", "work_precision", "convergence", "claims")
+CHAPTERS.add(Chapter(NAME, "Results", "What was found?", 0, TABLES, parts, answers, "README.md"))

@@ -8,7 +8,7 @@ import pandas as pd
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.figures import long_time as figures
 from contactbench.report.numbers import DASH, names, scientific
-from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix, pick
 from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
 from contactbench.results.round_off import STRUCTURE
 
@@ -96,50 +96,34 @@ def answers(frames: Frames) -> pd.DataFrame:
 # -- views -----------------------------------------------------------------------------------------
 def costs_view(frame: pd.DataFrame) -> View:
     """Return the evaluations from which on each method has each average right."""
-    found = {quantity: least(frame, quantity) for quantity in AVERAGES}
-    rows = []
-    for method in dict.fromkeys(frame["method"]):
-        cells = []
-        for costs in found.values():
-            if method not in costs.index:
-                cells.append(Cell(DASH))
-                continue
-            cost = costs.loc[method]
-            alone = costs["first"].sum() == 1
-            mark = (Mark.best if alone else Mark.tie) if cost["first"] else None
-            cells.append(Cell(cost_text(cost), float(cost["surely"]), mark))
-        rows.append((method, *cells))
+    found = pd.concat(
+        [least(frame, q).rename_axis("method").reset_index().assign(average=q) for q in AVERAGES]
+    )
+
+    def cell(rows: pd.DataFrame) -> Cell:
+        cost = rows.iloc[0]
+        alone = found[found["average"] == cost["average"]]["first"].sum() == 1
+        mark = (Mark.best if alone else Mark.tie) if cost["first"] else None
+        return Cell(cost_text(cost), float(cost["surely"]), mark)
+
     allowed = names([f"{100 * part:g} % ({quantity})" for quantity, part in ALLOWED.items()])
+    true = frame[frame["reference"]]
+    reference = f" ({true['method'].iloc[0]}, {true['setting'].iloc[0]})" if len(true) else ""
     legend = (
-        f"Evaluations per unit of time from which on an average stays within {allowed} of the reference; two numbers "
-        f"where {SURE:g} error bars decide; ≤: at its cheapest setting. Within a factor {RUNG:g} methods tie. "
+        f"Evaluations per unit of time from which on an average stays within {allowed} of the reference{reference}; "
+        f"two numbers where {SURE:g} error bars decide; ≤: at its cheapest setting. A factor {RUNG:g} is a tie. "
         f"{DASH}: wrong at every setting, or not measured. [How to read it](../docs/reading.md#long-chaotic-runs)."
     )
-    title = "The least that has the averages right"
-    return View("long_time_costs", title, frame_of(rows, ["method", *AVERAGES]), legend, SOURCE)
+    table = matrix(found, "method", "average", cell)
+    return View("long_time_costs", "The least that has the averages right", table, legend, SOURCE)
 
 
-def reference_view(frame: pd.DataFrame) -> View:
-    """Return the reference with its error bars, and those of the others."""
-    rows = []
-    for quantity in AVERAGES:
-        part = figures.of(frame, quantity)
-        others = part[~part["reference"]]["error"].median()
-        for _, row in part[part["reference"]].iterrows():
-            rows.append((quantity, row["method"], row["setting"], row["mean"], row["error"], others))
-    labels = ["average", "method", "setting", "mean", "error bar", "error bars of the others, median"]
-    legend = "Standard errors from independent trajectories."
-    return View("long_time_reference", "The reference", frame_of(rows, labels), legend, SOURCE)
-
-
-def calm_view(frame: pd.DataFrame) -> View | None:
+def calm_view(frame: pd.DataFrame) -> View:
     """Return the settings at which a map is on the whole not chaotic."""
     rows = figures.of(frame, EXPONENT)
-    rows = rows[rows["mean"] <= SURE * rows["error"]]
-    if not len(rows):
-        return None
-    table = rows[["method", "setting", "evaluations_per_time", "mean", "error"]]
-    table.columns = pd.Index(["method", "setting", "evaluations per time", "largest exponent", "error bar"])
+    labels = {"method": "method", "setting": "setting", "evaluations_per_time": "evaluations per time"}
+    labels |= {"mean": "largest exponent", "error": "error bar"}
+    table = pick(rows[rows["mean"] <= SURE * rows["error"]], labels)
     legend = "Most or all trajectories of the coarse map end on a periodic orbit."
     return View("long_time_calm", "Exceptions: no chaos", table, legend, SOURCE)
 
@@ -164,24 +148,8 @@ def pairs_view(frame: pd.DataFrame) -> View:
 
 def parts(frames: Frames) -> list[Part]:
     frame = frames["long_time"]
-    calm = calm_view(frame)
-    return [
-        costs_view(frame),
-        *([calm] if calm else []),
-        reference_view(frame),
-        pairs_view(frame),
-        *figures.pairs(frame),
-    ]
+    return [costs_view(frame), calm_view(frame), pairs_view(frame), *figures.pairs(frame)]
 
 
-CHAPTERS.add(
-    Chapter(
-        "long_time",
-        "Long chaotic runs",
-        "Which averages of long chaotic runs are right, and at what cost?",
-        58,
-        ("long_time",),
-        parts,
-        answers,
-    )
-)
+TITLE, QUESTION = "Long chaotic runs", "Which averages of long chaotic runs are right, and at what cost?"
+CHAPTERS.add(Chapter("long_time", TITLE, QUESTION, 58, ("long_time",), parts, answers))

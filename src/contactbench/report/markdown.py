@@ -93,9 +93,7 @@ def table(item: View) -> str:
 
 
 def view(item: View, depth: int) -> str:
-    body = f"In [{item.source}]({item.source})." if item.detail else table(item)
-    parts = (heading(item.title, depth) if item.title else "", without_html(item.legend), body)
-    return "\n\n".join(filter(None, parts))
+    return "\n\n".join(filter(None, [heading(item.title, depth), without_html(item.legend), table(item)]))
 
 
 def text(item: Text, depth: int = 0) -> str:

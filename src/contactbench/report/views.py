@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 import pandas as pd
 
@@ -52,10 +53,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Head:
-    """A column: its label, its meaning (a tooltip), whether it holds words (left aligned), its group."""
+    """A column: its label, whether it holds words (left aligned), its group."""
 
     label: str
-    meaning: str = ""
     words: bool = False
     group: str = ""
 
@@ -70,9 +70,6 @@ class View:
     legend : one or two sentences under the title; says what marks and dashes mean.
     source : the CSV it is from.
     show : how the numbers of a column are written, by label; "": of all other columns.
-    meanings : of columns, by label.
-    detail : rows by the hundred, for a page that folds and filters; a document names the CSV instead.
-    map : cells are to be seen at once, as a map of small marks; else an ordinary table.
     """
 
     name: str
@@ -81,9 +78,6 @@ class View:
     legend: str = ""
     source: str = ""
     show: Mapping[str, Show] = field(default_factory=dict)
-    meanings: Mapping[str, str] = field(default_factory=dict)
-    detail: bool = False
-    map: bool = False
 
     @cached_property
     def rows(self) -> tuple[tuple[Cell, ...], ...]:
@@ -99,8 +93,7 @@ class View:
         """The heads; a column without a number holds words."""
         words = [all(row[i].value is None for row in self.rows) for i in range(len(self.labels))]
         return tuple(
-            Head(label, self.meanings.get(label, ""), word, group)
-            for (group, label), word in zip(self.labels, words, strict=True)
+            Head(label, word, group) for (group, label), word in zip(self.labels, words, strict=True)
         )
 
     @property
@@ -123,6 +116,27 @@ def as_cell(value: object, show: Show = readable, mark: Mark | None = None) -> C
     return Cell(show(number), number, mark)
 
 
-def frame_of(rows: Sequence[tuple[object, ...]], labels: Sequence[str | tuple[str, str]]) -> pd.DataFrame:
+def frame_of(
+    rows: Iterable[Sequence[object]], labels: Sequence[str] | Sequence[tuple[str, str]]
+) -> pd.DataFrame:
     """Return rows of entries as a frame that keeps them as they are."""
-    return pd.DataFrame(rows, columns=pd.Index(labels, tupleize_cols=False), dtype=object)
+    return pd.DataFrame(list(rows), columns=pd.Index(labels, tupleize_cols=False), dtype=object)
+
+
+def pick(frame: pd.DataFrame, labels: Mapping[str, str]) -> pd.DataFrame:
+    """Return some columns of a frame under their labels."""
+    return frame[list(labels)].rename(columns=labels)
+
+
+def matrix(
+    frame: pd.DataFrame,
+    row: str,
+    column: str,
+    cell: Callable[[pd.DataFrame], object],
+    label: Callable[[Any], str] = str,
+) -> pd.DataFrame:
+    """Return a line for each value of one column with an entry for each value of another; a dash without rows."""
+    parts = dict(list(frame.groupby([row, column], sort=False)))
+    names, values = (list(dict.fromkeys(frame[key])) for key in (row, column))
+    lines = [(n, *(cell(parts[n, v]) if (n, v) in parts else DASH for v in values)) for n in names]
+    return frame_of(lines, [row, *map(label, values)])

@@ -145,19 +145,8 @@ def costs(
         tried = [list(_costs_on(one, kind, targets, spreads[one["engine"].iloc[0]])) for one in engines]
         lead = dict(zip(keys, key, strict=True)) | {"family": own["family"].iloc[0]}
         found += [lead | min(same, key=_preference) for same in zip(*tried, strict=True)]
-    names = [
-        *keys,
-        "family",
-        "engine",
-        "error",
-        "cost",
-        "bound",
-        "reason",
-        "fixed",
-        "halves",
-        "processes",
-    ]
-    return pd.DataFrame(found, columns=names)
+    columns = ("family", "engine", "error", "cost", "bound", "reason", "fixed", "halves", "processes")
+    return pd.DataFrame(found, columns=list(dict.fromkeys([*keys, *columns])))
 
 
 def _preference(row: dict[str, Any]) -> tuple[bool, float]:

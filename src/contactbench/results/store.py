@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import logging
+import math
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -264,14 +265,19 @@ def as_text(values: pd.Series, column: Column) -> list[str]:
     """A column as text; errors in scientific notation."""
     if column.type != "number":
         return ["" if pd.isna(value) else str(value) for value in values]
-    scientific = column.rule is not None and column.rule.decades
-    return [
-        "" if np.isnan(value)
-        else np.format_float_scientific(value, unique=True, trim="-") if scientific and np.isfinite(value)
-        else repr(value) if column.exact or not np.isfinite(value)
-        else f"{value:.{DIGITS}g}"
-        for value in values.astype(float).tolist()
-    ]  # fmt: skip
+    decades = column.rule is not None and column.rule.decades
+    return [number_text(value, column.exact, decades) for value in values.astype(float).tolist()]
+
+
+def number_text(value: float, exact: bool, decades: bool) -> str:
+    """Return a number as it is written: in full, scientific where it counts in decades, or in six digits."""
+    if math.isnan(value):
+        return ""
+    if exact or math.isinf(value):
+        return repr(value)
+    if decades:
+        return np.format_float_scientific(value, unique=True, trim="-")
+    return f"{value:.{DIGITS}g}"
 
 
 def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from contactbench.numbers.control import choose, settled
+from contactbench.numbers.control import choose, settle
 from contactbench.numbers.protocol import abilities
 from contactbench.scene import (
     BodyState,
@@ -118,7 +118,7 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
     if half_kappa is None:
         return State(x.q, p, s)
     over_D = _over_D(x, half_kappa, xp)
-    return settled(State(x.q, tuple(over_D * over_D * p for p in p), over_D * s), xp)
+    return settle(State(x.q, tuple(over_D * over_D * p for p in p), over_D * s), xp)
 
 
 def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
@@ -167,7 +167,7 @@ def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
     q = tuple(q + phi_over_m * path * p for q, p in zip(x.q, x.p, strict=True))
     s = a * x.s + phi * scene.kinetic(x.p)
     p = tuple((keep * p - lose * p) * over_y for p in x.p)
-    return settled(State(q, p, (keep * s - lose * s) * over_y), xp)
+    return settle(State(q, p, (keep * s - lose * s) * over_y), xp)
 
 
 def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, Any, Any]:
@@ -235,7 +235,7 @@ def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
     """C for any Γ(s): s follows s' = −Γ(s), and p the derivative of s(h), both solving p' = −Γ'(s) p."""
     s = decay(scene, x.s, h, xp)
     factor = survival(scene, x.s, s, h, xp)
-    return settled(State(x.q, tuple(factor * p for p in x.p), s), xp)
+    return settle(State(x.q, tuple(factor * p for p in x.p), s), xp)
 
 
 def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
@@ -272,7 +272,7 @@ def rotation(x: BodyState, axis: int, a: Any, xp: Any) -> BodyState:
         quaternion[1 + j] = cos * v[j] + sin * v[k]
         quaternion[1 + k] = cos * v[k] - sin * v[j]
         R = tuple(quaternion)
-    return settled(BodyState(tuple(turned), R, None if s is None else s + angle * M[axis] / 2), xp)
+    return settle(BodyState(tuple(turned), R, None if s is None else s + angle * M[axis] / 2), xp)
 
 
 def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
@@ -295,7 +295,7 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
         scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
         cos = xp.where(still, 1.0, xp.cos(a * size / 2))
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
-    return settled(BodyState(x.M, R, s), xp)
+    return settle(BodyState(x.M, R, s), xp)
 
 
 def turn_rate(scene: RigidBody) -> Any:

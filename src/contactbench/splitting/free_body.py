@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from contactbench.numbers.control import choose, settled
+from contactbench.numbers.control import choose, settle
 from contactbench.scene import BodyState, RigidBody, Vector, dot, quaternion_product
 from contactbench.splitting.elliptic import SMALLEST, arc, bent_part, jacobi
 
@@ -88,8 +88,8 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
     s = None if x.s is None else x.s + t * scene.energy(x)
     L, z, resting = polar(x.M, xp)
     tau = choose(resting, 0.0 * t, L * t, xp)
-    motion = settled(course(scene, z, xp), xp)
-    turned, passed = settled(momentum(scene, motion, z, tau, xp), xp)
+    motion = settle(course(scene, z, xp), xp)
+    turned, passed = settle(momentum(scene, motion, z, tau, xp), xp)
     M = tuple(choose(resting, m, L * c, xp) for m, c in zip(x.M, turned, strict=True))
     if x.R is None:
         return BodyState(M, None, s)
@@ -97,7 +97,7 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
     moved = attitude(scene, motion, z, turned, angle, xp)
     at_rest = (1.0, *(t * w / 2 for w in scene.angular_velocity(x.M)))  # its value and its derivative
     moved = tuple(choose(resting, a, b, xp) for a, b in zip(at_rest, moved, strict=True))
-    return settled(BodyState(M, quaternion_product(x.R, moved), s), xp)
+    return settle(BodyState(M, quaternion_product(x.R, moved), s), xp)
 
 
 def polar(v: Vector, xp: Any) -> tuple[Any, Vector, Any]:

@@ -159,7 +159,7 @@ class Adjoints:
         if not adjoint:
             return adjoint
         if len(adjoint) > 1 and (factors or coefficient != 1.0):
-            adjoint = self.collected(adjoint)
+            adjoint = self.collect(adjoint)
         found: Sum = {}
         for product, c in adjoint.items():
             if len(product) + len(factors) > LONGEST:
@@ -167,7 +167,7 @@ class Adjoints:
             found[self.product_of(product + factors)] = c * coefficient
         return found
 
-    def collected(self, adjoint: Sum) -> Sum:
+    def collect(self, adjoint: Sum) -> Sum:
         """A sum as one product: what all its products share, and a sum of what is left of them."""
         shared: list[str] = list(next(iter(adjoint)))
         for product in adjoint:
@@ -192,7 +192,7 @@ class Adjoints:
     def number(self, adjoint: Sum) -> Any:
         """The value of a sum; constants and parameters are multiplied first: that is done ahead of a run."""
         if len(adjoint) > 1:
-            adjoint = self.collected(adjoint)
+            adjoint = self.collect(adjoint)
         for product, coefficient in adjoint.items():
             value: Any = None if abs(coefficient) == 1 else abs(coefficient)
             for x in sorted(dict.fromkeys(product), key=lambda x: (x not in self.parameters, -self.place(x))):

@@ -65,7 +65,7 @@ def kind(array: str) -> str:
 
 
 @cache
-def compiled(function: Function, lanes: int = 1, fused: bool = True) -> Any:
+def compile_function(function: Function, lanes: int = 1, fused: bool = True) -> Any:
     """The function, compiled for the arrays that its arguments name.
 
     lanes : how many states it runs on at a time; see `Lanes`.  fused : whether products and sums may be one
@@ -78,7 +78,7 @@ def compiled(function: Function, lanes: int = 1, fused: bool = True) -> Any:
         name=function.name,
         arguments=", ".join(function.arguments),
     )
-    module = imported(source, lambda: {"lowered": llvm.intrinsic(function, lanes, fused)})
+    module = import_source(source, lambda: {"lowered": llvm.intrinsic(function, lanes, fused)})
     return getattr(module, function.name)
 
 
@@ -87,7 +87,7 @@ def compiles() -> bool:
     return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
 
 
-def imported(source: str, names: Any) -> ModuleType:
+def import_source(source: str, names: Any) -> ModuleType:
     """A module from a file of the cache folder, which is written unless it is there.
 
     names() : what the source finds defined.

@@ -137,10 +137,10 @@ def leaves(results: Results) -> Iterator[Operand]:
         yield results
 
 
-def mapped(change: Any, results: Results) -> Results:
+def substitute(change: Any, results: Results) -> Results:
     """Nested tuples with every operand changed."""
     if isinstance(results, tuple):
-        return tuple(mapped(change, part) for part in results)
+        return tuple(substitute(change, part) for part in results)
     return change(results)
 
 
@@ -157,7 +157,7 @@ def read_by(statement: Any) -> set[Operand]:
             raise TypeError(statement)
 
 
-def needed(statements: list[Any], result: Results) -> tuple[Any, ...]:
+def prune(statements: list[Any], result: Results) -> tuple[Any, ...]:
     """Straight-line assignments without those that the result does not need."""
     kept, read = [], {*leaves(result)}
     for statement in reversed(statements):

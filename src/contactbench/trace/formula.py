@@ -25,11 +25,11 @@ from contactbench.trace.form import (
     Unpack,
     Update,
     digest,
-    mapped,
-    needed,
+    prune,
+    substitute,
 )
-from contactbench.trace.python import FORMS, executed
-from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, recorded
+from contactbench.trace.python import FORMS, execute
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt
 
 NAMESPACE = "xp"
 
@@ -96,7 +96,7 @@ class Formula:
     def function(self) -> Callable[..., Any]:
         signature: list[str] = []
         body: list[Any] = []
-        supply = iter(numbered(self.arguments, self.names))
+        supply = iter(argument_names(self.arguments, self.names))
         for i, n in enumerate(self.arguments):
             if isinstance(n, str) or not n:
                 signature.append(NAMESPACE if n else next(supply))
@@ -105,7 +105,7 @@ class Formula:
                 body.append(Unpack(tuple(next(supply) for _ in range(n)), f"a{i}"))
         body += [Update((own,), (name,)) for own, name in zip(supply, self.names, strict=True)]
         written = Function("formula", (*signature, *self.names), (*body, *self.body), self.results)
-        return executed(written, WRITTEN, SCOPE)
+        return execute(written, WRITTEN, SCOPE)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         for given, n in zip(arguments, self.arguments, strict=True):
@@ -119,39 +119,39 @@ class Formula:
 
         Raises `CannotRecord` for a function whose derivative is not known.
         """
-        tape, result, adjoints = self.replayed()
-        row = recorded(lambda: adjoints.along(result, self.components))
-        return finished(self.arguments, self.names, tape, row)
+        tape, result, adjoints = self.replay()
+        row = attempt(lambda: adjoints.along(result, self.components))
+        return make_formula(self.arguments, self.names, tape, row)
 
     def jacobian(self, symmetric: bool = False) -> Formula:
         """The derivative of a tuple of results, a row for each; zeros are constants.
 
         symmetric : it is, so that half of it is enough.
         """
-        tape, results, adjoints = self.replayed()
-        rows = [recorded(lambda out=out: adjoints.along(out, self.components)) for out in results]  # type: ignore[misc]
+        tape, results, adjoints = self.replay()
+        rows = [attempt(lambda out=out: adjoints.along(out, self.components)) for out in results]  # type: ignore[misc]
         if symmetric:
             for i in range(len(rows)):
                 rows[i][i + 1 :] = [rows[j][i] for j in range(i + 1, len(rows))]
-        return finished(self.arguments, self.names, tape, rows)
+        return make_formula(self.arguments, self.names, tape, rows)
 
     @property
     def components(self) -> tuple[str, ...]:
         """The components of the first argument."""
-        return numbered(self.arguments[:1], ())
+        return argument_names(self.arguments[:1], ())
 
-    def replayed(self) -> tuple[Tape, Results, Adjoints]:
+    def replay(self) -> tuple[Tape, Results, Adjoints]:
         """A tape with its operations, its results there, and their derivatives."""
         tape, moved = Tape(), dict[Operand, Operand]()
         for target, operation in self.body:
-            there = Operation(operation.function, mapped(lambda x: moved.get(x, x), operation.operands))
+            there = Operation(operation.function, substitute(lambda x: moved.get(x, x), operation.operands))
             moved[target] = tape.assign(there, "f", tape.root).name
-        arguments = numbered(self.arguments, self.names)
+        arguments = argument_names(self.arguments, self.names)
         adjoints = Adjoints(tape, arguments, arguments[len(arguments) - len(self.names) :])
-        return tape, mapped(lambda x: moved.get(x, x), self.results), adjoints
+        return tape, substitute(lambda x: moved.get(x, x), self.results), adjoints
 
 
-def numbered(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:
+def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:
     """A name for every number in the arguments of a formula."""
     return tuple(f"v{i}" for i in range(sum(n or 1 for n in arguments if isinstance(n, int)) + len(names)))
 
@@ -159,7 +159,7 @@ def numbered(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[st
 def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], names: Sequence[str]) -> Formula:
     """Record a function; arguments, names : as in `Formula`.  Raises `CannotRecord`."""
     tape = Tape()
-    supply = (Recorded(tape, name, "f", tape.root) for name in numbered(arguments, names))
+    supply = (Recorded(tape, name, "f", tape.root) for name in argument_names(arguments, names))
     given: list[Any] = []
     for n in arguments:
         if isinstance(n, str):
@@ -167,12 +167,12 @@ def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], name
         else:
             given.append(tuple(next(supply) for _ in range(n)) if n else next(supply))
     named = dict(zip(names, supply, strict=True))
-    return finished(arguments, tuple(names), tape, recorded(lambda: function(*given, **named)), function)
+    return make_formula(arguments, tuple(names), tape, attempt(lambda: function(*given, **named)), function)
 
 
-def finished(
+def make_formula(
     arguments: tuple[int | str, ...], names: tuple[str, ...], tape: Tape, results: Any, live: Any = None
 ) -> Formula:
     """The formula of some results, without the operations that none of them needs."""
     found = tape.results(results)
-    return Formula(arguments, names, needed(tape.root.statements, found), found, live)
+    return Formula(arguments, names, prune(tape.root.statements, found), found, live)

@@ -24,7 +24,7 @@ import numpy as np
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.protocol import Abilities, CannotRecord
 from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update
-from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, recorded
+from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, attempt
 
 
 class Program(NamedTuple):
@@ -172,7 +172,7 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     n = tape.assign(Element("spans", ("u", 1), kind="i"), "i", tape.root)
     state = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(d)]
     loop = Repeat(tape.repeat, over_stages=True)
-    end = recorded(lambda: advance(given, h, n, state, RecordedArrays(tape), loop))
+    end = attempt(lambda: advance(given, h, n, state, RecordedArrays(tape), loop))
     if len(end) != d:
         raise CannotRecord(f"a step from {d} components to {len(end)}")
     ends = tuple(tape.read(value, tape.main) for value in end)

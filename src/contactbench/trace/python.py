@@ -23,7 +23,7 @@ SCOPE = {name: getattr(math, name) for name in (*form.FUNCTIONS, "atan2", "hypot
 READ = {"f": "{}", "i": "int({})", "b": "{} != 0.0"}
 
 
-def executed(
+def execute(
     function: form.Function, forms: Mapping[str, str] = FORMS, scope: Mapping[str, Any] = SCOPE
 ) -> Callable[..., Any]:
     """Return the function, run by Python; forms : how operations are written, scope : what names stand for."""
@@ -35,13 +35,13 @@ def executed(
 def source(function: form.Function, forms: Mapping[str, str] = FORMS) -> str:
     """Return a function as Python source."""
     head = f"def {function.name}({', '.join(function.arguments)}):"
-    return "\n".join([head, *lines(function.body, forms), f"    return {written(function.result)}", ""])
+    return "\n".join([head, *lines(function.body, forms), f"    return {render(function.result)}", ""])
 
 
-def written(results: form.Results) -> str:
+def render(results: form.Results) -> str:
     """Nested tuples of operands."""
     if isinstance(results, tuple):
-        return f"({''.join(f'{written(part)}, ' for part in results)})"
+        return f"({''.join(f'{render(part)}, ' for part in results)})"
     return text(results)
 
 

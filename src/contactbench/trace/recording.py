@@ -20,7 +20,7 @@ import numpy as np
 
 from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
-from contactbench.numbers.nested import leaves, rebuilt
+from contactbench.numbers.nested import leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
 from contactbench.trace.form import (
     FUNCTIONS,
@@ -105,7 +105,7 @@ class Tape:
         carried = [Recorded(self, name, kind, inner) for name, kind in zip(names, kinds, strict=True)]
         self.block = inner
         try:
-            end = leaves(body(rebuilt(x, carried)))
+            end = leaves(body(rebuild(x, carried)))
         finally:
             self.block = outer
         if len(end) != len(start):
@@ -119,7 +119,7 @@ class Tape:
             Update(names, before),
             Loop("_", self.read(n, outer, "i"), tuple(inner.statements)),
         ]
-        return rebuilt(
+        return rebuild(
             x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
         )
 
@@ -241,14 +241,30 @@ class Recorded(Unknown):
         return function(*inputs)
 
 
-#: NumPy's names of what Python has operators for
+#: NumPy's names of what Python has operators for, where they are not the same
+RENAMED = {
+    "subtract": "sub",
+    "multiply": "mul",
+    "divide": "truediv",
+    "negative": "neg",
+    "power": "pow",
+    "absolute": "abs",
+}
+RENAMED |= {
+    "equal": "eq",
+    "not_equal": "ne",
+    "less": "lt",
+    "less_equal": "le",
+    "greater": "gt",
+    "greater_equal": "ge",
+}
 OPERATORS: dict[str, Callable[..., Any]] = {
-    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
-    "negative": operator.neg, "power": operator.pow, "float_power": operator.pow, "absolute": operator.abs,
-    "equal": operator.eq, "not_equal": operator.ne, "less": operator.lt, "less_equal": operator.le,
-    "greater": operator.gt, "greater_equal": operator.ge,
-    "square": lambda x: x * x, "reciprocal": lambda x: 1 / x,
-}  # fmt: skip
+    **{name: getattr(operator, of) for name, of in RENAMED.items()},
+    "add": operator.add,
+    "float_power": operator.pow,
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1 / x,
+}
 
 
 def is_constant(x: Any, value: float) -> bool:
@@ -274,10 +290,7 @@ def power(x: Recorded, exponent: Any) -> Any:
 
 
 #: what NumPy calls some of them
-ALIASES = {
-    "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arccosh": "acosh",
-    "arctanh": "atanh", "arctan2": "atan2",
-}  # fmt: skip
+ALIASES = {f"arc{name}": f"a{name}" for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "tan2")}
 
 
 class RecordedNumbers(Numbers):
@@ -334,17 +347,17 @@ class RecordedNumbers(Numbers):
         return ~a if isinstance(a, Recorded) else not a
 
 
-def recorded(function: Callable[[], Any]) -> Any:
+def attempt(function: Callable[[], Any]) -> Any:
     """What a function records; `CannotRecord` for whatever goes wrong in it."""
     try:
         return function()
     except CannotRecord as error:
-        raise advised(error) from error.__cause__
+        raise reason_of(error) from error.__cause__
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise advised(error) from error
+        raise reason_of(error) from error
 
 
-def advised(error: BaseException) -> CannotRecord:
+def reason_of(error: BaseException) -> CannotRecord:
     """The reason, and what to write instead where that is known."""
     if (advice := plain_function(error)) is not None:
         return CannotRecord(f"{place(error)[2:]}: {advice}")

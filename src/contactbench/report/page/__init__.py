@@ -109,15 +109,11 @@ def cell(of: Cell, addresses: Mapping[str, str]) -> str | list[Any]:
 
 def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
     """Return a view."""
-    heads = [
-        [str(inline(head.label)), int(head.words), head.group, inline(head.meaning).striptags()]
-        for head in view.columns
-    ]
+    heads = [[str(inline(head.label)), int(head.words), head.group] for head in view.columns]
     return {
         "title": view.title,
         "legend": str(inline(view.legend, addresses)),
         "source": view.source,
-        "map": int(view.map),
         "heads": heads,
         "rows": [[cell(entry, addresses) for entry in row] for row in view.rows],
     }

@@ -26,7 +26,7 @@
       }
       rows.unshift(groups);
     }
-    for (const [label, words, , meaning] of heads) rows.at(-1).append(marked("th", { scope: "col", tabindex: 0, title: meaning, class: words ? "words" : "" }, label));
+    for (const [label, words] of heads) rows.at(-1).append(marked("th", { scope: "col", tabindex: 0, class: words ? "words" : "" }, label));
     return rows;
   }
   function entry(cell, words) {
@@ -75,7 +75,7 @@
       });
       details.append(field);
     }
-    details.append(html("div", { class: view.map ? "box map" : "box", tabindex: 0 }, html("table", {}, head, body)));
+    details.append(html("div", { class: "box", tabindex: 0 }, html("table", {}, head, body)));
     if (view.source) details.append(html("p", { class: "hint" }, "from ", html("a", { href: view.source }, view.source)));
   }
   for (const details of all("details.view")) {
