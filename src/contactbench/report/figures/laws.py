@@ -75,10 +75,12 @@ def message(rows: pd.DataFrame, laws: pd.DataFrame, scene: str) -> str:
             )
     if kept:
         return f"{scene}: contact methods keep {' and '.join(kept)}"
-    worst = rows.groupby("method")["energy_deviation"].max()
+    worst = rows.groupby("method")["energy_deviation"].max().dropna()
+    if not len(worst):
+        return f"{scene}: laws along time"
     return f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"
 
 
 def decade(value: float, ends: Callable[[float], int]) -> str:
     """Return the power of ten at the upper (`math.ceil`) or lower (`math.floor`) end of a value's decade."""
-    return power(10.0 ** ends(math.log10(value)))
+    return power(10.0 ** ends(math.log10(value))) if value > 0 else "0"
