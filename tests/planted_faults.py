@@ -96,12 +96,8 @@ def order_one() -> None:
 def joints_left_apart() -> None:
     """Neighbouring stages are not merged from step to step: a gradient more for each step."""
     of = METHODS[PLANTED]
-    put(
-        FixedStep(
-            of.name, of.order, of.step, evaluations=2, kind="gradient", about=of.about,
-            family="contact", contact=True, symmetric=True,
-        )
-    )  # fmt: skip
+    claims = {"kind": "gradient", "family": "contact", "contact": True, "symmetric": True}
+    put(FixedStep(of.name, of.order, of.step, evaluations=2, about=of.about, **claims))
 
 
 class Refusing(ContactMethod):

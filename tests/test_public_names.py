@@ -37,9 +37,9 @@ ALL = {
 
 @pytest.mark.parametrize("name", few_slow(ALL, "diffrax-kvaerno5", "diffrax-dopri8"))
 def test_a_prepared_run_has_a_short_repr(name):
-    said = repr(cb.prepare("particle", name, **ALL[name]))
-    assert said.startswith(f"<{name} on particle (")
-    assert len(said) < 120
+    text = repr(cb.prepare("particle", name, **ALL[name]))
+    assert text.startswith(f"<{name} on particle (")
+    assert len(text) < 120
 
 
 def test_step_maps_and_references_have_short_reprs():
@@ -54,31 +54,27 @@ def test_step_maps_and_references_have_short_reprs():
 
 
 # -- functions of plain numbers in a force ---------------------------------------------------------
+ONE = {"q": (0.5,), "p": (0.0,), "t_end": 1.0}
+
+
 def pendulum(sin, cos):
-    return cb.Mechanical(
-        name="pendulum", q=(0.5,), p=(0.0,), gamma=0.1, t_end=1.0,
-        potential=lambda q: -cos(q[0]), gradient=lambda q: (sin(q[0]),),
-    )  # fmt: skip
+    force = {"potential": lambda q: -cos(q[0]), "gradient": lambda q: (sin(q[0]),)}
+    return cb.Mechanical(name="pendulum", gamma=0.1, **force, **ONE)
 
 
-MATH = cb.Mechanical(
-    name="by-math", q=(0.5,), p=(0.0,), gamma=0.1, t_end=1.0,
-    potential=lambda q: -math.cos(q[0]), gradient=lambda q: (math.sin(q[0]),),
-)  # fmt: skip
-NUMPY = cb.Mechanical(
-    name="by-numpy", q=(0.5,), p=(0.0,), gamma=0.1, t_end=1.0,
-    potential=lambda q: -np.cos(q[0]), gradient=lambda q: (np.sin(q[0]),),
-)  # fmt: skip
+BY_MATH = {"potential": lambda q: -math.cos(q[0]), "gradient": lambda q: (math.sin(q[0]),)}
+MATH = cb.Mechanical(name="by-math", gamma=0.1, **BY_MATH, **ONE)
+BY_NUMPY = {"potential": lambda q: -np.cos(q[0]), "gradient": lambda q: (np.sin(q[0]),)}
+NUMPY = cb.Mechanical(name="by-numpy", gamma=0.1, **BY_NUMPY, **ONE)
 BARE = pendulum(math.sin, math.cos)
 
 
-def said(call):
-    """What a refusal or an error says."""
+def message_of(call):
+    """The message of the error that a call raises, or of the run that it ends with."""
     try:
-        found = call()
+        return call().message
     except Exception as error:
         return str(error)
-    return found.message
 
 
 @pytest.mark.parametrize(
@@ -92,7 +88,7 @@ def test_a_function_of_plain_numbers_is_named_with_its_line(scene, name, method)
         "rk4": lambda: cb.solve(scene, "rk4", step=0.1, engine="jax"),
         "reference": lambda: cb.reference(scene, [1.0]),
     }
-    message = said(calls.get(method) or (lambda: cb.solve(scene, method, rtol=1e-6)))
+    message = message_of(calls.get(method) or (lambda: cb.solve(scene, method, rtol=1e-6)))
     assert f"{name} takes plain numbers only: use cb.math.sin" in message
     assert "test_public_names.py, line" in message
     assert "\n" not in message
@@ -102,37 +98,35 @@ def test_a_function_of_plain_numbers_is_named_with_its_line(scene, name, method)
 def test_numpys_functions_are_recorded_and_run_on_every_engine(scene):
     expected = cb.reference(pendulum(cb.math.sin, cb.math.cos).with_(gamma=scene.gamma), [1.0])
     assert cb.reference(scene, [1.0]).decimals == expected.decimals
-    for method, options in (
-        ("rk4", {"step": 0.01, "engine": "jax"}), ("diffrax-tsit5", {"rtol": 1e-9}), ("heyoka-taylor", {"rtol": 1e-9})
-    ):  # fmt: skip
+    runs = {name: {"rtol": 1e-9} for name in ("diffrax-tsit5", "heyoka-taylor")}
+    for method, options in ({"rk4": {"step": 0.01, "engine": "jax"}} | runs).items():
         solution = cb.solve(scene, method, **options)
         np.testing.assert_allclose(solution.y[-1], expected.y[0], rtol=0, atol=1e-8)
 
 
 def test_compiling_says_it_too_and_laws_do_not_break():
-    message = said(lambda: cb.solve(BARE, "rk4", step=0.1, engine="numba"))
+    message = message_of(lambda: cb.solve(BARE, "rk4", step=0.1, engine="numba"))
     assert "use cb.math.sin" in message
     laws = cb.solve(BARE, "contact-rkn8", step=0.1).laws()
     assert laws["note"].str.contains("use cb.math.").any()
 
 
 def test_our_own_functions_are_not_blamed():
-    wrong = cb.Mechanical(
-        name="wrong", q=(0.5,), p=(0.0,), t_end=1.0,
-        potential=lambda q: -cb.math.cos(q[0]),
-        gradient=lambda q: (cb.math.sin(q[0] if type(q[0]) is float else "x"),),
-    )  # fmt: skip
-    message = said(lambda: cb.solve(wrong, "heyoka-taylor", rtol=1e-6))
+    def gradient(q):
+        return (cb.math.sin(q[0] if type(q[0]) is float else "x"),)
+
+    wrong = cb.Mechanical(name="wrong", potential=lambda q: -cb.math.cos(q[0]), gradient=gradient, **ONE)
+    message = message_of(lambda: cb.solve(wrong, "heyoka-taylor", rtol=1e-6))
     assert "line" in message
     assert "takes plain numbers only" not in message
 
 
 def test_what_cb_math_lacks_is_told_with_what_it_has():
-    scene = cb.Mechanical(
-        name="hypot", q=(0.5,), p=(0.0,), t_end=1.0,
-        potential=lambda q: math.hypot(1.0, q[0]), gradient=lambda q: (q[0] / math.hypot(1.0, q[0]),),
-    )  # fmt: skip
-    message = said(lambda: cb.solve(scene, "rk4", step=0.1, engine="jax"))
+    def length(q):
+        return math.hypot(1.0, q[0])
+
+    scene = cb.Mechanical(name="hypot", potential=length, gradient=lambda q: (q[0] / length(q),), **ONE)
+    message = message_of(lambda: cb.solve(scene, "rk4", step=0.1, engine="jax"))
     assert "math.hypot takes plain numbers only: use cb.math, which has exp, log, sqrt" in message
 
 

@@ -7,13 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-from mpmath import mp
 
 import contactbench as cb
 from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.numba_engine import loop_of
-from contactbench.numbers.dual import DERIVATIVES, Dual, DualNumbers
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.callback import record_function
 from contactbench.solution import Status
@@ -133,24 +131,6 @@ def test_equal_operations_are_computed_once_and_constant_ones_before_the_loop():
     assert text.count(" * ") == 1 + 2 + 2
     loop = text[text.index("for _ in") :]
     assert "numbers" not in loop
-
-
-@pytest.mark.parametrize("name", DERIVATIVES)
-def test_derivatives_of_functions(name, mp50):
-    class Numbers:
-        abs, arctan, arcsin = staticmethod(abs), staticmethod(mp.atan), staticmethod(mp.asin)
-
-        def __getattr__(self, name):
-            return getattr(mp, name)
-
-        def where(self, condition, a, b):
-            return a if condition else b
-
-    x, v = mp.mpf("0.3"), mp.mpf("1.7")
-    function = getattr(Numbers(), name)
-    lifted = getattr(DualNumbers(Numbers()), name)(Dual(x, v))
-    assert lifted.a == function(x)
-    assert abs(lifted.b - v * mp.diff(function, x)) < mp.mpf(10) ** -30
 
 
 # -- the engine ------------------------------------------------------------------------------------

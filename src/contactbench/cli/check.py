@@ -29,8 +29,8 @@ def check(arguments: argparse.Namespace) -> int:
     try:
         for found in findings:
             numbers = ", ".join(f"{what} {value:.4g}" for what, value in found.measured.items())
-            told = f"does not apply: {found.not_here}" if found.not_here else numbers or "kept"
-            print(ROW.format(*found[:4], told), flush=True)
+            result = f"does not apply: {found.not_here}" if found.not_here else numbers or "kept"
+            print(ROW.format(*found[:4], result), flush=True)
     except Violation as broken:
         print(f"contactbench: {broken}", file=sys.stderr)
         return 1

@@ -32,8 +32,8 @@ def solve(arguments: argparse.Namespace) -> int:
     run = summary(solution)
     laws = solution.laws() if arguments.laws else None
     if arguments.json:
-        known = {} if laws is None else {"laws": deviations(laws)}
-        print(json.dumps(run | known, allow_nan=False))
+        more = {} if laws is None else {"laws": deviations(laws)}
+        print(json.dumps(run | more, allow_nan=False))
     else:
         print(text(run))
         for law in () if laws is None else laws.itertuples():

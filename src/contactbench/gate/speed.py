@@ -106,10 +106,10 @@ def workload(work: pd.DataFrame) -> list[Cell]:
     return [*cells, *PUBLIC] if cells else []
 
 
-def kinds_first(cells: Sequence[Cell]) -> list[Cell]:
+def kinds_first(cells: Sequence[Cell], seed: str) -> list[Cell]:
     """Return the cells shuffled, the first of every kind in front: time may end early."""
     count, ranked = Counter[str](), []
-    for cell in random.Random(0).sample(cells, len(cells)):
+    for cell in random.Random(seed).sample(cells, len(cells)):
         ranked.append((count[cell.kind], cell))
         count[cell.kind] += 1
     return [cell for _, cell in sorted(ranked, key=lambda pair: pair[0])]
@@ -141,7 +141,7 @@ def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | N
         subprocess.run([python, "-m", "compileall", "-q", str(sources / "src")], capture_output=True)
     start = perf_counter()
     until = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
-    cells = kinds_first(cells)
+    cells = kinds_first(cells, revisions.commit(root, "HEAD"))  # other cells first in every change
     first, refused = time_pairs(sides, dict(enumerate(cells)), until[0])
     suspects = {i: cells[i] for i, ratio in first.items() if ratio.low > LIMIT}
     again = time_pairs(sides, suspects, until[1])[0] if suspects else {}
@@ -208,11 +208,18 @@ class Side:
         self.caches = tempfile.TemporaryDirectory(prefix="contactbench-caches-")
         # programs that one side has compiled must not spare the other the work
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
+        variables = revisions.environment(tree) | dict.fromkeys(names, self.caches.name)
+        command = [python, "-P", str(Path(__file__).with_name("speed_worker.py"))]
         self.process = subprocess.Popen(
-            [python, "-P", str(Path(__file__).with_name("speed_worker.py"))],
-            env=revisions.environment(tree) | dict.fromkeys(names, self.caches.name),
-            cwd=tree, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, text=True, bufsize=1,
-        )  # fmt: skip
+            command,
+            env=variables,
+            cwd=tree,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+            text=True,
+            bufsize=1,
+        )
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
         requests = {i: asdict(cell) for i, cell in cells.items()}
         self.send({"core": core, "cells": requests, "seconds": seconds})

@@ -269,9 +269,9 @@ def counts(case: MethodCase) -> Measured:
         twin, calls = counted(scene, found.kind)
         run = replace(case, engine=engine).run(scene=twin, save_at=[scene.t_end])
         calls[0] = 0
-        told = run().counts.evaluations
-        measured["made"] = calls[0]
-        require(told == calls[0], f"{told} evaluations told, {calls[0]} made")
+        reported = run().counts.evaluations
+        measured["calls"] = calls[0]
+        require(reported == calls[0], f"{reported} evaluations reported, {calls[0]} calls")
     return measured
 
 
@@ -350,11 +350,9 @@ def costs(case: MethodCase) -> Measured:
     return None if cost is None else {"right-hand sides": cost}
 
 
-METHOD_RULES: dict[int, Callable[[MethodCase], Measured]] = {
-    1: declares, 2: refuses, 3: leaves_no_trace, 4: saves, 5: is_timed_by_its_own_call,
-    6: is_controlled_by_its_setting, 7: ends_as_it_says, 8: counts, 9: engines_agree, 10: claims,
-    11: differentiates, 12: costs,
-}  # fmt: skip
+DECLARED = (declares, refuses, leaves_no_trace, saves, is_timed_by_its_own_call, is_controlled_by_its_setting)
+RUN = (ends_as_it_says, counts, engines_agree, claims, differentiates, costs)
+METHOD_RULES: dict[int, Callable[[MethodCase], Measured]] = dict(enumerate((*DECLARED, *RUN), start=1))
 
 
 def method_cases(
@@ -386,15 +384,24 @@ def method_findings(
 def check_method(
     method: Method, *, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
 ) -> list[Finding]:
-    """Follow every rule of `methods.base.Method`; raises `Violation`.
+    """Follow every rule of `methods.base.Method`.
 
-    engines, scenes : by default all of the method's, and one scene of every kind.  Returns which rules were
-    followed, on which engine and scene, and what was measured.
+    Parameters
+    ----------
+    engines, scenes : by default all engines of the method, and one scene of every kind.
+
+    Returns
+    -------
+    The rules that were followed, on which engine and scene, and what was measured.
+
+    Raises
+    ------
+    Violation : a rule is broken.
     """
     return list(method_findings(method, engines, scenes))
 
 
 def case_findings(case: MethodCase) -> Iterator[Finding]:
-    """Every rule on one engine and scene; raises `Violation`."""
+    """Follow every rule on one engine and scene; raises `Violation`."""
     what = f"{case.method.name} ({case.engine}) on {case.scene.name}"
     return follow(METHOD_RULES, case, what, case.engine, case.scene.name)

@@ -240,26 +240,25 @@ def solves_its_equations(case: SceneCase) -> None:
     if scene.exact is None:
         raise DoesNotApply("no closed form")
 
-    def known(state: Any) -> dict[str, Any]:
+    def carried(state: Any) -> dict[str, Any]:
         return {f: c for f, c in state._asdict().items() if c is not None}
 
     def flat(parts: Any) -> list[Any]:
         return [c for part in parts for c in (part if isinstance(part, tuple) else (part,))]
 
     start = twin.initial(scene.carry())
-    begun = known(scene.exact(twin, xp.mpf(0), xp))
+    begun = carried(scene.exact(twin, xp.mpf(0), xp))
     case.near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
     t, delta = xp.mpf(repr(scene.t_end)) / 7, xp.mpf(DELTA)
-    here, ahead, behind = (known(scene.exact(twin, t + d, xp)) for d in (0, delta, -delta))
+    here, ahead, behind = (carried(scene.exact(twin, t + d, xp)) for d in (0, delta, -delta))
     slope = [(a - b) / (2 * delta) for a, b in zip(flat(ahead.values()), flat(behind.values()), strict=True)]
     field = twin.rhs(start._replace(**here))
     case.near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
 
 
-SCENE_RULES: dict[int, Callable[[SceneCase], None]] = {
-    1: declares, 2: packs, 3: replaces_numbers, 4: is_one_definition, 5: derives, 6: is_a_contact_system,
-    7: has_its_laws, 8: has_tangents, 9: solves_its_equations,
-}  # fmt: skip
+EQUATIONS = (declares, packs, replaces_numbers, is_one_definition, derives)
+STRUCTURE = (is_a_contact_system, has_its_laws, has_tangents, solves_its_equations)
+SCENE_RULES: dict[int, Callable[[SceneCase], None]] = dict(enumerate((*EQUATIONS, *STRUCTURE), start=1))
 
 
 def scene_findings(scene: Scene) -> Iterator[Finding]:
@@ -269,8 +268,14 @@ def scene_findings(scene: Scene) -> Iterator[Finding]:
 
 
 def check_scene(scene: Scene) -> list[Finding]:
-    """Follow every rule of `scene.base.Scene`; raises `Violation`.
+    """Follow every rule of `scene.base.Scene`.
 
-    Returns which rules were followed, and what was measured.
+    Returns
+    -------
+    The rules that were followed, and what was measured.
+
+    Raises
+    ------
+    Violation : a rule is broken.
     """
     return list(scene_findings(scene))

@@ -241,8 +241,8 @@ def run(tape: ProgramTape, ends: tuple[Operand, ...], bounded: int, factor: floa
         and_, (abs(Recorded(tape, x, "f", last)) <= limit for x, limit in zip(state, limits, strict=True))
     )
     first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
-    verdict = Assign("first", Operation("where", (first.name, "j", "bad")))
-    loop = intervals(tape, ends, "after", (*last.statements, verdict, Update(("bad",), ("first",))))
+    mark = Assign("first", Operation("where", (first.name, "j", "bad")))
+    loop = intervals(tape, ends, "after", (*last.statements, mark, Update(("bad",), ("first",))))
     start = tuple(f"start{i}" for i in range(len(state)))
     loads = [Assign(name, Element("start", (i,))) for i, name in enumerate(start)]
     body = [*loads, Update(state, start), *head.statements, Update(("bad",), (-1,)), *loop]
