@@ -210,8 +210,16 @@ class Side:
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
         variables = revisions.environment(tree) | dict.fromkeys(names, self.caches.name)
         command = [python, "-P", str(Path(__file__).with_name("speed_worker.py"))]
-        streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self.errors}
-        self.process = subprocess.Popen(command, env=variables, cwd=tree, text=True, bufsize=1, **streams)
+        self.process = subprocess.Popen(
+            command,
+            env=variables,
+            cwd=tree,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+            text=True,
+            bufsize=1,
+        )
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
         requests = {i: asdict(cell) for i, cell in cells.items()}
         self.send({"core": core, "cells": requests, "seconds": seconds})
