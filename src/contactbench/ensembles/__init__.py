@@ -36,13 +36,20 @@ MOST_AT_ONCE = 10**12
 class Ensemble:
     """The result of `ensemble`.
 
-    statistics : mean and maximum of every measure.  endings : how many trajectories ended `ok` and how
-    many `diverged`.  Both are over all processes.  counts : what one trajectory cost.
-    The rest is of this process's trajectories, and None where it was not kept:
-    final : the states at the end, of arrays (n,), NaN where a trajectory diverged.
-    measures : an array (n,) for `energy_change`, H0(y(T))/H0(y₀) − 1, and for those of
-    `hamiltonian_law` and `momentum_law` the scene has, maxima over the measured times as in `LAWS`.
-    end_time : the last measured time a trajectory reached, (n,).
+    Attributes
+    ----------
+    statistics, endings
+        Mean and maximum of every measure, and how many trajectories ended `ok` and `diverged`, over all processes.
+    counts
+        The cost of one trajectory.
+    final
+        The states at the end of this process's trajectories, of arrays (n,), NaN where one diverged.  This and the
+        following are None where nothing was kept.
+    measures
+        An array (n,) for `energy_change`, H0(y(T))/H0(y₀) − 1, and for those of `hamiltonian_law` and
+        `momentum_law` the scene has, maxima over the measured times as in `LAWS`.
+    end_time
+        The last measured time a trajectory reached, (n,).
     """
 
     scene: Scene

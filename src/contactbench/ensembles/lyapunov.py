@@ -45,13 +45,22 @@ FEW = 1e-3
 class Lyapunov:
     """The result of `lyapunov`; errors are standard errors.
 
-    exponents : per unit of time, (m,), in the order of the orthonormalisation, the largest first.
-    total : their sum, the mean rate at which volume grows.
-    dimension : of Kaplan and Yorke; of a scene with time in it that of a section at one phase.
-    energy : mean of H0 at the ends of the intervals.
-    evaluations : per trajectory and unit of time, of the kind that the method's counts name.
-    diverged : how many trajectories were left out because they left the scene's scale.
-    rates : log diag R over the length of an interval, (intervals, m, n), the settling and the diverged left out.
+    Attributes
+    ----------
+    exponents
+        Per unit of time, (m,), in the order of the orthonormalisation, the largest first.
+    total
+        Their sum, the mean rate at which volume grows.
+    dimension
+        Of Kaplan and Yorke; of a scene with time in it that of a section at one phase.
+    energy
+        Mean of H0 at the ends of the intervals.
+    evaluations
+        Per trajectory and unit of time, of the kind that the method's counts name.
+    diverged
+        How many trajectories were left out because they left the scene's scale.
+    rates
+        Log diag R over the length of an interval, (intervals, m, n), the settling and the diverged left out.
     """
 
     scene: Scene = field(repr=False)

@@ -59,11 +59,6 @@ def readable(value: float) -> str:
     return f"{value:.4g}" if 1e-2 <= abs(value) < 1e4 else scientific(value)
 
 
-def rounded(value: float) -> str:
-    """Two digits, for a size that is an order of magnitude."""
-    return readable(float(f"{value:.2g}"))
-
-
 def names(items: list[str], most: int = 0) -> str:
     """`a`, `b` and `c`; the first few where there are more than `most`."""
     if most and len(items) > most:
@@ -74,11 +69,6 @@ def names(items: list[str], most: int = 0) -> str:
 def upper(text: str) -> str:
     """The text with a capital first letter; symbols stay as they are."""
     return text[:1].upper() + text[1:]
-
-
-def many(number: int, noun: str) -> str:
-    """1 run, 2 runs."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def how_often(part: int, whole: int) -> str:

@@ -119,7 +119,7 @@ def worst_cell(runs: list[dict[str, object]], law: str) -> Cell:
     cells = [drift_cell(run, law) for run in runs if not pd.isna(run[law])]
     if not cells:
         return Cell(DASH)
-    worst = max(cells, key=lambda cell: cell.value)
+    worst = max(cells, key=lambda cell: cell.value or 0.0)
     return worst if all(cell.mark is Mark.kept for cell in cells) else replace(worst, mark=None)
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
 from contactbench.report.figures import work_precision as figures
 from contactbench.report.numbers import DASH, count, duration, how_often, power, scientific, times
-from contactbench.report.views import Cell, Mark, View, matrix, pick
+from contactbench.report.views import Cell, Mark, Show, View, matrix, pick
 from contactbench.results import contest as judge
 from contactbench.results.contest import CONTACT, KINDS, LIMIT, OTHER, Kind, contestants
 
@@ -183,7 +183,8 @@ def chosen_view(work: pd.DataFrame) -> View:
         "time_min_s": "time",
     }
     frame = pick(part, labels).assign(**{"error / rtol": part["solution_error"] / part["value"]})
-    show = {"rtol": scientific, "error": scientific, "time": duration, "error / rtol": times, "": count}
+    show: dict[str, Show] = dict.fromkeys(("rtol", "error"), scientific)
+    show |= {"time": duration, "error / rtol": times, "": count}
     legend = "The step is chosen from pilot runs, which count."
     return View("chosen", "A step chosen from a tolerance", frame, legend, SOURCE, show)
 

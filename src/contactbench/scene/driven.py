@@ -30,20 +30,33 @@ class Driven(Mechanical):
 
     Adaptive solvers are given f(t, y): the time is theirs and no part of the state whose error they control.
 
-    potential : ``V(q, t, **parameters) -> number``; gradient : ``dV(q, t, **parameters) -> n-tuple``.
-    t : the time at the start.  gamma : damping, where it is constant; else
-    rate : ``γ(t, **parameters) -> number``; and where it is known in closed form
-    span : ``(t, h, xp, **parameters) -> (G, φ)``, with G = ∫_t^{t+h} γ and φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a
-    momentum is worth that is damped meanwhile.  Without it both come from Gauss's collocation method of order 16
-    on every step, eight values of γ: right to round-off while γh and the phase of a sinusoidal γ stay below 1 over
-    a step, to 10⁻¹¹ below 2 (measured in the tests).  A γ with complex singularities nearer to the real axis than
-    about two steps asks for smaller ones.  The steps are contact maps in any case, with the factor of the rule.
-
     A processed composition (contact-rkn8) begins and ends with steps back: its γ(t) and V(q, t) have to be defined
     some steps before the start.
 
     The contact form is taken at a given time: tangents do not move t.  H has no decay law, since ∂H/∂t ≠ 0.
-    Raises `BadInput` as `Mechanical` does, and for κ, a Hessian, a symmetry or a span without a rate.
+
+    Parameters
+    ----------
+    potential, gradient
+        ``V(q, t, **parameters) -> number`` and ``dV(q, t, **parameters) -> n-tuple``.
+    t
+        The time at the start.
+    gamma
+        Damping, where it is constant.
+    rate
+        ``γ(t, **parameters) -> number`` where it is not.
+    span
+        ``(t, h, xp, **parameters) -> (G, φ)`` where it is known in closed form: G = ∫_t^{t+h} γ and
+        φ = ∫_t^{t+h} e^{−∫_t^τ γ} dτ, the time a momentum is worth that is damped meanwhile.  By default both come
+        from Gauss's collocation method of order 16 on every step, eight values of γ: right to round-off while γh and
+        the phase of a sinusoidal γ stay below 1 over a step, to 10⁻¹¹ below 2 (measured in the tests).  A γ with
+        complex singularities nearer to the real axis than about two steps asks for smaller ones.  The steps are
+        contact maps in any case, with the factor of the rule.
+
+    Raises
+    ------
+    BadInput
+        As `Mechanical` does, and for κ, a Hessian, a symmetry or a span without a rate.
     """
 
     t: float = 0.0

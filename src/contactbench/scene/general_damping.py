@@ -18,15 +18,23 @@ from contactbench.scene.mechanical import Mechanical
 class GeneralDamping(Mechanical):
     """H = ‖p‖²/2m + V(q) + Γ(s) for any smooth Γ, on the three-part splitting: kick, drift and damping.
 
-    damping : ``Γ(s) -> number`` and damping_slope : ``Γ'(s) -> number``, plain arithmetic like the force; no more
-    is needed.  damping_flow : ``(s, h, xp) -> s(h)``, the solution of s' = −Γ(s) where it is known in closed form;
-    else it is found by quadrature (`splitting.dissipation`), many evaluations of Γ a step.
+    Nyström tables, Herglotz's recursion and `contact-adaptive` refuse it: their flows need a Γ at most quadratic.
 
         GeneralDamping(name="cubic", potential=V, gradient=dV, q=(1.0,), p=(0.0,), s=0.5, t_end=10.0,
                        damping=lambda s: 0.1 * s + s**3, damping_slope=lambda s: 0.1 + 3 * s * s)
 
-    Nyström tables, Herglotz's recursion and `contact-adaptive` refuse it: their flows need a Γ at most quadratic.
-    Raises `BadInput` as `Mechanical` does, and for a gamma or kappa beside Γ.
+    Parameters
+    ----------
+    damping, damping_slope
+        ``Γ(s) -> number`` and ``Γ'(s) -> number``, plain arithmetic like the force.
+    damping_flow
+        ``(s, h, xp) -> s(h)``, the solution of s' = −Γ(s) where it is known in closed form; by default it is found
+        by quadrature (`splitting.dissipation`), many evaluations of Γ a step.
+
+    Raises
+    ------
+    BadInput
+        As `Mechanical` does, and for a gamma or kappa beside Γ.
     """
 
     damping: Callable[[Any], Any]

@@ -41,14 +41,31 @@ def derived_hessian(gradient: Formula) -> Formula:
 class Mechanical(Scene):
     """H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
 
-    potential : ``V(q, **parameters) -> number``; gradient : ``dV(q, **parameters) -> n-tuple`` and
-    hessian : ``(q, **parameters) -> n×n`` nested tuples; where they are left out they are derived from what the
-    potential computes (the Hessian up to 32 components; solvers difference where there is none).
     The functions may read globals or attributes: every solve, run and reference is of what they compute when it
     is prepared.
-    q, p : n numbers; gamma, kappa : damping (κ ≠ 0 makes s part of the dynamics); mass > 0.
-    rotation_invariant : V(Rq) = V(q), so that the angular momentum obeys J' = −Γ'(s) J.
-    Raises `BadInput` for lengths that differ, values that are not finite, mass ≤ 0, t_end ≤ 0.
+
+    Parameters
+    ----------
+    potential
+        ``V(q, **parameters) -> number``.
+    gradient, hessian
+        ``dV(q, **parameters) -> n-tuple`` and ``(q, **parameters) -> n×n`` nested tuples; by default derived from the
+        potential (the Hessian up to 32 components; solvers difference where there is none).
+    q, p
+        Initial coordinates and momenta, n numbers each.
+    gamma, kappa
+        Damping; κ ≠ 0 makes s part of the dynamics.
+    mass
+        > 0.
+    parameters
+        Numbers by name that the functions take.
+    rotation_invariant
+        Whether V(Rq) = V(q), so that the angular momentum obeys J' = −Γ'(s) J.
+
+    Raises
+    ------
+    BadInput
+        For lengths that differ, values that are not finite, mass ≤ 0, t_end ≤ 0.
     """
 
     potential: Callable[..., Any]

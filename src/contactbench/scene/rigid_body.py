@@ -27,11 +27,23 @@ from contactbench.scene.base import Scene
 class RigidBody(Scene):
     """Damped rigid body: M' = M × I⁻¹M − D M, R' = R Ω̂, s' = ½ M·Ω − γ s on T*SO(3) × R.
 
-    inertia : three principal moments > 0.  Exactly one of gamma (isotropic, D = γ 1: a contact
-    system with H = ½ M·I⁻¹M + γ s) and damping (three rates ≥ 0, or a symmetric 3×3 D ≥ 0: no
-    contact Hamiltonian, hence no s).  M : body angular momentum; R : attitude (see `quaternion_of`).
-    Momentum map of the left action: the spatial momentum J = R M.
-    Raises `BadInput` for a negative inertia, a D that is not symmetric ≥ 0, t_end ≤ 0.
+    The momentum map of the left action is the spatial momentum J = R M.
+
+    Parameters
+    ----------
+    inertia
+        Three principal moments > 0.
+    M, R
+        Angular momentum in the body, and attitude (see `quaternion_of`), at the start.
+    gamma
+        Isotropic damping, D = γ 1: a contact system with H = ½ M·I⁻¹M + γ s.
+    damping
+        In place of gamma, three rates ≥ 0 or a symmetric 3×3 D ≥ 0: no contact Hamiltonian, hence no s.
+
+    Raises
+    ------
+    BadInput
+        For a negative inertia, a D that is not symmetric ≥ 0, t_end ≤ 0.
     """
 
     inertia: Vector

@@ -51,11 +51,20 @@ def reference(
 ) -> Reference:
     """Return the truth of a scene, itself or by name, at `times` (k,), any order, t ≥ 0; `carry` as in `solve`.
 
-    seconds : how long a live computation may take; it ends sooner where it is seen to need far more.
-    A time within 4 units in the last place of a frozen grid time means that grid time.
-    Raises `BadInput` for times that are negative or not finite, and when no reference can be
-    computed: the trajectory blows up before the last time, or too few digits can be had; `OutOfTime`, one of
-    them, when it would take too long.
+    Parameters
+    ----------
+    times
+        A time within 4 units in the last place of a frozen grid time means that grid time.
+    seconds
+        How long a live computation may take; it ends sooner where it is seen to need far more.
+
+    Raises
+    ------
+    BadInput
+        For times that are negative or not finite, and where no reference can be computed: the trajectory blows up
+        before the last time, or too few digits can be had.
+    OutOfTime
+        A `BadInput`, where it would take too long.
     """
     scene = scene_of(scene)
     if not is_real(seconds) or not hasattr(seconds, "__float__") or seconds != seconds:
