@@ -47,7 +47,7 @@ def structure(frame: pd.DataFrame) -> Figure | None:
     x = number_axis("error of the solution (more accurate to the right)", inverted=True)
     panel = Panel("", x, number_axis("deviation of the contact form"), curves, (ROUND_OFF,))
     caption = f"Every method and setting on `{SCENE}`. Shaded: round-off."
-    return Figure("structure", message(rows), (panel,), caption, source="laws.csv")
+    return Figure("structure", message(rows), (panel,), caption)
 
 
 def message(rows: pd.DataFrame) -> str:
