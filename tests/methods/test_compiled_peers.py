@@ -216,7 +216,7 @@ def branching(q):
 def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
     scene = cb.Mechanical(
         name="kink",
-        potential=lambda q: q[0] * q[0] / 2,
+        potential=lambda q: q[0] * q[0] / 2 if q[0] > 0 else q[0] * q[0],
         gradient=branching,
         gamma=0.1,
         q=(1.0,),

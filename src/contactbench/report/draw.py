@@ -56,13 +56,6 @@ RC: dict[Any, Any] = {
 }
 
 
-def plain(text: str) -> str:
-    """Return inline Markdown without its marks, mathtext as it is: a figure has one face of type."""
-    parts = text.split("$")
-    parts[::2] = [re.sub(r"[`*]|\[([^]]*)\]\([^)]*\)", lambda mark: mark[1] or "", p) for p in parts[::2]]
-    return "$".join(parts)
-
-
 # -- curves ----------------------------------------------------------------------------------------
 def properties(curve: Curve) -> dict[str, Any]:
     """Return the matplotlib line properties of a curve."""
@@ -89,17 +82,15 @@ def properties(curve: Curve) -> dict[str, Any]:
 
 def add(axes: Axes, curve: Curve, three: bool) -> None:
     """Draw one curve."""
-    style = properties(curve)
     place = [curve.x, curve.y, curve.z] if three else [curve.x, curve.y]
-    axes.plot(*place, markevery=len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1, **style)
-    if curve.low and not curve.muted:
-        axes.vlines(curve.x, curve.low, curve.high, color=style["color"], linewidth=1.1, alpha=0.7)
+    every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
+    axes.plot(*place, markevery=every, **properties(curve))
 
 
 def entries(curves: Iterable[Curve]) -> dict[str, Line2D]:
     """Return a line for the legend for each label, in the order met; the muted ones share one."""
     ordered = sorted(curves, key=lambda curve: curve.muted)
-    named = {OTHERS if curve.muted else plain(curve.label): curve for curve in ordered}
+    named = {OTHERS if curve.muted else curve.label: curve for curve in ordered}
     return {label: Line2D([], [], **properties(curve)) for label, curve in named.items() if label}
 
 
@@ -118,7 +109,7 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
         color = properties(curve)["color"]
         line = {"arrowstyle": "-", "color": color, "linewidth": 0.7, "alpha": 0.6, "shrinkB": 4, "shrinkA": 1}
         place: dict[str, Any] = {"xytext": (1.03, height), "textcoords": "axes fraction", "va": "center"}
-        axes.annotate(plain(curve.label), point, **place, color=color, arrowprops=line, gid="name")
+        axes.annotate(curve.label, point, **place, color=color, arrowprops=line, gid="name")
     if any(curve.muted for curve in curves):
         axes.text(1.03, -0.06, f"grey: {OTHERS}", transform=axes.transAxes, fontsize=9, color="#777777")
 
@@ -148,7 +139,7 @@ def power(value: float) -> str:
 
 
 def seen(panel: Panel, which: str) -> list[float]:
-    """Return what a panel has on one axis, error bars included, where both axes allow it."""
+    """Return what a panel has on one axis where both axes allow it."""
 
     def inside(axis: Axis, v: float) -> bool:
         low, high = axis.within
@@ -157,18 +148,15 @@ def seen(panel: Panel, which: str) -> list[float]:
 
     values = list(getattr(panel.heat, which)) if panel.heat else []
     for curve in panel.curves:
-        bars = (
-            zip(curve.low, curve.high, strict=True) if curve.low and not curve.muted else [()] * len(curve.x)
-        )
-        for x, y, bar in zip(curve.x, curve.y, bars, strict=True):
+        for x, y in zip(curve.x, curve.y, strict=True):
             if inside(panel.x, x) and inside(panel.y, y):
-                values += [x] if which == "x" else [v for v in (y, *bar) if inside(panel.y, v)]
+                values.append(x if which == "x" else y)
     return values
 
 
 def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
     """Label, scale, limits and ticks of one axis."""
-    getattr(axes, f"set_{which}label")(plain(axis.label))
+    getattr(axes, f"set_{which}label")(axis.label)
     own = getattr(axes, f"{which}axis")
     if axis.log:
         getattr(axes, f"set_{which}scale")("log")
@@ -211,7 +199,7 @@ def draw_panel(axes: Any, panel: Panel) -> None:
         axes.set_box_aspect((1, 1, 1), zoom=0.9)
     elif panel.equal:
         axes.set_aspect("equal", adjustable="datalim" if panel.heat is None else "box")
-    axes.set_title(plain(panel.title), loc="left")
+    axes.set_title(panel.title, loc="left")
 
 
 def shade(axes: Axes, span: Span) -> None:
@@ -220,7 +208,7 @@ def shade(axes: Axes, span: Span) -> None:
     top = axes.transAxes.inverted().transform(axes.transData.transform((1.0, span.high)))[1]
     if 0.08 < top < 1:
         style: dict[str, Any] = {"color": "#5566aa", "fontsize": 9, "va": "top"}
-        axes.text(0.01, span.high, plain(span.label), transform=axes.get_yaxis_transform(), **style)
+        axes.text(0.01, span.high, span.label, transform=axes.get_yaxis_transform(), **style)
 
 
 def sphere(axes: Any) -> None:
@@ -237,10 +225,10 @@ def heat(axes: Axes, data: Heat) -> None:
     limit = float(np.nanmax(np.abs(values))) or 1.0
     style: dict[str, Any] = {"cmap": "RdBu_r", "norm": TwoSlopeNorm(0.0, -limit, limit), "rasterized": True}
     image = axes.pcolormesh(data.x, data.y, values, shading="nearest", **style)
-    if data.zero and np.nanmin(values) < 0 < np.nanmax(values):
+    if np.nanmin(values) < 0 < np.nanmax(values):
         axes.contour(data.x, data.y, values, [0.0], colors="#DDAA33", linewidths=4)
     axes.grid(visible=False)
-    axes.figure.colorbar(image, ax=axes, label=plain(data.label), shrink=0.9)
+    axes.figure.colorbar(image, ax=axes, label=data.label, shrink=0.9)
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -250,7 +238,7 @@ def render(figure: Figure) -> Drawing:
     across = min(figure.across, len(panels))
     down = -(-len(panels) // across)
     width = WIDTHS[across]
-    title = textwrap.fill(plain(figure.title), int(width / LETTER))
+    title = textwrap.fill(figure.title, int(width / LETTER))
     legend = entries(curve for panel in panels for curve in panel.curves)
     margin = len(panels) == 1 and not panels[0].equal and all(curve.line for curve in panels[0].curves)
     columns = max(1, int(width / (0.8 + LETTER * max(map(len, legend), default=1))))

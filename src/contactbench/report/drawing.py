@@ -35,7 +35,6 @@ class Curve:
     method : a name of METHODS gives it that method's colour, dash and marker, everywhere the same.
     role : the look of what is no method, a name of `look.ROLES`.
     line, markers : whether either is drawn.
-    low, high : error bars in y, absolute values; empty for none.
     z : third coordinate, in a panel that has a z axis.
     family : what a method unknown to look.py declares itself.
     muted : thin and grey, not the best of its family.
@@ -49,8 +48,6 @@ class Curve:
     role: str = ""
     line: bool = True
     markers: bool = True
-    low: tuple[float, ...] = ()
-    high: tuple[float, ...] = ()
     z: tuple[float, ...] = ()
     family: str = ""
     muted: bool = False
@@ -68,13 +65,12 @@ class Span:
 
 @dataclass(frozen=True)
 class Heat:
-    """A colour map of values[j][i] at (x[i], y[j]), centred at zero; zero : label of its zero contour."""
+    """A colour map of values[j][i] at (x[i], y[j]), centred at zero, with the contour of zero."""
 
     x: tuple[float, ...]
     y: tuple[float, ...]
     values: tuple[tuple[float, ...], ...]
     label: str
-    zero: str = ""
 
 
 @dataclass(frozen=True)
@@ -110,7 +106,6 @@ class Figure:
     caption: str = ""
     across: int = 2
     legend: Literal["shared", "each"] = "shared"
-    source: str = ""
 
 
 @dataclass(frozen=True)

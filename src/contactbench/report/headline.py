@@ -87,24 +87,29 @@ def documents_view(frames: Frames) -> View:
     return View("documents", "All tables", frame_of(rows, ["document", "question"]))
 
 
+def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
+    """Return who is cheapest where, a table for each kind of cost, and where the contact methods lose."""
+    if not contests:
+        return []
+    legend = (
+        "In brackets the best contact method, where it is not the cheapest. Bold: a contact method is the cheapest; "
+        "italic: it ties. [Scene by scene](work_precision.md); [hard scenes](stability.md)."
+    )
+    tables = (
+        replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}"), legend="") for own in contests
+    )
+    lost = work_precision.losses_view({own.kind.title: own.contests for own in contests}, "lost")
+    return [Section("Who is cheapest where", (Text(legend), *tables)), lost]
+
+
 def parts(frames: Frames) -> list[Part]:
     mission, work = mission_view(frames), frames["work_precision"]
     found: list[Part] = [mission] if mission else []
     if len(work):
-        contests = once(work_precision.all_contests, frames)
-        timed = [own for own in contests.values() if len(own.contests)]
         drawn = figures.figure(work, PICTURED)
         found += [replace(drawn, caption="")] if drawn else []
-        legend = (
-            "In brackets the best contact method, where it is not the cheapest. Bold: a contact method is the "
-            "cheapest; italic: it ties. [Scene by scene](work_precision.md); [hard scenes](stability.md)."
-        )
-        tables = (
-            replace(work_precision.winners_view(own, f"cheapest_{own.kind.name}"), legend="") for own in timed
-        )
-        found.append(Section("Who is cheapest where", (Text(legend), *tables)))
-        lost = {own.kind.title: own.contests for own in timed}
-        found.append(work_precision.losses_view(lost, "lost"))
+        contests = once(work_precision.all_contests, frames).values()
+        found += cheapest_parts([own for own in contests if len(own.contests)])
     return [*found, documents_view(frames)]
 
 

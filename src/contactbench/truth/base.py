@@ -62,7 +62,7 @@ class Stopwatch:
         """Raise `OutOfTime` if it is over."""
         if self.is_over(t):
             more = self.needed(t) - (perf_counter() - self.begun)
-            pace = f" (t = {t:.3g} of {self.span:.3g} so far: about {spoken(more)} more)" if t > 0 else ""
+            pace = f" (t = {t:.3g} of {self.span:.3g} so far: about {duration(more)} more)" if t > 0 else ""
             faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
             raise OutOfTime(
                 f"no reference for scene {self.scene.name!r} in the time it was given{pace}: allow it more, "
@@ -70,7 +70,7 @@ class Stopwatch:
             )
 
 
-def spoken(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Return a duration in the unit that suits it."""
     for unit, size in (("years", 3.156e7), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2 * size:

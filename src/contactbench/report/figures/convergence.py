@@ -41,7 +41,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
     panel = Panel("", x, Axis("error of the solution", "log"), (*guides(rows, in_colour(curves)), *curves))
     caption = "Dotted: the claimed slopes. In colour: the most accurate of each family and order."
-    return Figure("convergence", message(rows, scene), (panel,), caption, source="convergence.csv")
+    return Figure("convergence", message(rows, scene), (panel,), caption)
 
 
 def message(rows: pd.DataFrame, scene: str) -> str:

@@ -31,7 +31,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     y = contest_ends(Axis("time per trajectory, µs", "log"), curves, 100.0)
     panel = Panel("", x, y, best_of_each(curves, cheapest, family))
     caption = "One core; fixed-step methods share one step size. In colour: the cheapest of each family."
-    return Figure("ensemble", message(rows), (panel,), caption, source="ensemble.csv")
+    return Figure("ensemble", message(rows), (panel,), caption)
 
 
 def message(rows: pd.DataFrame) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pandas as pd
 
@@ -10,6 +11,7 @@ from contactbench.report.curves import ROUND_OFF, by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.best import best_of_each, in_colour, like, lowest, structure_class
 from contactbench.report.numbers import power
+from contactbench.results.contest import CONTACT
 
 DECAYED = r"e^{-\int\Gamma'} η"
 #: columns of the table along time: panel, axis, and the quantity in the title
@@ -55,27 +57,30 @@ def along_time(frame: pd.DataFrame, scene: str, laws: pd.DataFrame) -> Figure:
         "colour: the closest to the true $H_0$ of contact methods of order 1, 2 and higher, RK4, Herglotz, SUNDIALS, "
         "heyoka and the other adaptive solvers."
     )
-    return Figure(
-        f"laws_{scene}",
-        message(rows, laws[laws["scene"] == scene], scene),
-        panels,
-        caption,
-        source="laws_time.csv",
-    )
+    return Figure(f"laws_{scene}", message(rows, laws[laws["scene"] == scene], scene), panels, caption)
 
 
 def message(rows: pd.DataFrame, laws: pd.DataFrame, scene: str) -> str:
-    """Return the title: to what the methods that claim a law keep it, and the best of the others."""
+    """Return the title: to what the methods that claim a law keep it, and the best of the others; without such a law
+    who is closest to the true energy."""
     kept = []
     for column, (claimed, name) in STRUCTURAL.items():
-        methods = laws[laws[claimed].eq(True)]["method"] if claimed in laws else ()
-        worst = rows.groupby("method")[column].max().dropna()
-        ours, theirs = worst[worst.index.isin(methods)], worst[~worst.index.isin(methods)]
+        worst = rows.groupby(["family", "method"])[column].max().dropna()
+        methods = laws[laws[claimed].eq(True)]["method"]
+        contact = worst.index.get_level_values("family") == CONTACT
+        ours, theirs = worst[worst.index.isin(methods, level="method")], worst[~contact]
         if len(ours) and len(theirs) and ours.max() > 0:
-            kept.append(f"{name} to {upwards(ours.max())} (others at best {upwards(theirs.min())})")
-    return f"{scene}: contact methods keep {' and '.join(kept)}" if kept else f"{scene}: laws along time"
+            kept.append(
+                f"{name} to {decade(ours.max(), math.ceil)} (others at best {decade(theirs.min(), math.floor)})"
+            )
+    if kept:
+        return f"{scene}: contact methods keep {' and '.join(kept)}"
+    worst = rows.groupby("method")["energy_deviation"].max().dropna()
+    if not len(worst):
+        return f"{scene}: laws along time"
+    return f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"
 
 
-def upwards(value: float) -> str:
-    """Return the next power of ten above a value."""
-    return power(10.0 ** math.ceil(math.log10(value)))
+def decade(value: float, ends: Callable[[float], int]) -> str:
+    """Return the power of ten at the upper (`math.ceil`) or lower (`math.floor`) end of a value's decade."""
+    return power(10.0 ** ends(math.log10(value))) if value > 0 else "0"

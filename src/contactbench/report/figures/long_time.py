@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import pandas as pd
 
 from contactbench.report.curves import ROUND_OFF, by_method
 from contactbench.report.drawing import Axis, Figure, Panel
-from contactbench.report.numbers import power
+from contactbench.report.figures.laws import decade
 from contactbench.results.contest import CONTACT
 from contactbench.results.long_time import SUM
 
@@ -28,7 +29,7 @@ def pairs(frame: pd.DataFrame) -> Iterator[Figure]:
         x, y = Axis("evaluations per unit of time", "log"), Axis("pairing defect per unit of time", "log")
         panel = Panel("", x, y, curves, spans=(ROUND_OFF,))
         caption = "Root mean square of $λ_1 + λ_2 + γ$ over one period. Shaded: round-off."
-        yield Figure("pairing", message(rows), (panel,), caption, source="long_time.csv")
+        yield Figure("pairing", message(rows), (panel,), caption)
 
 
 def message(rows: pd.DataFrame) -> str:
@@ -38,6 +39,6 @@ def message(rows: pd.DataFrame) -> str:
         return "Pairs of Lyapunov exponents: their defect"
     ours, theirs = rows[own]["pairing_defect"].max(), rows[~own]["pairing_defect"].min()
     return (
-        f"Contact methods pair the Lyapunov exponents to {power(ours)} at any cost, "
-        f"others to {power(theirs)} at best"
+        f"Contact methods pair the Lyapunov exponents to {decade(ours, math.ceil)} at any cost, "
+        f"others to {decade(theirs, math.floor)} at best"
     )

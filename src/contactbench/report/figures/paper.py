@@ -117,7 +117,7 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
     for panel, part in sample.groupby("panel", sort=False):
         grid = part.pivot(index="y", columns="x", values="z")
         values = tuple(tuple(map(float, line)) for line in grid.to_numpy())
-        heat = Heat(floats(grid.columns), floats(grid.index), values, "growth rate", "growth rate 0")
+        heat = Heat(floats(grid.columns), floats(grid.index), values, "growth rate")
         axis, _, cut = str(panel).partition(", ")
         first, second = (i for i in "123" if i != axis[-1])
         x, y = f"d{first}{first}", f"d{second}{second}"
@@ -193,7 +193,7 @@ def figure(name: str, rows: pd.DataFrame) -> Figure:
         name, lambda rows: [flat(rows, p, p, Axis("x"), Axis("y")) for p in dict.fromkeys(rows["panel"])]
     )
     panels = tuple(panel for panel in plan.panels(rows) if panel.curves or panel.heat)
-    return Figure(name, plan.title, panels, plan.caption, 3, source="paper_figures.csv")
+    return Figure(name, plan.title, panels, plan.caption, 3)
 
 
 def all_figures(table: pd.DataFrame) -> Iterator[Figure]:

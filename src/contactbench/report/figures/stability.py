@@ -22,7 +22,7 @@ def limits(frame: pd.DataFrame) -> Figure:
         "family and order."
     )
     panel = Panel("", x, y, curves)
-    return Figure("stability_map", message(rows), (panel,), caption, source="stability_limits.csv")
+    return Figure("stability_map", message(rows), (panel,), caption)
 
 
 def message(rows: pd.DataFrame) -> str:

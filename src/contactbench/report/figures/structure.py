@@ -47,7 +47,7 @@ def structure(frame: pd.DataFrame) -> Figure | None:
     x = number_axis("error of the solution (more accurate to the right)", inverted=True)
     panel = Panel("", x, number_axis("deviation of the contact form"), curves, (ROUND_OFF,))
     caption = f"Every method and setting on `{SCENE}`. Shaded: round-off."
-    return Figure("structure", message(rows), (panel,), caption, source="laws.csv")
+    return Figure("structure", message(rows), (panel,), caption)
 
 
 def message(rows: pd.DataFrame) -> str:
@@ -57,5 +57,5 @@ def message(rows: pd.DataFrame) -> str:
         return "Structure against accuracy"
     return (
         f"Contact methods keep the contact form at any error ({int(kept.sum())} of {len(kept)} runs), "
-        "others lose it with accuracy"
+        "others only as well as they solve"
     )

@@ -15,7 +15,6 @@ from contactbench.report.numbers import power
 from contactbench.results import contest
 from contactbench.results.contest import COMPILED, EVALUATIONS, KINDS, Kind, contestants
 
-SOURCE = "work_precision.csv"
 #: where errors begin and end: beyond one there is nothing left of the motion, below round-off nothing is known
 ERRORS = (1e-16, 2.0)
 #: the axis of each cost, and its scale
@@ -65,7 +64,7 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
         f"Cheaper below. {COLOURS} Costs beyond 30 times the least of the contest are outside the panels."
     )
     name = f"work_precision_{scene}"
-    return Figure(name, title, panels, caption, source=SOURCE)
+    return Figure(name, title, panels, caption)
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
