@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from cases import REPOSITORY
 from contactbench.measure.ladder import ENDS
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.compiled import _programs
