@@ -383,14 +383,6 @@ def test_without_benchmark_git_or_revision_it_could_not_run(root, tmp_path, caps
     assert "git: not installed" in refusal("--only", "speed")
 
 
-def test_text_stays_in_its_cell(root, tmp_path):
-    run = fresh(root, tmp_path / "fresh", setting("work_precision", "rk4", carried="a|b\n<script>x</script>"))
-    text = judge.gate(Question(root, fresh=run, parts=("accuracy",))).as_markdown()
-    (line,) = (line for line in text.splitlines() if "carried" in line)
-    assert "a\\|b &lt;script>" in line
-    assert line.replace("\\|", "").count("|") == 11
-
-
 def test_two_folders_are_compared_outside_a_repository(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     before, after = folder(tmp_path / "a"), folder(tmp_path / "b", broken)

@@ -13,13 +13,10 @@ from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_s
 from contactbench.peers import c_functions
 from contactbench.peers.abi import cvode, cyrk
 from contactbench.solution import Status
+from contactbench.testing.method import CASES
 from contactbench.trace.python import source
 
-PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
-BODY = cb.SCENES["rigid_body"].with_(
-    inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=4.0
-)
-ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0)
+PARTICLE, BODY, ANISOTROPIC = CASES
 CVODE = ("cvode-adams", "cvode-bdf")
 CYRK = tuple(name for name in cb.METHODS if name.startswith("cyrk-"))
 PEERS = [(name, "c") for name in CVODE] + [(name, "c++") for name in CYRK]
@@ -84,30 +81,6 @@ def test_what_the_numbers_alone_decide_is_not_computed_at_every_call():
 
 
 # -- the same solver, with and without Python ------------------------------------------------------
-@pytest.mark.parametrize("method", CVODE)
-@pytest.mark.parametrize("rtol", [1e-4, 1e-7, 1e-10])
-@by_name([PARTICLE, BODY, ANISOTROPIC])
-def test_cvode_in_c_is_cvode_with_callbacks(method, rtol, scene):
-    """The same steps with other rounding errors: the same counts, and states as near as their conditioning."""
-    for times in ([4.0], np.linspace(0, 4, 33)):
-        c, python = (cb.prepare(scene, method, rtol=rtol, save_at=times, engine=e) for e in ("c", "c+python"))
-        ours, theirs = c(), python()
-        np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=1e-11)
-        counts = python.count(theirs.counts)
-        assert ours.counts[:3] == counts[:3]
-
-
-@pytest.mark.parametrize(("cyrk", "scipy"), [("cyrk-dop853", "scipy-dop853"), ("cyrk-radau", "scipy-radau")])
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-8])
-@by_name([PARTICLE, BODY])
-def test_cyrk_is_as_accurate_as_scipy(cyrk, scipy, rtol, scene):
-    """Two programs of one method: errors within a factor of two, and DOP853 even in the same steps."""
-    ours, theirs = (cb.solve(scene, name, rtol=rtol, save_at=[4.0]) for name in (cyrk, scipy))
-    errors = [cb.LAWS["solution_error"](run) for run in (ours, theirs)]
-    assert 0.5 < errors[0] / errors[1] < 2
-    assert ours.counts.steps == theirs.counts.steps
-    if cyrk == "cyrk-dop853":
-        assert ours.counts == theirs.counts
 
 
 @peers

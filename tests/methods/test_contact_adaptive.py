@@ -31,14 +31,6 @@ def test_momentum_law_is_exact_and_the_error_meets_the_tolerance(rtol):
     assert cb.LAWS["solution_error"](solution) < 3 * rtol
 
 
-def test_a_fixed_step_of_the_same_cost_is_far_behind():
-    free = cb.prepare(KEPLER, NAME, rtol=1e-6, save_at=[100.0], carry=())
-    solution = free()
-    step = 100.0 * 11 / solution.counts.evaluations
-    fixed = cb.solve(KEPLER, "contact-rkn6", step=step, save_at=[100.0], carry=())
-    assert cb.LAWS["solution_error"](fixed) > 1e3 * cb.LAWS["solution_error"](solution)
-
-
 @pytest.mark.parametrize("scene", MECHANICAL, ids=lambda s: s.name)
 def test_every_mechanical_scene_is_solved_to_its_tolerance(scene):
     short = scene.with_(t_end=min(scene.t_end, 5.0))
@@ -98,13 +90,6 @@ def test_saving_does_not_disturb_the_steps():
     often = cb.solve(KEPLER, NAME, rtol=1e-4, save_at=np.arange(0, 101) * 1.0, engine="python")
     np.testing.assert_array_equal(alone.y[-1], often.y[-1])
     np.testing.assert_array_equal(often.y[0], often.y0)
-
-
-def test_contact_structure_of_the_steps_taken():
-    scene = cb.SCENES["central"]
-    solution = cb.solve(scene, NAME, rtol=1e-3, save_at=[10.0, 20.0])
-    assert cb.LAWS["contact_drift_frozen"](solution) < 1e-12
-    assert "frozen" in solution.frozen_differential.source
 
 
 def test_a_step_with_its_density_undoes_itself(mp50):

@@ -173,14 +173,6 @@ def test_the_tangent_loop_carries_the_derivative(method, scene):
         np.testing.assert_allclose(derivative[:, :, j], difference, rtol=0, atol=2e-8 * size)
 
 
-@pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
-def test_the_bare_call_is_the_same_run(method):
-    run = cb.prepare(PARTICLE, method.name, step=0.1, save_at=[2.0])
-    y0 = run._own_start
-    np.testing.assert_array_equal(run.bare(y0), run().y[-1])
-    assert not np.array_equal(run.bare(y0 + 0.1), run.bare(y0))
-
-
 def test_one_program_serves_all_compositions_parameters_and_steps():
     def loop(method, scene=PARTICLE):
         return loop_of(cb.METHODS[method], scene, ("s",))

@@ -13,7 +13,6 @@ from contactbench.methods.step_map import StepMap
 STEP = 0.1
 STEPS = [name for name, method in cb.METHODS.items() if isinstance(method, StepMap)]
 
-SOME = ("contact-rkn6", "rk4", "contact-strang")
 #: numba takes its time over the long ones
 SHORT = ("contact-strang", "herglotz2")
 
@@ -53,18 +52,6 @@ def test_parameters_by_name_and_as_a_tuple():
     numbers[step.names.index("gamma")], numbers[step.names.index("coupling")] = 0.4, 0.2
     assert step(step.start, STEP, gamma=0.4, coupling=0.2) == other(step.start, STEP)
     assert step(step.start, STEP, tuple(numbers)) == other(step.start, STEP)
-
-
-@pytest.mark.parametrize(
-    ("scene", "method"), supported(SOME, ["particle", "quadratic_damping", "rigid_body"])
-)
-def test_numpy_arrays_are_many_states_at_once(scene, method):
-    step = cb.step_map(scene, method)
-    scales = np.linspace(0.9, 1.1, 5)
-    many = step(tuple(c * scales for c in step.start), STEP)
-    for k, scale in enumerate(scales):
-        one = step(tuple(c * scale for c in step.start), STEP)
-        np.testing.assert_allclose([c[k] for c in many], one, rtol=1e-14, atol=1e-15)
 
 
 @pytest.mark.parametrize(("scene", "method"), supported(SHORT, ["particle", "rigid_body"]))

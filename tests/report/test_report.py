@@ -33,9 +33,17 @@ def test_a_partial_run_fills_its_part_of_every_table(results):
     assert set(work["method"]) == {"contact-strang", "rk4", "cvode-adams", "cvode-bdf", "heyoka-taylor"}
     assert (work["status"] == "ok").all()
     needed = [
-        "solution_error", "steps", "evaluations", "compile_s", "first_call_s", "time_min_s", "time_median_s",
-        "time_iqr_s", "time_halves_ratio", "rounds",
-    ]  # fmt: skip
+        "solution_error",
+        "steps",
+        "evaluations",
+        "compile_s",
+        "first_call_s",
+        "time_min_s",
+        "time_median_s",
+        "time_iqr_s",
+        "time_halves_ratio",
+        "rounds",
+    ]
     assert work[needed].notna().all().all()
     assert work["time_process_ratio"].notna().any()
     assert (work["visits"] >= 8).all()
