@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -120,21 +118,3 @@ def test_bad_input_is_named(call, says):
     with pytest.raises(cb.BadInput) as caught:
         call()
     assert says in str(caught.value)
-
-
-def test_a_force_that_branches_on_values_runs_in_python_and_says_so_to_numba():
-    from contactbench.numbers.protocol import CannotRecord
-
-    scene = cb.Mechanical(
-        name="wall",
-        q=(0.5,),
-        p=(1.0,),
-        gamma=0.1,
-        t_end=1.0,
-        potential=lambda q: 0.0 if q[0] < 1 else (q[0] - 1) ** 2,
-        gradient=lambda q: (0.0 if q[0] < 1 else 2 * (q[0] - 1),),
-    )
-    step = cb.step_map(scene, "contact-strang")
-    assert math.isfinite(step(step.start, STEP)[0])
-    with pytest.raises(CannotRecord):
-        step.compiled  # noqa: B018
