@@ -184,7 +184,8 @@ def is_controlled_by_its_setting(case: MethodCase) -> None:
     elif method.exact:
         measured["error"] = error = case.error()
         require(error < 1e-12, f"exact, with an error of {error:.1e}")
-        for name, value in {"step": 0.1, "rtol": 1e-6}.items():
+        settings: dict[str, Any] = {"step": 0.1, "rtol": 1e-6}
+        for name, value in settings.items():
             try:
                 case.run(save_at=[scene.t_end], **{name: value})
             except BadInput:
