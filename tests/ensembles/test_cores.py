@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from threading import Semaphore
-
 import numpy as np
 import pytest
 
@@ -12,8 +9,6 @@ import contactbench as cb
 from contactbench.ensembles import cores
 from contactbench.ensembles.cores import AHEAD, LANES, equal_share, on_cores
 from contactbench.ensembles.measures import ENERGY
-from contactbench.methods import numba_engine, step_map
-from contactbench.scene.cache import Cache
 
 SCENE = cb.SCENES["particle"]
 
