@@ -48,22 +48,20 @@ def save_times(scene):
 
 
 def to_the_end(scene, method, value, budget):
-    """A run to the end, saved there alone, and what it cost.
+    """Return a run to the end, saved there alone.
 
     diffrax, whose steps and evaluations do not depend on what is saved, saves at all times: the program of
     the laws then serves here too.
     """
     saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
-    run = cb.prepare(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
-    solution = run()
-    return solution, run.count(solution.counts)
+    return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
 
 
 def evaluations(scene, method, rtol, budget=None):
     """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
-    solution, counts = to_the_end(scene, method, rtol, budget)
+    solution = to_the_end(scene, method, rtol, budget)
     if solution.ok:
-        return counts.rhs_equivalents
+        return solution.counts.rhs_equivalents
     return math.inf if solution.status is cb.Status.budget else 0.0
 
 
@@ -97,7 +95,8 @@ def test_decay_laws(cell, profile, record):
     # that of the laws at all tolerances, many times what is asked for: their programs serve here too
     budget = step_budget(profile, scene, method, method.engines[0])
     value = value_at(scene, method, cost * scene.t_end, budget)
-    solution, counts = to_the_end(scene, method, value, budget)
+    solution = to_the_end(scene, method, value, budget)
+    counts = solution.counts
     row = outcome(solution, counts) | {"cost": cost, "control": method.control, "value": value}
     if solution.ok:
         row |= laws_row(scene, method, value, budget)

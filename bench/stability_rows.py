@@ -227,13 +227,13 @@ def pilot_cost(scene, method):
     def cost(rtol):
         with blamed_on_solver():
             run = cb.prepare(scene, method, rtol=rtol, save_at=[PILOT], carry=())
-            return evaluations_of(run, run())
+            return evaluations_of(run())
 
     return cost
 
 
-def evaluations_of(run, solution):
+def evaluations_of(solution):
     """Right-hand sides of a run; 0 where it came to a bad end, inf where it spent its budget."""
     if solution.ok:
-        return run.count(solution.counts).rhs_equivalents
+        return solution.counts.rhs_equivalents
     return math.inf if solution.status is cb.Status.budget else 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import signal
 import sys
 from dataclasses import dataclass
 
@@ -14,7 +13,6 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES
-from contactbench import start
 from contactbench.cli import main
 from contactbench.measure.laws import law
 from contactbench.methods.fixed_step import FixedStep
@@ -430,16 +428,3 @@ def test_nor_need_a_law():
         assert cb.solve("particle", "rk4", step=0.1).laws().loc["Ended", "deviation"] == 1.0
     finally:
         del cb.LAWS["Ended"]
-
-
-# -- signals ---------------------------------------------------------------------------------------
-def test_the_library_sets_no_timer(monkeypatch):
-    monkeypatch.delenv(start.VARIABLE, raising=False)
-    before, seen = signal.getsignal(signal.SIGALRM), []
-
-    def gradient(q):
-        seen.append((signal.getsignal(signal.SIGALRM), signal.getitimer(signal.ITIMER_REAL)[0]))
-        return (q[0],)
-
-    cb.solve(cb.Mechanical(**PLAIN | {"gradient": gradient}), "rk4", step=0.1)
-    assert set(seen) == {(before, 0.0)}

@@ -93,8 +93,7 @@ def test_cvode_in_c_is_cvode_with_callbacks(method, rtol, scene):
         c, python = (cb.prepare(scene, method, rtol=rtol, save_at=times, engine=e) for e in ("c", "c+python"))
         ours, theirs = c(), python()
         np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=1e-11)
-        counts = python.count(theirs.counts)
-        assert ours.counts[:3] == counts[:3]
+        assert ours.counts[:3] == theirs.counts[:3]
 
 
 @pytest.mark.parametrize(("cyrk", "scipy"), [("cyrk-dop853", "scipy-dop853"), ("cyrk-radau", "scipy-radau")])

@@ -29,13 +29,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.adaptive_program import record_loop
+from contactbench.methods.adaptive_program import first_density, next_density, record_loop
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared, Refused, stopwatch
 from contactbench.methods.request import NO_NUMBER
-from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Mechanical, Scene
@@ -91,10 +90,6 @@ class AdaptiveContactRun(Prepared):
         self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: list[float], density: float
     ) -> Outcome:
         """The outcome of a run whose sequence of steps ended at (time, last); y : NaN where not reached."""
-        if len(y) == 1:
-            out = self.at_end(y0, y[0].tolist(), y, self.cost(steps, 1))
-            if out.checked:
-                return out
         r = self.request
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
         counts = self.cost(steps, reached)

@@ -14,9 +14,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Method, Request
+from contactbench.methods.base import CALLBACKS, METHODS, Method, Request
 from contactbench.methods.compiled import CompiledRun
-from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared, Refused

@@ -10,8 +10,7 @@ import numpy as np
 
 from contactbench.boundary import blame
 from contactbench.errors import BadInput, excerpt, positive, text, whole
-from contactbench.methods.base import METHODS, Method, Request
-from contactbench.methods.engines import CALLBACKS
+from contactbench.methods.base import CALLBACKS, METHODS, Method, Request
 from contactbench.methods.prepared import Prepared, Refused, begins
 from contactbench.methods.request import default_times, long_enough, saved_times
 from contactbench.methods.step_map import StepMap, try_step

@@ -9,8 +9,7 @@ from typing import Any
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, excerpt, is_number
-from contactbench.methods.base import Method
-from contactbench.methods.engines import CALLBACKS
+from contactbench.methods.base import CALLBACKS, Method
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord

@@ -140,8 +140,6 @@ class DiffraxRun(CompiledRun):
         accepted, rejected = int(accepted), int(rejected)
         evaluations = int(counted[0]) if counted else self.method_.evaluations(accepted, rejected)
         counts = Counts(accepted, evaluations, 0, rejected)
-        if successful and self._saves == 1:
-            return self.at_end(y0, last, y, counts)
         if successful:
             return self.finish(y0, y, counts)
         # Unsuccessful runs may still hold a finite state at the wrong time: keep only what was

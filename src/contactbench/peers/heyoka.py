@@ -116,7 +116,7 @@ class TaylorRun(Prepared):
             y = self.insert_clock(ta.state, origin, self.end).copy()
             if outcome == self.outcomes.time_limit:
                 counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
-                return self.at_end(y0, y.tolist(), y[None], counts)
+                return self.finish(y0, y[None], counts)
             y = y[None][:0]
         else:
             start = r.save_at[0] == 0

@@ -127,12 +127,6 @@ class CompiledCvodeRun(CompiledPeer):
 
         return Status.failed, str(CVMESSAGES.get(flag, f"CVODE returned {flag}"))
 
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        try:
-            return super().linearised(y0, y)
-        except CannotRecord:  # no derivative on dual numbers: JAX has one
-            return CvodeRun(self.method, self.request, self.solver).linearised(y0, y)
-
 
 @dataclass(frozen=True)
 class CvodeMethod(Adaptive):
