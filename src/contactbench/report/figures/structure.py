@@ -57,5 +57,5 @@ def message(rows: pd.DataFrame) -> str:
         return "Structure against accuracy"
     return (
         f"Contact methods keep the contact form at any error ({int(kept.sum())} of {len(kept)} runs), "
-        "others lose it with accuracy"
+        "others only as well as they solve"
     )
