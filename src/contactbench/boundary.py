@@ -18,7 +18,7 @@ from contactbench.errors import BadInput, one_line
 #: characters of another's message that are repeated
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
-FUNCTIONS = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
+FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
 FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
 #: where no user's code is: this package, Python's library, installed packages, generated programs
 _OURS = str(Path(__file__).parent) + os.sep

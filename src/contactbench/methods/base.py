@@ -48,7 +48,7 @@ class Method(ABC):
      2. ``refuses(scene)`` is None or one sentence: why the scene is out of reach.  A run of a refused scene ends
         `unsupported` with that sentence, and never raises.
      3. ``prepare(request)`` does all that depends on scene, setting and saved times alone (recording, compiling,
-        allocating); where that fails for one engine it returns `Refused`, and the next engine is tried.  The
+        allocating); where that fails for one engine it raises `CannotRecord`, and the next one is tried.  The
         result is called any number of times, with other initial data if wanted; no call leaves a trace: equal
         data, equal bits.
      4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.

@@ -33,7 +33,7 @@ from contactbench.methods.adaptive_program import first_density, next_density, r
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused, stopwatch
+from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.methods.request import NO_NUMBER
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
@@ -83,8 +83,10 @@ class AdaptiveContactRun(Prepared):
         number of steps does not change."""
 
     def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
-        source = self.sensitivity_source if frozen else self.map_source
-        return Differential(source, out.y, self.sensitivity(y0, frozen)[None])
+        with suppress(CannotRecord):
+            if not frozen:
+                return Differential(self.map_source, out.y, self.sensitivity(y0, frozen=False)[None])
+        return super().differential(y0, out, frozen)
 
     def outcome(
         self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: list[float], density: float
@@ -320,12 +322,7 @@ class AdaptiveContactMethod(Adaptive):
             "jax": AdaptiveJaxLoop,
             "python": AdaptivePythonLoop,
         }
-        try:
-            return loops[request.engine](self.name, request)
-        except CannotRecord as why:
-            return Refused(
-                self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}"
-            )
+        return loops[request.engine](self.name, request)
 
 
 METHODS.add(AdaptiveContactMethod())

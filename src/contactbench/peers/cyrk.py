@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Request
 from contactbench.methods.prepared import Prepared, Refused
-from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, why_not
 from contactbench.peers.compiled import CompiledPeer
 from contactbench.scene import Scene
@@ -76,10 +75,7 @@ class CyrkMethod(Adaptive):
     def prepare(self, request: Request) -> Prepared:
         if why := why_not():
             return Refused(self.name, request, why)
-        try:
-            return CyrkRun(self.name, request, self.solver, stages=self.stages)
-        except CannotRecord as reason:
-            return Refused(self.name, request, str(reason))
+        return CyrkRun(self.name, request, self.solver, stages=self.stages)
 
 
 for _method in (

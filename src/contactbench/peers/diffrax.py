@@ -15,8 +15,7 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.methods.prepared import Prepared
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -186,11 +185,7 @@ class DiffraxMethod(Adaptive):
         return 2 if self.stiff else None
 
     def prepare(self, request: Request) -> Prepared:
-        try:
-            return DiffraxRun(self.name, request, self)
-        except CannotRecord as why:
-            what = f"{self.name} on {request.scene.name!r} cannot be compiled"
-            return Refused(self.name, request, f"{what}: {why}")
+        return DiffraxRun(self.name, request, self)
 
 
 METHODS.add(DiffraxMethod("diffrax-tsit5", "Tsit5", 5, 6, "Tsitouras 5(4), explicit"))
