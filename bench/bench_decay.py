@@ -8,8 +8,6 @@ largest at five times, which are step boundaries of every step taken.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 import contactbench as cb
@@ -19,7 +17,7 @@ from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT
-from equal_cost import step_at, tolerance_at
+from equal_cost import right_hand_sides, step_at, tolerance_at
 
 #: of the scenes of every experiment
 FEW = ("oscillator", "particle", "central", "rigid_body")
@@ -57,12 +55,9 @@ def to_the_end(scene, method, value, budget):
     return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
 
 
-def evaluations(scene, method, rtol, budget=None):
-    """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
-    solution = to_the_end(scene, method, rtol, budget)
-    if solution.ok:
-        return solution.counts.rhs_equivalents
-    return math.inf if solution.status is cb.Status.budget else 0.0
+def evaluations(scene, method, value, budget=None):
+    """What a run at a step or tolerance costs."""
+    return right_hand_sides(to_the_end(scene, method, value, budget))
 
 
 def value_at(scene, method, target, budget=None):
@@ -96,8 +91,7 @@ def test_decay_laws(cell, profile, record):
     budget = step_budget(profile, scene, method, method.engines[0])
     value = value_at(scene, method, cost * scene.t_end, budget)
     solution = to_the_end(scene, method, value, budget)
-    counts = solution.counts
-    row = outcome(solution, counts) | {"cost": cost, "control": method.control, "value": value}
+    row = outcome(solution, solution.counts) | {"cost": cost, "control": method.control, "value": value}
     if solution.ok:
         row |= laws_row(scene, method, value, budget)
     record(DECAY_LAWS, **row)

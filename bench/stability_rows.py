@@ -21,7 +21,7 @@ from contactbench.measure.stability import slow_rate
 from contactbench.results.tables import DAMPING_RATES
 from contactbench.solution import keywords
 from contactbench.truth import blow_up_time, condition_number
-from equal_cost import tolerance_at
+from equal_cost import right_hand_sides, tolerance_at
 
 
 class SolverError(Exception):
@@ -227,13 +227,6 @@ def pilot_cost(scene, method):
     def cost(rtol):
         with blamed_on_solver():
             run = cb.prepare(scene, method, rtol=rtol, save_at=[PILOT], carry=())
-            return evaluations_of(run())
+            return right_hand_sides(run())
 
     return cost
-
-
-def evaluations_of(solution):
-    """Right-hand sides of a run; 0 where it came to a bad end, inf where it spent its budget."""
-    if solution.ok:
-        return solution.counts.rhs_equivalents
-    return math.inf if solution.status is cb.Status.budget else 0.0
