@@ -288,10 +288,10 @@ def test_an_error_of_a_users_function_is_told_as_theirs(name):
 
 STEPS = {
     "another shape": (lambda scene, x, h, xp: x._replace(q=(*x.q, 1.0)), "returns q = "),
-    "no s": (lambda scene, x, h, xp: x._replace(s=None), "returns s = None: must be a number"),
+    "no s": (lambda scene, x, h, xp: x._replace(s=None), "returns s = None: must be like 0.0"),
     "no state": (lambda scene, x, h, xp: x.q, "must be a State"),
-    "complex": (lambda scene, x, h, xp: x._replace(s=1j), "returns s = 1j: must be a number"),
-    "a list": (lambda scene, x, h, xp: x._replace(q=list(x.q)), "must be 2 numbers, a tuple"),
+    "complex": (lambda scene, x, h, xp: x._replace(s=1j), "returns s = 1j: must be like 0.0"),
+    "a list": (lambda scene, x, h, xp: x._replace(q=list(x.q)), "must be like (1.0, 0.5)"),
     "an error": (lambda scene, x, h, xp: {}["a"], "<lambda> (test_bad_input.py, line "),
     "an exit": (lambda scene, x, h, xp: sys.exit(0), "SystemExit: 0"),
 }

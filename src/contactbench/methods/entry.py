@@ -87,7 +87,10 @@ def compiled_by(method: Method, request: Request) -> Prepared:
         return method.prepare(request)
     except CannotRecord as error:
         what = f"{method.name} on {request.scene.name!r} cannot be compiled"
-        return Refused(method.name, request, f"{what}: {reason_of(error)}")
+        others = [
+            f"; engine {engine!r} calls it as it is" for engine in method.engines if engine in CALLBACKS
+        ]
+        return Refused(method.name, request, f"{what}: {reason_of(error)}{''.join(others)}")
 
 
 def make_request(

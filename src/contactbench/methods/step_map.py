@@ -180,15 +180,20 @@ def _try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float
             after = method.advance(scene, x, min(h, step or h), 1, math)
         except ArithmeticError:  # Python's way to say inf; the run will end as diverged
             return False
-    if not _alike(x, after):
-        raise BadInput(f"{what}: its step map returns {excerpt(after)}: must be a state like {excerpt(x)}")
+    if type(after) is not type(x):
+        raise BadInput(f"{what}: its step map returns {excerpt(after)}: must be a {type(x).__name__}")
+    for name, old, new in zip(x._fields, x, after, strict=True):
+        if not _alike(old, new):
+            raise BadInput(
+                f"{what}: its step map returns {name} = {excerpt(new)}: must be like {excerpt(old)}"
+            )
     return True
 
 
 def _alike(old: Any, new: Any) -> bool:
-    """Whether a state, or a field of one, after a step is what it was: so many real numbers, one, or None."""
+    """Whether a field after a step is what it was before: so many real numbers, one, or None."""
     if old is None or new is None:
         return old is new
     if isinstance(old, tuple):
-        return isinstance(new, type(old)) and len(new) == len(old) and all(map(_alike, old, new))
+        return isinstance(new, tuple) and len(new) == len(old) and all(map(_alike, old, new))
     return is_number(new)
