@@ -67,7 +67,7 @@ def test_a_race_that_measures_nothing_is_no_success(capsys):
         (["--budget", "0"], "budget = 0.0: must be > 0"),
         (["--error", "-1e-3,1e-2"], "error = -0.001: must be between 0 and 1"),
         (["rk5"], "unknown method 'rk5': did you mean 'rk4'?"),
-        (["--html", "nowhere/out.html"], "--html nowhere/out.html: there is no folder nowhere"),
+        (["--html", "nowhere/out.html"], "--html nowhere/out.html: cannot be written: No such file"),
         (["--plot", "out.txt"], "--plot out.txt: must end in .svg, .png, .pdf"),
     ],
 )

@@ -5,10 +5,9 @@ from __future__ import annotations
 import heyoka
 import numpy as np
 import pytest
-from mpmath import mp
 
 import contactbench as cb
-from cases import ALL_SCENES, CONTACT_SCENES, TILTED, USER, by_name, in_mp, random_state
+from cases import ALL_SCENES, CONTACT_SCENES, TILTED, by_name, in_mp, random_state
 from contactbench.scene import rotation_matrix, verify
 from contactbench.xla import jax, jnp
 
@@ -149,14 +148,6 @@ def test_carry_decides_what_is_integrated():
         cb.SCENES["particle"].carry(("R",))
     with pytest.raises(cb.BadInput, match="can carry R"):
         cb.SCENES["rigid_body_anisotropic"].carry(("s",))
-
-
-def test_user_scene_has_what_named_ones_have():
-    assert USER.labels(("s",)) == ["q1", "q2", "q3", "p1", "p2", "p3", "s"]
-    assert USER.jacobian(random_state(USER)) is None
-    with mp.workdps(30):
-        exact, x = in_mp(USER, random_state(USER))
-        assert isinstance(exact.hamiltonian(x), mp.mpf)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property, wraps
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from contactbench.errors import NAME
 from contactbench.scene import Scene
-from contactbench.testing.rules import DoesNotApply, Finding, Measured, follow, require
+from contactbench.testing.rules import DoesNotApply, Finding, follow, require
 from contactbench.truth import decimal_context, with_decimals
 
 DIGITS = 50
@@ -30,11 +30,11 @@ STATES = 3
 class SceneCase:
     """A scene and some generic states of it, as floats and at 50 digits.
 
-    gaps : between what a rule compares, relative to its size.
+    measured : the largest gap between numbers that a rule compares, relative to their size.
     """
 
     scene: Scene
-    gaps: list[float] = field(default_factory=list)
+    measured: dict[str, float] = field(default_factory=dict, compare=False)
 
     @cached_property
     def xp(self) -> Any:
@@ -84,20 +84,8 @@ class SceneCase:
         a, b = list(a), list(b)
         size = max([1.0, *(float(abs(c)) for c in b)])
         gap = max(float(abs(p - q)) for p, q in zip(a, b, strict=True))
-        self.gaps.append(gap / size)
+        self.measured["largest gap"] = max(gap / size, self.measured.get("largest gap", 0.0))
         require(gap < CLOSE * size, f"{what}: off by {gap:.1e}")
-
-
-def measured(rule: Callable[[SceneCase], None]) -> Callable[[SceneCase], Measured]:
-    """A rule that gives the largest gap between what it compares."""
-
-    @wraps(rule)
-    def followed(case: SceneCase) -> Measured:
-        case.gaps.clear()
-        rule(case)
-        return {"largest gap": max(case.gaps)} if case.gaps else None
-
-    return followed
 
 
 def declares(case: SceneCase) -> None:
@@ -263,8 +251,7 @@ SCENE_RULES: dict[int, Callable[[SceneCase], None]] = dict(enumerate((*EQUATIONS
 
 def scene_findings(scene: Scene) -> Iterator[Finding]:
     """`check_scene`, a finding at a time."""
-    rules = {number: measured(rule) for number, rule in SCENE_RULES.items()}
-    return follow(rules, SceneCase(scene), scene.name, "", scene.name)
+    return follow(SCENE_RULES, SceneCase(scene), scene.name, "", scene.name)
 
 
 def check_scene(scene: Scene) -> list[Finding]:
