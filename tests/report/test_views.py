@@ -19,14 +19,9 @@ def view(rows, labels, **more):
 
 
 def test_marks_are_seen_and_a_bar_does_not_break_a_table():
-    cells = (
-        Cell("a|b", mark=Mark.best),
-        Cell("c", mark=Mark.tie),
-        Cell("d", mark=Mark.exception),
-        Cell("f", link="x.md"),
-    )
-    text = markdown.parts([view([cells], ["1", "2", "3", "4"])])
-    assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "d !", "[f](x.md) |"]
+    cells = Cell("a|b", mark=Mark.best), Cell("c", mark=Mark.tie), Cell("f", link="x.md")
+    text = markdown.parts([view([cells], ["1", "2", "3"])])
+    assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "[f](x.md) |"]
     assert text.startswith("## Title\n\nA legend.\n\n| 1 ")
     assert "None." in markdown.parts([view([], ["a", "b"])])
     assert "&lt;b>" in markdown.parts([view([("<b>", 1)], ["a", "b"])])
