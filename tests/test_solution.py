@@ -26,16 +26,6 @@ def test_a_body_is_a_frame_of_momentum_and_attitude():
     assert list(frame.columns) == ["t", "M1", "M2", "M3", "R_w", "R_x", "R_y", "R_z"]
 
 
-def test_its_repr_is_one_short_line():
-    said = repr(cb.solve("particle", "rk4", step=0.1))
-    assert said == (
-        "<Solution of particle by rk4 (numba, step=0.1): ok, 201 states to t = 20, 800 evaluations (rhs)>"
-    )
-    refused = repr(cb.solve("particle", "contact-exact"))
-    assert "unsupported: contact-exact solves rigid bodies" in refused
-    assert "\n" not in said + refused
-
-
 @pytest.mark.parametrize(
     ("scene", "carry"), [("central", ("s",)), ("central", ()), ("rigid_body_anisotropic", ())]
 )

@@ -27,12 +27,9 @@ def parser() -> argparse.ArgumentParser:
         epilog="""examples:
   contactbench list methods
   contactbench solve particle contact-strang --step 0.01
-  contactbench solve particle my-method --step 0.01 --plugin my.py
-  contactbench compare particle
   contactbench check my-method --plugin my.py
-  contactbench claim C25
-  contactbench report --results results
 
+More with each command's --help.
 The tables come from the benchmark, `tox -e bench`.
 Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an error in a plug-in.""",
     )
