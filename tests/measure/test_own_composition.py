@@ -24,7 +24,7 @@ def lists(known):
 
 @pytest.mark.parametrize("known", PLAIN, ids=lambda c: c.name)
 def test_printed_coefficients_give_the_same_method(known):
-    mine = cb.composition("mine", known.order, **lists(known), nystrom=known.nystrom, symmetric=True)
+    mine = cb.composition("mine", known.order, **lists(known), nystrom=known.nystrom)
     assert cb.METHODS["mine"] is mine
     assert (mine.family, mine.contact, mine.symmetric) == ("contact", True, True)
     ours, theirs = (cb.solve("central", name, step=0.5, save_at=[10.0]) for name in ("mine", known.name))
@@ -75,8 +75,6 @@ BAD = {
     "number": ({"kick": [0.5, "x"]}, "kick[1] = 'x': must be a number"),
     "inf": ({"drift": [float("inf")]}, "drift[0] = inf: must be a number"),
     "empty": ({"kick": []}, "kick = []: must have at least one coefficient"),
-    "symmetric": ({"kick": [1], "symmetric": True}, "symmetric = True: the stages do not read"),
-    "asymmetric": ({"symmetric": False}, "symmetric = False: the stages read"),
     "order": ({"order": 2.5}, "order = 2.5: must be a whole number"),
     "taken": ({"name": "rk4"}, "method 'rk4' is already registered"),
 }

@@ -11,7 +11,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure.ladder import ENDS
-from contactbench.methods.engines import ENGINES
+from contactbench.methods.base import ENGINES
 from contactbench.race import comparison
 from contactbench.race.comparison import COLUMNS, Comparison, judge_times
 from contactbench.race.scout import Attempt, Scout
