@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from functools import partial
 
 import pytest
 
-from cases import REPOSITORY
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions
 from contactbench.gate.judge import Question
 from contactbench.results.schema import TABLES
 from contactbench.results.store import merge
-from made_up import commit, folder, fresh, git, repository
+from made_up import commit, folder, fresh, git, project, repository, same
 
 
 @pytest.fixture
@@ -28,10 +26,6 @@ def root(tmp_path, monkeypatch):
     monkeypatch.chdir(made)
     monkeypatch.setenv(revisions.JUDGED, sys.executable)
     return made
-
-
-def same(which, row):
-    return row
 
 
 def run_gate(root, tmp_path, change=same, changed=(), **more):
@@ -245,22 +239,9 @@ LAXER = {
 }
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A repository with the sources of this one, and made-up tables."""
-    made = tmp_path_factory.mktemp("whole").resolve()
-    shutil.copytree(REPOSITORY / "src", made / "src", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "constraints.txt"):
-        shutil.copy(REPOSITORY / name, made)
-    git(made, "init", "-q", "-b", "main")
-    folder(made / "results")
-    return commit(made, "tables")
-
-
-def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(whole, tmp_path):
+def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(tmp_path):
     """The code of the base judges, in a process of its own."""
-    root = tmp_path / "project"
-    git(whole, "clone", "-q", str(whole), str(root))
+    root = project(tmp_path.resolve() / "project")
     for file, change in LAXER.items():
         edit(root / "src" / "contactbench" / file, *change)
     remake(thousandfold)(root)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 import sys
 from contextlib import contextmanager
 
@@ -11,14 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cases import REPOSITORY
-from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import revisions, speed, speed_worker
 from contactbench.gate.speed import LIMIT, MANY, MOST_ROUNDS, PUBLIC, ROUNDS, Cell, workload
 from contactbench.measure.statistics import PairedRatio
 from contactbench.plugins import VARIABLE
-from made_up import commit, folder, git, row
+from made_up import project, row
 from planted_faults import plugin
 
 CELL = Cell("particle", "contact-strang", "python", "step", 0.05)
@@ -145,16 +141,11 @@ def test_the_estimate_is_the_repeat_that_nothing_interrupted(monkeypatch):
 
 
 # -- processes -------------------------------------------------------------------------------------
+
+
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
-    """A repository with the sources as they are now, and made-up tables."""
-    path = folder(tmp_path_factory.mktemp("copy").resolve() / "results").parent
-    for name in ("src", "bench", "references"):
-        shutil.copytree(REPOSITORY / name, path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "constraints.txt"):
-        shutil.copy(REPOSITORY / name, path)
-    git(path, "init", "-q")
-    return commit(path, "all")
+    return project(tmp_path_factory.mktemp("copy").resolve())
 
 
 def judge(copy, cells):
@@ -194,16 +185,6 @@ def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared
     (tmp_path / "src" / "contactbench" / "__init__.py").write_text("raise RuntimeError('broken')")
     with pytest.raises(BadInput, match="timing process ended: RuntimeError: broken"):
         speed.time_pairs([(sys.executable, copy), (sys.executable, tmp_path)], {0: CELL})
-
-
-def test_a_gate_without_time_is_inconclusive(copy, tmp_path, monkeypatch, capsys):
-    """From the command line, of a whole workload."""
-    root = tmp_path / "project"
-    git(copy, "clone", "-q", str(copy), str(root))
-    commit(root, "nothing more")
-    monkeypatch.chdir(root)
-    assert main(["gate", "--only", "speed", "--budget", "1", "--json"]) == 2
-    assert "only " in json.loads(capsys.readouterr().out)["incomplete"][0]
 
 
 #: at the end of the package's own module: what every public call does beside its work

@@ -160,13 +160,6 @@ def test_control_c_ends_it_with_what_there_is(monkeypatch):
     assert list(rows.loc[["contact-strang", "herglotz2"], "status"]) == ["interrupted", "interrupted"]
 
 
-def test_a_spent_budget_is_said_of_each_method_it_stopped():
-    found = cb.compare("particle", ["contact-printed", "diffrax-tsit5"], (1e-9,), budget=1.0)
-    assert list(found["status"]) == ["budget", "budget"]
-    assert found["reason"].str.len().min() > 0
-    assert found["error_reached"].isna()[1]
-
-
 def test_what_a_cheap_method_leaves_goes_to_the_others(monkeypatch):
     """Every turn is that of the method that has had the least time, and no method has a fixed share."""
     costs = {"rk4": 0.1, "contact-strang": 1.0, "herglotz2": 5.0}
