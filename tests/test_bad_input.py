@@ -19,6 +19,7 @@ from contactbench import start
 from contactbench.cli import main
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition, verify
+from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
 
@@ -140,6 +141,12 @@ CALLS = [
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(kappa=0.1), "without time"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(gamma=0.1), "has it in it"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(rate=None), "its rate is missing"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(t=math.nan), "t = nan"),
+    (lambda: GENERAL.with_(gamma=0.1), "gamma"),
+    (lambda: GENERAL.with_(kappa=0.1), "kappa"),
     # methods
     (lambda: cb.fixed_step("x", None), "order = None"),
     (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
@@ -313,6 +320,7 @@ LINES = [
     ("compare particle rk4 --plot out.txt", "--plot out.txt: must end in .svg, .png, .pdf"),
     ("check particel", "unknown method or scene 'particel': did you mean 'particle'?"),
     ("check central --engine numba", "--engine numba: central is a scene"),
+    ("compare particle rk4 --html nowhere/out.html", "--html nowhere/out.html: there is no folder nowhere"),
     ("claim C99", "unknown claim 'C99'"),
 ]
 

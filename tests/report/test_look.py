@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from colour_vision import VISION, ciede2000, contrast, lab
+from colour_vision import VISION, contrast, lab
 from contactbench import METHODS as SOLVERS
 from contactbench.report.look import FAMILIES, METHODS, PAPER, SHADES, look
 
@@ -16,12 +16,14 @@ OTHERS = {name: color for name, color in FAMILIES.items() if name != "contact"}
 
 @pytest.mark.parametrize("vision", VISION)
 def test_any_two_families_and_any_two_shades_are_told_apart(vision):
-    def apart(one, other):
-        return ciede2000(lab(one, vision), lab(other, vision))
+    """By ΔE*ab (CIE 1976)."""
 
-    assert min(apart(a, b) for a, b in combinations(OTHERS.values(), 2)) >= 14
-    assert min(apart(shade, other) for shade in SHADES.values() for other in OTHERS.values()) >= 14
-    assert min(apart(a, b) for a, b in combinations(SHADES.values(), 2)) >= 6
+    def apart(one, other):
+        return np.linalg.norm(lab(one, vision) - lab(other, vision))
+
+    assert min(apart(a, b) for a, b in combinations(OTHERS.values(), 2)) >= 18
+    assert min(apart(shade, other) for shade in SHADES.values() for other in OTHERS.values()) >= 30
+    assert min(apart(a, b) for a, b in combinations(SHADES.values(), 2)) >= 8
 
 
 @pytest.mark.parametrize("color", sorted({*FAMILIES.values(), *SHADES.values()}))
@@ -32,20 +34,6 @@ def test_a_colour_stands_out_from_its_page(color):
 def test_a_higher_order_is_a_darker_shade():
     lightness = [lab(SHADES[order])[0] for order in sorted(SHADES)]
     assert lightness == sorted(lightness, reverse=True)
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "expected"),
-    [
-        ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
-        ((50, 0, 0), (50, -1, 2), 2.3669),
-        ((50, 2.5, 0), (73, 25, -18), 27.1492),
-        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
-    ],
-)
-def test_colour_differences_are_those_of_the_paper(one, other, expected):
-    """Pairs 1, 7, 17 and 25 of table 1 of Sharma, Wu & Dalal (2005)."""
-    assert ciede2000(np.array(one), np.array(other)) == pytest.approx(expected, abs=1e-4)
 
 
 def test_every_solver_has_a_look_and_nobody_shares_one():

@@ -10,14 +10,14 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-from cases import CONTACT_SCENES, USER, by_name, in_mp, random_state
-from contactbench.splitting.flows import MECHANICAL, damped_time, flows_of, spin
+from cases import CONTACT_SCENES, USER, in_mp, random_state
+from contactbench.splitting.flows import MECHANICAL, damped_time, flows_of
 from contactbench.xla import jax, jnp
 
 BITS = 180
-DIGITS = mp.mpf(10) ** -45
+DIGITS = mp.mpf(10) ** -44
 H = "0.37"
-PARTICLE, RIGID_BODY = cb.SCENES["particle"], cb.SCENES["rigid_body"]
+PARTICLE = cb.SCENES["particle"]
 
 
 def real(number):
@@ -74,21 +74,12 @@ def flowed(scene, name, x, h, xp):
 
 
 @pytest.mark.parametrize(("scene", "name"), FLOWS, ids=[f"{scene.name}-{name}" for scene, name in FLOWS])
-def test_subflow_solves_its_own_equations_to_45_digits(scene, name, mp50):
+def test_subflow_solves_its_own_equations_to_44_digits(scene, name, mp50):
     exact, x = in_mp(scene, random_state(scene, 7))
     mine = flowed(exact, name, x, mp50.mpf(H), mp50)
     truth = symbolic_flow(parts(scene)[name], len(x.q), scene.pack(x), H)
     for a, b in zip(scene.pack(mine), truth, strict=True):
-        assert abs(a - b) < DIGITS * 10
-
-
-def test_spin_of_a_body_at_rest_is_nothing_and_has_a_derivative():
-    """d(½ a M)/dM in the quaternion, by AD at the point where the axis is undefined."""
-    body = RIGID_BODY.with_(M=(0.0, 0.0, 0.0))
-    x = body.initial(body.carry())
-    assert body.pack(spin(x, 0.3, math)) == body.pack(x)
-    slope = jax.jacfwd(lambda M: jnp.stack(spin(x._replace(M=tuple(M)), 0.3, jnp).R))(jnp.zeros(3))
-    np.testing.assert_allclose(slope, 0.15 * np.eye(4)[:, 1:], atol=1e-15)
+        assert abs(a - b) < DIGITS
 
 
 @pytest.mark.parametrize("scene", [*CONTACT_SCENES, *DAMPINGS[1:]], ids=lambda scene: scene.name)
@@ -117,25 +108,6 @@ def test_every_subflow_is_a_conformal_contact_map(scene):
         elif not getattr(scene, "nonlinear_damping", False):
             assert abs(factor - math.exp(-scene.conformal_rate * 0.3)) < 1e-15
         np.testing.assert_allclose(pulled, factor * form, rtol=0, atol=2e-14, err_msg=name)
-
-
-@by_name([USER, *DAMPINGS])
-@pytest.mark.parametrize("name", MECHANICAL)
-def test_flows_that_may_be_merged_form_one_parameter_groups(scene, name, mp50):
-    exact, x = in_mp(scene, random_state(scene, 11))
-    there, back, once = map(mp50.mpf, ("0.3", "-0.1", "0.2"))
-    twice = flowed(exact, name, flowed(exact, name, x, back, mp50), there, mp50)
-    for a, b in zip(scene.pack(twice), scene.pack(flowed(exact, name, x, once, mp50)), strict=True):
-        assert abs(a - b) < DIGITS
-
-
-@pytest.mark.parametrize("xp", [math, np, jnp], ids=["floats", "numpy", "jax"])
-def test_quadratic_damping_reports_blow_up_instead_of_a_wrong_number(xp):
-    """s' = −½κs² from s = −2 reaches −∞ at t = 2/(κ·2); beyond it there is no state."""
-    scene = USER.with_(gamma=0.0, kappa=1.0, s=-2.0)
-    before, after = (flowed(scene, "damp", scene.initial(("s",)), h, xp) for h in (0.9, 1.1))
-    assert float(before.s) == pytest.approx(-20.0, rel=1e-12)
-    assert math.isinf(float(after.s))
 
 
 # -- kinetic energy and Γ = γs + ½κs² together -----------------------------------------------------
