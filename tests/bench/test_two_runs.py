@@ -11,21 +11,15 @@ from two_runs import main
 
 
 def folder(path, ours, theirs, halves=1.0):
-    rows = [
-        row(
-            "particle",
-            method,
-            error,
-            solution_error=error,
-            rhs_equivalents=1 / error,
-            time_min_s=time / error,
-            time_halves_ratio=halves,
-            profile="smoke",
-        )
-        for method, time in (("contact-a", ours), ("rk4", theirs))
-        for error in (1e-2, 1e-13)
-    ]
-    merge(WORK_PRECISION, rows, path)
+    """Work–precision of two methods at two errors."""
+
+    def made(method, error, time):
+        clock = {"time_min_s": time / error, "time_halves_ratio": halves}
+        costs = {"solution_error": error, "rhs_equivalents": 1 / error}
+        return row("particle", method, error, profile="smoke", **costs, **clock)
+
+    timed = [("contact-a", ours), ("rk4", theirs)]
+    merge(WORK_PRECISION, [made(m, error, time) for m, time in timed for error in (1e-2, 1e-13)], path)
     return path
 
 

@@ -29,19 +29,14 @@ def test_a_long_run_of_cvode_at_a_tight_tolerance_turns_on_roundings():
 FIXED = [method.name for method in cb.METHODS.values() if method.control == "step"]
 
 
-def both_ways(method):
-    """The error at the earlier ends, of runs of their own and of one that passes through them."""
+@pytest.mark.parametrize("method", FIXED)
+def test_fixed_steps_pass_through_the_earlier_ends(method):
+    """The error there, of runs of their own and of one that passes through; a processed method has more of it."""
     scene = cb.SCENES["central"]
     ends = [scene.t_end * k / ENDS for k in range(1, ENDS)]
     options = {"step": work_ladder(scene, cb.METHODS[method].order)[2], "engine": "python", "carry": ()}
-    own = [cb.solve(scene, method, save_at=[t], **options) for t in ends]
-    return error(own), error([cb.solve(scene, method, save_at=ends, **options)])
-
-
-@pytest.mark.parametrize("method", FIXED)
-def test_fixed_steps_pass_through_the_earlier_ends(method):
-    """But for roundings, which a processed method has far more than."""
-    own, passing = both_ways(method)
+    own = error([cb.solve(scene, method, save_at=[t], **options) for t in ends])
+    passing = error([cb.solve(scene, method, save_at=ends, **options)])
     same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)
     assert same == passes_through(cb.METHODS[method], "python", "step")
 

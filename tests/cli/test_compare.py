@@ -25,7 +25,7 @@ def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monk
     assert main([*RACE, "--csv", "out.csv", "--html", "out.html", "--plot", "out.svg"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith("Compiled")
-    assert "laws kept to round-off" in out
+    assert "at round-off" in out
     assert err == ""  # no terminal, no progress
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "out.html", "out.svg"]
     rows = pd.read_csv("out.csv")

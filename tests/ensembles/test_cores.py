@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from threading import Semaphore
-
 import numpy as np
 import pytest
 
@@ -12,8 +9,6 @@ import contactbench as cb
 from contactbench.ensembles import cores
 from contactbench.ensembles.cores import AHEAD, LANES, equal_share, on_cores
 from contactbench.ensembles.measures import ENERGY
-from contactbench.methods import numba_engine, step_map
-from contactbench.scene.cache import Cache
 
 SCENE = cb.SCENES["particle"]
 
@@ -56,28 +51,6 @@ def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
     assert len(begun) == 100
 
 
-def test_no_chunk_is_begun_once_nobody_asks(monkeypatch):
-    begun, permits, integrate = [], Semaphore(1), cores.side_by_side
-
-    class Pool(ThreadPoolExecutor):
-        def shutdown(self, wait=True, **options):
-            super().shutdown(wait=False, **options)
-            permits.release()  # the chunk that is under way may end now
-            super().shutdown(wait)
-
-    def on_permission(*args):
-        begun.append(1)
-        permits.acquire(timeout=1)
-        return integrate(*args)
-
-    monkeypatch.setattr(cores, "ThreadPoolExecutor", Pool)
-    monkeypatch.setattr(cores, "side_by_side", on_permission)
-    results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 1, LANES)
-    next(results)
-    results.close()
-    assert len(begun) <= 2
-
-
 @pytest.mark.parametrize("workers", [1, 2, 5])
 def test_the_number_of_cores_changes_nothing(workers):
     y0 = states(1001)
@@ -87,15 +60,3 @@ def test_the_number_of_cores_changes_nothing(workers):
     (alone,) = on_cores(run, loop, [ENERGY], y0, 1, 2000)
     for ours, theirs in zip((y, measures, end), alone, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_a_loop_is_recorded_once_for_all_calls(monkeypatch):
-    """Recording takes milliseconds, which every ensemble's call would add to its own time."""
-
-    recorded, record = [], step_map.record
-    monkeypatch.setattr(step_map, "record", lambda *args: recorded.append(1) or record(*args))
-    monkeypatch.setattr(numba_engine, "_loops", Cache(64))
-    given = SCENE.unpack(tuple(states(3)), ())
-    for scene, step in ((SCENE, 1.0), (SCENE.with_(gamma=0.2), 0.5), (SCENE, 0.5)):
-        cb.ensemble(scene, "contact-bm4", given, step=step, carry=(), progress=False)
-    assert recorded == [1]

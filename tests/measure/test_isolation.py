@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
@@ -36,10 +35,7 @@ def rows():
 
 
 class Impatient(Worker):
-    """A worker that waits two seconds for what hangs, and a minute for all else.
-
-    A worker that starts anew, as after a crash, imports the package within the limit of its first call.
-    """
+    """A worker that waits two seconds for what hangs, and a minute for all else (as after a crash it imports)."""
 
     def call(self, limit, function, name):
         return super().call(2.0 if name == "planted-hang" else 60.0, function, name)
@@ -53,29 +49,17 @@ def test_a_planted_solver_is_a_row_with_its_status(rows, name):
     assert "solution_error" not in rows[name]
 
 
-def test_the_sound_solvers_around_them_are_untouched(rows):
-    for name in ("scipy-dop853", "heyoka-taylor"):
-        assert rows[name]["status"] == "ok"
-        assert rows[name]["solution_error"] < 1e-4
-        assert math.isfinite(rows[name]["end_error"])
+@pytest.mark.parametrize("name", ["scipy-dop853", "heyoka-taylor"])
+def test_the_sound_solvers_around_them_are_untouched(rows, name):
+    assert rows[name]["status"] == "ok"
+    assert rows[name]["solution_error"] < 1e-4
 
 
 def test_a_fault_of_the_experiment_is_no_row():
     """Only what a solver raises is a failed solver."""
     calls = [({"status": "failed", "setting": "rtol=1e-06"}, planted.row, ("no-such-method",))]
-    with Impatient() as worker, pytest.raises(cb.UnknownName, match="no-such-method") as caught:
+    with Impatient() as worker, pytest.raises(cb.UnknownName, match="no-such-method"):
         rows_of(calls, worker)
-    assert "in planted" not in str(caught.value)
-    assert "planted.py" in caught.value.__notes__[0]
-
-
-def test_calls_share_a_process_and_none_is_left():
-    worker = Worker()
-    first, second = (worker.call(60.0, os.getpid) for _ in range(2))
-    assert first == second != os.getpid()
-    worker.close()
-    with pytest.raises(ProcessLookupError):
-        os.kill(first, 0)
 
 
 ASKER = """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import USER, by_name
+from cases import by_name
 from contactbench.measure.deviation import conformal_deviation, relative_deviation
 from contactbench.measure.ladder import save_times
 from contactbench.measure.laws import LAWS, laws_of, momentum_deviation, row
@@ -17,22 +17,12 @@ from contactbench.measure.round_off import JUDGEMENT
 from contactbench.solution import Solution, Status
 
 TIMES = np.linspace(0.0, 20.0, 41)
-WELL = cb.Mechanical(
-    name="well",
-    potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
-    gradient=lambda q: (q[0] ** 3 - q[0],),
-    gamma=0.125,
-    q=(0.75,),
-    p=(0.0,),
-    t_end=20.0,
-)
 STANDARD = [
     *(cb.SCENES[n] for n in ("oscillator", "particle", "central", "rigid_body", "rigid_body_anisotropic")),
-    # no damping, energies below zero, states far from one
+    # no damping, states far from one
     cb.SCENES["oscillator"].with_(name="undamped", gamma=0.0),
     cb.SCENES["oscillator"].with_(name="tiny", q=(1e-8,), p=(0.0,), s=0.0),
     cb.SCENES["oscillator"].with_(name="huge", q=(1e8,), p=(0.0,), s=0.0),
-    WELL,
 ]
 
 
@@ -59,21 +49,12 @@ def test_every_law_vanishes_on_the_truth(scene):
 
 @by_name([scene for scene in STANDARD if scene.name != "huge"])  # its error is all s, of 10¹⁶
 def test_laws_see_a_planted_error(scene):
-    """The last state off by 1e-3 relative (attitude excepted): every law but the drifts must say so."""
+    """The last state off by 1e-3 relative (attitude excepted): all but the drift of an attitude must say so."""
     solution = truth_as_solution(scene)
     solution.y[-1, : len(scene.labels(()))] *= 1 + 1e-3
-    expected = {"energy_law_relative": 2e-3, "momentum_law": {"rigid_body": 1e-3, "central": 2e-3}}
-    for law in of_the_states(scene):
-        value = law(solution)
-        if law.name in ("attitude_drift", "energy_increases"):
-            continue
-        assert value > 1e-6, law.name
-        bound = expected.get(law.name)
-        bound = bound.get(scene.name) if isinstance(bound, dict) else bound
-        if bound and not (
-            law.name == "energy_law_relative" and scene.name in ("central", "particle", "well")
-        ):
-            assert value == pytest.approx(bound, rel=2e-2), law.name
+    blind = {"attitude_drift", "energy_increases"}
+    seen = {law.name: law(solution) for law in of_the_states(scene) if law.name not in blind}
+    assert min(seen.values()) > 1e-6, seen
 
 
 def test_attitude_drift_sees_a_stretched_quaternion():
@@ -116,21 +97,32 @@ def test_energy_that_stays_does_not_grow_whatever_its_sign_and_size(bottom, size
     assert cb.LAWS["energy_increases"](solution) == (1 if bottom else 0)
 
 
+@pytest.mark.parametrize(
+    ("scene", "law", "size"),
+    [
+        ("oscillator", "energy_law_relative", 2e-3),
+        ("rigid_body", "energy_law_relative", 2e-3),
+        ("rigid_body", "momentum_law", 1e-3),
+        ("central", "momentum_law", 2e-3),
+    ],
+)
+def test_a_law_says_how_large_a_planted_error_is(scene, law, size):
+    solution = truth_as_solution(cb.SCENES[scene])
+    solution.y[-1, : len(solution.scene.labels(()))] *= 1 + 1e-3
+    assert cb.LAWS[law](solution) == pytest.approx(size, rel=2e-2)
+
+
 def test_contact_drift_is_that_of_the_derivative():
     """Finite differences of the numerical map, an independent derivative, to their accuracy."""
     scene = cb.SCENES["particle"].with_(t_end=2.0)
     run = cb.prepare(scene, "rk4", step=0.5, save_at=[2.0])
     solution = run()
+
+    def end(y):
+        return run(q=tuple(y[:2]), p=tuple(y[2:4]), s=y[4]).y[-1]
+
     eps = 1e-6
-    columns = []
-    for i in range(5):
-        shifted = []
-        for sign in (1, -1):
-            y = solution.y0.copy()
-            y[i] += sign * eps
-            shifted.append(run(q=tuple(y[:2]), p=tuple(y[2:4]), s=y[4]).y[-1])
-        columns.append((shifted[0] - shifted[1]) / (2 * eps))
-    D = np.array(columns).T
+    D = np.column_stack([end(solution.y0 + d) - end(solution.y0 - d) for d in eps * np.eye(5)]) / (2 * eps)
     p0, p1 = solution.y0[2:4], solution.y[-1, 2:4]
     pulled = D[4] - p1 @ D[:2]
     form = np.array([-p0[0], -p0[1], 0, 0, 1])
@@ -140,13 +132,6 @@ def test_contact_drift_is_that_of_the_derivative():
     assert cb.LAWS["distribution_drift"](solution) == pytest.approx(math.sqrt(1 - cosine**2), rel=1e-6)
 
 
-def test_rk4_contact_drift_falls_with_the_fourth_power_of_the_step():
-    drifts = [
-        cb.LAWS["contact_drift"](cb.solve("central", "rk4", step=h, save_at=[20.0])) for h in (0.05, 0.025)
-    ]
-    assert math.log2(drifts[0] / drifts[1]) == pytest.approx(4, abs=0.15)
-
-
 @pytest.mark.parametrize("method", ["contact-strang", "contact-abc", "contact-printed", "rk4"])
 def test_laws_stay_finite_when_everything_underflows(method):
     """e^{−2γT} = e^{−2000}: M is subnormal or zero at the end, and no law may be nan or inf."""
@@ -154,13 +139,10 @@ def test_laws_stay_finite_when_everything_underflows(method):
     solution = cb.solve(scene, method, step=0.05, save_at=np.linspace(4.0, 200.0, 50))
     assert solution.ok
     assert np.abs(solution.M[-1]).max() < 1e-307
-    for law in laws_of(scene):
-        if law.name != "own_factor_drift" or method != "rk4":
-            assert math.isfinite(law(solution)), law.name
-    if method != "rk4":
-        assert cb.LAWS["momentum_law"](solution) < 1e-12
-    else:
-        assert cb.LAWS["momentum_law"](solution) > 1e-6
+    found = {law.name: law(solution) for law in laws_of(scene)}
+    infinite = {name for name, value in found.items() if not math.isfinite(value)}
+    assert infinite <= ({"own_factor_drift"} if method == "rk4" else set())  # which has no factor of its own
+    assert (found["momentum_law"] < 1e-12) == (method != "rk4")
 
 
 def test_deviation_is_measured_only_where_numbers_mean_something():
@@ -196,19 +178,11 @@ def test_a_run_that_did_not_end_ok_has_no_law():
     assert math.isnan(cb.LAWS["solution_error"](broken))
 
 
-def test_laws_apply_to_a_users_scene():
-    solution = cb.solve(USER, "contact-strang", step=0.05)
-    assert cb.LAWS["contact_drift"](solution) < 1e-12
-    assert cb.LAWS["solution_error"](solution) < 1e-3
-
-
 def test_without_a_derivative_the_laws_that_need_one_are_left_out():
     solution = cb.solve("particle", "rk4", step=0.5)
-    known, found = row(solution), row(solution, without="not wanted")
-    missing = {name for name in cb.LAWS if name in known} - set(found)
-    assert missing == {name for name in cb.LAWS if "drift" in name and name in known}
-    assert len(missing) == 7
-    assert found["derivative"] == "not taken: not wanted"
+    missing = {*row(solution)} - {*row(solution, without="not wanted")}
+    assert missing >= {"contact_drift", "distribution_drift", "pairing_drift"}
+    assert not [name for name in missing & {*cb.LAWS} if "drift" not in name]
 
 
 def test_entries_taken_against_their_terms_are_counted():
@@ -216,9 +190,7 @@ def test_entries_taken_against_their_terms_are_counted():
     strong = row(cb.solve("overdamped", "contact-strang", step=0.5, save_at=[50.0, 100.0]))
     assert strong["contact_drift_clamped"] == strong["hamiltonian_law_clamped"] == 2
     mild = row(cb.solve("central", "contact-strang", step=0.1, save_at=[10.0, 20.0]))
-    assert (
-        mild["contact_drift_clamped"] == mild["hamiltonian_law_clamped"] == mild["momentum_law_clamped"] == 0
-    )
+    assert {value for name, value in mild.items() if name.endswith("_clamped")} == {0}
 
 
 # -- judgements ------------------------------------------------------------------------------------
@@ -239,29 +211,28 @@ def judged(scene, method, **setting):
     return columns, by_law
 
 
-@pytest.mark.parametrize(
-    ("scene", "method", "setting", "claimed"),
-    [
-        ("central", "contact-rkn4", {"step": 0.2}, {"momentum_law"} | MAP | OWN),
-        ("rigid_body", "contact-strang", {"step": 0.2}, STATE | OWN | {"contact_drift"}),
-        ("lane_emden_5", "contact-rkn4", {"step": 0.2}, MAP | OWN),
-        ("quadratic_damping", "contact-rkn4", {"step": 0.2}, OWN),
-        ("central", "herglotz2", {"step": 0.05}, OWN),
-        ("central", "contact-adaptive", {"rtol": 1e-6}, {"momentum_law"}),
-        ("central", "rk4", {"step": 0.05}, set()),
-        ("central", "cyrk-vern8", {"rtol": 1e-8}, set()),
-    ],
-)
+#: a method on a scene, and the laws it promises there
+PROMISES = [
+    ("central", "contact-rkn4", {"step": 0.2}, {"momentum_law"} | MAP | OWN),
+    ("rigid_body", "contact-strang", {"step": 0.2}, STATE | OWN | {"contact_drift"}),
+    ("lane_emden_5", "contact-rkn4", {"step": 0.2}, MAP | OWN),
+    ("quadratic_damping", "contact-rkn4", {"step": 0.2}, OWN),
+    ("central", "herglotz2", {"step": 0.05}, OWN),
+    ("central", "contact-adaptive", {"rtol": 1e-6}, {"momentum_law"}),
+    ("central", "rk4", {"step": 0.05}, set()),
+    ("central", "cyrk-vern8", {"rtol": 1e-8}, set()),
+]
+
+
+@pytest.mark.parametrize(("scene", "method", "setting", "claimed"), PROMISES)
 def test_a_law_that_is_claimed_is_kept(scene, method, setting, claimed):
-    """What a method promises on a scene, and no more; the truth's factor where Γ' follows s is nobody's to promise."""
+    """And no other is claimed; the truth's factor where Γ' follows s is nobody's to promise."""
     _, by_law = judged(scene, method, **setting)
     assert {name for name, found in by_law.items() if found["claimed"]} == claimed
     for name in claimed:
-        assert by_law[name]["kept"] is True, name
-        assert by_law[name]["undecided"] is False
+        assert (by_law[name]["kept"], by_law[name]["undecided"]) == (True, False), name
         assert 1e-12 <= by_law[name]["bound"] < 1e-9
-    if not claimed:
-        assert not by_law["contact_drift"]["kept"]
+    assert claimed or not by_law["contact_drift"]["kept"]
 
 
 @pytest.mark.parametrize("step", [1.0, 0.1])

@@ -33,16 +33,6 @@ def test_a_slope_on_its_way_is_no_scatter():
     assert abs(finer.order - 1) < finer.uncertainty < 1e-3  # a mean of these slopes is off by ten times that
 
 
-@pytest.mark.parametrize("power", [1, 2])
-def test_one_power_is_extrapolated_exactly_on_any_ladder(power):
-    """Slopes p + a m_k(h) of unequal ratios of steps: their limit is p to round-off."""
-    h = np.array([0.5, 0.4, 0.22, 0.15, 0.06])
-    errors = np.exp(3 * np.log(h) + 0.3 * h**power)
-    fit = fit_order(h, errors)
-    assert fit.order == pytest.approx(3, abs=1e-12)
-    assert fit.uncertainty < 1e-10
-
-
 def test_pre_asymptotic_points_and_the_round_off_plateau_are_left_out():
     errors = [h**4 * (1 + 30 * h**2) + 1e-10 for h in H]
     fit = fit_order(H, errors, floor=1e-9)

@@ -55,22 +55,9 @@ def test_a_margin_is_of_both_cells_and_of_processes_and_has_a_floor():
     assert margin((1.0, 1.0), 1.0) == FLOOR == 1.03
     assert margin((1.1, 1.0), 1.0) == margin((1.0, 1 / 1.1), 1.0) == pytest.approx(1.1)
     assert margin((1.0, 1.0), 1.1) == pytest.approx(1.1)
-    assert margin((1.06, 1 / 1.08), 1.04) == pytest.approx(
-        np.exp(np.sqrt(np.sum(np.log([1.06, 1.08, 1.04]) ** 2)))
-    )
+    together = np.exp(np.linalg.norm(np.log([1.06, 1.08, 1.04])))
+    assert margin((1.06, 1 / 1.08), 1.04) == pytest.approx(together)
     assert margin((1.0, math.nan), 1.0) == math.inf  # of a cell that was visited once nothing is known
-
-
-def test_processes_differ_by_what_covers_95_of_100_cells():
-    sample = [1.0] * 94 + [1 / 1.05] * 2 + [3.0] * 4
-    assert process_spread(sample, [1.0] * 100) == pytest.approx(1.05)
-    assert process_spread([math.nan, 1 / 1.5], [1.0, math.nan]) == pytest.approx(1.5)
-    assert process_spread([math.nan], [1.0]) == PROCESSES
-
-
-def test_a_noisy_cell_says_nothing_of_processes():
-    assert process_spread([1.02, 1.5, 1.4], [1.0, 1.3, 1 / 1.3]) == pytest.approx(1.02)
-    assert process_spread([1.2, 1.5], [1.1, 1.3]) == pytest.approx(1.5)  # there are no others
 
 
 @pytest.mark.parametrize(
@@ -94,3 +81,17 @@ def test_a_verdict_is_a_tie_only_where_the_clock_can_tell(ratio, within, expecte
 def test_what_is_no_ratio_of_costs_is_refused(ratio):
     with pytest.raises(BadInput, match="must be a ratio of two costs"):
         verdict(ratio, 1.05)
+
+
+@pytest.mark.parametrize(
+    ("processes", "halves", "spread"),
+    [
+        ([1.0] * 94 + [1 / 1.05] * 2 + [3.0] * 4, [1.0] * 100, 1.05),  # what covers 95 of 100 cells
+        ([math.nan, 1 / 1.5], [1.0, math.nan], 1.5),
+        ([math.nan], [1.0], PROCESSES),
+        ([1.02, 1.5, 1.4], [1.0, 1.3, 1 / 1.3], 1.02),  # noisy cells say nothing of processes
+        ([1.2, 1.5], [1.1, 1.3], 1.5),  # where there are others
+    ],
+)
+def test_processes_differ_by_what_covers_most_of_the_quiet_cells(processes, halves, spread):
+    assert process_spread(processes, halves) == pytest.approx(spread)

@@ -13,13 +13,9 @@ from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_s
 from contactbench.peers import c_functions
 from contactbench.peers.abi import cvode, cyrk
 from contactbench.solution import Status
-from contactbench.trace.python import source
+from contactbench.testing.method import CASES
 
-PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
-BODY = cb.SCENES["rigid_body"].with_(
-    inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=4.0
-)
-ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0)
+PARTICLE, BODY, ANISOTROPIC = CASES
 CVODE = ("cvode-adams", "cvode-bdf")
 CYRK = tuple(name for name in cb.METHODS if name.startswith("cyrk-"))
 PEERS = [(name, "c") for name in CVODE] + [(name, "c++") for name in CYRK]
@@ -76,38 +72,7 @@ def test_other_numbers_take_the_same_machine_code():
     np.testing.assert_allclose(called(other, x, ("s",))[0], other.pack(other.rhs(x)), rtol=1e-13)
 
 
-def test_what_the_numbers_alone_decide_is_not_computed_at_every_call():
-    """No division is left in the right-hand side: 1/m is among the constants."""
-    constants, found = c_functions.functions(PARTICLE, ())
-    assert " / " not in source(found["rhs"])
-    assert "1.0 / " in source(constants)
-
-
 # -- the same solver, with and without Python ------------------------------------------------------
-@pytest.mark.parametrize("method", CVODE)
-@pytest.mark.parametrize("rtol", [1e-4, 1e-7, 1e-10])
-@by_name([PARTICLE, BODY, ANISOTROPIC])
-def test_cvode_in_c_is_cvode_with_callbacks(method, rtol, scene):
-    """The same steps with other rounding errors: the same counts, and states as near as their conditioning."""
-    for times in ([4.0], np.linspace(0, 4, 33)):
-        c, python = (cb.prepare(scene, method, rtol=rtol, save_at=times, engine=e) for e in ("c", "c+python"))
-        ours, theirs = c(), python()
-        np.testing.assert_allclose(ours.y, theirs.y, rtol=0, atol=1e-11)
-        counts = python.count(theirs.counts)
-        assert ours.counts[:3] == counts[:3]
-
-
-@pytest.mark.parametrize(("cyrk", "scipy"), [("cyrk-dop853", "scipy-dop853"), ("cyrk-radau", "scipy-radau")])
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-8])
-@by_name([PARTICLE, BODY])
-def test_cyrk_is_as_accurate_as_scipy(cyrk, scipy, rtol, scene):
-    """Two programs of one method: errors within a factor of two, and DOP853 even in the same steps."""
-    ours, theirs = (cb.solve(scene, name, rtol=rtol, save_at=[4.0]) for name in (cyrk, scipy))
-    errors = [cb.LAWS["solution_error"](run) for run in (ours, theirs)]
-    assert 0.5 < errors[0] / errors[1] < 2
-    assert ours.counts.steps == theirs.counts.steps
-    if cyrk == "cyrk-dop853":
-        assert ours.counts == theirs.counts
 
 
 @peers
@@ -123,7 +88,7 @@ def test_saved_states_are_as_accurate_as_the_last(method, engine, scene):
     np.testing.assert_array_equal(solution.y[0], scene.pack(scene.initial(scene.optional)))
 
 
-@peers
+@pytest.mark.parametrize(("method", "engine"), [*PEERS, ("cvode-bdf", "c+python")])
 def test_steps_do_not_depend_on_what_is_saved(method, engine):
     """And the last state is the solver's own, the same to the bit."""
     runs = [
@@ -182,15 +147,6 @@ def test_scipy_evaluations_are_those_of_its_attempts_and_interpolants(scene):
         if len(times) == 1:
             assert counts.evaluations - 2 == 12 * (counts.steps + counts.rejected)
     assert len(found) == 1
-
-
-def test_callback_cvode_counts_no_interpolation_as_a_step():
-    """After an interpolation CVODE returns to where it was without a step."""
-    few, many = (
-        cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c+python", save_at=np.linspace(0, 4, k)).counts
-        for k in (3, 400)
-    )
-    assert few.steps == many.steps
 
 
 # -- ways to end -----------------------------------------------------------------------------------

@@ -9,21 +9,16 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import USER, few_slow, pairs
+from cases import few_slow
 from contactbench.methods.entry import _tolerances as tolerances_of
 from contactbench.methods.request import steps_in
 from contactbench.peers import diffrax
 from contactbench.solution import Status
+from contactbench.testing.method import CASES
 from contactbench.xla import jax
 
+PARTICLE, BODY, _ = CASES
 FIXED = [m for m in cb.METHODS.values() if m.control == "step"]
-#: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
-PARTICLE = cb.SCENES["particle"].with_(gamma=0.35, q=(0.7, -0.6), p=(0.4, 0.5), s=0.3, t_end=4.0)
-BODY = cb.SCENES["rigid_body"].with_(
-    inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=4.0
-)
-ANISOTROPIC = cb.SCENES["rigid_body_anisotropic"].with_(M=(0.8, 0.9, -0.5), t_end=4.0)
-SCENES = [PARTICLE, BODY, ANISOTROPIC]
 #: contact-exact solves bodies only, and has tests of its own
 ON_PARTICLE = [m for m in cb.METHODS.values() if m.refuses(PARTICLE) is None]
 ADAPTIVE = [m for m in ON_PARTICLE if m.adaptive]
@@ -32,8 +27,6 @@ ADAPTIVE = [m for m in ON_PARTICLE if m.adaptive]
 LONG = [cb.METHODS[name] for name in ("diffrax-kvaerno5", "diffrax-dopri8")]
 fixed = pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
 adaptive = pytest.mark.parametrize("method", ADAPTIVE, ids=lambda m: m.name)
-every = pytest.mark.parametrize("method", cb.METHODS.values(), ids=lambda m: m.name)
-on_particle = pytest.mark.parametrize("method", ON_PARTICLE, ids=lambda m: m.name)
 
 
 def setting(method, fine=False):
@@ -45,23 +38,6 @@ def setting(method, fine=False):
 
 
 # -- order and accuracy ----------------------------------------------------------------------------
-
-
-@pairs(cb.METHODS.values(), SCENES)
-@pytest.mark.quick(scene="particle", method=tuple(name for name in cb.METHODS if name != "diffrax-kvaerno5"))
-@pytest.mark.quick(scene="rigid_body", method=("contact-bm4", "contact-exact", "cvode-bdf"))
-def test_solution_approaches_the_reference(method, scene):
-    """On every engine, all fields carried; the bound is the one that its order or tolerance gives.
-
-    JAX, which compiles a body for seconds, is left to the contract where it is a cross-check.
-    """
-    for engine in (e for e in method.engines if e != "jax" or e == method.engines[0]):
-        solution = cb.solve(
-            scene, method.name, engine=engine, save_at=[2.0, 4.0], **setting(method, fine=True)
-        )
-        assert solution.status is Status.ok
-        bound = 1e-7 if method.adaptive else {1: 3e-3, 2: 3e-6}.get(method.order, 1e-9)
-        assert cb.LAWS["solution_error"](solution) < bound
 
 
 def test_rk4_is_the_classical_one():
@@ -91,27 +67,6 @@ def test_a_linear_scene_scales_to_the_last_bit(method, gamma):
         other = run(q=(0.75 * scale,), p=(-0.5 * scale,), s=0.25 * scale**2)
         assert other.ok
         np.testing.assert_array_equal(other.y, one.y * [scale, scale, scale**2])
-
-
-TWO_TOLERANCES = [m for m in ADAPTIVE if m.takes_atol]
-
-
-@pytest.mark.parametrize("method", few_slow(TWO_TOLERANCES, *LONG), ids=lambda m: m.name)
-@pytest.mark.parametrize("gamma", [0.0, 0.25])
-def test_tolerances_are_relative_to_the_state_where_atol_is(method, gamma):
-    """Of a state of 10⁻⁸ or 10⁸ and an atol to match the same digits are had."""
-    scene = cb.SCENES["oscillator"].with_(gamma=gamma, t_end=2.0)
-    for scale in (1e-8, 1.0, 1e8):
-        scaled = scene.with_(q=(0.75 * scale,), p=(-0.5 * scale,))
-        run = cb.solve(scaled, method.name, rtol=1e-7, atol=1e-7 * scale, carry=(), save_at=[2.0])
-        assert run.ok
-        assert 1e-13 < cb.LAWS["solution_error"](run) < 1e-5
-
-
-@pytest.mark.parametrize("times", [[0.5, 0.5], [0.5, 0.25], [-0.5, 0.5]])
-def test_saved_times_increase_from_zero_on(times):
-    with pytest.raises(cb.BadInput, match="save_at"):
-        cb.prepare(PARTICLE, "rk4", step=0.1, save_at=times)
 
 
 @adaptive
@@ -169,20 +124,13 @@ def divided(times, step):
 
 
 @pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
-def test_times_at_multiples_of_the_step_are_reached_in_whole_steps(step):
+def test_only_an_interval_that_is_longer_than_its_steps_is_divided(step):
+    """By a part in 10⁸, where times that late resolve it."""
     for name, times in grids(step).items():
-        assert (divided(times, step) == (3 if name == "every third" else 1)).all(), name
-
-
-@pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)
-def test_an_interval_that_is_longer_than_the_step_is_divided(step):
-    """By a part in 10⁹, where times that late resolve it."""
-    for name, times in grids(step).items():
-        if name in ("late", "very late"):  # 4 ulp(t)/h is 10⁻⁹ at t = 10⁶ h
-            continue
-        assert (divided(times, step * (1 - 1e-9)) == (4 if name == "every third" else 2)).all(), name
-    late = grids(step)["late"]
-    assert (divided(late, step * (1 - 1e-8)) == 2).all()
+        whole = 3 if name == "every third" else 1
+        assert (divided(times, step) == whole).all(), name
+        if name != "very late":  # 4 ulp(t)/h is 10⁻⁹ at t = 10⁶ h
+            assert (divided(times, step * (1 - 1e-8)) == whole + 1).all(), name
 
 
 @pytest.mark.parametrize("engine", ["jax", "python"])
@@ -206,19 +154,6 @@ def test_body_solution_has_a_rotation_matrix():
 
 
 @fixed
-def test_divergence_is_located_to_the_step(method):
-    """One save at the very end and a save at every step must tell the same time."""
-    times = []
-    for engine in method.engines:
-        for save in ([10.0], None):
-            solution = cb.solve("escape", method.name, step=0.01, save_at=save, engine=engine)
-            assert solution.status is Status.diverged
-            times.append(solution.end_time)
-    assert max(times) - min(times) < 1e-9
-    assert 3 < times[0] < 4
-
-
-@fixed
 def test_the_step_that_diverges_is_the_last_one_counted(method):
     """Against steps taken one by one until a component is 10⁶ times the size of the initial (q, p)."""
     scene, step = cb.SCENES["escape"], cb.step_map("escape", method.name)
@@ -226,21 +161,15 @@ def test_the_step_that_diverges_is_the_last_one_counted(method):
     bound = 1e6 * np.linalg.norm(y[:motion])
     while max(map(abs, y[:motion])) <= bound:
         y, n = step(y, 0.01), n + 1
-    for engine in ("numba", "python"):
+    for engine in method.engines:
         for save in ([10.0], [0.0, 1.0, 2.0, 10.0]):
             solution = cb.solve(scene, method.name, step=0.01, save_at=save, engine=engine)
+            assert solution.status is Status.diverged
             assert solution.counts.steps == n
             assert solution.end_time == pytest.approx(0.01 * n, rel=1e-9)
             begun = 1 + sum(0 < t < 0.01 * n for t in save)  # intervals, each with a first step
             expected = begun * method.counts(scene, 1) + (n - begun) * method.per_step(scene)
             assert solution.counts.evaluations == expected
-
-
-def test_what_a_nystrom_composition_cannot_do_is_unsupported_with_the_reason():
-    solution = cb.solve("rigid_body", "contact-rkn6", step=0.1)
-    assert solution.status is Status.unsupported
-    assert "merged drift and damping" in solution.message
-    assert np.isnan(solution.y).all()
 
 
 # -- counts and traps ------------------------------------------------------------------------------
@@ -255,22 +184,15 @@ def counted_scene(calls):
     return PARTICLE._replaced(gradient=counting)
 
 
-@pytest.mark.parametrize(
-    "method", [m for m in ON_PARTICLE if "python" in m.engines[-1]], ids=lambda m: m.name
-)
-@pytest.mark.parametrize("hessian", [True, False], ids=["analytic", "differenced"])
-def test_callback_counts_are_the_calls_really_made(method, hessian):
-    """SciPy and CVODE leave the calls that difference a Jacobian out of their nfev; here they count."""
+@pytest.mark.parametrize("method", ["scipy-radau", "cvode-bdf"])
+def test_the_calls_that_difference_a_jacobian_count(method):
+    """SciPy and CVODE leave them out of their nfev."""
     calls = [0]
-    scene = counted_scene(calls)
-    if not hessian:
-        scene = scene._replaced(hessian=None)
-    run = cb.prepare(
-        scene, method.name, engine=method.engines[-1], save_at=[4.0], carry=(), **setting(method)
-    )
+    scene = counted_scene(calls)._replaced(hessian=None)
+    engine = cb.METHODS[method].engines[-1]
+    run = cb.prepare(scene, method, engine=engine, rtol=1e-7, save_at=[4.0], carry=())
     calls[0] = 0
-    counts = run().counts
-    assert counts.evaluations == calls[0]
+    assert run().counts.evaluations == calls[0]
 
 
 @pytest.mark.parametrize("name", ["diffrax-tsit5", "diffrax-dopri8", "diffrax-kvaerno5"])
@@ -308,10 +230,7 @@ def test_kvaerno_takes_the_steps_its_error_control_wants():
 
 
 def test_cvode_is_not_held_to_its_default_of_500_steps():
-    solution = cb.solve("particle_long", "cvode-bdf", rtol=1e-5, save_at=[2000.0])
-    assert solution.ok
-    run = cb.prepare("particle", "cvode-adams", rtol=1e-8, save_at=[20.0], engine="c+python")
-    assert 100 < run().counts.steps < 1000
+    assert cb.solve("particle_long", "cvode-bdf", rtol=1e-5, save_at=[2000.0]).ok
 
 
 @pytest.mark.parametrize("method", few_slow(ADAPTIVE, *LONG), ids=lambda m: m.name)
@@ -329,21 +248,3 @@ def test_singular_right_hand_side_is_a_row_and_not_a_crash(method):
     # straight into the singularity at t = π/√8 ≈ 1.11: nothing true can be said beyond it
     assert solution.status in (Status.failed, Status.diverged, Status.budget)
     assert np.isnan(solution.y).all()
-
-
-# -- plug-ins --------------------------------------------------------------------------------------
-def test_a_users_own_method_and_scene_run_everywhere():
-    @cb.fixed_step("midpoint-of-mine", order=2, evaluations=2)
-    def midpoint(scene, x, h, xp):
-        from contactbench.methods.rk4 import shifted
-
-        return shifted(x, h, scene.rhs(shifted(x, h / 2, scene.rhs(x))))
-
-    try:
-        for engine in ("jax", "python"):
-            fine = cb.solve(USER, "midpoint-of-mine", step=0.01, engine=engine)
-            assert cb.LAWS["solution_error"](fine) < 1e-4
-        with pytest.raises(cb.BadInput, match="already registered"):
-            cb.fixed_step("midpoint-of-mine", order=2)(midpoint)
-    finally:
-        del cb.METHODS["midpoint-of-mine"]

@@ -18,7 +18,7 @@ from contactbench.solution import Status
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS
 from contactbench.trace.program import record
-from contactbench.trace.python import execute, source
+from contactbench.trace.python import execute
 from contactbench.trace.recording import ALIASES
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
@@ -118,21 +118,6 @@ def every_operation_of_one(*arguments):
     return [total]
 
 
-def test_equal_operations_are_computed_once_and_constant_ones_before_the_loop():
-    def body(x, k):
-        return x * k * k + x * k * k
-
-    def advance(numbers, h, n, y, xp, repeat):
-        return [repeat(n, lambda x: body(x, numbers[0] * h), y[0])]
-
-    program = record(advance, 1, 1, 1, 1e6)
-    text = source(program.setup) + source(program.run)
-    # k in setup; x·k and its product with k in the loop; the size at the start
-    assert text.count(" * ") == 1 + 2 + 2
-    loop = text[text.index("for _ in") :]
-    assert "numbers" not in loop
-
-
 # -- the engine ------------------------------------------------------------------------------------
 def stays(method, scene):
     """Whether a step of 0.06 is fine enough: `herglotz1` falls into the centre of force."""
@@ -171,14 +156,6 @@ def test_the_tangent_loop_carries_the_derivative(method, scene):
         size = max(1.0, np.abs(derivative).max())
         difference = (8 * near - far) / (12 * step)  # round-off 1e-16/1e-5 times the condition of the run
         np.testing.assert_allclose(derivative[:, :, j], difference, rtol=0, atol=2e-8 * size)
-
-
-@pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
-def test_the_bare_call_is_the_same_run(method):
-    run = cb.prepare(PARTICLE, method.name, step=0.1, save_at=[2.0])
-    y0 = run._own_start
-    np.testing.assert_array_equal(run.bare(y0), run().y[-1])
-    assert not np.array_equal(run.bare(y0 + 0.1), run.bare(y0))
 
 
 def test_one_program_serves_all_compositions_parameters_and_steps():
@@ -231,21 +208,20 @@ def test_very_many_different_steps_are_taken_in_parts(monkeypatch):
 
 
 # -- what cannot be recorded -----------------------------------------------------------------------
-def registered(step):
-    cb.fixed_step("of-mine", order=1)(step)
-    return cb.METHODS["of-mine"]
 
 
 @pytest.fixture
 def branching():
+    @cb.fixed_step("of-mine", order=1)
     def step(scene, x, h, xp):
         return cb.shifted(x, h if x.q[0] > 0 else h * 1.0, scene.rhs(x))
 
-    yield registered(step)
+    yield
     del cb.METHODS["of-mine"]
 
 
-def test_a_step_map_that_branches_on_values_is_unsupported_and_says_why(branching):
+@pytest.mark.usefixtures("branching")
+def test_a_step_map_that_branches_on_values_is_unsupported_and_says_why():
     for engine in ("numba", "jax"):
         solution = cb.solve(PARTICLE, "of-mine", step=0.1, engine=engine)
         assert solution.status is Status.unsupported

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from contactbench.methods.step_map import StepMap
 STEP = 0.1
 STEPS = [name for name, method in cb.METHODS.items() if isinstance(method, StepMap)]
 
-SOME = ("contact-rkn6", "rk4", "contact-strang")
 #: numba takes its time over the long ones
 SHORT = ("contact-strang", "herglotz2")
 
@@ -53,18 +50,6 @@ def test_parameters_by_name_and_as_a_tuple():
     numbers[step.names.index("gamma")], numbers[step.names.index("coupling")] = 0.4, 0.2
     assert step(step.start, STEP, gamma=0.4, coupling=0.2) == other(step.start, STEP)
     assert step(step.start, STEP, tuple(numbers)) == other(step.start, STEP)
-
-
-@pytest.mark.parametrize(
-    ("scene", "method"), supported(SOME, ["particle", "quadratic_damping", "rigid_body"])
-)
-def test_numpy_arrays_are_many_states_at_once(scene, method):
-    step = cb.step_map(scene, method)
-    scales = np.linspace(0.9, 1.1, 5)
-    many = step(tuple(c * scales for c in step.start), STEP)
-    for k, scale in enumerate(scales):
-        one = step(tuple(c * scale for c in step.start), STEP)
-        np.testing.assert_allclose([c[k] for c in many], one, rtol=1e-14, atol=1e-15)
 
 
 @pytest.mark.parametrize(("scene", "method"), supported(SHORT, ["particle", "rigid_body"]))
@@ -133,21 +118,3 @@ def test_bad_input_is_named(call, says):
     with pytest.raises(cb.BadInput) as caught:
         call()
     assert says in str(caught.value)
-
-
-def test_a_force_that_branches_on_values_runs_in_python_and_says_so_to_numba():
-    from contactbench.numbers.protocol import CannotRecord
-
-    scene = cb.Mechanical(
-        name="wall",
-        q=(0.5,),
-        p=(1.0,),
-        gamma=0.1,
-        t_end=1.0,
-        potential=lambda q: 0.0 if q[0] < 1 else (q[0] - 1) ** 2,
-        gradient=lambda q: (0.0 if q[0] < 1 else 2 * (q[0] - 1),),
-    )
-    step = cb.step_map(scene, "contact-strang")
-    assert math.isfinite(step(step.start, STEP)[0])
-    with pytest.raises(CannotRecord):
-        step.compiled  # noqa: B018

@@ -50,19 +50,6 @@ def test_a_tolerance_out_of_reach_ends_as_budget(engine):
     assert np.isnan(solution.y).all()
 
 
-def test_a_motion_every_step_solves_exactly_needs_no_small_step():
-    free = cb.Mechanical(
-        name="free",
-        potential=lambda q: 0 * q[0],
-        gradient=lambda q: (0 * q[0],),
-        gamma=0.1,
-        q=(0.0,),
-        p=(1.0,),
-        t_end=10.0,
-    )
-    assert cb.solve(free, "contact-strang", rtol=1e-10, save_at=[10.0]).counts.steps < 100
-
-
 @pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6", "rk4"])
 @pytest.mark.parametrize("rtol", [1e-4, 1e-7])
 def test_many_saved_times_are_no_reason_to_stop_early(method, rtol):

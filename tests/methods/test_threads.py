@@ -12,8 +12,8 @@ import pytest
 import contactbench as cb
 
 THREADS = 4
-#: calls of each solver in the part that runs always; of all pairs of a method and an engine in the slow one
-QUICK, ALL = 2000, 10**4
+#: the runs with a state of their own, which takes a lock; the last one divides its intervals anew at every call
+STATEFUL = [("heyoka-taylor", "llvm"), ("cvode-bdf", "c"), ("contact-rkn6", "numba")]
 #: a problem of a few steps, so that there are many calls and many switches within them
 SCENE = cb.SCENES["particle"].with_(t_end=0.5)
 TIMES = {"end": [0.5], "grid": [0.0, 0.2, 0.35, 0.5]}
@@ -25,9 +25,9 @@ PAIRS = [
 ]
 
 
-def prepared(method, engine, times, chosen=False):
-    """chosen : a fixed step is chosen from a tolerance."""
-    control = {} if method.exact else {"rtol": 1e-6} if method.adaptive or chosen else {"step": 0.1}
+def prepared(method, engine, times):
+    chosen = method.adaptive or (method.name, engine) in STATEFUL
+    control = {} if method.exact else {"rtol": 1e-6} if chosen else {"step": 0.1}
     return cb.prepare(SCENE, method, engine=engine, save_at=TIMES[times], **control)
 
 
@@ -35,11 +35,11 @@ def starts(thread):
     return {"q": (1.0 + thread / 8, 0.5), "p": (0.1 * thread, 0.2)}
 
 
-def wrong(method, engine, times, calls, shared, chosen=False):
+def wrong(method, engine, times, calls, shared):
     """How many calls of four threads gave another result than alone; one run for all, or one for each."""
-    run = prepared(method, engine, times, chosen)
+    run = prepared(method, engine, times)
     alone = [run(**starts(thread)).y.copy() for thread in range(THREADS)]
-    runs = [run if shared else prepared(method, engine, times, chosen) for _ in range(THREADS)]
+    runs = [run if shared else prepared(method, engine, times) for _ in range(THREADS)]
     barrier = Barrier(THREADS)
 
     def calling(thread):
@@ -56,28 +56,11 @@ def wrong(method, engine, times, calls, shared, chosen=False):
         sys.setswitchinterval(interval)
 
 
-def stress(method, engine, times, calls):
-    each = THREADS * -(-calls // (THREADS * len(PAIRS) * len(TIMES) * 2))  # in all no fewer
-    for shared in (True, False):
-        assert wrong(method, engine, times, each, shared) == 0
-
-
-BY_PAIR = pytest.mark.parametrize(("method", "engine"), PAIRS, ids=[f"{m.name}-{e}" for m, e in PAIRS])
-BY_TIMES = pytest.mark.parametrize("times", TIMES)
-#: the runs with a state of their own, which takes a lock; the last one divides its intervals anew at every call
-STATEFUL = [("heyoka-taylor", "llvm"), ("cvode-bdf", "c"), ("contact-rkn6", "numba")]
-
-
-@BY_TIMES
-@pytest.mark.parametrize(("method", "engine"), STATEFUL)
-@pytest.mark.quick(times="end")
-def test_threads_do_not_disturb_each_other(method, engine, times):
-    for shared in (True, False):
-        assert wrong(cb.METHODS[method], engine, times, QUICK, shared, chosen=True) == 0
-
-
-@pytest.mark.slow
-@BY_TIMES
-@BY_PAIR
-def test_ten_thousand_calls_of_all_solvers_in_four_threads(method, engine, times):
-    stress(method, engine, times, ALL)
+@pytest.mark.parametrize("times", TIMES)
+@pytest.mark.parametrize("shared", [True, False], ids=["one run", "a run each"])
+@pytest.mark.parametrize(("method", "engine"), PAIRS, ids=[f"{m.name}-{e}" for m, e in PAIRS])
+@pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), times="end")
+@pytest.mark.quick(method="contact-rkn6", engine="numba", times="end")
+def test_threads_do_not_disturb_each_other(method, engine, shared, times):
+    calls = 2000 if (method.name, engine) in STATEFUL else 60  # 10⁴ of all pairs
+    assert wrong(method, engine, times, calls, shared) == 0

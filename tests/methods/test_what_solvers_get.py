@@ -24,6 +24,7 @@ from contactbench.xla import jnp
 
 #: asked for; numbers that nothing has by default, and tolerances that both act
 END, RTOL, ATOL, BUDGET = 1.7, 3.1e-5, 4.3e-5, 4321
+ASKED = {"rtol": RTOL, "atol": ATOL, "max_num_steps": BUDGET}
 
 
 def tolerances(name):
@@ -120,42 +121,6 @@ def test_scipy(name, engine, times, monkeypatch):
         assert got == asked
 
 
-@pytest.mark.parametrize("engine", ["c+python"])
-@pytest.mark.parametrize("name", ["cvode-adams", "cvode-bdf"])
-@saved
-def test_scikit_sundae(name, engine, times, monkeypatch):
-    seen, ends = [], set()
-
-    class Recorded:
-        def __init__(self, f, **options):
-            seen.append(options)
-            self.inner = original(f, **options)
-
-        def init_step(self, t, y):
-            return self.inner.init_step(t, y)
-
-        def step(self, t, method="normal", tstop=None):
-            ends.add(tstop)
-            return self.inner.step(t, method=method, tstop=tstop)
-
-    original = sksundae.cvode.CVODE
-    monkeypatch.setattr(sksundae.cvode, "CVODE", Recorded)
-    calls(prepared(name, engine, times))
-    asked = {
-        "method": KINDS[name, engine],
-        "rtol": RTOL,
-        "atol": ATOL,
-        "max_num_steps": BUDGET,
-        "max_step": END,
-        "min_step": 1e-15 * END,
-    }
-    assert len(seen) == 3
-    for got in seen:
-        assert callable(got.pop("jacfn"))
-        assert got == asked
-    assert ends == {END}
-
-
 @saved
 def test_heyoka(times, monkeypatch):
     seen = []
@@ -209,15 +174,7 @@ def test_cyrk_by_its_call_from_python(name, engine, times):
     run = prepared(name, engine, times)
     for each in (run, run.variational()):
         rhs, _ = from_python(each.request)
-        found = pysolve_ivp(
-            rhs,
-            (0.0, END),
-            each.start.copy(),
-            method=KINDS[name, engine],
-            rtol=RTOL,
-            atol=ATOL,
-            max_num_steps=BUDGET,
-        )
+        found = pysolve_ivp(rhs, (0.0, END), each.start.copy(), method=KINDS[name, engine], **ASKED)
         out = each.integrate(each.start)
         np.testing.assert_array_equal(out.y[-1], found.y[:, -1])
         np.testing.assert_array_equal(each.bare(each.start), found.y[:, -1])
@@ -225,11 +182,11 @@ def test_cyrk_by_its_call_from_python(name, engine, times):
         assert out.counts.steps == found.steps_taken
 
 
-@pytest.mark.parametrize("name", ["cvode-adams", "cvode-bdf"])
+@of("cvode")
 @saved
-def test_cvode_by_scikit_sundae(name, times):
-    run = prepared(name, "c", times)
-    rhs, jacobian = from_python(run.request)
+def test_cvode_by_scikit_sundae(name, engine, times):
+    run = prepared(name, engine, times)
+    rhs, jacobian = from_python(run.request) if engine == "c" else (run.rhs, run.jacobian)
 
     def f(t, y, yp):
         yp[:] = rhs(t, y)
@@ -237,16 +194,8 @@ def test_cvode_by_scikit_sundae(name, times):
     def jac(t, y, yp, J):
         J[:, :] = jacobian(t, y)
 
-    solver = sksundae.cvode.CVODE(
-        f,
-        method=KINDS[name, "c"],
-        rtol=RTOL,
-        atol=ATOL,
-        jacfn=jac,
-        max_num_steps=BUDGET,
-        min_step=1e-15 * END,
-        max_step=END,
-    )
+    steps = {"max_step": END, "min_step": 1e-15 * END}
+    solver = sksundae.cvode.CVODE(f, method=KINDS[name, engine], jacfn=jac, **ASKED, **steps)
     solver.init_step(0.0, run.start)
     found = solver.step(END, tstop=END).y
     np.testing.assert_array_equal(run().y[-1], found)
@@ -270,26 +219,10 @@ def test_diffrax(name, engine, times, monkeypatch):
     def returns_what_it_gets(terms, solver, t0, t1, dt0, y0, *, saveat, stepsize_controller, **options):
         budgeted, pid = stepsize_controller, stepsize_controller.controller
         finder = getattr(solver, "root_finder", pid)  # an explicit method has none
-        seen.append(
-            (
-                type(solver).__name__,
-                type(pid),
-                dt0,
-                options["max_steps"],
-                other_than_default(pid, default, "rtol", "atol", "dtmin"),
-            )
-        )
-        numbers = [
-            pid.rtol,
-            pid.atol,
-            finder.rtol,
-            finder.atol,
-            budgeted.max_steps,
-            budgeted.end,
-            t1,
-            pid.dtmin,
-            t0,
-        ]
+        changed = other_than_default(pid, default, "rtol", "atol", "dtmin")
+        seen.append((type(solver).__name__, type(pid), dt0, options["max_steps"], changed))
+        numbers = [pid.rtol, pid.atol, finder.rtol, finder.atol]
+        numbers += [budgeted.max_steps, budgeted.end, t1, pid.dtmin, t0]
         y = jnp.stack([jnp.asarray(number, dtype=float) for number in numbers])[None]
         stats = dict.fromkeys(("num_accepted_steps", "num_rejected_steps"), 1)
         ys, ts = y, t1[None]

@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from cases import REPOSITORY
 from contactbench.measure.ladder import ENDS
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.compiled import _programs
@@ -147,31 +146,9 @@ def test_the_reference_is_checked_and_nothing_below_its_error_is_claimed(frame, 
     assert "known to 1.0e-04 only" in second.reason
 
 
-def test_a_small_budget_leaves_the_reference_time_enough():
-    assert cb.compare(double_well(), ["rk4"], (1e-2,), budget=0.5).attrs["reference"]["digits"] >= 20
-
-
 def test_a_reference_that_would_take_too_long_is_refused():
     with pytest.raises(OutOfTime, match="in the time it was given"):
         cb.compare(double_well().with_(t_end=1e5), ["rk4"], ERRORS, budget=0.5)
-
-
-def test_it_writes_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    before = {path: path.stat().st_mtime_ns for path in REPOSITORY.glob("*/*.csv")}  # tables and references
-    cb.compare("particle", ["rk4"], (1e-2,), budget=5.0)
-    assert not list(tmp_path.iterdir())
-    assert before == {path: path.stat().st_mtime_ns for path in REPOSITORY.glob("*/*.csv")}
-
-
-@pytest.mark.slow
-def test_a_method_without_a_setting_is_raced_too():
-    frame = cb.compare("rigid_body", ["contact-exact", "contact-strang"], (1e-2, 1e-9), budget=60.0)
-    exact = frame[frame["method"] == "contact-exact"]
-    assert list(exact["status"]) == ["ok", "ok"]
-    assert exact["error_reached"].max() < 1e-12
-    assert exact["time_s"].nunique() == 1  # one run serves both errors
-    assert "J law" in exact["laws_kept"].iloc[0]
 
 
 # -- interruption, budget --------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from contactbench.report import markdown
-from contactbench.report.chapters import CHAPTERS, Contents, Section, chapters, figures, slug
+from contactbench.report.chapters import CHAPTERS, Contents, Section, chapters, figures
 from contactbench.report.views import View
 from contactbench.results.schema import TABLES
 from frames import frames, row
@@ -90,16 +90,6 @@ def test_names_of_views_are_unique_and_a_figure_shown_twice_is_the_same():
 
 def test_every_table_is_read_by_a_chapter_and_every_chapter_reads_tables():
     assert {name for chapter in CHAPTERS.values() for name in chapter.tables} == set(TABLES)
-
-
-def test_definitions_are_listed_by_kind_each_with_its_digest():
-    scenes, methods = CHAPTERS["definitions"].parts(frames(definitions=SOME["definitions"]))
-    assert [cell.text for cell in scenes.rows[0]] == ["central", "`0123456789abcdef`", "`gamma=0.1`"]
-    assert [cell.text for cell in methods.rows[0]] == ["rk4", "`fedcba9876543210`", "`order=4`"]
-
-
-def test_a_heading_has_the_anchor_that_github_gives_it():
-    assert slug("C01 · holds, corrected") == "c01--holds-corrected"
 
 
 # -- a contradicting row changes the answer --------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from itertools import combinations, pairwise
 
@@ -14,8 +13,8 @@ from matplotlib.text import Text
 
 from contactbench.report import draw
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.figures import convergence, laws, stability, structure, work_precision
-from contactbench.report.figures.best import MOST, best_of_each, cheapest, contest_ends, family_and_order
+from contactbench.report.figures import convergence, structure, work_precision
+from contactbench.report.figures.best import MOST, best_of_each, cheapest
 from contactbench.report.look import FAMILIES, METHODS, MUTED, SHADES
 from frames import row, table
 
@@ -39,60 +38,7 @@ def test_the_cheapest_of_each_family_is_in_colour_and_the_others_are_drawn_below
     assert [c.muted for c in found] == sorted((c.muted for c in found), reverse=True)
 
 
-def test_one_error_more_at_least_cost_decides():
-    early = curve("contact-rkn4", 1.0, -0.4)  # cheaper only at large errors
-    late = curve("contact-rkn8", 2.0, -0.1)
-    assert colours(best_of_each([early, late], cheapest)) == {"contact-rkn8"}
-
-
-@pytest.mark.parametrize("group", [lambda c: c.method, family_and_order])
-def test_no_more_than_eight_curves_are_in_colour(group):
-    everyone = [curve(name, 1.0 + k) for k, name in enumerate(METHODS)]
-    assert len(colours(best_of_each(everyone, cheapest, group))) == MOST
-
-
-def test_a_curve_that_reaches_nothing_is_not_the_best():
-    assert not colours(best_of_each([curve("rk4", math.nan)], cheapest))
-
-
-def test_laws_show_the_printed_scheme_a_second_order_one_and_the_best_contact_method():
-    deviations = {
-        "contact-printed": 1e-2, "contact-abc": 1e-3, "contact-strang": 1e-4, "contact-o8": 1e-12,
-        "contact-exact": 1e-15, "rk4": 1e-6, "scipy-dop853": 1e-8, "cyrk-dop853": 1e-8, "cyrk-vern8": 1e-9,
-    }  # fmt: skip
-    rows = [
-        row("rigid_body", m, 0.1, t=t, energy_deviation=deviation, momentum_deviation=1e-15)
-        for m, deviation in deviations.items()
-        for t in (1.0, 2.0)
-    ]
-    for panel in laws.along_time(table("laws_time", rows), "rigid_body", table("laws")).panels:
-        assert colours(panel.curves) == {
-            "contact-printed",
-            "contact-strang",
-            "contact-exact",
-            "rk4",
-            "cyrk-vern8",
-        }
-
-
 # -- axes ------------------------------------------------------------------------------------------
-def test_the_axis_of_cost_ends_where_the_contest_ends():
-    fast = [curve(name, 1.0) for name in ("contact-rkn8", "heyoka-taylor", "cyrk-vern8")]
-    axis = contest_ends(Axis("time", "log"), [*fast, curve("diffrax-kvaerno5", 1e5)])
-    assert axis.within == (None, pytest.approx(30 * 1e-11**-0.2))
-
-
-@pytest.mark.parametrize(
-    ("value", "words"), [(0.5, "0.5"), (20.0, "20"), (1e-6, "10⁻⁶"), (2e5, "2·10⁵"), (1.0, "1")]
-)
-def test_ticks_of_a_logarithmic_axis(value, words):
-    assert draw.power(value) == words
-
-
-def test_points_beyond_one_axis_do_not_stretch_the_other():
-    far = Curve((1e-3, 10.0), (1.0, 1e9), "far")
-    panel = Panel("", Axis("error", "log", within=(1e-16, 2.0)), Axis("time", "log"), (far,))
-    assert (draw.seen(panel, "x"), draw.seen(panel, "y")) == ([1e-3], [1.0])
 
 
 @pytest.mark.parametrize("heights", [(0.5, 0.5, 0.5), (1.0, 0.99, 0.2), (0.0, 0.01, 0.9)])
@@ -142,21 +88,6 @@ def converged():
             )
 
 
-def followed():
-    for k, name in enumerate(METHODS):
-        for t in range(1, 21):
-            wave = 10.0 ** (-k / 2) * (1.5 + math.sin(t + k))
-            names = ("energy_deviation", "momentum_deviation", "contact_deviation")
-            yield row("central", name, 0.1, t=float(t), **dict.fromkeys(names, wave))
-
-
-def limited():
-    for name, order in ORDERS.items():
-        for gamma in (0.01, 0.1, 1.0, 10.0):
-            known = {"gamma": gamma, "omega": 1.0, "limit": order / (1 + gamma)}
-            yield {"method": name, "family": "established", "per_evaluation": order / (1 + gamma), **known}
-
-
 def deviated():
     for name, own in METHODS.items():
         for step in STEPS:
@@ -170,9 +101,7 @@ def deviated():
 
 FIGURES = {
     "work_precision": lambda: work_precision.figure(table("work_precision", worked()), "particle"),
-    "laws": lambda: laws.along_time(table("laws_time", followed()), "central", table("laws")),
     "convergence": lambda: convergence.figure(table("convergence", converged())),
-    "limits": lambda: stability.limits(table("stability_limits", limited())),
     "structure": lambda: structure.structure(table("laws", deviated())),
 }
 

@@ -35,12 +35,18 @@ LIVE = Live(
     "Cost", {("particle", "time"): panel(), ("particle", "steps"): panel(2.0), ("central", "time"): panel()}
 )
 COSTS = View(
-    "costs", "Costs",
+    "costs",
+    "Costs",
     frame_of(
-        [(name, Cell("≤ 2e-6", 2e-6 * k, Mark.best if not k else None), None) for k, name in enumerate(NAMES)],
+        [
+            (name, Cell("≤ 2e-6", 2e-6 * k, Mark.best if not k else None), None)
+            for k, name in enumerate(NAMES)
+        ],
         [("", "method"), ("error", "1e-03"), ("error", "1e-06")],
-    ), "The **cheapest**; see [laws](laws.md).", "costs.csv",
-)  # fmt: skip
+    ),
+    "The **cheapest**; see [laws](laws.md).",
+    "costs.csv",
+)
 ROWS = View(
     "rows",
     "All rows",
@@ -112,11 +118,6 @@ def test_the_page_is_well_formed_and_needs_no_network(text):
     assert "default-src 'none'" in text  # and the browser is told to refuse
 
 
-def test_nothing_stands_twice(text):
-    assert text.count("Dimensionless.") == 1
-    assert text.count("3 of 4") == 1
-
-
 def test_every_entry_and_point_is_there(text):
     data = Document(text).data
     assert data["views"]["costs"]["rows"][:2] == [
@@ -152,18 +153,16 @@ def test_what_a_row_holds_cannot_break_the_page():
     assert Document(page.page([])).data == {"views": {}, "live": None}
 
 
-@pytest.mark.parametrize(("text", "html"), [
-    ("H e^{∫Γ'} and $H_0$, `e^{x}`", "H e<sup>∫Γ&#39;</sup> and H<sub>0</sub>, <code>e^{x}</code>"),
-    (r"$|e^{\int\Gamma'} J_0|$ of *this*", "|e<sup>∫Γ&#39;</sup> J<sub>0</sub>| of <em>this</em>"),
-    ("[x](javascript:y)", "[x](javascript:y)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "html"),
+    [
+        ("H e^{∫Γ'} and $H_0$, `e^{x}`", "H e<sup>∫Γ&#39;</sup> and H<sub>0</sub>, <code>e^{x}</code>"),
+        (r"$|e^{\int\Gamma'} J_0|$ of *this*", "|e<sup>∫Γ&#39;</sup> J<sub>0</sub>| of <em>this</em>"),
+        ("[x](javascript:y)", "[x](javascript:y)"),
+    ],
+)
 def test_inline_marks_and_mathematics_are_set(text, html):
     assert words.inline(text) == html
-
-
-def test_markers_are_matplotlibs():
-    assert page.outline("s") == "M-0.5 0.5L0.5 0.5L0.5 -0.5L-0.5 -0.5Z"
-    assert page.outline("o").count("C") == 8
 
 
 # -- in a browser ----------------------------------------------------------------------------------

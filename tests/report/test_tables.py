@@ -83,14 +83,6 @@ def test_the_cheapest_is_named_with_the_factor_of_the_best_contact_method():
     assert not work_precision.losses_view({"time": won.contests}, "l").rows
 
 
-def test_a_cost_that_is_mostly_fixed_is_marked():
-    rows = [*cost("contact-a", fixed_s=9e-6), *cost("rk4", 2.0, fixed_s=1e-7)]
-    own = work_precision.contest(table("work_precision", rows), COMPILED)
-    lines = texts(work_precision.costs_view(own, "s"))
-    assert "°" in lines["contact-a"][0]
-    assert "°" not in lines["rk4"][0]
-
-
 # -- hard scenes -----------------------------------------------------------------------------------
 def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does_is_right():
     rows = [
@@ -100,13 +92,6 @@ def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does
     ]
     rows += [row("escape", "rk4", 0.1, status=s, end_time=1.0, blow_up_time=1.5) for s in ("diverged", "ok")]
     assert stability.started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
-
-
-def test_the_worst_of_a_law_is_bold_only_where_every_run_keeps_it():
-    runs = [{"contact_drift": value, "contact_drift_bound": 1e-12} for value in (1e-15, 1e-14, 1e-3)]
-    assert stability.worst_cell(runs[:2], "contact_drift").mark is Mark.kept
-    worst = stability.worst_cell(runs, "contact_drift")
-    assert (worst.text, worst.mark) == ("1.0e-03", None)
 
 
 def test_the_first_loss_of_stability_is_marked_where_larger_steps_are_stable_again():
@@ -156,12 +141,6 @@ def test_ensembles_stand_beside_the_c_loops_of_the_same_step():
     assert shapes == ["plain", "tiled"]
     assert (own["stage"] / own["plain"]).tolist() == [2.0]
     assert (own["stage"] / own["tiled"]).tolist() == [0.5]
-
-
-def test_throughput_is_relative_to_the_smallest_number():
-    rows = [run_of("rk4", "cores", time=1 / n, cores=n) for n in (2, 1)]
-    view = ensemble.growth_view(ensemble.with_rates(table("ensemble", rows)), "cores", "cores", "t")
-    assert [(line[3].text, line[-1].text) for line in view.rows] == [("1", "×1.00"), ("2", "×2.00")]
 
 
 # -- long chaotic runs -----------------------------------------------------------------------------

@@ -9,8 +9,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.report import glossary, markdown
-from contactbench.report.chapters import CHAPTERS, Contents, Section, Text, summary
-from contactbench.report.numbers import count, duration, how_often, names, power, times
+from contactbench.report.numbers import count, duration, names, power, times
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.results.schema import TABLES
 
@@ -21,8 +20,11 @@ def view(rows, labels, **more):
 
 def test_marks_are_seen_and_a_bar_does_not_break_a_table():
     cells = (
-        Cell("a|b", mark=Mark.best), Cell("c", mark=Mark.tie), Cell("d", mark=Mark.exception), Cell("f", link="x.md"),
-    )  # fmt: skip
+        Cell("a|b", mark=Mark.best),
+        Cell("c", mark=Mark.tie),
+        Cell("d", mark=Mark.exception),
+        Cell("f", link="x.md"),
+    )
     text = markdown.parts([view([cells], ["1", "2", "3", "4"])])
     assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "d !", "[f](x.md) |"]
     assert text.startswith("## Title\n\nA legend.\n\n| 1 ")
@@ -44,23 +46,10 @@ def test_a_wide_table_is_split_at_its_groups():
     assert "scene 4: c" in tables[1]
 
 
-def test_sections_nest():
-    text = markdown.parts([Section("One", (Section("Two", (Text("body", ("a", "b")),)),))])
-    assert text == "## One\n\n### Two\n\nbody\n\n- a\n- b"
-
-
 def test_a_matrix_has_a_line_for_each_value_and_a_dash_where_there_is_nothing():
     rows = pd.DataFrame({"m": ["a", "a", "b"], "s": ["x", "y", "y"], "v": [1.0, 2.0, 3.0]})
     frame = matrix(rows, "m", "s", lambda part: part["v"].sum(), "at {}".format)
     assert frame.to_dict("list") == {"m": ["a", "b"], "at x": [1.0, "—"], "at y": [2.0, 3.0]}
-
-
-def test_a_document_opens_with_its_answers():
-    answers = summary(("Is it kept?", "always", "3 of 3 runs"))
-    text = markdown.document(Contents(CHAPTERS["laws"], answers, (Text("end"),)))
-    assert (
-        text.index("# Decay laws") < text.index("| Is it kept? | always | 3 of 3 runs |") < text.index("end")
-    )
 
 
 def test_the_glossary_has_every_method_scene_and_column():
@@ -92,21 +81,6 @@ def test_the_glossary_has_every_method_scene_and_column():
 )
 def test_numbers_and_lists_are_readable(write, value, text):
     assert write(value) == text
-
-
-@pytest.mark.parametrize(
-    ("part", "answer"),
-    [
-        (10, "always"),
-        (9, "nearly always"),
-        (6, "mostly"),
-        (5, "about half the time"),
-        (1, "rarely"),
-        (0, "never"),
-    ],
-)
-def test_a_share_in_words(part, answer):
-    assert how_often(part, 10) == answer
 
 
 def test_infinite_numbers_sort_beyond_all_others_and_missing_ones_are_dashes():

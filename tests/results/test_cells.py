@@ -205,16 +205,6 @@ def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
 
 
 @pytest.mark.slow
-def test_workers_resume_what_is_left(tmp_path):
-    """The same with the cells handed out to worker processes, as in the untimed phase of a run."""
-    workers = ("-m", "not timed", "-n", "2")
-    finished(bench(tmp_path, f"{SMALL} and strang", *workers))
-    resumed = finished(bench(tmp_path, SMALL, "--resume", *workers))
-    assert "4 passed" in resumed  # decay and laws of the other method, errors of its two engines
-    assert set(methods(tmp_path, LAWS_TABLE)) == {"contact-strang", "cvode-adams"}
-
-
-@pytest.mark.slow
 def test_two_runs_at_once_do_not_corrupt_each_other(tmp_path):
     first, second = bench(tmp_path, f"{SMALL} and cvode"), bench(tmp_path, f"{SMALL} and strang")
     for process in (first, second):
@@ -233,41 +223,6 @@ def test_a_whole_run_removes_rows_whose_benchmark_no_longer_exists(tmp_path):
     finish(tmp_path, "a", run="four", merged=["a", "b"])  # resumed: now all are done
     assert methods(tmp_path) == ["a", "b"]
     assert runs(tmp_path)[-1]["tables"] == {"convergence": "whole"}
-
-
-def test_the_run_behind_rows_of_a_larger_profile_stays_on_record(tmp_path):
-    large = finish(tmp_path, run="large", profile="standard", merged=None)
-    large.save([(CONVERGENCE, row("a")), (CONVERGENCE, row("b", profile="standard"))], ("bench.py", "a"))
-    large.merge([("bench.py", "a")])
-    finish(tmp_path, "a", run="small", merged=["a"])
-    assert methods(tmp_path) == ["a", "b"]
-    assert {run["run"]: run["tables"]["convergence"] for run in runs(tmp_path)} == {
-        "large": "whole",
-        "small": "part",
-    }
-
-
-@pytest.mark.slow
-def test_a_rerun_changes_what_the_clock_says_and_nothing_else(tmp_path):
-    """Two runs on one machine: the same bytes in every table but those of times."""
-    few = "particle and not long and not limit and strang and (laws or work_precision or convergence) and not jax"
-    finished(bench(tmp_path, few))
-    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
-    finished(bench(tmp_path, few))
-    after = {path.name: path.read_bytes() for path in tmp_path.glob("*.csv")}
-    assert {"convergence.csv", "laws.csv", "laws_time.csv", "work_precision.csv"} < set(before) == set(after)
-    assert {name for name in before if before[name] != after[name]} == {"work_precision_times.csv"}
-
-
-@pytest.mark.parametrize("content", ["a,b\n1,2\n", "not a table"])
-def test_a_foreign_file_is_refused_at_once_and_kept(tmp_path, content):
-    path = CONVERGENCE.path(tmp_path)
-    path.write_text(content)
-    process = bench(tmp_path, SMALL)
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode == 4
-    assert f"{path}: columns are not those of table 'convergence'; move it away or restore it" in output
-    assert path.read_text() == content
 
 
 def test_cells_whose_tables_are_foreign_stay(tmp_path):

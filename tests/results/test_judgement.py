@@ -5,18 +5,14 @@ from __future__ import annotations
 import pytest
 
 from contactbench.measure.round_off import decide
-from contactbench.results.judgement import bound, law_rows, structural_laws
+from contactbench.results.judgement import bound, law_rows
 from frames import frames, row, table
 
 
 def run(value=1e-15, method="contact-a", scene="central", limit=1e-12, undecided=False, **more):
     """A run with a judged contact drift."""
-    columns = {
-        "claimed": method.startswith("contact"),
-        "kept": value <= limit,
-        "undecided": undecided,
-        "bound": limit,
-    }
+    claimed, kept = method.startswith("contact"), value <= limit
+    columns = {"claimed": claimed, "kept": kept, "undecided": undecided, "bound": limit}
     judgement = {f"contact_drift_{name}": column for name, column in columns.items()}
     return row(scene, method, 0.1, contact_drift=value, solution_error=1e-3, **judgement, **more)
 
@@ -48,13 +44,6 @@ def test_what_differences_do_not_resolve_is_unsure():
     assert law_rows(frames(laws=rows), "contact_drift")["unsure"].tolist() == [True, False]
 
 
-def test_a_law_that_is_not_structural_is_judged_here_and_claimed_by_nobody():
-    rows = [run(energy_law=value) for value in (1e-15, 1e-3)]
-    judged = law_rows(frames(laws=rows), "energy_law")
-    assert judged["kept"].tolist() == [True, False]
-    assert not judged["claimed"].any()
-
-
 def test_round_off_grows_with_the_map_and_where_that_is_unknown_with_the_motion():
     growths = [{"map_growth": 1e4}, {"map_growth": None, "condition_number": 1e5}, {}]
     rows = table("stability", [run(evaluations=1000, **more) for more in growths])
@@ -74,8 +63,3 @@ def test_round_off_grows_with_the_map_and_where_that_is_unknown_with_the_motion(
 )
 def test_a_bound_above_a_millionth_decides_nothing(value, limit, judgement):
     assert decide(value, limit) == judgement
-
-
-def test_structural_laws_are_those_of_the_map_without_their_frozen_twins():
-    assert {"momentum_law", "contact_drift", "pairing_drift"} <= set(structural_laws())
-    assert not {"energy_law", "solution_error", "contact_drift_frozen"} & set(structural_laws())

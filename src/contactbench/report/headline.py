@@ -51,9 +51,9 @@ def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
     if not len(judged):
         return None
     lost = judged["winner"] == OTHER
-    every = lost.groupby(judged["scene"], sort=False).all()
-    scenes = [f"`{scene}`" for scene in every.index[every]]
-    count = f"{int(lost.sum())} of {len(judged)} pairs of scene and error"
+    every = lost.groupby(judged["scene"], sort=False).transform("all")
+    scenes = [f"`{scene}`" for scene in judged["scene"][every].unique()]
+    count = f"{int(every.sum())} of {int(every.sum())} pairs there, {int(lost[~every].sum())} of {int((~every).sum())} elsewhere"
     return "Where is it slower at every error, compiled?", names(scenes) or "nowhere", count
 
 

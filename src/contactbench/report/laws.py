@@ -31,10 +31,10 @@ def kept_of(rows: pd.DataFrame) -> tuple[int, int]:
 
 
 def counts(rows: pd.DataFrame) -> str:
-    """Return kept of decided, and the undecided: 3 of 4 runs, 2 undecided."""
+    """Return kept of decided, and the undecided beside them: 3 of 4 runs (2 more undecided)."""
     kept, decided = kept_of(rows)
     left = len(rows) - decided
-    return f"{kept} of {decided} runs" + (f", {left} undecided" if left else "")
+    return f"{kept} of {decided} runs" + (f" ({left} more undecided)" if left else "")
 
 
 def answers(frames: Frames) -> pd.DataFrame:

@@ -137,7 +137,7 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
             rows.append((str(method), *cells, *part["evaluations"], kept_by(part)))
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
     labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]
-    table = frame_of(rows, [*labels, ("", "laws kept to round-off")])
+    table = frame_of(rows, [*labels, ("", "at round-off")])
     legend = (
         "Least time of a bare call at the coarsest setting found to reach the error; ×: over the cheapest."
     )
