@@ -74,6 +74,10 @@ def rk4(**options):
     return solve(**{"step": 0.1} | options)
 
 
+def reference(times, **options):
+    return lambda: cb.reference("particle", times, **options)
+
+
 def ensemble(start, **options):
     return lambda: cb.ensemble("particle", "rk4", start, step=0.5, **options)
 
@@ -101,7 +105,7 @@ CALLS = [
     (solve("contact-strnag", step=0.1), "did you mean 'contact-strang'?"),
     (lambda: cb.LAWS["momentum"], "did you mean 'momentum_law'?"),
     (lambda: cb.METHODS[[]], "unknown method []"),
-    (lambda: cb.reference("partikle", [1.0]), "did you mean 'particle'"),
+    (lambda: cb.reference("partikle", [1.0]), "unknown scene 'partikle'"),
     (changed(name="a\nb"), "name = 'a\\nb': must be"),
     (changed(about="\a"), "about = '\\x07': must be"),
     (solve(FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
@@ -132,6 +136,12 @@ CALLS = [
     (rk4(max_steps=0), "max_steps = 0"),
     (rk4(max_steps=math.nan), "max_steps = nan: must be"),
     (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "more): allow it more"),
+    (reference([1.0, -0.5]), "-0.5"),
+    (reference([1.0, math.nan]), "nan"),
+    (reference([]), "shape"),
+    (reference("soon"), "soon"),
+    (reference([1.0], seconds="soon"), "seconds = "),
+    (reference([1.0], seconds=math.nan), "seconds = "),
     # initial data and parameters
     (run_from(q=(1.0,)), "q has 1 components"),
     (run_from(M=(1.0, 2.0, 3.0)), "unknown initial value"),
@@ -311,6 +321,10 @@ LINES = [
     ("solve particle rk4 --step 0.1 --t-end nan", "t_end = nan"),
     ("solve particle rk4 --step 0.1 --set q=[1]", "q has 1 components and p 2"),
     ("solve particle rk4 --step 0.1 --set gamma=abc", "--set gamma=abc"),
+    ("solve particle rk4 --step 0.1 --set gamma=" + "9" * 5000, "gamma"),
+    ("solve particle rk4 --step 0.1 --set gamma=" + "[" * 3000, "gamma"),
+    ("solve particle rk4 --step 0.1 --set q=[1e160,0]", "not finite there"),
+    ("solve particle rk4 --step 0.1 --plugin /nonexistent/x.py", "no such file"),
     ("report --results /nonexistent", "no tables there"),
     ("compare particle rk4 --error small", "--error small: must be errors separated by commas"),
     ("compare particle rk4 --error -1e-3,1e-2", "error = -0.001: must be between 0 and 1"),
@@ -325,7 +339,7 @@ LINES = [
 ]
 
 
-@pytest.mark.parametrize(("line", "says"), LINES)
+@pytest.mark.parametrize(("line", "says"), LINES, ids=[says for _, says in LINES])
 def test_command_line_prints_one_line_and_exits_2(line, says, capsys):
     assert main(line.split()) == 2
     out, err = capsys.readouterr()

@@ -349,13 +349,6 @@ def test_document(tmp_path):
     assert all(f"figures/{name}.svg" in text for name in FIGURES)
 
 
-def test_a_failed_claim_is_a_row(tmp_path):
-    failed = Claim("C00", "nowhere", "nothing", "", "", lambda: 1 / 0).row()
-    frame = merge(CLAIMS_TABLE, [failed, CLAIMS["C28"].row()], tmp_path)
-    text = markdown.parts(chapter.parts({"claims": frame, "paper_figures": read(PAPER_FIGURES, tmp_path)}))
-    assert "Not measured: ZeroDivisionError: division by zero" in text
-
-
 @pytest.mark.parametrize("name", few_slow(FIGURES, "paper_stability"))
 def test_figures(name, tmp_path):
     frame = merge(PAPER_FIGURES, rows(name), tmp_path)

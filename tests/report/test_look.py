@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from math import dist
 
 import pytest
 
@@ -18,7 +19,7 @@ def test_any_two_families_and_any_two_shades_are_told_apart(vision):
     """By ΔE*ab (CIE 1976)."""
 
     def apart(one, other):
-        return np.linalg.norm(lab(one, vision) - lab(other, vision))
+        return dist(lab(one, vision), lab(other, vision))
 
     assert min(apart(a, b) for a, b in combinations(OTHERS.values(), 2)) >= 18
     assert min(apart(shade, other) for shade in SHADES.values() for other in OTHERS.values()) >= 30

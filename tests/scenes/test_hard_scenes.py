@@ -129,18 +129,14 @@ def test_every_adaptive_method_gets_its_full_range(name):
 
 
 def test_after_a_spent_budget_no_tighter_tolerance_is_run():
-    from concurrent.futures import Future
-
     from bench_stability import rows_of
 
     class Worker:
         ran = ()
 
-        def submit(self, limit, function, *arguments):
-            self.ran = (*self.ran, arguments[0])
-            future = Future()
-            future.set_result({"setting": arguments[0], "status": arguments[1], "message": "spent"})
-            return future
+        def call(self, limit, function, setting, status):
+            self.ran = (*self.ran, setting)
+            return {"setting": setting, "status": status, "message": "spent"}
 
     worker, endings = Worker(), ["ok", "budget", "ok", "ok"]
     calls = [
