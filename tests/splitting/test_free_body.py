@@ -10,7 +10,6 @@ import pytest
 import contactbench as cb
 import properties
 from contactbench.measure.pullback import growth
-from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import BodyState, dot, rotate, rotation_matrix
 from contactbench.solution import Status
 from contactbench.splitting import elliptic, free_body
@@ -18,7 +17,6 @@ from contactbench.splitting.elliptic import carlson, jacobi
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of, rotation
 from contactbench.splitting.free_body import FARTHEST, free
 from contactbench.truth import decimal_context, reference, with_decimals
-from contactbench.xla import jax, jnp
 from properties import Fixed
 
 BODY = cb.SCENES["rigid_body"]
@@ -159,26 +157,6 @@ def test_a_body_exactly_on_its_middle_axis_stays_there(t):
     half = 1.5 * t / 2 / 2
     np.testing.assert_allclose(np.abs(x.R), np.abs([math.cos(half), 0, math.sin(half), 0]), atol=1e-9)
     assert 1 / math.cosh(FARTHEST) ** 2 > 1e-290  # cn·dn there must not underflow
-
-
-def packed_flow(y):
-    x = free(BODY, BODY.unpack(list(y), BODY.optional), 1.3, XlaNumbers())
-    return jnp.stack(BODY.pack(x))
-
-
-JITTED = jax.jit(packed_flow)
-DERIVATIVE = jax.jit(jax.jacfwd(packed_flow))
-DIRECTIONS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1), (0.3, 1, -0.5)]
-
-
-@pytest.mark.parametrize("M", DIRECTIONS, ids=str)
-@pytest.mark.slow
-def test_compiled_flow_has_a_derivative_on_and_off_the_axes(M):
-    scene = BODY.with_(M=tuple(map(float, M)), R=(0.5, 0.5, -0.5, 0.5), s=0.1)
-    x = scene.initial(scene.optional)
-    y = jnp.array(scene.pack(x))
-    np.testing.assert_allclose(JITTED(y), scene.pack(free(scene, x, 1.3, math)), atol=3e-15)
-    assert np.isfinite(DERIVATIVE(y)).all()
 
 
 class Counted(np.lib.mixins.NDArrayOperatorsMixin):
