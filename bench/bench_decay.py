@@ -8,8 +8,6 @@ largest at five times, which are step boundaries of every step taken.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 import contactbench as cb
@@ -19,7 +17,7 @@ from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT
-from equal_cost import step_at, tolerance_at
+from equal_cost import right_hand_sides, step_at, tolerance_at
 
 #: of the scenes of every experiment
 FEW = ("oscillator", "particle", "central", "rigid_body")
@@ -48,23 +46,19 @@ def save_times(scene):
 
 
 def to_the_end(scene, method, value, budget):
-    """A run to the end, saved there alone, and what it cost.
+    """A run prepared to the end, saved there alone.
 
     diffrax, whose steps and evaluations do not depend on what is saved, saves at all times: the program of
     the laws then serves here too.
     """
     saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
-    run = cb.prepare(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
-    solution = run()
-    return solution, run.count(solution.counts)
+    return cb.prepare(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
 
 
-def evaluations(scene, method, rtol, budget=None):
-    """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
-    solution, counts = to_the_end(scene, method, rtol, budget)
-    if solution.ok:
-        return counts.rhs_equivalents
-    return math.inf if solution.status is cb.Status.budget else 0.0
+def evaluations(scene, method, value, budget=None):
+    """What a run at a step or tolerance costs."""
+    run = to_the_end(scene, method, value, budget)
+    return right_hand_sides(run, run())
 
 
 def value_at(scene, method, target, budget=None):
@@ -97,8 +91,13 @@ def test_decay_laws(cell, profile, record):
     # that of the laws at all tolerances, many times what is asked for: their programs serve here too
     budget = step_budget(profile, scene, method, method.engines[0])
     value = value_at(scene, method, cost * scene.t_end, budget)
-    solution, counts = to_the_end(scene, method, value, budget)
-    row = outcome(solution, counts) | {"cost": cost, "control": method.control, "value": value}
+    run = to_the_end(scene, method, value, budget)
+    solution = run()
+    row = outcome(solution, run.count(solution.counts)) | {
+        "cost": cost,
+        "control": method.control,
+        "value": value,
+    }
     if solution.ok:
         row |= laws_row(scene, method, value, budget)
     record(DECAY_LAWS, **row)

@@ -8,8 +8,7 @@ import contactbench as cb
 from cells import cells, outcome, pairs, step_budget
 from contactbench.measure.ladder import save_times, setting, steps
 from contactbench.measure.laws import LAWS, energies, row
-from contactbench.results.columns import COMMON
-from contactbench.results.tables import LAWS_TABLE, LAWS_TIME
+from contactbench.results.tables import COMMON, LAWS_TABLE, LAWS_TIME
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -19,7 +18,7 @@ def ladder(profile):
 
 
 @cells(ladder)
-def test_laws(cell, profile, record):
+def test_laws(cell, profile, record, record_all):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     values = {"step": steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])
     shown = values[1:2] or values
@@ -30,8 +29,7 @@ def test_laws(cell, profile, record):
         )
         record(LAWS_TABLE, **outcome(solution), saved_times=len(solution.t), **row(solution))
         if value in shown and solution.ok:
-            for moment in along_time(solution):
-                record(LAWS_TIME, **moment)
+            record_all(LAWS_TIME, along_time(solution))
 
 
 def along_time(solution):

@@ -108,7 +108,7 @@ def row(method, kind, value, quantity, average, spent, lost, count=TRAJECTORIES)
 
 
 @cells(methods)
-def test_long_time(cell, record):
+def test_long_time(cell, record_all):
     method = cb.METHODS[cell[1]]
     rows = []
     for kind, value in settings(method):
@@ -119,6 +119,5 @@ def test_long_time(cell, record):
             rows += [each for each in found if kind == "step" or each["quantity"] != ENERGY]
     if method.name == REFERENCE:
         rows += with_tangents(method, "rtol", REFERENCE_RTOL, REFERENCE_TRAJECTORIES)
-    for each in rows:
-        record(LONG_TIME, **each)
+    record_all(LONG_TIME, rows)
     assert all(each["status"] == "ok" or each["message"] for each in rows)

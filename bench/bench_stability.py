@@ -162,19 +162,17 @@ def rows_of(calls, worker):
 
 
 @cells(ladder)
-def test_stability(cell, profile, worker, record):
+def test_stability(cell, profile, worker, record_all):
     rows = rows_of(calls(cell, profile), worker)
-    for row in rows:
-        record(STABILITY, **row)
+    record_all(STABILITY, rows)
     assert rows
     assert all(row["status"] == "ok" or row["message"] for row in rows)
 
 
 @cells(questions)
-def test_rates(cell, profile, worker, record):
+def test_rates(cell, profile, worker, record_all):
     rows = rows_of(rate_calls(cell, profile), worker)
-    for row in rows:
-        record(DAMPING_RATES, **row)
+    record_all(DAMPING_RATES, rows)
     assert all(row["status"] == "ok" or row["message"] for row in rows)
 
 

@@ -5,10 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from contactbench.solution import Status
+
 #: a tolerance is taken whose cost is this near to the one asked for, or the nearest met
 NEAR = 0.02
 #: tolerances have this many significant digits, and are told apart by this much in log10(rtol)
 DIGITS, RESOLUTION = 3, 2e-3
+
+
+def right_hand_sides(run, solution) -> float:
+    """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
+    if solution.ok:
+        return run.count(solution.counts).rhs_equivalents
+    return math.inf if solution.status is Status.budget else 0.0
 
 
 def tolerance_at(cost: Callable[[float], float], target: float, rtol_range: tuple[float, float]) -> float:

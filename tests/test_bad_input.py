@@ -334,7 +334,7 @@ LINES = [
     ("compare particle rk4 --plot out.txt", "--plot out.txt: must end in .svg, .png, .pdf"),
     ("check particel", "unknown method or scene 'particel': did you mean 'particle'?"),
     ("check central --engine numba", "--engine numba: central is a scene"),
-    ("compare particle rk4 --html nowhere/out.html", "--html nowhere/out.html: there is no folder nowhere"),
+    ("compare particle rk4 --html nowhere/out.html", "--html nowhere/out.html: cannot be written"),
     ("claim C99", "unknown claim 'C99'"),
 ]
 

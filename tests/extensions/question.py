@@ -13,10 +13,10 @@ from contactbench.report.chapters import CHAPTERS, Chapter, summary
 from contactbench.report.curves import by_method, number_axis
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.views import View
-from contactbench.results.columns import COMMON
-from contactbench.results.columns import number as column
 from contactbench.results.schema import Rule, table
 from contactbench.results.store import merge
+from contactbench.results.tables import COMMON
+from contactbench.results.tables import number as column
 
 HALF_LIFE = table(
     "half_life",

@@ -8,14 +8,14 @@ import pytest
 
 import contactbench as cb
 import planted_faults
-from contactbench.measure.definition import STEPPED, digest, method_lines, method_row, scene_row
+from contactbench.measure.definition import STEPPED, digest, method_lines, row
 from contactbench.methods.contact import contact_method
 from contactbench.splitting.tables import COMPOSITIONS
 
 
 def test_the_digest_of_the_same_lines_is_the_same_for_ever():
     assert digest(["a", "b"]) == "7e18f737311b2dc3"  # SHA-256 of "a\nb"
-    assert scene_row(cb.SCENES["central"]) == scene_row(cb.SCENES["central"])
+    assert row(cb.SCENES["central"]) == row(cb.SCENES["central"])
 
 
 @pytest.mark.parametrize("scene", cb.SCENES.values(), ids=cb.SCENES)
@@ -24,7 +24,7 @@ def test_every_number_of_a_scene_is_in_its_digest(scene):
     numbers = {"t_end": scene.t_end, "s": scene.s, **vars(scene), **getattr(scene, "parameters", {})}
     names = {name for name in ("t_end", "s", *scene.number_names()) if isinstance(numbers.get(name), float)}
     changed = [scene.with_(**{name: numbers[name] * (1 + 1e-15) or 1e-15}) for name in names]
-    digests = {scene_row(each)["digest"] for each in [scene, *changed]}
+    digests = {row(each)["digest"] for each in [scene, *changed]}
     assert len(digests) == 1 + len(names) > 2
 
 
@@ -35,15 +35,15 @@ def test_a_function_of_a_scene_is_in_its_digest_and_its_words_are_not():
     def other(*arguments, **more):
         return potential(*arguments, **more) * (1 + 2**-52)
 
-    assert scene_row(replace(particle, potential=other))["digest"] != scene_row(particle)["digest"]
-    assert scene_row(replace(particle, about="other words"))["digest"] == scene_row(particle)["digest"]
+    assert row(replace(particle, potential=other))["digest"] != row(particle)["digest"]
+    assert row(replace(particle, about="other words"))["digest"] == row(particle)["digest"]
 
 
 @pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda composition: composition.name)
 @pytest.mark.quick(composition=("contact-abc", "contact-rkn6", "contact-o8"))
 def test_every_coefficient_of_a_method_is_in_its_digest(composition):
-    rows = [method_row(contact_method(each)) for each in (composition, *planted_faults.faulty(composition))]
-    assert len({row["digest"] for row in rows}) == len(rows)
+    rows = [row(contact_method(each)) for each in (composition, *planted_faults.faulty(composition))]
+    assert len({each["digest"] for each in rows}) == len(rows)
 
 
 @pytest.mark.parametrize("method", cb.METHODS.values(), ids=cb.METHODS)

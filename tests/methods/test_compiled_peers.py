@@ -164,44 +164,30 @@ def test_a_run_that_failed_leaves_the_next_one_as_it_was(method, engine):
     assert run().status is Status.diverged
 
 
-def branching(q):
-    return (q[0] if q[0] > 0 else 2 * q[0],)
+#: what compiles, with an engine that does not where there is one
+COMPILERS = [(*peer, "c+python" if peer[0] in CVODE else None) for peer in PEERS]
+COMPILERS += [("heyoka-taylor", "llvm", None)]
+COMPILERS += [("contact-strang", engine, "python") for engine in ("numba", "jax")]
 
 
-@pytest.mark.parametrize(("method", "engine"), [*PEERS, ("heyoka-taylor", "llvm")])
-def test_a_force_that_branches_is_unsupported_with_the_reason(method, engine):
+@pytest.mark.parametrize(("method", "engine", "other"), COMPILERS)
+def test_a_force_that_branches_is_unsupported_where_it_is_compiled(method, engine, other):
     scene = cb.Mechanical(
         name="kink",
         potential=lambda q: q[0] * q[0] / 2 if q[0] > 0 else q[0] * q[0],
-        gradient=branching,
+        gradient=lambda q: (q[0] if q[0] > 0 else 2 * q[0],),
         gamma=0.1,
         q=(1.0,),
         p=(0.0,),
         t_end=2.0,
     )
-    solution = cb.solve(scene, method, rtol=1e-6, engine=engine)
+    setting = {"rtol": 1e-6} if cb.METHODS[method].adaptive else {"step": 0.1}
+    solution = cb.solve(scene, method, engine=engine, **setting)
     assert solution.status is Status.unsupported
-    assert "known only when the program runs" in solution.message
-    if method in CVODE:
-        assert "c+python" in solution.message
-        assert cb.solve(scene, method, rtol=1e-6, engine="c+python").ok
-        assert cb.solve(scene, method, rtol=1e-6).engine == "c+python"  # what can run it is the default
-
-
-#: potential, force, and the part that heyoka does not know
-WITHOUT_SERIES = {
-    "|x|": (lambda q: abs(q[0]) ** 3 / 3, lambda q: (q[0] * abs(q[0]),)),
-    "hypot": (lambda q: cb.math.hypot(q[0], 1.0), lambda q: (q[0] / cb.math.hypot(q[0], 1.0),)),
-}
-
-
-@pytest.mark.parametrize("reason", WITHOUT_SERIES)
-def test_a_function_that_heyoka_does_not_have_is_unsupported(reason):
-    potential, force = WITHOUT_SERIES[reason]
-    scene = USER.with_(name="own", potential=potential, gradient=force, q=(1.0,), p=(0.0,))
-    solution = cb.prepare(scene, "heyoka-taylor", rtol=1e-6)()
-    assert solution.status is Status.unsupported
-    assert reason in solution.message
+    assert solution.message
+    assert np.isnan(solution.y).all()
+    if other:
+        assert cb.solve(scene, method, **setting).engine == other  # what can run it is the default
 
 
 @pytest.fixture
@@ -283,21 +269,16 @@ def test_sixteen_bytes_a_call_are_seen():
 @counts_memory
 @peers
 @pytest.mark.quick(method=("cvode-bdf", "cyrk-dop853"))
-def test_calls_take_no_memory(method, engine):
-    """Measured: none."""
-    brief = {"rtol": 1e-4, "engine": engine}
-    runs = [cb.prepare(PARTICLE, method, save_at=times, **brief) for times in ([0.1], [0.0, 0.05, 0.1])]
+def test_neither_calls_nor_prepared_runs_keep_memory(method, engine):
+    """A vector of CVODE's, the smallest thing it makes, would be 200 bytes every time; measured: none."""
+
+    def prepared(times):
+        return cb.prepare(PARTICLE, method, rtol=1e-4, save_at=times, engine=engine)
+
+    runs = [prepared(times) for times in ([0.1], [0.0, 0.05, 0.1])]
     start = runs[0]._own_start
     assert left_behind(lambda: [run.integrate(start) for run in runs]) < 500 * 16
-
-
-@counts_memory
-@peers
-@pytest.mark.quick(method=("cvode-bdf", "cyrk-dop853"))
-def test_a_prepared_run_gives_its_memory_back(method, engine):
-    """A vector of CVODE's, the smallest thing it makes, would be 200 bytes every time; measured: none."""
-    options = {"rtol": 1e-4, "save_at": [0.1], "engine": engine}
-    assert left_behind(lambda: cb.prepare(PARTICLE, method, **options)()) < 500 * 16
+    assert left_behind(lambda: prepared([0.1])()) < 500 * 16
 
 
 # -- the derivative --------------------------------------------------------------------------------

@@ -30,14 +30,6 @@ def test_where_a_method_is_refused_it_has_no_factor(method, scene):
 @pairs(METHODS, SCENES)
 @pytest.mark.quick(scene="heavy")
 @pytest.mark.quick(method="contact-bm4")
-def test_order_is_the_claimed_one(method, scene):
-    """Slopes over 20, 40 and 80 steps to t = 2, extrapolated; order 8 leaves errors near 10⁻¹⁸."""
-    assert order_at(method, scene, 2.0, STEPS) == pytest.approx(method.order, abs=0.02)
-
-
-@pairs(METHODS, SCENES)
-@pytest.mark.quick(scene="heavy")
-@pytest.mark.quick(method="contact-bm4")
 def test_map_is_conformal_contact_with_the_claimed_factor(method, scene):
     """Five steps of size 0.2 as one map, at 150 digits."""
     assert contact_defect(method, scene, "0.2", 5) < BEYOND

@@ -29,14 +29,6 @@ fixed = pytest.mark.parametrize("method", FIXED, ids=lambda m: m.name)
 adaptive = pytest.mark.parametrize("method", ADAPTIVE, ids=lambda m: m.name)
 
 
-def setting(method, fine=False):
-    if method.exact:
-        return {}
-    if method.adaptive:
-        return {"rtol": 1e-11 if fine else 1e-7}
-    return {"step": 0.002 if fine else 0.05}
-
-
 # -- order and accuracy ----------------------------------------------------------------------------
 
 
@@ -83,13 +75,14 @@ def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
 @pytest.mark.parametrize(
     "method", few_slow([m for m in ON_PARTICLE if "jax" in m.engines], *LONG), ids=lambda m: m.name
 )
-def test_other_parameters_steps_and_tolerances_do_not_recompile(method, monkeypatch):
+def test_other_parameters_steps_and_tolerances_do_not_recompile(method):
     from contactbench.methods import compiled
 
-    cb.solve(PARTICLE, method.name, save_at=[1.0], **setting(method))
+    coarse, fine = ({"rtol": 1e-7}, {"rtol": 1e-11}) if method.adaptive else ({"step": 0.05}, {"step": 0.002})
+    cb.solve(PARTICLE, method.name, save_at=[1.0], **coarse)
     before = len(compiled._programs)
     other = PARTICLE.with_(gamma=0.5, coupling=0.3, q=(0.1, 0.2), t_end=9.0)
-    cb.solve(other, method.name, save_at=[2.0], **setting(method, fine=True))
+    cb.solve(other, method.name, save_at=[2.0], **fine)
     assert len(compiled._programs) == before
 
 

@@ -210,27 +210,6 @@ def test_very_many_different_steps_are_taken_in_parts(monkeypatch):
 # -- what cannot be recorded -----------------------------------------------------------------------
 
 
-@pytest.fixture
-def branching():
-    @cb.fixed_step("of-mine", order=1)
-    def step(scene, x, h, xp):
-        return cb.shifted(x, h if x.q[0] > 0 else h * 1.0, scene.rhs(x))
-
-    yield
-    del cb.METHODS["of-mine"]
-
-
-@pytest.mark.usefixtures("branching")
-def test_a_step_map_that_branches_on_values_is_unsupported_and_says_why():
-    for engine in ("numba", "jax"):
-        solution = cb.solve(PARTICLE, "of-mine", step=0.1, engine=engine)
-        assert solution.status is Status.unsupported
-        assert "of-mine on 'particle' cannot be compiled: " in solution.message
-    assert "`if`" in cb.solve(PARTICLE, "of-mine", step=0.1, engine="numba").message
-    solution = cb.solve(PARTICLE, "of-mine", step=0.1)  # the engine that can is chosen
-    assert (solution.status, solution.engine) == (Status.ok, "python")
-
-
 @pytest.mark.parametrize(
     ("step", "why"),
     [

@@ -83,19 +83,15 @@ def converged():
     for name, order in ORDERS.items():
         for step in STEPS:
             error = max(1e-17, (0.3 + 0.01 * len(name)) * step**order)
-            yield row(
-                "particle", name, step, step=step, order=order, order_nominal=order, solution_error=error
-            )
+            orders = {"order": order, "order_nominal": order}
+            yield row("particle", name, step, step=step, solution_error=error, **orders)
 
 
 def deviated():
     for name, own in METHODS.items():
         for step in STEPS:
             drift = 1e-15 if own.family == "contact" else step**4
-            claims = {
-                "contact_drift_claimed": own.family == "contact",
-                "contact_drift_kept": own.family == "contact",
-            }
+            claims = dict.fromkeys(("contact_drift_claimed", "contact_drift_kept"), own.family == "contact")
             yield row("central", name, step, solution_error=step**4, contact_drift=drift, **claims)
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-import pandas as pd
 import pytest
 
-from contactbench.report import damping, ensemble, limits, long_time, stability, work_precision
+from contactbench.report import damping, ensemble, long_time, stability, work_precision
 from contactbench.report.equal_cost import equal_cost_view, mission_view, most_met_cost
 from contactbench.report.views import Mark
 from contactbench.results.contest import COMPILED
@@ -94,14 +91,6 @@ def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does
     assert stability.started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
 
 
-def test_the_first_loss_of_stability_is_marked_where_larger_steps_are_stable_again():
-    one = {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8}
-    rows = [one | {"windows": "", "theory": 2.8}, one | {"gamma": 1.0, "windows": "1…2", "theory": math.inf}]
-    view = limits.limit_view(table("stability_limits", rows), "limit")
-    cells = [(cell.text, cell.mark) for cell in view.rows[0][1:]]
-    assert cells == [("2.8 (2.8)", None), ("2.8 (∞)", Mark.exception)]
-
-
 # -- damping ---------------------------------------------------------------------------------------
 def test_rates_are_compared_at_equal_cost_and_ties_are_named():
     common = {"experiment": "overdamped", "t_end": 100.0}
@@ -116,13 +105,6 @@ def test_rates_are_compared_at_equal_cost_and_ties_are_named():
     rows[2]["evaluations"] = 210
     (line,) = damping.rates_view(table("damping_rates", rows)).rows
     assert (line[1].text, line[1].mark) == ("scipy-radau 1.0e-10", Mark.best)
-
-
-def test_a_method_is_usable_up_to_the_first_damping_at_which_it_is_worse():
-    own, base = (
-        {"damping_per_evaluation": [0.1, 0.2, 0.3], "error": e} for e in ([0.1, 2.0, 0.1], [1.0] * 3)
-    )
-    assert damping.usable(pd.DataFrame(own), pd.DataFrame(base)) == 0.1
 
 
 # -- ensembles -------------------------------------------------------------------------------------

@@ -19,14 +19,9 @@ def view(rows, labels, **more):
 
 
 def test_marks_are_seen_and_a_bar_does_not_break_a_table():
-    cells = (
-        Cell("a|b", mark=Mark.best),
-        Cell("c", mark=Mark.tie),
-        Cell("d", mark=Mark.exception),
-        Cell("f", link="x.md"),
-    )
-    text = markdown.parts([view([cells], ["1", "2", "3", "4"])])
-    assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "d !", "[f](x.md) |"]
+    cells = Cell("a|b", mark=Mark.best), Cell("c", mark=Mark.tie), Cell("f", link="x.md")
+    text = markdown.parts([view([cells], ["1", "2", "3"])])
+    assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "[f](x.md) |"]
     assert text.startswith("## Title\n\nA legend.\n\n| 1 ")
     assert "None." in markdown.parts([view([], ["a", "b"])])
     assert "&lt;b>" in markdown.parts([view([("<b>", 1)], ["a", "b"])])
@@ -67,13 +62,10 @@ def test_the_glossary_has_every_method_scene_and_column():
     ("write", "value", "text"),
     [
         (duration, 2.0, "2 s"),
-        (duration, 1.5e-3, "1.5 ms"),
         (duration, 9.9999e-7, "1 µs"),
         (duration, float("nan"), "—"),
         (times, 1.254, "×1.25"),
-        (times, 12.6, "×13"),
         (times, 3123.0, "×3100"),
-        (count, 1234.0, "1234"),
         (count, 26104.4, "26\u202f104"),
         (power, 1e-12, "10⁻¹²"),
         (names, ["a", "b", "c"], "a, b and c"),

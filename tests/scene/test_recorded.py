@@ -5,30 +5,15 @@ from __future__ import annotations
 import copy
 import math
 import pickle
-from functools import partial
+from functools import wraps
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.peers import heyoka
 from contactbench.scene import Mechanical
-from contactbench.trace.compiled import compile_function
 from contactbench.trace.formula import formula
-
-
-class Spring:
-    """A potential whose stiffness is an attribute."""
-
-    def __init__(self, k):
-        self.k = k
-
-    def potential(self, q):
-        return self.k * q[0] ** 2 / 2
-
-    def gradient(self, q):
-        return (self.k * q[0],)
 
 
 def from_a_closure():
@@ -40,11 +25,6 @@ def from_a_closure():
         k = value
 
     return (lambda q: k * q[0] ** 2 / 2), (lambda q: (k * q[0],)), change
-
-
-def from_an_attribute():
-    spring = Spring(1.0)
-    return spring.potential, spring.gradient, partial(setattr, spring, "k")
 
 
 #: every engine once, and one method of every kind of run
@@ -110,23 +90,15 @@ def weighted():
 
 @pytest.mark.parametrize("engine", ["numba", "jax", "python"])
 def test_a_step_map_that_changes_is_another_method(engine, weighted):
-    ends = []
+    """And a solution that there is stays what it was."""
+    ends, solutions = [], []
     for weighted[0] in (0.5, 0.0, 0.5):
-        ends.append(cb.solve("oscillator", "mine", step=0.1, engine=engine).y[-1])
+        solutions.append(cb.solve("oscillator", "mine", step=0.1, engine=engine))
+        ends.append(solutions[-1].y[-1])
     np.testing.assert_array_equal(ends[0], ends[2])
     assert np.abs(ends[0] - ends[1]).max() > 1e-2
-
-
-@pytest.mark.parametrize("engine", ["numba", "python"])
-def test_solutions_and_step_maps_of_a_step_map_stay_what_they_were(engine, weighted):
-    solution = cb.solve("oscillator", "mine", step=0.05, engine=engine)
-    one = cb.step_map("oscillator", "mine")
-    drift, y = cb.LAWS["contact_drift"](solution), one(one.start, 0.1)
-    weighted[0] = 0.0
-    again = cb.solve("oscillator", "mine", step=0.05, engine=engine)
-    assert cb.LAWS["contact_drift"](again) > 10 * drift
-    assert cb.LAWS["contact_drift"](solution) == drift
-    assert one(one.start, 0.1) == y
+    drifts = [cb.LAWS["contact_drift"](solution) for solution in solutions]
+    assert drifts[0] == drifts[2] < drifts[1] / 10
 
 
 @pytest.mark.parametrize("method", ["contact-rkn6", "contact-strang", "contact-adaptive", "herglotz2"])
@@ -140,9 +112,7 @@ def test_flows_refuse_a_kind_that_writes_its_equations_anew(method):
 
     scene = Heavy(name="heavy", potential=lambda q: q[0] ** 2 / 2, gamma=0.1, q=(1.0,), p=(0.0,), t_end=5.0)
     options = {"rtol": 1e-6} if cb.METHODS[method].adaptive else {"step": 0.1}
-    found = cb.solve(scene, method, **options)
-    assert found.status == "unsupported"
-    assert "dissipation_rate" in found.message
+    assert cb.solve(scene, method, **options).status == "unsupported"
     assert cb.solve(scene, "rk4", step=0.1).ok
 
 
@@ -199,22 +169,17 @@ def test_so_are_the_equations_of_a_kind_of_ones_own(method, monkeypatch):
 
 def test_a_function_that_wraps_another_of_the_same_name_is_not_that():
     """`functools.wraps` lends the name of a registered scene's force, and with it its frozen reference."""
-    from functools import wraps
-
     particle = cb.SCENES["particle"]
 
-    def doubled(function, times):
-        @wraps(function)
-        def wrapper(q, **parameters):
-            return times(function(q, **parameters))
+    @wraps(particle.potential)
+    def potential(q, **parameters):
+        return 2 * particle.potential(q, **parameters)
 
-        return wrapper
+    @wraps(particle.gradient)
+    def gradient(q, **parameters):
+        return tuple(2 * slope for slope in particle.gradient(q, **parameters))
 
-    scene = particle.with_(
-        potential=doubled(particle.potential, lambda v: 2 * v),
-        gradient=doubled(particle.gradient, lambda g: tuple(2 * x for x in g)),
-        hessian=None,
-    )
+    scene = particle.with_(potential=potential, gradient=gradient, hessian=None)
     assert cb.solve(scene, "contact-rkn6", step=0.05).laws().loc["solution_error", "deviation"] < 1e-6
     assert cb.reference(scene, [20.0]).source == "live"
 
@@ -239,30 +204,6 @@ def test_a_gradient_that_is_wrong_somewhere_on_the_way_is_refused(center):
     ):
         with pytest.raises(cb.BadInput, match="its gradient is not the potential's: component 1 is"):
             ask()
-
-
-MECHANICAL = [s for s in cb.SCENES.values() if isinstance(s, Mechanical)]
-
-
-@pytest.mark.parametrize("scene", MECHANICAL, ids=lambda s: s.name)
-def test_derived_derivatives_are_those_written_by_hand_and_as_short(scene):
-    sizes = tuple(len(scene.q) if name == "q" else 0 for name in scene.functions["gradient"][:-1])
-    written, potential = (
-        formula(f, sizes, tuple(scene.parameters)) for f in (scene.gradient, scene.potential)
-    )
-    derived = potential.gradient()
-    rng = np.random.default_rng(7)
-    time = () if scene.clock is None else (0.7,)
-    for q in rng.uniform(0.2, 1.5, (20, len(scene.q))):
-        mine, theirs = (f(tuple(q), *time, **scene.parameters) for f in (derived, written))
-        np.testing.assert_allclose(mine, theirs, rtol=1e-13, atol=1e-14)
-        if scene.hessian is not None:
-            mine = derived.jacobian(symmetric=True)(tuple(q), **scene.parameters)
-            theirs = scene.hessian(tuple(q), **scene.parameters)
-            np.testing.assert_allclose(
-                np.array(mine, dtype=float), np.array(theirs, dtype=float), rtol=1e-12, atol=1e-13
-            )
-    assert len(derived.body) <= 1.3 * len(written.body) + 1
 
 
 def inverse_functions(q):
@@ -308,26 +249,6 @@ def test_derivatives_of_formulas_against_jax(name):
             np.testing.assert_allclose(found, hessian, rtol=1e-11, atol=1e-12)
 
 
-WRITTEN = cb.SCENES["central"].with_(t_end=3.0)
-TAKERS = [method for method in cb.METHODS.values() if method.refuses(WRITTEN) is None]
-
-
-@pytest.mark.parametrize("method", TAKERS, ids=lambda m: m.name)
-@pytest.mark.quick(method=tuple(m.name for m in TAKERS if "diffrax" not in m.name))
-def test_a_scene_needs_its_potential_only(method):
-    """Every engine has the force, and the Jacobian where it takes one, that the potential implies."""
-
-    def potential(q):
-        square = q[0] ** 2 + q[1] ** 2
-        return square / 2 + square**2 / 4
-
-    scene = Mechanical(name="bare", potential=potential, gamma=0.1, q=WRITTEN.q, p=WRITTEN.p, t_end=3.0)
-    options = {"rtol": 1e-8} if method.adaptive else {"step": 0.02 if method.order > 1 else 0.002}
-    expected, found = (cb.solve(s, method.name, save_at=[3.0], **options) for s in (WRITTEN, scene))
-    assert found.ok
-    np.testing.assert_allclose(found.y, expected.y, rtol=0, atol=1e-6 if method.adaptive else 1e-10)
-
-
 def test_a_potential_that_cannot_be_differentiated_needs_a_gradient():
     with pytest.raises(cb.BadInput, match="its gradient is missing"):
         oscillator(lambda q: math.sin(q[0]), None)
@@ -365,19 +286,7 @@ def test_programs_of_peers_grow_with_the_couplings_not_with_their_square(method)
     assert max(b / a for a, b in pairwise(sizes)) < 2.6
 
 
-def test_integrators_of_heyoka_are_bounded():
-    scene = cb.SCENES["oscillator"]
-    for i in range(heyoka._integrators.size + 5):
-        cb.prepare(scene.with_(gamma=0.01 * (i + 1)), "heyoka-taylor", rtol=1e-3)
-    assert len(heyoka._integrators) == heyoka._integrators.size
-
-
 # -- pickling --------------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", list(cb.SCENES))
-def test_registered_scenes_are_pickled_and_copied(name):
-    scene = cb.SCENES[name]
-    assert pickle.loads(pickle.dumps(scene)).identity == scene.identity
-    assert copy.deepcopy(scene) == scene
 
 
 @pytest.mark.parametrize(("method", "options"), RUNS[::3])
@@ -412,17 +321,3 @@ def test_an_energy_that_no_motion_has_is_no_ok():
         name="well", potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, q=(1e-4,), p=(0.0,), t_end=40.0
     )
     assert cb.solve(well, "rk4", step=0.1).ok
-
-
-@pytest.mark.parametrize("method", ["heyoka-taylor", "contact-adaptive"])
-def test_methods_whose_steps_follow_from_rtol_alone_take_no_other_tolerance(method):
-    with pytest.raises(cb.BadInput, match="takes rtol alone"):
-        cb.solve("oscillator", method, rtol=1e-6, atol=1e-6)
-
-
-def test_equal_programs_are_compiled_once():
-    """Two functions that compute the same are one to the compiler."""
-    cb.solve(oscillator(*from_a_closure()[:2]), "rk4", step=0.1)
-    before = compile_function.cache_info().misses
-    cb.solve(oscillator(*from_an_attribute()[:2]), "rk4", step=0.1)
-    assert compile_function.cache_info().misses == before

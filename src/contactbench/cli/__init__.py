@@ -28,31 +28,33 @@ def parser() -> argparse.ArgumentParser:
         epilog="""examples:
   contactbench list methods
   contactbench solve particle contact-strang --step 0.01
-  contactbench solve particle my-method --step 0.01 --plugin my.py
-  contactbench compare particle
   contactbench check my-method --plugin my.py
-  contactbench claim C25
-  contactbench report --results results
 
+More with each command's --help.
 The tables come from the benchmark, `tox -e bench`.
 Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an error in a plug-in.""",
     )
-    top.add_argument(
-        "--version", action="store_true", help="print the versions, those of the peers too, and exit"
-    )
-    top.set_defaults(run=None)
+    about = "print the versions, those of the peers too, and exit"
+    top.add_argument("--version", action="store_true", help=about)
+
+    def overview(arguments: argparse.Namespace) -> int:
+        """Print the versions, or help: on a line without a command."""
+        print(versions() if arguments.version else top.format_help().rstrip())
+        return 0
+
+    top.set_defaults(run=overview)
     commands: Any = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Intermixed)
 
     def command(name: str, run: Callable[[argparse.Namespace], int], about: str, examples: str = "") -> Any:
-        made = commands.add_parser(
+        one = commands.add_parser(
             name,
             help=about,
             description=f"{about[0].upper()}{about[1:].rstrip('?')}{'?' if about.endswith('?') else '.'}",
             parents=[PLUGIN],
             epilog=examples,
         )
-        made.set_defaults(run=run)
-        return made
+        one.set_defaults(run=run)
+        return one
 
     for each in COMMANDS:
         each.add(command)
@@ -76,12 +78,6 @@ def versions() -> str:
     return f"contactbench {contactbench.__version__}\nPython {platform.python_version()}, {', '.join(found)}"
 
 
-def overview(top: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
-    """What a line without a command asks for: the versions, or help."""
-    print(versions() if arguments.version else top.format_help().rstrip())
-    return 0
-
-
 def open_streams() -> None:
     """Make both streams take any text: what was closed is the null device, what has no code becomes "?"."""
     for name in ("stdout", "stderr"):
@@ -96,7 +92,7 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point; whatever goes wrong is one line on stderr and exit status 2."""
     open_streams()
     plugins, _ = PLUGIN.parse_known_args(argv)
-    arguments = (top := parser()).parse_args(argv)
+    arguments = parser().parse_args(argv)
     try:
         if plugins.plugin_timeout is not None:
             os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
@@ -107,15 +103,13 @@ def main(argv: list[str] | None = None) -> int:
             for path in plugins.plugin:
                 load_file(path)
         arguments.plugin = plugins.plugin  # a subcommand's parser sees only what follows its name
-        status = arguments.run(arguments) if arguments.run else overview(top, arguments)
+        status = arguments.run(arguments)
         sys.stdout.flush()
-    except BadInput as error:
-        return failed(error, str(error), plugins.traceback)
     except BrokenPipeError:  # the reader has left, as in `contactbench list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except OSError as error:
-        return failed(error, str(error), plugins.traceback)
+    except (BadInput, OSError) as error:
+        return fail(error, str(error), plugins.traceback)
     except KeyboardInterrupt:
         print("contactbench: interrupted", file=sys.stderr)
         return 130
@@ -125,11 +119,11 @@ def main(argv: list[str] | None = None) -> int:
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{os.path.basename(last.filename)}, line {last.lineno}"
         says = f"{type(error).__name__}: {error} ({where}; --traceback shows the rest)"
-        return failed(error, says, plugins.traceback)
+        return fail(error, says, plugins.traceback)
     return status
 
 
-def failed(error: BaseException, message: str, whole: bool) -> int:
+def fail(error: BaseException, message: str, whole: bool) -> int:
     """Say on stderr what went wrong, in one line or with all that led to it."""
     if whole:
         traceback.print_exception(error)

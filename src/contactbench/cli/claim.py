@@ -18,20 +18,18 @@ def claim(arguments: argparse.Namespace) -> int:
     return 0 if row["status"] == "ok" else 1
 
 
+#: columns of the ledger in the order they are printed, and what they are called there
+LABELS = {name: name for name in ("id", "where", "claim", "scene", "method", "message")}
+LABELS |= {"evidence": "measured", "verdict": "verdict", "correction": "correction"}
+LABELS |= {"corrected_evidence": "measured"}
+
+
 def readable(row: dict[str, Any]) -> str:
-    """Return a claim's row as text: the claim, each measurement on a line, the verdict, the correction."""
+    """Return a claim's row as text, each measurement on a line."""
     from contactbench.results.schema import SEPARATOR
 
-    lines = [f"{row['id']}  {row['where']}", f"claim       {row['claim']}"]
-    lines += [f"scene       {row['scene']}", f"method      {row['method']}"]
-    if row["status"] != "ok":
-        return "\n".join([*lines, f"status      {row['status']}: {row['message']}"])
-    lines += [f"measured    {item}" for item in row["evidence"].split(SEPARATOR)]
-    lines.append(f"verdict     {row['verdict']}")
-    if row["correction"]:
-        lines.append(f"correction  {row['correction']}")
-    lines += [f"measured    {item}" for item in row.get("corrected_evidence", "").split(SEPARATOR) if item]
-    return "\n".join(lines)
+    parts = ((label, item) for name, label in LABELS.items() for item in row.get(name, "").split(SEPARATOR))
+    return "\n".join(f"{label:11} {item}" for label, item in parts if item)
 
 
 def add(command: Command) -> None:

@@ -24,9 +24,8 @@ def gate(arguments: argparse.Namespace) -> int:
     from contactbench.gate import judge
     from contactbench.gate.compare import compare_folders
 
-    signal.signal(
-        signal.SIGTERM, lambda *_: sys.exit(143)
-    )  # a cancelled job removes its folders on the way out
+    # a cancelled job removes its folders on the way out
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     if arguments.baseline is not None:
         if arguments.fresh is None or arguments.only == "speed":
             raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")

@@ -47,10 +47,6 @@ def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> Non
     """
     if path is None:
         return
-    if not path.parent.is_dir():
-        raise BadInput(f"{option} {path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise BadInput(f"{option} {path}: is a folder")
     if kinds and path.suffix.lower() not in kinds:
         raise BadInput(f"{option} {path}: must end in {', '.join(kinds)}")
     there = path.exists()

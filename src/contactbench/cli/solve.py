@@ -32,10 +32,9 @@ def solve(arguments: argparse.Namespace) -> int:
     run = summary(solution)
     laws = solution.laws() if arguments.laws else None
     if arguments.json:
-        more = {} if laws is None else {"laws": deviations(laws)}
-        print(json.dumps(run | more, allow_nan=False))
+        print(json.dumps(run if laws is None else run | {"laws": deviations(laws)}, allow_nan=False))
     else:
-        print(text(run))
+        print("\n".join(f"{key:8} {value}" for key, value in run.items() if value not in (None, "")))
         for law in () if laws is None else laws.itertuples():
             bound = "≤ " if law.upper_bound else ""
             print(f"{law.Index:26} {bound}{law.deviation:.1e}  {law.note or law.definition}")
@@ -91,11 +90,6 @@ def summary(solution: Any) -> dict[str, Any]:
     run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}
     ended = {"status": str(solution.status), "t": solution.end_time}
     return {"scene": scene.name, **run, **ended, **out, "counts": solution.counts._asdict()}
-
-
-def text(summary: dict[str, Any]) -> str:
-    """Return one line per entry."""
-    return "\n".join(f"{key:8} {value}" for key, value in summary.items() if value not in (None, ""))
 
 
 EXAMPLES = """examples:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.ensembles.devices import Result
-from contactbench.ensembles.measures import deviation, furthest, quantity, within
+from contactbench.ensembles.measures import Watch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.numba_engine import Loop
 from contactbench.trace.compiled import compile_function
@@ -61,27 +61,15 @@ def side_by_side(
     rows, shape : as `Loop.rows` gives them.
     """
     r, m = run.request, y0.shape[1]
-    scene = r.scene
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
     part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
-
-    start, motion = scene.unpack(tuple(y0), r.carry), run._motion
-    bound = furthest(y0[:motion])
-    alive, end = np.ones(m, dtype=bool), np.zeros(m)
     with np.errstate(all="ignore"):
-        origin = {name: quantity(name, scene, start) for name in names[1:]}
-        worst = {name: np.zeros(m) for name in origin}
+        watch = Watch(r.scene, r.carry, names, run._motion, y0)
+        marks = watch.begun
         for which, t in zip(shape[place:], run.later, strict=True):
             after = np.empty((1, *y.shape))
             many(y, rows, np.append(shape[:place], which), after, part)
             y = after[0]
-            x = scene.unpack(tuple(y[:, :m]), r.carry)
-            alive &= within(y[:, :m], motion, bound)
-            end = np.where(alive, t, end)
-            for name, first in origin.items():
-                worst[name] = np.maximum(worst[name], deviation(name, scene, x, first, t))
-        energy = scene.energy(x) / scene.energy(start) - 1
-    y, measures = y[:, :m], np.array([energy, *worst.values()])
-    if not alive.all():
-        y, measures = np.where(alive, y, np.nan), np.where(alive, measures, np.nan)
-    return y, measures, end
+            x = r.scene.unpack(tuple(y[:, :m]), r.carry)
+            marks = watch.at(marks, x, y[:, :m], t)
+        return watch.result(marks, x, y[:, :m])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.measures import deviation, furthest, quantity, within
+from contactbench.ensembles.measures import Watch
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import rolled
 from contactbench.methods.step_map import identity
@@ -84,28 +84,17 @@ def share_of(
         for place, value in zip(places, own, strict=True):
             values[place] = value
         scene = base.with_numbers(values)
-
-        start = scene.unpack(tuple(y0), carry)
-        bound = furthest(y0[:motion], jnp)
-        origin = {name: quantity(name, scene, start, jnp) for name in names[1:]}
+        watch = Watch(scene, carry, names, motion, y0, jnp)
 
         def span(carried: Any, interval: Any) -> Any:
-            (x, worst, alive, end), (h, n, t) = carried, interval
+            (x, marks), (h, n, t) = carried, interval
             # parameters of its own give every trajectory stage constants of its own
             h = jnp.broadcast_to(h, tile) if places else h
             x = run.method_.advance(scene, x, h, n, xp, rolled)
-            y = jnp.stack(scene.pack(x))
-            alive = alive & within(y, motion, bound, jnp)
-            laws = {name: deviation(name, scene, x, first, t, jnp) for name, first in origin.items()}
-            worst = {name: jnp.maximum(worst[name], law) for name, law in laws.items()}
-            return (x, worst, alive, jnp.where(alive, t, end)), None
+            return (x, watch.at(marks, x, jnp.stack(scene.pack(x)), t)), None
 
-        nothing = jnp.zeros(tile)
-        begun = (start, dict.fromkeys(origin, nothing), jnp.ones(tile, bool), nothing)
-        (x, worst, alive, end), _ = lax.scan(span, begun, spans)
-        energy = scene.energy(x) / scene.energy(start) - 1
-        measures = jnp.stack([energy, *worst.values()])
-        return *(jnp.where(alive, a, jnp.nan) for a in (jnp.stack(scene.pack(x)), measures)), end
+        (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
+        return watch.result(marks, x, jnp.stack(scene.pack(x)))
 
     def share(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, own)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,17 +40,6 @@ def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
     return [name for name, law in laws.items() if law.applies(scene) and {*law.needs_on(scene)} <= {*carry}]
 
 
-def quantity(name: str, scene: Scene, x: Any, xp: Any = np) -> Any:
-    """Return the quantity of a decay law, its components along the last axis."""
-    return xp.stack(xp.broadcast_arrays(*DECAYING[name][0](scene, x)), axis=-1)
-
-
-def deviation(name: str, scene: Scene, x: Any, origin: Any, t: Any, xp: Any = np) -> Any:
-    """Return the deviation from a decay law at the time t, `origin` its quantity at the start."""
-    terms, rate = DECAYING[name][1](scene, x), scene.conformal_rate
-    return conformal_deviation(quantity(name, scene, x, xp), origin, t, rate, terms, xp)
-
-
 def furthest(motion: Any, xp: Any = np) -> Any:
     """Return how large the motion of each trajectory may become, (m,), from its start (·, m)."""
     size = xp.sqrt((motion * motion).sum(axis=0))
@@ -60,6 +49,47 @@ def furthest(motion: Any, xp: Any = np) -> Any:
 def within(y: Any, motion: int, bound: Any, xp: Any = np) -> Any:
     """Return which of the states y (d, m) are finite, and their motion, the first entries, within `bound` (m,)."""
     return xp.isfinite(y).all(axis=0) & (xp.abs(y[:motion]).max(axis=0) <= bound)
+
+
+class Watch:
+    """What is measured along trajectories from their packed start y0 (d, m): the same for NumPy and JAX.
+
+    names : `ENERGY`, then decay laws.  begun : its marks at the start, the largest deviation from each law, which
+    trajectories have not diverged, and the last time each has reached.
+    """
+
+    def __init__(
+        self, scene: Scene, carry: tuple[str, ...], names: Sequence[str], motion: int, y0: Any, xp: Any = np
+    ) -> None:
+        self.scene, self.motion, self.xp = scene, motion, xp
+        self.start = scene.unpack(tuple(y0), carry)
+        self.bound = furthest(y0[:motion], xp)
+        self.origin = {name: self.quantity(name, self.start) for name in names[1:]}
+        nothing = xp.zeros(y0.shape[1])
+        self.begun = dict.fromkeys(self.origin, nothing), xp.ones(y0.shape[1], bool), nothing
+
+    def quantity(self, name: str, x: Any) -> Any:
+        """Return the quantity of a decay law, its components along the last axis."""
+        return self.xp.stack(self.xp.broadcast_arrays(*DECAYING[name][0](self.scene, x)), axis=-1)
+
+    def deviation(self, name: str, x: Any, t: Any) -> Any:
+        """Return the deviation from a decay law at the time t."""
+        terms, rate = DECAYING[name][1](self.scene, x), self.scene.conformal_rate
+        return conformal_deviation(self.quantity(name, x), self.origin[name], t, rate, terms, self.xp)
+
+    def at(self, marks: Any, x: Any, y: Any, t: Any) -> Any:
+        """Return the marks at the time t, in the states x, packed y."""
+        worst, alive, end = marks
+        alive = alive & within(y, self.motion, self.bound, self.xp)
+        worst = {name: self.xp.maximum(most, self.deviation(name, x, t)) for name, most in worst.items()}
+        return worst, alive, self.xp.where(alive, t, end)
+
+    def result(self, marks: Any, x: Any, y: Any) -> Any:
+        """Return final states (d, m), measures (·, m) and end times (m,), nan where a trajectory diverged."""
+        (worst, alive, end), xp = marks, self.xp
+        energy = self.scene.energy(x) / self.scene.energy(self.start) - 1
+        measures = xp.stack([energy, *worst.values()])
+        return xp.where(alive, y, xp.nan), xp.where(alive, measures, xp.nan), end
 
 
 def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:

@@ -37,10 +37,8 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
     both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")
     gone, both = both[both["side"] == "left_only"], both[both["side"] == "both"]
     if len(before) and both.empty:
-        count = f"{len(before)} rows"
-        return rows_of(
-            {"table": table.name, "measure": "table", "before": count, "after": "none", "result": "missing"}
-        )
+        row = {"table": table.name, "measure": "table", "before": f"{len(before)} rows", "after": "none"}
+        return rows_of(row | {"result": "missing"})
     missing = locate(table, gone).assign(measure="row", before="present", after="none", result="missing")
     found = [missing.assign(distance=math.inf)]
     same_end = (both["status"] == both["status after"]).to_numpy() if "status" in table.columns else True
@@ -118,11 +116,11 @@ def compare_tables(before: Frames, made_before: Runs, now: Frames, made_now: Run
     new = sum(
         int((~keys(table, now[each]).isin(keys(table, before[each]))).sum()) for each, table in TABLES.items()
     )
-    sentence = (
-        f"accuracy: {count} rows of a {PROFILES[rank]} run compared with {name}, {new} have no baseline yet"
+    compared = (
+        f"accuracy: {count} rows of a {PROFILES[rank]} run compared with {name}, {new} have no baseline yet",
+        f"counts of adaptive methods compared {counts}",
     )
-    sentences = (sentence, f"counts of adaptive methods compared {counts}")
-    return sum((Findings(each) for each in moved), Findings(compared=sentences))
+    return sum(map(Findings, moved), Findings(compared=compared))
 
 
 def benchmark_runs(results: Path) -> Runs:
@@ -135,11 +133,7 @@ def benchmark_runs(results: Path) -> Runs:
 
 def machine(run: dict[str, Any]) -> str:
     """Return what of a run's record can move counts, empty where its instructions are not known."""
-    packages = {
-        name: version for name, version in run.get("packages", {}).items() if name not in IDLE_PACKAGES
-    }
-    return (
-        repr((run["isa"], run.get("cpu"), run.get("python"), sorted(packages.items())))
-        if run.get("isa")
-        else ""
-    )
+    if not run.get("isa"):
+        return ""
+    packages = sorted((name, v) for name, v in run.get("packages", {}).items() if name not in IDLE_PACKAGES)
+    return repr((run["isa"], run.get("cpu"), run.get("python"), packages))

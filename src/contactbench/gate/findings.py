@@ -48,13 +48,8 @@ class Findings:
         return 1 if self.red else 2 if self.incomplete else 0
 
     def as_json(self) -> str:
-        texts = {"compared": self.compared, "notes": self.notes, "incomplete": self.incomplete}
-        found = {
-            "status": self.status,
-            "red": bool(self.red),
-            "lines": self.moved.to_dict("records"),
-            **texts,
-        }
+        found = {"status": self.status, "red": bool(self.red), "lines": self.moved.to_dict("records")}
+        found |= {"compared": self.compared, "notes": self.notes, "incomplete": self.incomplete}
         return json.dumps(found, allow_nan=False, ensure_ascii=False)
 
     def as_markdown(self) -> str:

@@ -65,14 +65,12 @@ def by_base(question: Question, as_json: bool = False) -> int | None:
     options += [f"--tables-changed={name}" for name in question.changed] + ["--json"] * as_json
     with revisions.checkout(root, base) as tree:
         if not (tree / "src/contactbench/gate/judge.py").exists():
-            raise BadInput(
-                f"inconclusive: the base {base[:12]} has no gate that could judge; give a later --base"
-            )
+            why = f"the base {base[:12]} has no gate that could judge; give a later --base"
+            raise BadInput(f"inconclusive: {why}")
         command = [revisions.interpreter(tree, root), "-P", "-m", "contactbench.cli", "gate", "--base", base]
         variables = revisions.environment(tree) | {revisions.JUDGED: sys.executable}
-        with subprocess.Popen(
-            [*command, *options], cwd=root, env=variables, stdout=subprocess.PIPE, text=True
-        ) as run:
+        streams: dict[str, Any] = {"stdout": subprocess.PIPE, "text": True}
+        with subprocess.Popen([*command, *options], cwd=root, env=variables, **streams) as run:
             try:
                 print(run.communicate()[0], end="")
             except BaseException:
@@ -99,9 +97,8 @@ def gate(question: Question) -> Findings:
             if question.fresh is None:
                 found += run_benchmark(root, fresh)
             messages = revisions.git(root, "log", "--format=%B", f"{base}..HEAD")
-            found += judge_tables(
-                root, results, old, fresh, changed_tables(messages, question.changed, results)
-            )
+            changed = changed_tables(messages, question.changed, results)
+            found += judge_tables(root, results, old, fresh, changed)
         if "speed" in question.parts:
             cells = speed.workload(read(TABLES["work_precision"], old))
             if not cells:
@@ -166,10 +163,8 @@ def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
             frames[name] = read(table, folder)
         except OldTable:
             frames[name] = read(table, folder / "none")
-            if name not in changed:
-                rows.append(
-                    row(f"version of {name}", "another", str(table.version), "not listed", table=name)
-                )
+            version = row(f"version of {name}", "another", str(table.version), "not listed", table=name)
+            rows += [version] * (name not in changed)
     return frames, rows
 
 

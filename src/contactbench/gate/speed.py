@@ -118,11 +118,8 @@ def kinds_first(cells: Sequence[Cell], seed: str) -> list[Cell]:
 def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
     """Return why the cells that were timed are no sample: below half of them, or none of a method or public call."""
     left_out = sorted({cell.kind for cell in cells} - {cells[i].kind for i in timed})
-    reasons = {
-        f"only {len(timed)} of {len(cells)} cells timed": 2 * len(timed) < len(cells),
-        f"no cell timed of {', '.join(left_out)}": bool(left_out),
-    }
-    return tuple(reason for reason, true in reasons.items() if true)
+    few = [f"only {len(timed)} of {len(cells)} cells timed"] if 2 * len(timed) < len(cells) else []
+    return (*few, *([f"no cell timed of {', '.join(left_out)}"] if left_out else []))
 
 
 # -- the judgement ---------------------------------------------------------------------------------
@@ -137,8 +134,6 @@ def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | N
         (sys.executable if judged else revisions.interpreter(tree, root), tree),
         (judged or sys.executable, root),
     )
-    for python, sources in sides:  # neither has to compile modules that it imports late
-        subprocess.run([python, "-m", "compileall", "-q", str(sources / "src")], capture_output=True)
     start = perf_counter()
     until = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
     cells = kinds_first(cells, revisions.commit(root, "HEAD"))  # other cells first in every change
@@ -147,12 +142,12 @@ def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | N
     again = time_pairs(sides, suspects, until[1])[0] if suspects else {}
     rows = []
     for i, ratio in first.items():
-        cell, result = cells[i], decide(ratio, again.get(i))
+        result = decide(ratio, again.get(i))
         if result != "pass":
-            where = {name: getattr(cell, name) for name in ("scene", "method", "engine", "setting")}
+            row = {name: getattr(cells[i], name) for name in ("scene", "method", "engine", "setting")}
             after = f"×{ratio.ratio:.2f} (×{ratio.low:.2f} … ×{ratio.high:.2f})"
-            rows.append(where | {"measure": "time", "before": "×1", "after": after, "result": result})
-            rows[-1]["red"] = result == "slower"
+            row |= {"measure": "time", "before": "×1", "after": after, "result": result}
+            rows.append(row | {"red": result == "slower"})
     median = sorted(ratio.ratio for ratio in first.values())[len(first) // 2] if first else 1.0
     sentence = f"speed: {len(first)} of {len(cells)} cells timed, median ratio {median:.3f} to the base"
     notes = tuple(f"{count} cells not timed: {why}" for why, count in Counter(refused.values()).items())

@@ -80,23 +80,12 @@ def method_lines(method: Any) -> list[str]:
     return lines
 
 
-def scene_row(scene: Scene) -> dict[str, str]:
-    """What the table of definitions says of a scene."""
-    shown = [line for line in declarations(scene) if not line.endswith("=None")]
+def row(item: Any) -> dict[str, str]:
+    """Return the row of a scene or a method in the table of definitions."""
+    is_scene = isinstance(item, Scene)
     return {
-        "scene": scene.name,
-        "method": "",
-        "declared": "; ".join(shown),
-        "digest": digest(scene_lines(scene)),
-    }
-
-
-def method_row(method: Any) -> dict[str, str]:
-    """What the table of definitions says of a method."""
-    shown = [line for line in declarations(method) if not line.endswith("=None")]
-    return {
-        "scene": "",
-        "method": method.name,
-        "declared": "; ".join(shown),
-        "digest": digest(method_lines(method)),
+        "scene": item.name if is_scene else "",
+        "method": "" if is_scene else item.name,
+        "declared": "; ".join(line for line in declarations(item) if not line.endswith("=None")),
+        "digest": digest(scene_lines(item) if is_scene else method_lines(item)),
     }

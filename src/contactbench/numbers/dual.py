@@ -5,11 +5,16 @@ Components may be any numbers a scene runs on, dual numbers included (nested: se
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from typing import Any
 
 from contactbench.numbers.functions import namespace
-from contactbench.numbers.protocol import Abilities, Number, Numbers, abilities
+from contactbench.numbers.protocol import Abilities, ChoosingNumbers, Number, abilities
+
+
+def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Dual, Any], Any]:
+    return lambda self, other: compare(self.a, value(other))
 
 
 class Dual(Number):
@@ -58,24 +63,10 @@ class Dual(Number):
     __radd__, __rmul__ = __add__, __mul__
 
     # dual numbers are compared by their values
-    def __eq__(self, other: Any) -> Any:
-        return self.a == value(other)
-
-    def __ne__(self, other: Any) -> Any:
-        return self.a != value(other)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.a < value(other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.a <= value(other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.a > value(other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.a >= value(other)
-
+    __eq__ = _comparison(operator.eq)  # type: ignore[assignment]
+    __ne__ = _comparison(operator.ne)  # type: ignore[assignment]
+    __lt__, __le__ = _comparison(operator.lt), _comparison(operator.le)
+    __gt__, __ge__ = _comparison(operator.gt), _comparison(operator.ge)
     __hash__ = None  # type: ignore[assignment]
 
 
@@ -116,7 +107,7 @@ DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
 }
 
 
-class DualNumbers(Numbers):
+class DualNumbers(ChoosingNumbers):
     """A number namespace for dual numbers of the numbers of another one, `base`."""
 
     def __init__(self, base: Any) -> None:
@@ -151,9 +142,3 @@ class DualNumbers(Numbers):
         return Dual(self.base.atan2(a, b), (b * slope(y) - a * slope(x)) / square)
 
     arctan2 = atan2
-
-    def maximum(self, a: Any, b: Any) -> Any:
-        return self.where(a >= b, a, b)
-
-    def minimum(self, a: Any, b: Any) -> Any:
-        return self.where(a <= b, a, b)

@@ -41,6 +41,18 @@ class Numbers:
     abilities = Abilities()
 
 
+class ChoosingNumbers(Numbers):
+    """A namespace whose ``where`` chooses the larger and the smaller number, too."""
+
+    where: Callable[..., Any]
+
+    def maximum(self, a: Any, b: Any) -> Any:
+        return self.where(a >= b, a, b)
+
+    def minimum(self, a: Any, b: Any) -> Any:
+        return self.where(a <= b, a, b)
+
+
 def abilities(xp: Any) -> Abilities:
     """Return what the numbers of a namespace can do."""
     if isinstance(xp, Numbers):

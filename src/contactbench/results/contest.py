@@ -18,9 +18,8 @@ from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 #: errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
-#: families that methods declare
+#: the family of the contact methods
 CONTACT = "contact"
-ESTABLISHED = "established"
 #: rows that do not compete: plain C loops
 LIMIT = "limit"
 #: the winner of a contest that no contact method wins
@@ -246,18 +245,8 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
                 next(part[(part["family"] == CONTACT) == own].itertuples(), None) for own in (True, False)
             )
             rows.append({"scene": scene, "error": target} | _contest(ours, theirs))
-    names = (
-        "scene",
-        "error",
-        "contact",
-        "contact_cost",
-        "other",
-        "other_cost",
-        "ratio",
-        "margin",
-        "winner",
-    )
-    return pd.DataFrame(rows, columns=list(names))
+    names = "scene error contact contact_cost other other_cost ratio margin winner"
+    return pd.DataFrame(rows, columns=names.split())
 
 
 def _contest(ours: Any, theirs: Any) -> dict[str, Any]:

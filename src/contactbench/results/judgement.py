@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, UNSURE, judge, structural_bound
+from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, UNSURE, structural_bound
 from contactbench.results.contest import LIMIT
 from contactbench.results.schema import Column, Rule, Table
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
@@ -16,6 +16,11 @@ from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 FROZEN = "_frozen"
 #: the tables whose rows are judged
 JUDGED_TABLES = ("laws", "stability")
+#: the judgement of a run
+FLAGS = ("claimed", "kept", "undecided", "judged")
+#: the columns of `law_rows` but for `broken`
+COLUMNS = ("scene", "method", "family", "setting", "derivative", "solution_error")
+COLUMNS += ("value", "uncertainty", "clamped", "frozen", "unsure", "bound", *FLAGS)
 
 
 def laws_in(table: Table, view: str = "laws") -> dict[str, Column]:
@@ -60,7 +65,7 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
     Columns: scene, method, family, setting, derivative, solution_error; value, uncertainty, clamped (at how many times
     it is relative to a thousandth of the terms that cancel); frozen (with the steps held fixed); unsure (an upper bound
     only); claimed, kept, undecided, bound; judged (the run follows the motion); broken (judged, and neither kept nor
-    undecided).  A law that is not structural has no judgement in the tables: it is computed here, and never claimed.
+    undecided).  A law that is not structural is not judged.
     """
     parts = []
     for name in JUDGED_TABLES:
@@ -68,37 +73,18 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
         if frame is not None and len(frame) and law in frame:
             rows = frame[(frame["status"] == "ok") & frame[law].notna() & (frame["family"] != LIMIT)]
             parts.append(_judged(rows, law))
-    flags = ["claimed", "kept", "undecided", "judged"]
-    names = [
-        "scene",
-        "method",
-        "family",
-        "setting",
-        "derivative",
-        "solution_error",
-        "value",
-        "uncertainty",
-        "clamped",
-        "frozen",
-        "unsure",
-        "bound",
-        *flags,
-    ]
-    rows = pd.concat([part.reindex(columns=names) for part in parts], ignore_index=True) if parts else None
-    if rows is None:
-        rows = pd.DataFrame({name: [] for name in names})
-    rows = rows.astype(dict.fromkeys(flags, bool))
+    rows = pd.concat(parts or [pd.DataFrame()], ignore_index=True).reindex(columns=list(COLUMNS))
+    rows = rows.astype(dict.fromkeys(FLAGS, bool))
     return rows.assign(broken=rows["judged"] & ~rows["kept"] & ~rows["undecided"])
 
 
 def _judged(rows: pd.DataFrame, law: str) -> pd.DataFrame:
     """Return the rows of one table with the columns of `law_rows`."""
     value, uncertainty = numbers(rows, law), numbers(rows, f"{law}_uncertainty", 0.0)
-    clamped = numbers(rows, f"{law}_clamped", 0.0)
     rows = rows.assign(
         value=value,
         uncertainty=uncertainty,
-        clamped=clamped,
+        clamped=numbers(rows, f"{law}_clamped", 0.0),
         frozen=numbers(rows, law + FROZEN),
         unsure=(uncertainty > 0) & (value <= UNSURE * uncertainty),
     )
@@ -106,6 +92,4 @@ def _judged(rows: pd.DataFrame, law: str) -> pd.DataFrame:
         columns = {name: rows[f"{law}_{name}"] for name in JUDGEMENT}
         flags = {name: column.fillna(False) for name, column in columns.items() if name != "bound"}
         return rows.assign(**flags, bound=columns["bound"], judged=columns["bound"].notna())
-    limit, faded = bound(rows, law), clamped >= numbers(rows, "saved_times", np.inf)
-    judged, kept, undecided = judge(value, limit, uncertainty, faded, numbers(rows, "solution_error"))
-    return rows.assign(bound=limit, judged=judged, kept=kept, undecided=undecided, claimed=False)
+    return rows.assign(bound=bound(rows, law), **dict.fromkeys(FLAGS, False))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from typing import Any
 
@@ -20,8 +20,8 @@ from contactbench.methods.prepared import Prepared, Refused
 from contactbench.methods.step_map import StepMap, trajectory
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
-from contactbench.solution import Solution, Status
-from contactbench.testing.rules import DoesNotApply, Finding, Measured, follow, require
+from contactbench.solution import Status
+from contactbench.testing.rules import DoesNotApply, Finding, follow, require
 from contactbench.truth import blow_up_time, decimal_context, reference
 
 #: sizeable damping and other data than the registry's, so that nothing is tuned to the defaults
@@ -50,28 +50,25 @@ EXACT = 1e-10
 class MethodCase:
     """A method on an engine and a scene.
 
-    first : whether what no engine changes is looked at here.
+    first : whether what no engine changes is looked at here.  measured : by the rule that is followed.
     """
 
     method: Method
     engine: str
     scene: Scene
     first: bool = True
+    measured: dict[str, float] = field(default_factory=dict, compare=False)
 
     def run(self, level: str = "coarse", scene: Scene | None = None, **options: Any) -> Prepared:
         """Prepared at one of the settings of `STEPS` or `RTOLS`, unless the options say otherwise."""
         scene = scene or self.scene
-        control: dict[str, Any] = {}
-        if self.method.adaptive:
-            low, high = self.method.rtol_range
-            control = {"rtol": min(max(RTOLS[level], low), high)}
-        elif self.method.exact:
-            control = {}
-        else:
-            control = {"step": scene.t_end / STEPS[level]}
-        if "rtol" in options or "step" in options:
-            control = {}
-        return prepare(scene, self.method, engine=self.engine, **(control | options))
+        if not self.method.exact and not {"rtol", "step"} & {*options}:
+            if self.method.adaptive:
+                low, high = self.method.rtol_range
+                options["rtol"] = min(max(RTOLS[level], low), high)
+            else:
+                options["step"] = scene.t_end / STEPS[level]
+        return prepare(scene, self.method, engine=self.engine, **options)
 
     @cached_property
     def refused(self) -> bool:
@@ -93,26 +90,24 @@ class MethodCase:
             a[part] *= np.where((a[part] * b[part]).sum(axis=axes, keepdims=True) < 0, -1.0, 1.0)
         return float(np.abs(a - b).max() / np.abs(b).max())
 
-    def truth(self, times: Any) -> np.ndarray:
-        return reference(self.scene, times).y
-
-    def error(self, solution: Solution) -> float:
-        return LAWS["solution_error"](solution)
+    def error(self, level: str = "coarse", **options: Any) -> float:
+        """Return the error at the end of a run."""
+        return LAWS["solution_error"](self.run(level, save_at=[self.scene.t_end], **options)())
 
 
-def runs(rule: Callable[[MethodCase], Measured]) -> Callable[[MethodCase], Measured]:
-    """A rule on what a method runs: it does not apply where the scene is refused."""
+def runs(rule: Callable[[MethodCase], None]) -> Callable[[MethodCase], None]:
+    """Return a rule that does not apply where the scene is refused."""
 
     @wraps(rule)
-    def followed(case: MethodCase) -> Measured:
+    def followed(case: MethodCase) -> None:
         if case.refused:
             raise DoesNotApply("the scene is refused")
-        return rule(case)
+        rule(case)
 
     return followed
 
 
-def declares(case: MethodCase) -> Measured:
+def declares(case: MethodCase) -> None:
     method = case.method
     require(isinstance(method, Method), "no Method")
     require(isinstance(method.name, str) and NAME.fullmatch(method.name), f"name = {method.name!r}")
@@ -127,10 +122,9 @@ def declares(case: MethodCase) -> Measured:
     low, high = method.rtol_range
     require(0 < low < high, f"rtol_range = {method.rtol_range!r}")
     require(method.tolerance, "tolerance: says nothing of what rtol bounds")
-    return None
 
 
-def refuses(case: MethodCase) -> Measured:
+def refuses(case: MethodCase) -> None:
     why = case.method.refuses(case.scene)
     require(why is None or (isinstance(why, str) and why.strip()), f"refuses = {why!r}")
     if why is not None:
@@ -138,11 +132,9 @@ def refuses(case: MethodCase) -> Measured:
         require(solution.status is Status.unsupported, f"a refused scene ends {solution.status}")
         require(solution.message == why, f"message = {solution.message!r}")
         require(np.isnan(solution.y).all(), "a refused scene has states")
-    return None
 
 
-@runs
-def leaves_no_trace(case: MethodCase) -> Measured:
+def leaves_no_trace(case: MethodCase) -> None:
     run = case.run(save_at=[case.scene.t_end / 4])
     require(not isinstance(run, Refused), f"engine {case.engine!r}: {getattr(run, 'why', '')}")
     field = case.scene.initial_fields[0]
@@ -152,11 +144,9 @@ def leaves_no_trace(case: MethodCase) -> Measured:
     fresh = case.run(save_at=[case.scene.t_end / 4], scene=case.scene.with_(**moved))()
     require(np.array_equal(other.y, fresh.y), f"{moved}: not what a run prepared for them gives")
     require(not np.array_equal(first.y, other.y), f"{moved}: makes no difference")
-    return None
 
 
-@runs
-def saves(case: MethodCase) -> Measured:
+def saves(case: MethodCase) -> None:
     scene = case.scene
     times = scene.t_end * np.array([0.0, 0.13, 0.5, 1.0])
     solution = case.run(save_at=times)()
@@ -165,20 +155,16 @@ def saves(case: MethodCase) -> Measured:
     require(solution.y.shape == (4, len(scene.labels(scene.carry()))), f"states of shape {solution.y.shape}")
     require(np.array_equal(solution.y[0], scene.pack(scene.initial(scene.carry()))), "another initial state")
     require(solution.end_time == times[-1], f"ends at {solution.end_time}")
-    truth = case.truth(times[1:])
-    gap = case.gap(solution.y[1:], truth)
+    case.measured["error"] = gap = case.gap(solution.y[1:], reference(scene, times[1:]).y)
     require(gap < 0.1, f"the states are those of other times: {gap:.1e} from the truth")
-    return {"error": gap}
 
 
-@runs
-def is_timed_by_its_own_call(case: MethodCase) -> Measured:
+def is_timed_by_its_own_call(case: MethodCase) -> None:
     run = case.run(save_at=[case.scene.t_end])
     bare, whole = run.bare(run.start), run().y[-1]
     require(bare.shape == whole.shape, f"bare gives shape {bare.shape}")
-    gap = case.gap(bare, whole)
+    case.measured["gap"] = gap = case.gap(bare, whole)
     require(gap < SAME, f"bare ends {gap:.1e} from the run's last state")
-    return {"gap": gap}
 
 
 def truncation(case: MethodCase) -> float:
@@ -187,37 +173,32 @@ def truncation(case: MethodCase) -> float:
     return float(10 * step ** min(case.method.order or 1, 3))
 
 
-@runs
-def is_controlled_by_its_setting(case: MethodCase) -> Measured:
-    method, scene = case.method, case.scene
-    measured: dict[str, float] = {}
+def is_controlled_by_its_setting(case: MethodCase) -> None:
+    method, scene, measured = case.method, case.scene, case.measured
     if isinstance(method, StepMap):
         if case.first:
             measured["order"] = order = order_at(method, scene, 1.0, 20)
             require(abs(order - method.order) < ORDER, f"of order {order:.3f}, not {method.order}")
-        measured["error"] = error = case.error(case.run("fine", save_at=[scene.t_end])())
+        measured["error"] = error = case.error("fine")
         require(error < truncation(case), f"error {error:.1e}")
-        return measured
-    if method.exact:
-        error = case.error(case.run(save_at=[scene.t_end])())
+    elif method.exact:
+        measured["error"] = error = case.error()
         require(error < 1e-12, f"exact, with an error of {error:.1e}")
-        settings: tuple[dict[str, Any], ...] = ({"step": 0.1}, {"rtol": 1e-6})
-        for given in settings:
+        settings: dict[str, Any] = {"step": 0.1, "rtol": 1e-6}
+        for name, value in settings.items():
             try:
-                case.run(save_at=[scene.t_end], **given)
+                case.run(save_at=[scene.t_end], **{name: value})
             except BadInput:
                 continue
-            raise AssertionError(f"exact, and takes {given}")
-        return {"error": error}
-    for rtol in (1e-4, 1e-7, 1e-10):
-        measured[f"error at rtol {rtol:.0e}"] = case.error(case.run(rtol=rtol, save_at=[scene.t_end])())
-    errors = list(measured.values())
-    require(errors[0] > 10 * errors[1] > 100 * errors[2], f"errors {errors} at rtol 1e-4, 1e-7, 1e-10")
-    return measured
+            raise AssertionError(f"exact, and takes {name} = {value}")
+    else:
+        for rtol in (1e-4, 1e-7, 1e-10):
+            measured[f"error at rtol {rtol:.0e}"] = case.error(rtol=rtol)
+        errors = list(measured.values())
+        require(errors[0] > 10 * errors[1] > 100 * errors[2], f"errors {errors} at rtol 1e-4, 1e-7, 1e-10")
 
 
-@runs
-def ends_as_it_says(case: MethodCase) -> Measured:
+def ends_as_it_says(case: MethodCase) -> None:
     times = case.scene.t_end * np.arange(1, 11) / 10
     solution = case.run("fine", save_at=times, max_steps=BUDGET)()
     require(solution.status is Status.budget, f"max_steps = {BUDGET}: ends {solution.status}")
@@ -225,7 +206,7 @@ def ends_as_it_says(case: MethodCase) -> Measured:
     require(np.isnan(solution.y[-1]).all(), f"max_steps = {BUDGET}: has a state at the end")
     escape = SCENES[ESCAPE]
     if case.method.refuses(escape) is not None:
-        return None
+        return
     setting: dict[str, Any] = {"step": 0.002} if isinstance(case.method, StepMap) else {}
     solution = case.run(scene=escape, save_at=[escape.t_end], max_steps=20_000, **setting)()
     require(solution.status is Status.diverged, f"beyond the blow-up: ends {solution.status}")
@@ -233,7 +214,7 @@ def ends_as_it_says(case: MethodCase) -> Measured:
     off = abs(solution.end_time / float(found[0]) - 1) if found else math.inf
     require(off < 0.01, f"diverged at {solution.end_time}, {off:.1e} off the blow-up")
     require(np.isnan(solution.y[-1]).all(), "diverged, with a state at the end")
-    return {"end of a blow-up": off}
+    case.measured["end of a blow-up"] = off
 
 
 def counted(scene: Any, kind: str) -> tuple[Any, list[int]]:
@@ -250,8 +231,7 @@ def counted(scene: Any, kind: str) -> tuple[Any, list[int]]:
     return scene._replaced(**{name: counting}), calls
 
 
-@runs
-def counts(case: MethodCase) -> Measured:
+def counts(case: MethodCase) -> None:
     method, scene = case.method, case.scene
     run = case.run(save_at=[scene.t_end])
     found = run.count(run().counts)
@@ -262,7 +242,8 @@ def counts(case: MethodCase) -> Measured:
         expected = once + (STEPS["coarse"] - 1) * each
         require(found.evaluations == expected, f"{found.evaluations} evaluations, not {expected}")
         require(found.kind == method.kind_on(scene), f"counts {found.kind}")
-    measured: dict[str, float] = {} if found.evaluations is None else {"evaluations": found.evaluations}
+    if found.evaluations is not None:
+        case.measured["evaluations"] = found.evaluations
     # what cannot be counted on an engine is counted on another
     engine = next((e for e in (case.engine, *method.engines) if e in CALLBACKS), None)
     if engine and (engine == case.engine or case.first) and found.kind in ("gradient", "rhs"):
@@ -270,23 +251,20 @@ def counts(case: MethodCase) -> Measured:
         run = replace(case, engine=engine).run(scene=twin, save_at=[scene.t_end])
         calls[0] = 0
         reported = run().counts.evaluations
-        measured["calls"] = calls[0]
+        case.measured["calls"] = calls[0]
         require(reported == calls[0], f"{reported} evaluations reported, {calls[0]} calls")
-    return measured
 
 
-@runs
-def engines_agree(case: MethodCase) -> Measured:
+def engines_agree(case: MethodCase) -> None:
     times, method = case.scene.t_end * np.array([0.5, 1.0]), case.method
     level, bound = ("fine", 10 * RTOLS["fine"]) if method.adaptive else ("coarse", COMPILED)
-    measured: dict[str, float] = {}
     mine = case.run(level, save_at=times)().y
     # the default, and for itself the last: JAX compiles for seconds
     for engine in (method.engines[0], *reversed(method.engines)):
         run = replace(case, engine=engine).run(level, save_at=times)
         if engine == case.engine or isinstance(run, Refused):
             continue
-        measured[f"off {engine}"] = gap = case.gap(mine, run().y)
+        case.measured[f"off {engine}"] = gap = case.gap(mine, run().y)
         require(gap < bound, f"{case.engine} is {gap:.1e} off {engine}")
         break
     if isinstance(method, StepMap):
@@ -298,17 +276,16 @@ def engines_agree(case: MethodCase) -> Measured:
         )
         gap = case.gap(np.array([c[0] for c in scene.pack(together)]), np.array(scene.pack(alone)))
         require(gap < SAME, f"an array gives {gap:.1e} else than a number")
-        measured["arrays off numbers"] = gap
-    return measured
+        case.measured["arrays off numbers"] = gap
 
 
-@runs
-def claims(case: MethodCase) -> Measured:
+def claims(case: MethodCase) -> None:
     method, scene = case.method, case.scene
-    measured: dict[str, float] = {}
     if scene.conformal_rate is not None and (method.contact or isinstance(method, StepMap)):
         coarse: dict[str, Any] = {"step": scene.t_end / 10} if method.control == "step" else {}
-        measured["contact drift"] = drift = LAWS["contact_drift"](case.run(save_at=[scene.t_end], **coarse)())
+        case.measured["contact drift"] = drift = LAWS["contact_drift"](
+            case.run(save_at=[scene.t_end], **coarse)()
+        )
         # to round-off times the growth of the phase's own error along the run
         kept = drift < (EXACT if method.exact else ROUND_OFF)
         require(kept == method.contact, f"contact = {method.contact}, with a contact drift of {drift:.1e}")
@@ -318,16 +295,14 @@ def claims(case: MethodCase) -> Measured:
         back = march(method, scene, "-0.2", 3, context, ahead)
         there = march(method, scene, "0", 1, context)
         gap = max(abs(a - b) for a, b in zip(back, there, strict=True))
-        kept, measured["steps back"] = gap < context.mpf(10) ** -45, float(gap)
+        kept, case.measured["steps back"] = gap < context.mpf(10) ** -45, float(gap)
         require(
             kept == method.symmetric,
             f"symmetric = {method.symmetric}: three steps and back leave {float(gap):.1e}",
         )
-    return measured
 
 
-@runs
-def differentiates(case: MethodCase) -> Measured:
+def differentiates(case: MethodCase) -> None:
     scene = case.scene
     run = case.run("fine", save_at=[scene.t_end])
     if not run.sensitivity_source:
@@ -336,23 +311,34 @@ def differentiates(case: MethodCase) -> Measured:
     require(case.gap(states, run().y) < GROWTH * RTOLS["fine"], "the derivative is taken elsewhere")
     exact = MethodCase(METHODS["rk4"], "numba", scene).run("fine", save_at=[scene.t_end])
     bound = truncation(case) if isinstance(case.method, StepMap) else GROWTH * RTOLS["fine"]
-    gap = case.gap(mine, exact.sensitivity(exact.start))
+    case.measured["gap"] = gap = case.gap(mine, exact.sensitivity(exact.start))
     require(gap < bound, f"the derivative is {gap:.1e} off that of the flow")
-    return {"gap": gap}
 
 
-def costs(case: MethodCase) -> Measured:
+def costs(case: MethodCase) -> None:
     cost = case.method.step_cost(case.scene, case.engine) if not case.refused else 1
     require(cost is None or cost > 0, f"step_cost = {cost!r}")
     require(
         cost is not None or case.engine not in CALLBACKS, f"no step_cost on {case.engine}, which calls back"
     )
-    return None if cost is None else {"right-hand sides": cost}
+    if cost is not None:
+        case.measured["right-hand sides"] = cost
 
 
-DECLARED = (declares, refuses, leaves_no_trace, saves, is_timed_by_its_own_call, is_controlled_by_its_setting)
-RUN = (ends_as_it_says, counts, engines_agree, claims, differentiates, costs)
-METHOD_RULES: dict[int, Callable[[MethodCase], Measured]] = dict(enumerate((*DECLARED, *RUN), start=1))
+RUN = (
+    leaves_no_trace,
+    saves,
+    is_timed_by_its_own_call,
+    is_controlled_by_its_setting,
+    ends_as_it_says,
+    counts,
+    engines_agree,
+    claims,
+    differentiates,
+)
+METHOD_RULES: dict[int, Callable[[MethodCase], None]] = dict(
+    enumerate((declares, refuses, *map(runs, RUN), costs), start=1)
+)
 
 
 def method_cases(

@@ -1,12 +1,9 @@
-"""How a rule of a contract is written: a function that raises `Violation`, and gives what it measured."""
+"""How a rule of a contract is written: a function of a case that raises, and notes on the case what it measured."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
-
-#: what a rule measured, by name; None where there is nothing to measure
-Measured = dict[str, float] | None
 
 
 class Violation(AssertionError):
@@ -45,16 +42,17 @@ def require(condition: Any, message: str) -> None:
 
 
 def follow(
-    rules: Mapping[int, Callable[[Any], Measured]], case: Any, what: str, engine: str, scene: str
+    rules: Mapping[int, Callable[[Any], None]], case: Any, what: str, engine: str, scene: str
 ) -> Iterator[Finding]:
     """Follow every rule on a case; raises `Violation` for the first that is broken, or that cannot be followed."""
     for number, rule in rules.items():
-        measured, not_here = None, ""
+        not_here = ""
+        case.measured.clear()
         try:
-            measured = rule(case)
+            rule(case)
         except DoesNotApply as why:
             not_here = str(why)
         except Exception as error:
             reason = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
             raise Violation(number, f"{what}: {reason}") from error
-        yield Finding(number, rule.__name__.replace("_", " "), engine, scene, measured or {}, not_here)
+        yield Finding(number, rule.__name__.replace("_", " "), engine, scene, dict(case.measured), not_here)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property, wraps
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from contactbench.errors import NAME
 from contactbench.scene import Scene
-from contactbench.testing.rules import DoesNotApply, Finding, Measured, follow, require
+from contactbench.testing.rules import DoesNotApply, Finding, follow, require
 from contactbench.truth import decimal_context, with_decimals
 
 DIGITS = 50
@@ -30,11 +30,11 @@ STATES = 3
 class SceneCase:
     """A scene and some generic states of it, as floats and at 50 digits.
 
-    gaps : between what a rule compares, relative to its size.
+    measured : the largest gap between numbers that a rule compares, relative to their size.
     """
 
     scene: Scene
-    gaps: list[float] = field(default_factory=list)
+    measured: dict[str, float] = field(default_factory=dict, compare=False)
 
     @cached_property
     def xp(self) -> Any:
@@ -68,11 +68,18 @@ class SceneCase:
         pairs = zip(self.scene.pack(x), self.scene.pack(v), strict=True)
         return self.read([a + amount * b for a, b in pairs])
 
-    def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
-        """The derivative of f, a list of numbers, along v."""
+    def derivative(self, f: Callable[[Any], Any]) -> list[Any]:
+        """Return the derivative at 0 of f(d), a list of numbers."""
         delta = self.xp.mpf(DELTA)
-        ends = [f(self.moved(x, v, sign * delta)) for sign in (1, -1)]
-        return [(a - b) / (2 * delta) for a, b in zip(*ends, strict=True)]
+        return [(a - b) / (2 * delta) for a, b in zip(f(delta), f(-delta), strict=True)]
+
+    def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
+        """Return the derivative of f, a list of numbers, along v."""
+        return self.derivative(lambda d: f(self.moved(x, v, d)))
+
+    def slope_of_form(self, form: Callable[..., Any], x: Any, dx: Any, v: Any, dv: Any) -> list[Any]:
+        """Return the derivative of form(x, v) while x moves along dx and v along dv."""
+        return self.derivative(lambda d: [form(self.moved(x, dx, d), self.moved(v, dv, d))])
 
     def rate(self, x: Any) -> Any:
         """Γ' = ∂H/∂s."""
@@ -84,20 +91,8 @@ class SceneCase:
         a, b = list(a), list(b)
         size = max([1.0, *(float(abs(c)) for c in b)])
         gap = max(float(abs(p - q)) for p, q in zip(a, b, strict=True))
-        self.gaps.append(gap / size)
+        self.measured["largest gap"] = max(gap / size, self.measured.get("largest gap", 0.0))
         require(gap < CLOSE * size, f"{what}: off by {gap:.1e}")
-
-
-def measured(rule: Callable[[SceneCase], None]) -> Callable[[SceneCase], Measured]:
-    """A rule that gives the largest gap between what it compares."""
-
-    @wraps(rule)
-    def followed(case: SceneCase) -> Measured:
-        case.gaps.clear()
-        rule(case)
-        return {"largest gap": max(case.gaps)} if case.gaps else None
-
-    return followed
 
 
 def declares(case: SceneCase) -> None:
@@ -173,19 +168,14 @@ def is_a_contact_system(case: SceneCase) -> None:
     scene, twin = case.scene, case.twin
     if not scene.is_contact:
         raise DoesNotApply("no contact system")
+    form = twin.contact_form
     for x in case.exact:
         field, rate = twin.rhs(x), case.rate(x)
-        case.near([twin.contact_form(x, field)], [-twin.hamiltonian(x)], "η(X) is not −H")
+        case.near([form(x, field)], [-twin.hamiltonian(x)], "η(X) is not −H")
         for v in twin.tangents(x):
             pushed = case.read(case.slope(lambda x: scene.pack(twin.rhs(x)), x, v))
-            delta = case.xp.mpf(DELTA)
-            ends = [
-                twin.contact_form(case.moved(x, field, sign * delta), case.moved(v, pushed, sign * delta))
-                for sign in (1, -1)
-            ]
-            case.near(
-                [(ends[0] - ends[1]) / (2 * delta)], [-rate * twin.contact_form(x, v)], "L_X η is not −Γ' η"
-            )
+            slope = case.slope_of_form(form, x, field, v, pushed)
+            case.near(slope, [-rate * form(x, v)], "L_X η is not −Γ' η")
         if not scene.rate_changes:
             case.near([rate], [twin.conformal_rate], "conformal_rate is not ∂H/∂s")
 
@@ -249,9 +239,9 @@ def solves_its_equations(case: SceneCase) -> None:
     start = twin.initial(scene.carry())
     begun = carried(scene.exact(twin, xp.mpf(0), xp))
     case.near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
-    t, delta = xp.mpf(repr(scene.t_end)) / 7, xp.mpf(DELTA)
-    here, ahead, behind = (carried(scene.exact(twin, t + d, xp)) for d in (0, delta, -delta))
-    slope = [(a - b) / (2 * delta) for a, b in zip(flat(ahead.values()), flat(behind.values()), strict=True)]
+    t = xp.mpf(repr(scene.t_end)) / 7
+    here = carried(scene.exact(twin, t, xp))
+    slope = case.derivative(lambda d: flat(carried(scene.exact(twin, t + d, xp)).values()))
     field = twin.rhs(start._replace(**here))
     case.near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
 
@@ -263,8 +253,7 @@ SCENE_RULES: dict[int, Callable[[SceneCase], None]] = dict(enumerate((*EQUATIONS
 
 def scene_findings(scene: Scene) -> Iterator[Finding]:
     """`check_scene`, a finding at a time."""
-    rules = {number: measured(rule) for number, rule in SCENE_RULES.items()}
-    return follow(rules, SceneCase(scene), scene.name, "", scene.name)
+    return follow(SCENE_RULES, SceneCase(scene), scene.name, "", scene.name)
 
 
 def check_scene(scene: Scene) -> list[Finding]:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
+
+from contactbench.numbers.nested import leaves
 
 #: the name of a value, or a constant
 Operand = str | float
@@ -88,9 +89,28 @@ class Unpack(NamedTuple):
     sequence: str
 
 
+class Digested:
+    """A thing that is compared and hashed by all that it computes."""
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all of it."""
+        return digest(*self.parts())
+
+    def parts(self) -> tuple[Any, ...]:
+        """Return everything that decides what it computes."""
+        raise NotImplementedError
+
+    def __eq__(self, other: object) -> bool:
+        return self.digest == other.digest if isinstance(other, type(self)) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
 @dataclass(frozen=True, eq=False)
-class Function:
-    """A recorded function of arrays and numbers; compared by all that it computes.
+class Function(Digested):
+    """A recorded function of arrays and numbers.
 
     result : an operand; in Python nested tuples of operands, too.
     """
@@ -100,16 +120,8 @@ class Function:
     body: tuple[Any, ...]
     result: Results = 0
 
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of all of it."""
-        return digest(self.name, self.arguments, self.body, self.result)
-
-    def __eq__(self, other: object) -> bool:
-        return self.digest == other.digest if isinstance(other, Function) else NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
+    def parts(self) -> tuple[Any, ...]:
+        return self.name, self.arguments, self.body, self.result
 
 
 def digest(*parts: Any) -> str:
@@ -126,22 +138,6 @@ def text(operand: Operand) -> str:
     if math.isfinite(operand):
         return f"({operand!r})" if math.copysign(1.0, operand) < 0 else repr(operand)
     return "nan" if math.isnan(operand) else "inf" if operand > 0 else "(-inf)"
-
-
-def leaves(results: Results) -> Iterator[Operand]:
-    """The operands in nested tuples, in order."""
-    if isinstance(results, tuple):
-        for part in results:
-            yield from leaves(part)
-    else:
-        yield results
-
-
-def substitute(change: Any, results: Results) -> Results:
-    """Nested tuples with every operand changed."""
-    if isinstance(results, tuple):
-        return tuple(substitute(change, part) for part in results)
-    return change(results)
 
 
 def read_by(statement: Any) -> set[Operand]:

@@ -15,18 +15,18 @@ from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
+from contactbench.numbers.nested import leaves, rebuild
 from contactbench.trace.adjoints import Adjoints
 from contactbench.trace.form import (
     FUNCTIONS,
+    Digested,
     Function,
     Operand,
     Operation,
     Results,
     Unpack,
     Update,
-    digest,
     prune,
-    substitute,
 )
 from contactbench.trace.python import FORMS, execute
 from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt
@@ -58,7 +58,7 @@ SCOPE: dict[str, Any] = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Formula:
+class Formula(Digested):
     """What a function of numbers computes.
 
     arguments : of every positional argument the length of the tuple it is, 0 for a number, "xp" for a namespace of
@@ -74,23 +74,15 @@ class Formula:
     results: Results
     live: Callable[..., Any] | None = None
 
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of all that it computes."""
-        return digest(self.arguments, self.names, self.body, self.results)
+    def parts(self) -> tuple[Any, ...]:
+        return self.arguments, self.names, self.body, self.results
 
     def __repr__(self) -> str:
         name = getattr(self.live, "__name__", "derived" if self.live is None else type(self.live).__name__)
         return f"<formula of {name}: {len(self.body)} operations>"
 
-    def __eq__(self, other: object) -> bool:
-        return self.digest == other.digest if isinstance(other, Formula) else NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
     def __reduce__(self) -> Any:
-        return Formula, (self.arguments, self.names, self.body, self.results)
+        return Formula, self.parts()
 
     @cached_property
     def function(self) -> Callable[..., Any]:
@@ -144,11 +136,11 @@ class Formula:
         """A tape with its operations, its results there, and their derivatives."""
         tape, moved = Tape(), dict[Operand, Operand]()
         for target, operation in self.body:
-            there = Operation(operation.function, substitute(lambda x: moved.get(x, x), operation.operands))
+            there = Operation(operation.function, tuple(moved.get(x, x) for x in operation.operands))
             moved[target] = tape.assign(there, "f", tape.root).name
         arguments = argument_names(self.arguments, self.names)
         adjoints = Adjoints(tape, arguments, arguments[len(arguments) - len(self.names) :])
-        return tape, substitute(lambda x: moved.get(x, x), self.results), adjoints
+        return tape, rebuild(self.results, [moved.get(x, x) for x in leaves(self.results)]), adjoints
 
 
 def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:

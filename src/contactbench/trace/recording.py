@@ -21,7 +21,7 @@ import numpy as np
 from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
 from contactbench.numbers.nested import leaves, rebuild
-from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, Numbers, Unknown
+from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
 from contactbench.trace.form import (
     FUNCTIONS,
     Assign,
@@ -241,27 +241,14 @@ class Recorded(Unknown):
         return function(*inputs)
 
 
-#: NumPy's names of what Python has operators for, where they are not the same
-RENAMED = {
-    "subtract": "sub",
-    "multiply": "mul",
-    "divide": "truediv",
-    "negative": "neg",
-    "power": "pow",
-    "absolute": "abs",
-}
-RENAMED |= {
-    "equal": "eq",
-    "not_equal": "ne",
-    "less": "lt",
-    "less_equal": "le",
-    "greater": "gt",
-    "greater_equal": "ge",
-}
+#: NumPy's names of what Python has operators for, and Python's
+NUMPY = (
+    *("add", "subtract", "multiply", "divide", "power", "float_power", "negative", "absolute"),
+    *("equal", "not_equal", "less", "less_equal", "greater", "greater_equal"),
+)
+PYTHON = ("add", "sub", "mul", "truediv", "pow", "pow", "neg", "abs", "eq", "ne", "lt", "le", "gt", "ge")
 OPERATORS: dict[str, Callable[..., Any]] = {
-    **{name: getattr(operator, of) for name, of in RENAMED.items()},
-    "add": operator.add,
-    "float_power": operator.pow,
+    **{name: getattr(operator, of) for name, of in zip(NUMPY, PYTHON, strict=True)},
     "square": lambda x: x * x,
     "reciprocal": lambda x: 1 / x,
 }
@@ -293,7 +280,7 @@ def power(x: Recorded, exponent: Any) -> Any:
 ALIASES = {f"arc{name}": f"a{name}" for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "tan2")}
 
 
-class RecordedNumbers(Numbers):
+class RecordedNumbers(ChoosingNumbers):
     """The number namespace of recorded numbers.  Plain numbers go through `math`."""
 
     inf, nan, pi, e = math.inf, math.nan, math.pi, math.e
@@ -330,12 +317,6 @@ class RecordedNumbers(Numbers):
         return abs(x)
 
     fabs = absolute = abs
-
-    def maximum(self, a: Any, b: Any) -> Any:
-        return self.where(a >= b, a, b)
-
-    def minimum(self, a: Any, b: Any) -> Any:
-        return self.where(a <= b, a, b)
 
     def logical_and(self, a: Any, b: Any) -> Any:
         return a & b
