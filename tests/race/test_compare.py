@@ -12,8 +12,8 @@ import pytest
 import contactbench as cb
 from contactbench.measure.ladder import ENDS
 from contactbench.measure.statistics import PROCESSES
+from contactbench.methods.base import ENGINES
 from contactbench.methods.compiled import _programs
-from contactbench.methods.engines import ENGINES
 from contactbench.race import comparison
 from contactbench.race.comparison import COLUMNS, Comparison, judge_times
 from contactbench.race.scout import Attempt, Scout
