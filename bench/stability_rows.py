@@ -202,6 +202,6 @@ def pilot_cost(scene, method):
     def cost(rtol):
         with blamed_on_solver():
             run = cb.prepare(scene, method, rtol=rtol, save_at=[PILOT], carry=())
-            return right_hand_sides(run, run())
+            return right_hand_sides(run())
 
     return cost

@@ -49,11 +49,6 @@ def results(tmp_path_factory):
     return folder
 
 
-def test_all_are_listed(results):
-    listed = contactbench("list")
-    assert all(name in listed for name in ("mean_position", "quartic", "heun"))
-
-
 def test_a_law_is_in_the_table_and_its_document(results):
     laws = pd.read_csv(results / "laws.csv")
     assert (laws["mean_position"] > 0).all()
