@@ -63,7 +63,7 @@ class SceneCase:
     def read(self, y: Any) -> Any:
         return self.scene.unpack(y, self.scene.carry())
 
-    def move(self, x: Any, v: Any, amount: Any) -> Any:
+    def moved(self, x: Any, v: Any, amount: Any) -> Any:
         """x + amount v, component by component."""
         pairs = zip(self.scene.pack(x), self.scene.pack(v), strict=True)
         return self.read([a + amount * b for a, b in pairs])
@@ -75,11 +75,11 @@ class SceneCase:
 
     def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
         """Return the derivative of f, a list of numbers, along v."""
-        return self.derivative(lambda d: f(self.move(x, v, d)))
+        return self.derivative(lambda d: f(self.moved(x, v, d)))
 
     def slope_of_form(self, form: Callable[..., Any], x: Any, dx: Any, v: Any, dv: Any) -> list[Any]:
         """Return the derivative of form(x, v) while x moves along dx and v along dv."""
-        return self.derivative(lambda d: [form(self.move(x, dx, d), self.move(v, dv, d))])
+        return self.derivative(lambda d: [form(self.moved(x, dx, d), self.moved(v, dv, d))])
 
     def rate(self, x: Any) -> Any:
         """Γ' = ∂H/∂s."""
@@ -231,19 +231,18 @@ def solves_its_equations(case: SceneCase) -> None:
     if exact is None:
         raise DoesNotApply("no closed form")
 
-    def carried(t: Any) -> dict[str, Any]:
-        """Return the fields of the closed form."""
-        return {f: c for f, c in exact(twin, t, xp)._asdict().items() if c is not None}
+    def carried(state: Any) -> dict[str, Any]:
+        return {f: c for f, c in state._asdict().items() if c is not None}
 
     def flat(parts: Any) -> list[Any]:
         return [c for part in parts for c in (part if isinstance(part, tuple) else (part,))]
 
     start = twin.initial(scene.carry())
-    begun = carried(xp.mpf(0))
+    begun = carried(exact(twin, xp.mpf(0), xp))
     case.near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
     t = xp.mpf(repr(scene.t_end)) / 7
-    here = carried(t)
-    slope = case.derivative(lambda d: flat(carried(t + d).values()))
+    here = carried(exact(twin, t, xp))
+    slope = case.derivative(lambda d: flat(carried(exact(twin, t + d, xp)).values()))
     field = twin.rhs(start._replace(**here))
     case.near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
 
