@@ -20,8 +20,8 @@ JUDGED_TABLES = ("laws", "stability")
 #: the judgement of a run
 FLAGS = ("claimed", "kept", "undecided", "judged")
 #: the columns of `law_rows` but for `broken`
-KEY = ("scene", "method", "family", "setting", "derivative", "solution_error")
-COLUMNS = (*KEY, "value", "uncertainty", "clamped", "frozen", "unsure", "bound", *FLAGS)
+COLUMNS: tuple[str, ...] = ("scene", "method", "family", "setting", "derivative", "solution_error")
+COLUMNS += ("value", "uncertainty", "clamped", "frozen", "unsure", "bound", *FLAGS)
 
 
 def laws_in(table: Table, view: str = "laws") -> dict[str, Column]:
