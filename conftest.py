@@ -47,10 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # imported here: bench/conftest.py sets the number of threads before the libraries are loaded
     from contactbench.errors import BadInput
     from contactbench.plugins import load_file
-    from contactbench.start import SECONDS, VARIABLE
 
-    if config.getoption("--plugin"):
-        os.environ.setdefault(VARIABLE, SECONDS)
     try:
         for path in config.getoption("--plugin"):
             load_file(path)

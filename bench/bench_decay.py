@@ -46,19 +46,18 @@ def save_times(scene):
 
 
 def to_the_end(scene, method, value, budget):
-    """A run prepared to the end, saved there alone.
+    """Return a run to the end, saved there alone.
 
     diffrax, whose steps and evaluations do not depend on what is saved, saves at all times: the program of
     the laws then serves here too.
     """
     saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
-    return cb.prepare(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
+    return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
 
 
 def evaluations(scene, method, value, budget=None):
     """What a run at a step or tolerance costs."""
-    run = to_the_end(scene, method, value, budget)
-    return right_hand_sides(run, run())
+    return right_hand_sides(to_the_end(scene, method, value, budget))
 
 
 def value_at(scene, method, target, budget=None):
@@ -91,13 +90,8 @@ def test_decay_laws(cell, profile, record):
     # that of the laws at all tolerances, many times what is asked for: their programs serve here too
     budget = step_budget(profile, scene, method, method.engines[0])
     value = value_at(scene, method, cost * scene.t_end, budget)
-    run = to_the_end(scene, method, value, budget)
-    solution = run()
-    row = outcome(solution, run.count(solution.counts)) | {
-        "cost": cost,
-        "control": method.control,
-        "value": value,
-    }
+    solution = to_the_end(scene, method, value, budget)
+    row = outcome(solution, solution.counts) | {"cost": cost, "control": method.control, "value": value}
     if solution.ok:
         row |= laws_row(scene, method, value, budget)
     record(DECAY_LAWS, **row)

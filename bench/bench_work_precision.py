@@ -109,7 +109,7 @@ def errors(cell, profile):
     row["solution_error"] = error([*others, solution])
     if method.adaptive and method.order is None:
         row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations)
-    return outcome(solution, run.count(solution.counts), variant) | row
+    return outcome(solution, solution.counts, variant) | row
 
 
 def runs(scene, method, given):

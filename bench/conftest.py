@@ -23,7 +23,7 @@ from clock import Clock, Timetable
 from contactbench.errors import BadInput
 from contactbench.measure.clock import MOST_VISITS, VISITS
 from contactbench.methods import METHODS
-from contactbench.methods.engines import ENGINES
+from contactbench.methods.base import ENGINES
 from contactbench.results import provenance
 from contactbench.results.cells import Cell, Cells
 from contactbench.results.schema import PROFILES as NAMES

@@ -13,10 +13,10 @@ NEAR = 0.02
 DIGITS, RESOLUTION = 3, 2e-3
 
 
-def right_hand_sides(run, solution) -> float:
+def right_hand_sides(solution) -> float:
     """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
     if solution.ok:
-        return run.count(solution.counts).rhs_equivalents
+        return solution.counts.rhs_equivalents
     return math.inf if solution.status is Status.budget else 0.0
 
 

@@ -1,6 +1,6 @@
 """What the stability experiment runs in its worker processes: one row of a table per call.
 
-What is run, and what a row says, follows from what is counted; the clock is read for `time_s` alone.
+What a row says follows from what is counted; the clock is read for `time_s` alone.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 import contactbench as cb
 from cells import outcome
 from contactbench.boundary import UserError
+from contactbench.measure.clock import seconds
 from contactbench.measure.deviation import MEANINGFUL
 from contactbench.measure.ladder import save_times
 from contactbench.measure.laws import row as law_columns
@@ -45,24 +46,9 @@ def solve(scene, method, **options):
         return cb.solve(scene, method, **options)
 
 
-#: compiled evaluations that a call back into Python is worth
-CALLBACK = 200
-#: of one that costs less than QUICK the fastest of several calls is timed; of one that costs more than LONG the first
-#: call, to which what only that one does adds nothing; else the second
-QUICK, LONG, CALLS = 1e5, 1e7, 5
-
-
-def work(solution):
-    """What a run cost, in compiled evaluations: of its counts, and of what its method says a dear step costs."""
-    counts, method = solution.counts, cb.METHODS[solution.method]
-    attempts = (counts.steps or 0) + (counts.rejected or 0)
-    evaluations = attempts if counts.rhs_equivalents is None else counts.rhs_equivalents
-    if not method.adaptive:
-        return evaluations
-    if "python" in solution.engine:
-        return CALLBACK * evaluations
-    dear = method.step_cost(solution.scene, solution.engine)  # an implicit step compiled by XLA
-    return evaluations if dear is None else CALLBACK * dear * attempts
+#: seconds: of a call shorter than QUICK the fastest of several is taken; to one longer than LONG what only the first
+#: call does adds nothing
+QUICK, LONG, CALLS = 0.01, 0.3, 5
 
 
 def stability_row(scene, method, engine, kind, value, max_steps):
@@ -83,7 +69,7 @@ def stability_row(scene, method, engine, kind, value, max_steps):
     }
     if not solution.ok:
         return row
-    row["time_s"] = time_of(run, solution, first)
+    row["time_s"] = time_of(run, first)
     row["end_error"] = end_error(solution)
     by_runs = cb.METHODS[method].adaptive and cb.METHODS[method].family != "contact"
     return row | law_columns(
@@ -91,23 +77,12 @@ def stability_row(scene, method, engine, kind, value, max_steps):
     )
 
 
-def time_of(run, solution, first):
-    """Seconds of a call, `first` those of the first one; in Python, which compiles nothing, that counts earlier."""
-    cost = work(solution)
-    if cost < QUICK:
-        return fastest(run, CALLS)
-    return first if cost > LONG or solution.engine == "python" else fastest(run, 1)
-
-
-def fastest(run, calls):
-    """Seconds of the fastest of so many calls after the first, which imports and allocates."""
-    times = []
+def time_of(run, first):
+    """Seconds of a call, `first` those of the first one, which imports and allocates."""
+    if first > LONG:
+        return first
     with blamed_on_solver():
-        for _ in range(calls):
-            start = perf_counter()
-            run()
-            times.append(perf_counter() - start)
-    return min(times)
+        return min(seconds(run, 1) for _ in range(CALLS if first < QUICK else 1))
 
 
 def end_error(solution):
@@ -227,6 +202,6 @@ def pilot_cost(scene, method):
     def cost(rtol):
         with blamed_on_solver():
             run = cb.prepare(scene, method, rtol=rtol, save_at=[PILOT], carry=())
-            return right_hand_sides(run, run())
+            return right_hand_sides(run())
 
     return cost

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from cases import REPOSITORY
 from contactbench.results.schema import TABLES
 from contactbench.results.store import merge
 
@@ -78,7 +80,12 @@ def files(name):
         return {path.name: path.read_bytes() for path in Path(made).iterdir()}
 
 
-def folder(path, change=lambda which, row: row, run=RUN, keep=lambda row: True):
+def same(which, row):
+    """No change of a row."""
+    return row
+
+
+def folder(path, change=same, run=RUN, keep=lambda row: True):
     """A folder of tables, each row changed (None: left out)."""
     path.mkdir(parents=True, exist_ok=True)
     for which, rows in ROWS.items():
@@ -120,6 +127,17 @@ def commit(root, message):
     return root
 
 
-def fresh(root, path, change=lambda which, row: row, **more):
+def fresh(root, path, change=same, **more):
     """The tables of a run made by what is checked out."""
     return folder(path, change, run={**RUN, "commit": git(root, "rev-parse", "HEAD"), **more})
+
+
+def project(root):
+    """A repository with the sources as they are now, and made-up tables."""
+    folder(root / "results")
+    for name in ("src", "bench", "references"):
+        shutil.copytree(REPOSITORY / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(REPOSITORY / name, root)
+    git(root, "init", "-q", "-b", "main")
+    return commit(root, "all")

@@ -1,46 +1,25 @@
-"""Where other people's code is called: its errors are reported as theirs, its endless loops are ended."""
+"""Where other people's code is called: its errors are reported as theirs."""
 
 from __future__ import annotations
 
-import ast
 import linecache
 import os
-import signal
+import re
 import sysconfig
-import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from time import perf_counter
 from types import FunctionType
 from typing import Any
 
 from contactbench.errors import BadInput, one_line
-from contactbench.start import VARIABLE
 
 #: characters of another's message that are repeated
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
-FUNCTIONS = (
-    "exp",
-    "log",
-    "sqrt",
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "sinh",
-    "cosh",
-    "tanh",
-    "asinh",
-    "acosh",
-    "atanh",
-)
-#: modules whose functions know plain numbers only, as they are usually called
-PLAIN = ("math", "numpy", "np")
+FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
+FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
 #: where no user's code is: this package, Python's library, installed packages, generated programs
 _OURS = str(Path(__file__).parent) + os.sep
 _INSTALLED = tuple(
@@ -51,10 +30,6 @@ _INSTALLED = tuple(
 
 class UserError(BadInput):
     """An error in a user's function or plug-in; the exception itself is its `__cause__`."""
-
-
-class Overrun(BaseException):
-    """The time limit is over.  No `Exception`, which the code that is to be ended might catch."""
 
 
 def is_ours(function: Any) -> bool:
@@ -104,19 +79,10 @@ def plain_function(error: BaseException) -> str | None:
         for last in traceback.extract_tb(error.__traceback__)
     ):
         return None
-    try:
-        called = ast.parse(_failing(frame), mode="eval").body
-    except (SyntaxError, ValueError):
+    called = re.match(r"(?:(?:math|numpy|np)\.)?(\w+)\(", _failing(frame))
+    if called is None:
         return None
-    function = called.func if isinstance(called, ast.Call) else None
-    match function:
-        case ast.Attribute(value=ast.Name(id=module), attr=name) if module in PLAIN:
-            written = f"{module}.{name}"
-        case ast.Name(id=name):
-            written = name
-        case _:
-            return None
-    name = name.replace("arc", "a", 1)  # NumPy's arcsin
+    written, name = called[0][:-1], called[1].replace("arc", "a", 1)  # NumPy's arcsin
     if name in (*FUNCTIONS, "atan2"):
         return f"{written} takes plain numbers only: use cb.math.{name}"
     if written == name:
@@ -133,10 +99,7 @@ def _failing(frame: traceback.FrameSummary) -> str:
 
 def user_error(what: str, error: BaseException) -> UserError:
     """The error as a line: whose it is, where it happened, what it says."""
-    if isinstance(error, Overrun):
-        says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
-    else:
-        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
+    says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
     made = UserError(f"{what}{place(error)}: {says}")
     made.__cause__ = error
     return made
@@ -158,51 +121,10 @@ def blame(what: str, error: BaseException) -> BaseException:
 
 @contextmanager
 def their_code(what: str) -> Iterator[None]:
-    """Whatever goes wrong inside, an exit or an endless loop included, is a `UserError` that names `what`."""
+    """Whatever goes wrong inside, an exit included, is a `UserError` that names `what`."""
     try:
-        with within(limit()):
-            yield
+        yield
     except (BadInput, KeyboardInterrupt, GeneratorExit):
         raise
     except BaseException as error:
         raise user_error(what, error) from error
-
-
-def limit() -> float:
-    """Seconds that a first evaluation may take, 0 for any time."""
-    try:
-        seconds = float(os.environ.get(VARIABLE, 0.0))
-    except ValueError:
-        seconds = -1.0
-    if not 0 <= seconds < 1e9:
-        raise BadInput(f"{VARIABLE} = {os.environ[VARIABLE]}: must be seconds ≥ 0")
-    return seconds
-
-
-@contextmanager
-def within(seconds: float) -> Iterator[None]:
-    """Raise `Overrun` inside after so many seconds.
-
-    Only the main thread can be interrupted, and only where the system has timers; elsewhere there is no limit.
-    """
-    possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
-    if not seconds or not possible:
-        yield
-        return
-
-    def over(*_: Any) -> None:
-        raise Overrun
-
-    begun, (pending, interval) = perf_counter(), signal.getitimer(signal.ITIMER_REAL)
-    if pending and pending < seconds:  # an outer limit comes first
-        yield
-        return
-    before = signal.signal(signal.SIGALRM, over)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-        if pending:
-            signal.setitimer(signal.ITIMER_REAL, max(pending - (perf_counter() - begun), 1e-3), interval)

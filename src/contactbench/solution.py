@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ class Counts(NamedTuple):
 
     kind is "gradient" (∇V), "rhs" (the whole right-hand side), "taylor" (orders of Taylor
     coefficients; each costs about one rhs) or "rotation" (half an rhs; see
-    `rhs_equivalents`).  A count is None where the solver does not say; `Prepared.count` may
-    find it out.
+    `rhs_equivalents`).  A count is None where the solver does not say.
     """
 
     steps: int | None = 0
@@ -109,18 +108,6 @@ def closest(gaps: np.ndarray) -> np.ndarray:
     return np.argmin(np.where(np.isnan(gaps), np.inf, gaps), axis=0)
 
 
-class Run(Protocol):
-    """What a solution asks of the run that made it: see `Prepared`."""
-
-    @property
-    def steps_follow_state(self) -> bool: ...
-    @property
-    def atol(self) -> float | None: ...
-    def differential(self, y0: np.ndarray, out: Any, frozen: bool) -> Differential: ...
-    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None: ...
-    def modified_hamiltonian(self, x: Any) -> Any | None: ...
-
-
 @dataclass(repr=False)
 class Solution:
     """Saved states of one run.
@@ -149,8 +136,8 @@ class Solution:
 
     #: the initial state y was integrated from, packed
     y0: np.ndarray | None = None
-    #: the run that made it, which can be differentiated
-    run: Run | None = None
+    #: the `Prepared` that made it, which can be differentiated
+    run: Any = None
     #: what was set, "step" or "rtol", and its value
     control: str = ""
     value: float = float("nan")

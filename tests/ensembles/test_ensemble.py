@@ -13,13 +13,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import TILTED, USER, few_slow, in_mp, pairs, random_state
+from cases import TILTED, USER, few_slow
 from contactbench.ensembles.devices import TILE
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.numbers.control import Repeat, repeat
 from contactbench.solution import Status
-from contactbench.splitting.composition import advance, refusal
-from contactbench.splitting.tables import COMPOSITIONS
 
 FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
 PARTICLE = cb.SCENES["particle"].with_(t_end=1.0, gamma=0.35)
@@ -98,23 +95,6 @@ def test_an_ensemble_is_its_single_solutions(scene, method):
 def test_the_laws_a_scene_has_are_measured_and_no_others(scene, carry, laws):
     out = cb.ensemble(scene, "contact-strang", spread(scene, 2), step=0.5, carry=carry)
     assert set(out.measures) == {"energy_change"} | laws
-
-
-@pairs(
-    COMPOSITIONS,
-    [PARTICLE, cb.SCENES["quadratic_damping"], BODY, cb.SCENES["rigid_body_anisotropic"]],
-    lambda composition, scene: refusal(composition, scene) is None,
-    ("composition", "scene"),
-)
-def test_rolling_the_stages_changes_nothing(composition, scene, mp50):
-    """The loop over the period of a step's flows against the step written out, to 45 digits."""
-
-    rolled = Repeat(repeat, over_stages=True)
-    exact, x = in_mp(scene, random_state(scene, 1))
-    h = mp50.mpf("0.2")
-    ends = [advance(composition, exact, x, h, 3, mp50, loop) for loop in (repeat, rolled)]
-    gaps = [abs(a - b) for a, b in zip(*map(scene.pack, ends), strict=True)]
-    assert max(gaps) < mp50.mpf(10) ** -45
 
 
 # -- chunks, tiles, devices, parameters ------------------------------------------------------------

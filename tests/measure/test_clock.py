@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import itertools
 from collections import Counter
 
@@ -109,15 +108,6 @@ def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
     call.warm_up()
     assert len(call.visit().whole) == 1
     assert calls["run"] == 2
-
-
-def test_no_garbage_is_collected_in_a_round(machine):
-    seen = []
-    call = Call(lambda: (seen.append(gc.isenabled()), machine(LONG)()))
-    call.warm_up()
-    call.visit()
-    assert seen[-1] is False
-    assert gc.isenabled()
 
 
 def test_every_sweep_visits_all_in_an_order_of_its_own():

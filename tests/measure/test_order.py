@@ -22,17 +22,6 @@ def test_order_of_a_clean_power_law(order):
     np.testing.assert_allclose(fit.pairwise[1:], order)
 
 
-def test_a_slope_on_its_way_is_no_scatter():
-    """Pairwise slopes that run towards one, as of the printed scheme: the order is one."""
-    errors = [h * (1 - 0.33 * h) for h in H[2:6]]
-    fit = fit_order(H[2:6], errors)
-    assert fit.last_slope == pytest.approx(0.988, abs=0.001)
-    assert fit.order == pytest.approx(1, abs=0.005)
-    assert abs(fit.order - 1) < fit.uncertainty < 0.1
-    finer = fit_order(H, [h * (1 - 0.33 * h) for h in H])
-    assert abs(finer.order - 1) < finer.uncertainty < 1e-3  # a mean of these slopes is off by ten times that
-
-
 def test_pre_asymptotic_points_and_the_round_off_plateau_are_left_out():
     errors = [h**4 * (1 + 30 * h**2) + 1e-10 for h in H]
     fit = fit_order(H, errors, floor=1e-9)

@@ -73,15 +73,3 @@ def test_a_changed_coefficient_breaks_the_pairs_by_as_much():
     finally:
         del cb.METHODS["mutant"]
     assert drift == pytest.approx(1e-6 * PARTICLE.gamma * PARTICLE.t_end, rel=1e-2)
-
-
-def test_a_force_that_is_no_gradient_breaks_the_pairs():
-    def turned(q, coupling):
-        x, y = q
-        return (x + 2 * coupling * x * y + 1e-4 * y, y + coupling * x * x)
-
-    request = cb.prepare(PARTICLE, "contact-strang", step=0.1, save_at=saved(PARTICLE)).request
-    other = replace(request, scene=PARTICLE.with_(gradient=turned, hessian=None))  # `solve` would refuse it
-    right, wrong = (LAW(cb.METHODS["contact-strang"].prepare(r)()) for r in (request, other))
-    assert right < 1e-13
-    assert wrong > 1e-6

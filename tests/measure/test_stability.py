@@ -136,15 +136,6 @@ def test_the_exact_solution_has_no_error_of_its_rate(t_end):
     assert row["rate_error"] <= 1e-12
 
 
-def test_the_truth_between_frozen_times_is_that_of_one_long_run():
-    from stability_rows import SAMPLES, against_truth
-
-    scene = cb.SCENES["weak_damping_particle"]
-    times = scene.t_end * np.arange(1, SAMPLES + 1) / SAMPLES
-    run = cb.solve(scene, "heyoka-taylor", rtol=2.3e-16, save_at=times, carry=())
-    assert against_truth(scene, times, run.states())["rate_error"] < 1e-11
-
-
 @pytest.mark.parametrize("n", [1, 2, 7])
 @as_a_whole
 def test_the_matrix_of_a_run_is_the_run(method, n):

@@ -42,14 +42,6 @@ def test_a_ratio_is_found_in_noise_and_drift(true):
     assert inside >= 0.9 * 200  # a percentile interval of a median of 15 covers about 95 %
 
 
-def test_a_ratio_does_not_mind_single_interruptions_and_is_exact_without_noise():
-    base, head = np.full(15, 1e-3), np.full(15, 1.5e-3)
-    assert paired_ratio(base, head).ratio == pytest.approx(1.5, rel=1e-12)
-    head[[2, 7, 11]] *= 100
-    found = paired_ratio(base, head)
-    assert found.ratio == found.low == pytest.approx(1.5, rel=1e-12)
-
-
 # -- margins ---------------------------------------------------------------------------------------
 def test_a_margin_is_of_both_cells_and_of_processes_and_has_a_floor():
     assert margin((1.0, 1.0), 1.0) == FLOOR == 1.03

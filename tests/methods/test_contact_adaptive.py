@@ -7,7 +7,7 @@ import pytest
 
 import contactbench as cb
 from cases import USER, in_mp, random_state
-from contactbench.methods.step_density import frequency, next_density, squared_curvature
+from contactbench.methods.adaptive_program import frequency, next_density, squared_curvature
 from contactbench.scenes import hard_scenes, standard_scenes
 from contactbench.splitting.tables import RKN6
 

@@ -70,13 +70,6 @@ def test_numba_calls_it_in_a_compiled_loop(scene, method):
         y = step(y, STEP)
     np.testing.assert_allclose(run(step.start, STEP, 50), y, rtol=1e-13, atol=1e-14)
 
-    @numba.njit
-    def other(y, h, numbers):
-        return step(y, h, numbers)
-
-    numbers = tuple(2.0 * x for x in step.scene.numbers())
-    np.testing.assert_allclose(other(step.start, STEP, numbers), step(step.start, STEP, numbers), rtol=1e-13)
-
 
 def test_jax_compiles_and_vectorises_it():
     from contactbench.xla import jax, jnp

@@ -267,7 +267,7 @@ def test_the_budget_is_the_one_asked_for(name, engine, times):
     """Enough for the run, and one step less is not; diffrax's is looked at above."""
     options = {**tolerances(name), "save_at": times, "engine": engine}
     run = cb.prepare(SCENE, name, **options)
-    steps = run.count(run().counts).steps
+    steps = run().counts.steps
     assert cb.solve(SCENE, name, max_steps=steps, **options).ok
     assert cb.solve(SCENE, name, max_steps=steps - 1, **options).status is Status.budget
 
@@ -282,8 +282,8 @@ def test_rejected_steps_are_counted_or_known_not_to_be(name, engine, times):
     """Pericentre after pericentre of an eccentric orbit, where there must be some, but for Taylor's steps."""
     scene = cb.SCENES["kepler_drag"].with_(t_end=20.0)
     run = cb.prepare(scene, name, rtol=1e-6, save_at=times, engine=engine)
-    counts = run.count(run().counts)
-    if name in SILENT or engine == "c+python":
+    counts = run().counts
+    if name in SILENT or engine == "c+python" or (engine == "c++" and times is None):
         assert counts.rejected is None
     else:
         assert counts.rejected < counts.steps

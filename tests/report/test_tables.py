@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from contactbench.report import damping, ensemble, long_time, stability, work_precision
@@ -106,13 +105,6 @@ def test_rates_are_compared_at_equal_cost_and_ties_are_named():
     rows[2]["evaluations"] = 210
     (line,) = damping.rates_view(table("damping_rates", rows)).rows
     assert (line[1].text, line[1].mark) == ("scipy-radau 1.0e-10", Mark.best)
-
-
-def test_a_method_is_usable_up_to_the_first_damping_at_which_it_is_worse():
-    own, base = (
-        {"damping_per_evaluation": [0.1, 0.2, 0.3], "error": e} for e in ([0.1, 2.0, 0.1], [1.0] * 3)
-    )
-    assert damping.usable(pd.DataFrame(own), pd.DataFrame(base)) == 0.1
 
 
 # -- ensembles -------------------------------------------------------------------------------------

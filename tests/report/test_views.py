@@ -62,13 +62,10 @@ def test_the_glossary_has_every_method_scene_and_column():
     ("write", "value", "text"),
     [
         (duration, 2.0, "2 s"),
-        (duration, 1.5e-3, "1.5 ms"),
         (duration, 9.9999e-7, "1 µs"),
         (duration, float("nan"), "—"),
         (times, 1.254, "×1.25"),
-        (times, 12.6, "×13"),
         (times, 3123.0, "×3100"),
-        (count, 1234.0, "1234"),
         (count, 26104.4, "26\u202f104"),
         (power, 1e-12, "10⁻¹²"),
         (names, ["a", "b", "c"], "a, b and c"),

@@ -156,19 +156,21 @@ def test_a_kill_while_merging_loses_and_doubles_nothing(killed_while_merging, st
 
 def finished_cells(results):
     """The entries of all cells that runs have finished, merged or not."""
-    entries = []
-    for path in results.glob(f"{FOLDER}/*/*"):
-        if path.suffix in (".new", ".done"):
-            entries.append(json.loads(path.read_text()))
-    return entries
+    paths = results.glob(f"{FOLDER}/*/*")
+    return [json.loads(path.read_text()) for path in paths if path.suffix in (".new", ".done")]
+
+
+def wait_for(condition, seconds=120):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
 
 
 def kill_after(process, results, moment):
     """Kill a run as soon as it has finished so many cells more than there were."""
-    deadline, before = time.monotonic() + 120, len(finished_cells(results))
-    while process.poll() is None and len(finished_cells(results)) < before + moment:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wanted = len(finished_cells(results)) + moment
+    wait_for(lambda: process.poll() is not None or len(finished_cells(results)) >= wanted)
     alive = process.poll() is None
     process.send_signal(signal.SIGKILL)
     process.communicate()
@@ -191,10 +193,7 @@ def assert_there_once(results, entries):
 @pytest.mark.quick(moment=1)
 def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
     process = bench(tmp_path, SMALL)
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob(f"{FOLDER}/*.json")):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wait_for(lambda: list(tmp_path.glob(f"{FOLDER}/*.json")))
     kill_after(process, tmp_path, moment)
     kept = finished_cells(tmp_path)
     output = finished(bench(tmp_path, SMALL, "--resume"))

@@ -249,26 +249,6 @@ def test_derivatives_of_formulas_against_jax(name):
             np.testing.assert_allclose(found, hessian, rtol=1e-11, atol=1e-12)
 
 
-WRITTEN = cb.SCENES["central"].with_(t_end=3.0)
-TAKERS = [method for method in cb.METHODS.values() if method.refuses(WRITTEN) is None]
-
-
-@pytest.mark.parametrize("method", TAKERS, ids=lambda m: m.name)
-@pytest.mark.quick(method=tuple(m.name for m in TAKERS if "diffrax" not in m.name))
-def test_a_scene_needs_its_potential_only(method):
-    """Every engine has the force, and the Jacobian where it takes one, that the potential implies."""
-
-    def potential(q):
-        square = q[0] ** 2 + q[1] ** 2
-        return square / 2 + square**2 / 4
-
-    scene = Mechanical(name="bare", potential=potential, gamma=0.1, q=WRITTEN.q, p=WRITTEN.p, t_end=3.0)
-    options = {"rtol": 1e-8} if method.adaptive else {"step": 0.02 if method.order > 1 else 0.002}
-    expected, found = (cb.solve(s, method.name, save_at=[3.0], **options) for s in (WRITTEN, scene))
-    assert found.ok
-    np.testing.assert_allclose(found.y, expected.y, rtol=0, atol=1e-6 if method.adaptive else 1e-10)
-
-
 def test_a_potential_that_cannot_be_differentiated_needs_a_gradient():
     with pytest.raises(cb.BadInput, match="its gradient is missing"):
         oscillator(lambda q: math.sin(q[0]), None)

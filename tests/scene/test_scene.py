@@ -7,69 +7,12 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, CONTACT_SCENES, TILTED, by_name, in_mp, random_state
+from cases import ALL_SCENES, TILTED, by_name, random_state
+from contactbench.peers.heyoka import taylor_system
 from contactbench.scene import rotation_matrix, verify
 from contactbench.xla import jax, jnp
 
-MECHANICAL = [s for s in ALL_SCENES if isinstance(s, cb.Mechanical)]
-BODIES = [s for s in ALL_SCENES if isinstance(s, cb.RigidBody)]
 AD = 1e-13  # a handful of float64 operations on numbers of size one
-
-
-@by_name(MECHANICAL)
-def test_gradient_and_hessian_are_the_derivatives_of_the_potential(scene):
-    q = jnp.array(random_state(scene).q)
-    gradient = jax.grad(lambda q: scene.V(tuple(q)))(q)
-    np.testing.assert_allclose(scene.dV(tuple(q)), gradient, rtol=AD, atol=AD)
-    if scene.hessian is not None:
-        hessian = jax.hessian(lambda q: scene.V(tuple(q)))(q)
-        mine = np.array(scene.hessian(tuple(q.tolist()), **scene.parameters))
-        np.testing.assert_allclose(mine, hessian, rtol=AD, atol=AD)
-
-
-@by_name(ALL_SCENES)
-def test_same_right_hand_side_on_floats_numpy_jax_mpmath_and_heyoka(scene):
-    x = random_state(scene, 4)
-    y = scene.pack(x)
-    expected = np.array(scene.pack(scene.rhs(x)))
-    carry = scene.optional
-
-    ensemble = scene.unpack(tuple(np.array([v, 2 * v]) for v in y), carry)
-    np.testing.assert_array_equal([c[0] for c in scene.pack(scene.rhs(ensemble))], expected)
-
-    traced = jax.jit(
-        lambda y, n: jnp.stack(scene.pack(scene.with_numbers(list(n)).rhs(scene.unpack(list(y), carry))))
-    )
-    np.testing.assert_allclose(traced(jnp.array(y), jnp.array(scene.numbers())), expected, rtol=AD, atol=AD)
-
-    exact, z = in_mp(scene, x)
-    np.testing.assert_allclose([float(c) for c in scene.pack(exact.rhs(z))], expected, rtol=AD, atol=AD)
-
-    from contactbench.peers.heyoka import taylor_system
-
-    system = taylor_system(scene, carry, heyoka)
-    field = heyoka.cfunc([e for _, e in system], [v for v, _ in system])
-    state, time = np.array(scene.without_clock(y)), {} if scene.clock is None else {"time": y[scene.clock]}
-    np.testing.assert_allclose(field(state, **time), scene.without_clock(expected), rtol=AD, atol=AD)
-
-
-@by_name(CONTACT_SCENES)
-def test_contact_hamiltonian_and_momentum_decay_at_the_conformal_rate(scene):
-    """H' = −γH always; J' = −γJ + torque, the torque zero where the law is claimed."""
-    x = random_state(scene, 5)
-    y = jnp.array(scene.pack(x))
-    slope = jnp.array(scene.pack(scene.rhs(x)))
-
-    def along(f):
-        return jax.jvp(lambda y: jnp.asarray(f(scene.unpack(list(y), scene.optional))), (y,), (slope,))
-
-    H, dH = along(scene.hamiltonian)
-    np.testing.assert_allclose(dH, -scene.conformal_rate * H, rtol=1e-12, atol=AD)
-    J, dJ = along(lambda x: jnp.array(scene.momentum(x)) if scene.momentum(x) else 0.0)
-    if scene.has_momentum_law:
-        np.testing.assert_allclose(dJ, -scene.conformal_rate * J, rtol=1e-12, atol=AD)
-    elif scene.momentum(x):
-        np.testing.assert_allclose(dJ, -scene.conformal_rate * J + jnp.array(scene.torque(x)), atol=1e-12)
 
 
 def test_tilted_damping_is_the_matrix_itself():
@@ -157,3 +100,20 @@ def test_carry_decides_what_is_integrated():
 def test_energy_is_bound_to_fall_only_under_a_constant_damping_above_zero(changes, may):
     """At γ = 0 the truth keeps H0, and half of a method's round-off raises it."""
     assert cb.SCENES["particle"].with_(**changes).may_gain_energy is may
+
+
+@by_name(ALL_SCENES)
+def test_same_right_hand_side_on_jax_and_heyoka(scene):
+    """On arrays and decimal numbers: rule 4 of the contract."""
+    x, carry = random_state(scene, 4), scene.optional
+    y, expected = scene.pack(x), np.array(scene.pack(scene.rhs(x)))
+
+    traced = jax.jit(
+        lambda y, n: jnp.stack(scene.pack(scene.with_numbers(list(n)).rhs(scene.unpack(list(y), carry))))
+    )
+    np.testing.assert_allclose(traced(jnp.array(y), jnp.array(scene.numbers())), expected, rtol=AD, atol=AD)
+
+    system = taylor_system(scene, carry, heyoka)
+    field = heyoka.cfunc([e for _, e in system], [v for v, _ in system])
+    state, time = np.array(scene.without_clock(y)), {} if scene.clock is None else {"time": y[scene.clock]}
+    np.testing.assert_allclose(field(state, **time), scene.without_clock(expected), rtol=AD, atol=AD)

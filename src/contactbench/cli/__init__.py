@@ -11,7 +11,6 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import Any
 
-from contactbench.boundary import VARIABLE, limit
 from contactbench.cli import check, claim, compare, gate, listing, references, report, solve
 from contactbench.cli.parsing import PLUGIN, Intermixed, Parser
 from contactbench.errors import BadInput, one_line
@@ -28,12 +27,9 @@ def parser() -> argparse.ArgumentParser:
         epilog="""examples:
   contactbench list methods
   contactbench solve particle contact-strang --step 0.01
-  contactbench solve particle my-method --step 0.01 --plugin my.py
-  contactbench compare particle
   contactbench check my-method --plugin my.py
-  contactbench claim C25
-  contactbench report --results results
 
+More with each command's --help.
 The tables come from the benchmark, `tox -e bench`.
 Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an error in a plug-in.""",
     )
@@ -97,9 +93,6 @@ def main(argv: list[str] | None = None) -> int:
     plugins, _ = PLUGIN.parse_known_args(argv)
     arguments = parser().parse_args(argv)
     try:
-        if plugins.plugin_timeout is not None:
-            os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
-            limit()
         if plugins.plugin:
             from contactbench.plugins import load_file
 

@@ -31,7 +31,6 @@ def composition(
     drift: Sequence[Any],
     *,
     nystrom: bool = False,
-    symmetric: bool | None = None,
     about: str = "composition of one's own coefficients",
 ) -> ContactMethod:
     """Register the contact integrator that applies kicks and damped drifts in turn.
@@ -40,12 +39,11 @@ def composition(
         begins and ends (lists of the same length begin with a kick).  Each adds up to one; what the rounding
         of printed digits leaves of that goes to the middle, so that the conformal factor of a step is e^{−γh}.
     nystrom : the order rests on the potential depending on q alone; rigid bodies are then refused.
-    symmetric : if given, whether the stages read the same backwards; it must be so.
 
     The order is measured, on the particle and, unless `nystrom`, on the rigid body.  The method is then one of
     METHODS: it has its row in `compare`, and from a plug-in in every table.
-    Raises `BadInput` for lists whose lengths do not alternate, sums that are not one, a name that is taken, a
-    symmetry or an order that is not there.
+    Raises `BadInput` for lists whose lengths do not alternate, sums that are not one, a name that is taken, or an
+    order that is not there.
 
     >>> import contactbench as cb
     >>> leapfrog = cb.composition("my-leapfrog", order=2, kick=[0.5, 0.5], drift=[1])
@@ -54,10 +52,6 @@ def composition(
     text("about", about)
     order = whole("order", order, MOST)
     made = Composition(name, order, stages(exact("kick", kick), exact("drift", drift)), about, nystrom)
-    if symmetric is not None and symmetric != made.palindromic:
-        raise BadInput(
-            f"symmetric = {symmetric}: the stages {'' if made.palindromic else 'do not '}read the same backwards"
-        )
     method = contact_method(made)
     check_order(method)
     METHODS.add(method)

@@ -1,4 +1,4 @@
-"""The loop of `contact-adaptive` (see there) as a recorded function: over its steps and the saved times."""
+"""The step density ρ of `contact-adaptive` (see there) on every kind of number, and its loop as a recorded function."""
 
 from __future__ import annotations
 
@@ -6,13 +6,52 @@ import math
 from typing import Any
 
 from contactbench.methods.base import SHORTEST
-from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.scene import Mechanical, dot
+from contactbench.scene import Mechanical, Vector, dot
 from contactbench.solution import DIVERGENCE
 from contactbench.splitting.composition import Composition, advance
 from contactbench.trace.form import Assign, Element, Function, Loop, Operation, Store, Update, While
 from contactbench.trace.recording import Block, Recorded, RecordedNumbers, Tape, operand_of
+
+#: the density may fall by this factor in one step, at most: with a tolerance so loose that it would
+#: otherwise become negative, symmetry is lost
+SLOWEST = 0.25
+
+
+def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
+    """‖∇²V‖²_F at q and its rate of change along v."""
+    if scene.hessian is not None:
+        rows = scene.hessian(tuple(map(Dual, q, v)), **scene.parameters)
+        entries = [entry for row in rows for entry in row]
+    else:
+        moving, entries = tuple(map(Dual, q, v)), []
+        for j in range(len(q)):
+            column = scene.dV(tuple(Dual(x, float(i == j)) for i, x in enumerate(moving)))
+            entries += [slope(entry) for entry in column]
+    total = Dual(0.0, 0.0)
+    for entry in entries:
+        total = total + entry * entry
+    return Dual(value(total), slope(total))
+
+
+def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
+    """ω, and d ln ω/dt along the motion."""
+    square = scene.inverse_mass * scene.inverse_mass
+    curvature = squared_curvature(scene, x.q, tuple(p * scene.inverse_mass for p in x.p))
+    damping = scene.gamma * scene.gamma / 64
+    fourth = curvature.a * square + damping * damping + 1 / (span * span * span * span)
+    return fourth**0.25, curvature.b * square / (4 * fourth)
+
+
+def first_density(scene: Mechanical, x: Any, epsilon: Any, span: Any, largest: Any) -> Any:
+    """ρ of the first step."""
+    omega, growth = frequency(scene, x, span)
+    return largest(omega + epsilon * growth / 2, SLOWEST * omega)
+
+
+def next_density(scene: Mechanical, x: Any, density: Any, epsilon: Any, span: Any, largest: Any) -> Any:
+    """ρ of the step after x."""
+    return largest(density + epsilon * frequency(scene, x, span)[1], SLOWEST * density)
 
 
 def record_loop(

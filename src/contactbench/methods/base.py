@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.prepared import Prepared
 from contactbench.methods.request import METHODS, Request
 from contactbench.scene import Scene
@@ -24,6 +23,19 @@ CLAMPED = 2.3e-14
 #: a step this small against the span hardly moves the clock: a singularity is ahead
 SHORTEST = 1e-15
 
+#: engine → "compiled" (solver and right-hand side are machine code) or "callbacks" (the right-hand side,
+#: or the solver too, is Python)
+ENGINES = {
+    "numba": "compiled",
+    "jax": "compiled",
+    "llvm": "compiled",
+    "c": "compiled",
+    "c++": "compiled",
+    "python": "callbacks",
+    "c+python": "callbacks",
+}
+CALLBACKS = tuple(engine for engine, kind in ENGINES.items() if kind == "callbacks")
+
 
 class Method(ABC):
     """What can be compared with the other methods.
@@ -32,11 +44,11 @@ class Method(ABC):
     that chooses its own steps, subclass `Adaptive` and write `prepare`.  Everything else here has a default.
 
      1. It declares itself: `name` (a key in tables and a word on the command line), `about` (one line with its
-        source), `family` (one of `FAMILIES`), `engines` (keys of `engines.ENGINES`, the default first), `order`.
+        source), `family` (one of `FAMILIES`), `engines` (keys of `ENGINES`, the default first), `order`.
      2. ``refuses(scene)`` is None or one sentence: why the scene is out of reach.  A run of a refused scene ends
         `unsupported` with that sentence, and never raises.
      3. ``prepare(request)`` does all that depends on scene, setting and saved times alone (recording, compiling,
-        allocating); where that fails for one engine it returns `Refused`, and the next engine is tried.  The
+        allocating); where that fails for one engine it raises `CannotRecord`, and the next one is tried.  The
         result is called any number of times, with other initial data if wanted; no call leaves a trace: equal
         data, equal bits.
      4. A run gives the states at exactly the saved times, the initial state bit for bit where 0 is among them.
@@ -49,8 +61,7 @@ class Method(ABC):
      7. `max_steps` is never exceeded: a run that needs more ends as `budget`, and the states it did not reach
         are NaN.  So are they after `diverged` (which comes with the time, to the step) and `failed`.
      8. `Counts.evaluations` are all evaluations that a run made, of the kind the counts name, those for a
-        Jacobian, an interpolant or a pilot included; None where the solver does not say and
-        ``Prepared.count`` finds it out or cannot.
+        Jacobian, an interpolant or a pilot included; None where the solver does not say.
      9. All engines compute the same: to round-off where the steps are given, else within the tolerance.
     10. Claims hold on every scene that is not refused, and are not left out where they hold: `contact` (every
         run is a composition of contact maps whose factors are those of the exact flow), `symmetric`

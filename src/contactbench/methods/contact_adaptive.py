@@ -29,13 +29,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.adaptive_program import record_loop
+from contactbench.methods.adaptive_program import first_density, next_density, record_loop
 from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused, stopwatch
+from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.methods.request import NO_NUMBER
-from contactbench.methods.step_density import first_density, next_density
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Mechanical, Scene
@@ -84,17 +83,15 @@ class AdaptiveContactRun(Prepared):
         number of steps does not change."""
 
     def differential(self, y0: np.ndarray, out: Outcome, frozen: bool) -> Differential:
-        source = self.sensitivity_source if frozen else self.map_source
-        return Differential(source, out.y, self.sensitivity(y0, frozen)[None])
+        with suppress(CannotRecord):
+            if not frozen:
+                return Differential(self.map_source, out.y, self.sensitivity(y0, frozen=False)[None])
+        return super().differential(y0, out, frozen)
 
     def outcome(
         self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: list[float], density: float
     ) -> Outcome:
         """The outcome of a run whose sequence of steps ended at (time, last); y : NaN where not reached."""
-        if len(y) == 1:
-            out = self.at_end(y0, y[0].tolist(), y, self.cost(steps, 1))
-            if out.checked:
-                return out
         r = self.request
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
         counts = self.cost(steps, reached)
@@ -325,12 +322,7 @@ class AdaptiveContactMethod(Adaptive):
             "jax": AdaptiveJaxLoop,
             "python": AdaptivePythonLoop,
         }
-        try:
-            return loops[request.engine](self.name, request)
-        except CannotRecord as why:
-            return Refused(
-                self.name, request, f"{self.name} on {request.scene.name!r} cannot be compiled: {why}"
-            )
+        return loops[request.engine](self.name, request)
 
 
 METHODS.add(AdaptiveContactMethod())

@@ -14,15 +14,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, Method, Request
+from contactbench.methods.base import CALLBACKS, METHODS, Method, Request
 from contactbench.methods.compiled import CompiledRun
-from contactbench.methods.engines import CALLBACKS
 from contactbench.methods.numba_engine import Loop, loop_of
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.prepared import Prepared
 from contactbench.methods.request import NO_NUMBER
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
@@ -190,10 +188,7 @@ class ExactMethod(Method):
 
     def prepare(self, request: Request) -> Prepared:
         runs: dict[str, type[Any]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}
-        try:
-            return cast("Prepared", runs[request.engine](self.name, request))
-        except CannotRecord as why:
-            return Refused(self.name, request, str(why))
+        return cast("Prepared", runs[request.engine](self.name, request))
 
 
 METHODS.add(ExactMethod())

@@ -10,16 +10,17 @@ import numpy as np
 
 from contactbench.boundary import blame
 from contactbench.errors import BadInput, excerpt, positive, text, whole
-from contactbench.methods.base import METHODS, Method, Request
-from contactbench.methods.engines import CALLBACKS
+from contactbench.methods.base import CALLBACKS, METHODS, Method, Request
 from contactbench.methods.prepared import Prepared, Refused, begins
 from contactbench.methods.request import default_times, long_enough, saved_times
 from contactbench.methods.step_map import StepMap, try_step
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
 from contactbench.solution import Solution
 from contactbench.trace.compiled import compiles
+from contactbench.trace.recording import reason_of
 
 DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
@@ -70,14 +71,26 @@ def prepare(
         return request
     engines = engines_of(chosen) if engine is None else (engine,)
     try:
-        run = first = chosen.prepare(request)
+        run = first = compiled_by(chosen, request)
         for other in engines[1:]:
             if not isinstance(run, Refused):
                 return run
-            run = chosen.prepare(replace(request, engine=other))
+            run = compiled_by(chosen, replace(request, engine=other))
     except BaseException as error:
         raise blame(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
     return first if isinstance(run, Refused) else run
+
+
+def compiled_by(method: Method, request: Request) -> Prepared:
+    """Return a method's run on one engine; `Refused` where scene or method cannot be compiled for it."""
+    try:
+        return method.prepare(request)
+    except CannotRecord as error:
+        what = f"{method.name} on {request.scene.name!r} cannot be compiled"
+        others = [
+            f"; engine {engine!r} calls it as it is" for engine in method.engines if engine in CALLBACKS
+        ]
+        return Refused(method.name, request, f"{what}: {reason_of(error)}{''.join(others)}")
 
 
 def make_request(

@@ -11,11 +11,10 @@ from contactbench.methods.base import FAMILIES, METHODS, Request
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxLoop
 from contactbench.methods.numba_engine import NumbaLoop
-from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.prepared import Prepared
 from contactbench.methods.python_engine import PythonLoop
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.methods.step_map import Step, StepMap
-from contactbench.numbers.protocol import CannotRecord
 
 ENGINES: dict[str, type[FixedStepRun]] = {"numba": NumbaLoop, "jax": JaxLoop, "python": PythonLoop}
 
@@ -26,13 +25,9 @@ class FixedStep(StepMap):
 
     def prepare(self, request: Request) -> Prepared:
         run = ENGINES[request.engine]
-        try:
-            if request.step is not None:
-                return run(self.name, request, self)
-            return ChosenStep(self.name, request, self, run)
-        except CannotRecord as why:
-            what = f"{self.name} on {request.scene.name!r} cannot be compiled"
-            return Refused(self.name, request, f"{what}: {why}")
+        if request.step is not None:
+            return run(self.name, request, self)
+        return ChosenStep(self.name, request, self, run)
 
 
 #: no method has more stages, nor a higher order

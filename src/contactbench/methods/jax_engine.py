@@ -10,7 +10,6 @@ import numpy as np
 
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.outcome import Outcome
 from contactbench.methods.step_map import identity
 from contactbench.numbers.control import Repeat
 from contactbench.numbers.xla import XlaNumbers
@@ -29,8 +28,8 @@ def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
 rolled = Repeat(compiled_loop, over_stages=True)
 
 
-class JaxSteps(FixedStepRun, CompiledRun):
-    """The steps as a loop inside a scan over the saved times, to be compiled, and their derivative."""
+class JaxLoop(FixedStepRun, CompiledRun):
+    """The compiled steps: a loop inside a scan over the saved times."""
 
     sensitivity_source = "forward-mode AD through the numerical map"
 
@@ -41,6 +40,7 @@ class JaxSteps(FixedStepRun, CompiledRun):
         self.capacity = self.room(len(self.n))
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(self.spans(self.h, self.n))
+        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
 
     def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """The arguments of the program; intervals beyond those asked for have no steps."""
@@ -80,32 +80,9 @@ class JaxSteps(FixedStepRun, CompiledRun):
             return derivative
         return np.concatenate([np.array(self.tangents(y0)).T[None], derivative])
 
-    @cached_property
-    def steps(self) -> tuple[Any, float]:
-        """The compiled program, and the seconds it took."""
-        return self.compiled("run", self.states, self._own_start, self.fixed)
-
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        program, fixed = self.steps[0], self.fixed if n is self.n else self.spans(h, n)
-        return np.asarray(program(self.placed(y0), fixed))[: len(n)]
-
-
-class JaxLoop(JaxSteps):
-    """The compiled steps."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _, self.compile_s = self.steps
+        fixed = self.fixed if n is self.n else self.spans(h, n)
+        return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        program, _ = self.steps
-        return np.asarray(program(self.placed(y0), self.fixed))[len(self.n) - 1]
-
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        if self._saves == 1 and not self.saves_start and self.needed <= self.request.max_steps:
-            program, _ = self.steps
-            y = np.asarray(program(self.placed(y0), self.fixed))[:1]
-            out = self.at_end(y0, y[0].tolist(), y, self.totals)
-            if out.checked:  # else the step at which it diverged is to be found
-                return out
-        return super().integrate(y0)
+        return np.asarray(self.program(self.placed(y0), self.fixed))[len(self.n) - 1]

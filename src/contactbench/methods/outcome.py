@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
-from math import hypot
 from typing import Any
 
 import numpy as np
@@ -42,7 +40,6 @@ class Saves:
         self._own_start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
         self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
         self._bounded = isinstance(r.scene, Scene) and r.scene.bounds_energy
-        self._own_bound = divergence_bound(self._own_start[: self._motion])
         self._saves = len(r.save_at)
         self.saves_start = r.save_at[0] == 0
         #: the saved times > 0
@@ -89,21 +86,9 @@ class Saves:
         return y
 
     # -- how a run ended -------------------------------------------------------------------------------
-    def _bound(self, y0: np.ndarray) -> float:
-        return self._own_bound if y0 is self._own_start else divergence_bound(y0[: self._motion])
-
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
         """Return the index of the first saved state in y that is not finite or out of scale, or None."""
-        return first_divergence(y, self._motion, self._bound(y0))
-
-    def at_end(self, y0: np.ndarray, end: list[float], y: np.ndarray, counts: Counts) -> Outcome:
-        """Return the outcome of a solver that says it is at the only saved time: y (1, d), and the same as floats.
-
-        As `finish`, sooner: the call of a short run is not to cost more than the run.
-        """
-        if hypot(*end) <= self._bound(y0):  # nan fails every comparison
-            return Outcome(y, counts, Status.ok, "", self._end, True)
-        return self.finish(y0, y, counts)
+        return first_divergence(y, self._motion, divergence_bound(y0[: self._motion]))
 
     def finish(
         self,
@@ -161,7 +146,9 @@ class Saves:
         small beside the terms at the end, after a start next to an equilibrium, is no such rise.
         """
         r = self.request
-        start, most = self._own_energy if y0 is self._own_start else self._energy(y0)
+        x = r.scene.unpack(y0.tolist(), r.carry)
+        start = r.scene.energy(x)
+        most = start + r.scene.energy_terms(x)  # no motion from there reaches it
         x = r.scene.unpack(out.y[-1].tolist(), r.carry)
         end = r.scene.energy(x)
         if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
@@ -172,14 +159,3 @@ class Saves:
         y[first:] = math.nan
         message = f"H0 rose from {start:.6g} to {end:.6g}, above all that the scene allows: a smaller step is needed"
         return replace(out, y=y, status=Status.diverged, message=message, end_time=time, checked=True)
-
-    def _energy(self, y0: np.ndarray) -> tuple[float, float]:
-        """H0 at a start, and the bound that it cannot reach on any motion from there."""
-        scene = self.request.scene
-        x = scene.unpack(y0.tolist(), self.request.carry)
-        start = float(scene.energy(x))
-        return start, start + float(scene.energy_terms(x))
-
-    @cached_property
-    def _own_energy(self) -> tuple[float, float]:
-        return self._energy(self._own_start)

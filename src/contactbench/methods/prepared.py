@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from time import perf_counter
@@ -16,6 +17,7 @@ from contactbench.errors import BadInput, excerpt
 from contactbench.methods.differences import differences
 from contactbench.methods.outcome import Outcome, Saves
 from contactbench.methods.request import METHODS, NO_NUMBER, Request
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Differential, Solution, Status
 
@@ -24,9 +26,8 @@ from contactbench.solution import Counts, Differential, Solution, Status
 class Prepared(Saves, ABC):
     """A compiled solver: call it, with other initial data if you like, to get a `Solution`.
 
-    A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; `count` where
-    a run does not tell its cost; and, where its map can be differentiated, `sensitivity` (or `linearised`)
-    together with `sensitivity_source`.
+    A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; and, where its
+    map can be differentiated, `sensitivity` (or `linearised`) together with `sensitivity_source`.
 
     It belongs to what the scene's functions computed when it was prepared.  A function that cannot be recorded is
     called as it is; where that is so, and something has changed since, a call computes with the change.
@@ -55,7 +56,7 @@ class Prepared(Saves, ABC):
 
     def __reduce__(self) -> Any:
         """Pickled as what it was prepared from."""
-        return Deferred, (self.method, self.request)
+        return prepare_again, (self.method, self.request)
 
     def __call__(self, **data: Any) -> Solution:
         r, y0 = self.request, self._own_start
@@ -96,10 +97,6 @@ class Prepared(Saves, ABC):
         """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
         return self.integrate(y0).y[-1]
 
-    def count(self, counts: Counts) -> Counts:
-        """Return the cost of one run, from its own counts; may repeat it in a slower mode that tells more."""
-        return counts
-
     # -- the map of the steps taken --------------------------------------------------------------------
     @property
     def steps_follow_state(self) -> bool:
@@ -124,8 +121,9 @@ class Prepared(Saves, ABC):
         To round-off where the engine can, else by differences of the solver.
         """
         if self.sensitivity_source and (frozen or not self.steps_follow_state):
-            states, derivative = self.linearised(y0, out.y)
-            return Differential(self.sensitivity_source, states, derivative[None])
+            with suppress(CannotRecord):  # a function that dual numbers do not know
+                states, derivative = self.linearised(y0, out.y)
+                return Differential(self.sensitivity_source, states, derivative[None])
         if frozen and self.steps_follow_state:
             return Differential("", out.y, np.empty((0, *out.y.shape, 0)))
         return differences(self, y0, out)
@@ -142,24 +140,9 @@ class Prepared(Saves, ABC):
         return None
 
 
-@dataclass
-class Deferred:
-    """A run that has come out of a pickle: it is prepared anew when something is asked of it."""
-
-    method: str
-    request: Request
-
-    @cached_property
-    def run(self) -> Prepared:
-        return METHODS[self.method].prepare(self.request)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.run, name)
-
-    def __call__(self, **data: Any) -> Solution:
-        return self.run(**data)
+def prepare_again(method: str, request: Request) -> Prepared:
+    """Return a run that has come out of a pickle."""
+    return METHODS[method].prepare(request)
 
 
 class Refused(Prepared):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.jax_engine import JaxSteps
+from contactbench.methods.jax_engine import JaxLoop
 from contactbench.methods.numba_engine import NumbaLoop
 from contactbench.methods.prepared import stopwatch
 from contactbench.methods.request import NO_NUMBER
@@ -45,7 +45,7 @@ class PythonLoop(FixedStepRun):
             run.with_tangent = self.with_tangent
             return run.sensitivity(y0)
         except CannotRecord:
-            return JaxSteps(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
+            return JaxLoop(self.method, replace(self.request, engine="jax"), self.method_).sensitivity(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         spans = list(zip(h.tolist(), n.tolist(), strict=True))

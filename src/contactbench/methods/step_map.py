@@ -9,8 +9,7 @@ from typing import Any
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, excerpt, is_number
-from contactbench.methods.base import Method
-from contactbench.methods.engines import CALLBACKS
+from contactbench.methods.base import CALLBACKS, Method
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
@@ -185,14 +184,9 @@ def _try_step(method: StepMap, scene: Scene, carry: tuple[str, ...], step: float
         raise BadInput(f"{what}: its step map returns {excerpt(after)}: must be a {type(x).__name__}")
     for name, old, new in zip(x._fields, x, after, strict=True):
         if not _alike(old, new):
-            wanted = (
-                f"{len(old)} numbers, a tuple"
-                if isinstance(old, tuple)
-                else "None"
-                if old is None
-                else "a number"
+            raise BadInput(
+                f"{what}: its step map returns {name} = {excerpt(new)}: must be like {excerpt(old)}"
             )
-            raise BadInput(f"{what}: its step map returns {name} = {excerpt(new)}: must be {wanted}")
     return True
 
 

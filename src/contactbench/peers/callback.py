@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import Request
 from contactbench.methods.prepared import Prepared
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.variational import SOURCE, numerical_derivative, run_variational, variational_request
+from contactbench.peers.c_functions import derivative
+from contactbench.peers.variational import SOURCE, run_variational, variational_request
 from contactbench.scene import System
 from contactbench.trace.form import Function, Unpack
 from contactbench.trace.python import execute
@@ -47,7 +47,9 @@ class CallbackPeer(Prepared):
         return self.insert_clock(np.reshape(rows, (-1, len(y))), start, self.request.save_at[: len(rows)])
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return run_variational(replace(self, request=variational(self.request)), y0)
+        carry = self.request.carry
+        larger = variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
+        return run_variational(replace(self, request=larger), y0)
 
 
 def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
@@ -71,7 +73,7 @@ def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, .
 
 def flat_rhs(scene: System, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
     """``f(t, y) -> slopes`` on a list of floats."""
-    return record_function(scene, "rhs", carry) or scene.on_lists(carry)
+    return record_function(scene, "rhs", carry) or (lambda t, y: scene.slopes(t, y, carry))
 
 
 def flat_jacobian(scene: System, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Rows] | None:
@@ -79,8 +81,3 @@ def flat_jacobian(scene: System, carry: tuple[str, ...]) -> Callable[[float, Seq
     if not scene.has_jacobian:
         return None
     return record_function(scene, "jacobian", carry) or (lambda t, y: motion_jacobian(scene, t, y, carry))
-
-
-def variational(request: Request) -> Request:
-    """The same question about the scene and its tangents, on plain floats."""
-    return variational_request(request, numerical_derivative(request.scene, request.carry))

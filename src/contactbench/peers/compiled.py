@@ -65,11 +65,9 @@ class CompiledPeer(Prepared):
             else:
                 rows = np.empty((len(self.later), len(y0)))
                 facts = self.calls.at_times(y0, self.later, rows, *self.arguments)
-        flag, reached, saved, steps, evaluations, jacobians, rejected, *last = facts.tolist()
+        flag, reached, saved, steps, evaluations, jacobians, rejected = facts[:KNOWN].tolist()
         counts = self.counts(int(steps), int(evaluations), int(jacobians), rejected)
         status, message = self.ending(int(flag))
-        if status is Status.ok and self._saves == 1:
-            return self.at_end(y0, last, rows, counts)
         rows = self.from_start(y0, rows[: int(saved)])
         if status is Status.ok:
             return self.finish(y0, rows, counts)

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Request
 from contactbench.methods.prepared import Prepared, Refused
-from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.abi import KNOWN
 from contactbench.peers.abi.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, why_not
 from contactbench.peers.compiled import CompiledPeer
 from contactbench.scene import Scene
@@ -53,22 +51,9 @@ class CyrkRun(CompiledPeer):
 
     def counts(self, steps: int, evaluations: int, jacobians: int, rejected: float) -> Counts:
         """Rejected steps follow from the evaluations, unless an interpolation asks for some of its own."""
-        known = self.stages and self.final_only
-        return Counts(steps, evaluations, 0, self.rejected(steps, evaluations) if known else None)
-
-    def rejected(self, steps: int, evaluations: int) -> int:
-        """Return the rejected steps of a method with `stages`."""
-        assert self.stages is not None
-        return (evaluations - BEFORE) // self.stages - steps
-
-    def count(self, counts: Counts) -> Counts:
-        """With the rejected steps of a run to the last time."""
-        if counts.rejected is None and self.stages:
-            facts = self.calls.to_end(self._own_start, *self.arguments)
-            flag, _, _, steps, evaluations = map(int, facts[: KNOWN - 2])
-            if flag == SUCCESS:
-                return counts._replace(rejected=self.rejected(steps, evaluations))
-        return counts
+        if self.stages is None or not self.final_only:
+            return Counts(steps, evaluations, 0, None)
+        return Counts(steps, evaluations, 0, (evaluations - BEFORE) // self.stages - steps)
 
 
 @dataclass(frozen=True)
@@ -90,10 +75,7 @@ class CyrkMethod(Adaptive):
     def prepare(self, request: Request) -> Prepared:
         if why := why_not():
             return Refused(self.name, request, why)
-        try:
-            return CyrkRun(self.name, request, self.solver, stages=self.stages)
-        except CannotRecord as reason:
-            return Refused(self.name, request, str(reason))
+        return CyrkRun(self.name, request, self.solver, stages=self.stages)
 
 
 for _method in (

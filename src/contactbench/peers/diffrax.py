@@ -15,8 +15,7 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Request
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.methods.prepared import Prepared
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -140,8 +139,6 @@ class DiffraxRun(CompiledRun):
         accepted, rejected = int(accepted), int(rejected)
         evaluations = int(counted[0]) if counted else self.method_.evaluations(accepted, rejected)
         counts = Counts(accepted, evaluations, 0, rejected)
-        if successful and self._saves == 1:
-            return self.at_end(y0, last, y, counts)
         if successful:
             return self.finish(y0, y, counts)
         # Unsuccessful runs may still hold a finite state at the wrong time: keep only what was
@@ -188,11 +185,7 @@ class DiffraxMethod(Adaptive):
         return 2 if self.stiff else None
 
     def prepare(self, request: Request) -> Prepared:
-        try:
-            return DiffraxRun(self.name, request, self)
-        except CannotRecord as why:
-            what = f"{self.name} on {request.scene.name!r} cannot be compiled"
-            return Refused(self.name, request, f"{what}: {why}")
+        return DiffraxRun(self.name, request, self)
 
 
 METHODS.add(DiffraxMethod("diffrax-tsit5", "Tsit5", 5, 6, "Tsitouras 5(4), explicit"))

@@ -18,14 +18,12 @@ import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Request
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused, stopwatch
-from contactbench.numbers.protocol import CannotRecord
+from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.peers.variational import SOURCE, run_variational, variational_request
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
-from contactbench.trace.recording import reason_of
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
@@ -116,7 +114,7 @@ class TaylorRun(Prepared):
             y = self.insert_clock(ta.state, origin, self.end).copy()
             if outcome == self.outcomes.time_limit:
                 counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
-                return self.at_end(y0, y.tolist(), y[None], counts)
+                return self.finish(y0, y[None], counts)
             y = y[None][:0]
         else:
             start = r.save_at[0] == 0
@@ -160,10 +158,7 @@ class TaylorMethod(Adaptive):
         return None
 
     def prepare(self, request: Request) -> Prepared:
-        try:
-            return TaylorRun(self.name, request)
-        except CannotRecord as why:
-            return Refused(self.name, request, str(reason_of(why)))
+        return TaylorRun(self.name, request)
 
 
 METHODS.add(TaylorMethod())

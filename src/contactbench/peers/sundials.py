@@ -18,7 +18,6 @@ from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Req
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.methods.request import NO_NUMBER
-from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.abi.cvode import ADAMS, BDF, TOO_MUCH_WORK, Library, library
 from contactbench.peers.callback import CallbackPeer
 from contactbench.peers.compiled import CompiledPeer
@@ -127,12 +126,6 @@ class CompiledCvodeRun(CompiledPeer):
 
         return Status.failed, str(CVMESSAGES.get(flag, f"CVODE returned {flag}"))
 
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        try:
-            return super().linearised(y0, y)
-        except CannotRecord:  # no derivative on dual numbers: JAX has one
-            return CvodeRun(self.method, self.request, self.solver).linearised(y0, y)
-
 
 @dataclass(frozen=True)
 class CvodeMethod(Adaptive):
@@ -151,10 +144,7 @@ class CvodeMethod(Adaptive):
         found = library()
         if not isinstance(found, Library):
             return Refused(self.name, request, f"{found}; engine 'c+python' does without")
-        try:
-            return CompiledCvodeRun(self.name, request, self.solver)
-        except CannotRecord as why:
-            return Refused(self.name, request, f"{why}; engine 'c+python' calls the scene as it is")
+        return CompiledCvodeRun(self.name, request, self.solver)
 
 
 for _solver, _name in (("Adams", "Adams–Moulton"), ("BDF", "BDF")):

@@ -95,19 +95,6 @@ class Variational(System):
         )
         return Bundle(self.base.rhs(z.x), tuple(pushed))
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
-        """The tangents pushed by one matrix product: four times as fast."""
-        base, derivative = self.base, self.derivative
-        size = len(base.without_clock(base.labels(carry)))
-
-        def pushed(t: float, y: Sequence[float]) -> list[float]:
-            x = base.unpack(base.with_clock(y[:size], t), carry)
-            tangents = np.array(y[size:]).reshape(self.count, size)
-            rows = np.array([base.without_clock(row) for row in base.without_clock(derivative(base, x))])
-            return [*base.without_clock(base.pack(base.rhs(x))), *(tangents @ rows.T).ravel().tolist()]
-
-        return pushed
-
     def jacobian(self, z: Bundle) -> list[list[Any]]:
         """diag(Df, …, Df), for the implicit solvers.
 
@@ -126,19 +113,6 @@ class Variational(System):
             found += [[*[0.0] * before, *row, *[0.0] * after] for row in block]
             before += len(block)
         return found
-
-
-def numerical_derivative(scene: Scene, carry: tuple[str, ...]) -> Derivative:
-    """Df on plain floats: the scene's own Jacobian, or forward AD of its right-hand side by JAX."""
-    if scene.has_jacobian:
-        return lambda scene, x: scene.jacobian(x)
-    from contactbench.xla import jax, jnp
-
-    def flat(y: Any) -> Any:
-        return jnp.stack(scene.pack(scene.rhs(scene.unpack(list(y), carry))))
-
-    jacobian = jax.jit(jax.jacfwd(flat))
-    return lambda scene, x: np.asarray(jacobian(np.array(scene.pack(x), dtype=float))).tolist()
 
 
 def variational_request(request: Request, derivative: Derivative) -> Request:

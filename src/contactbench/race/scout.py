@@ -17,8 +17,7 @@ import numpy as np
 from contactbench.boundary import UserError
 from contactbench.measure.ladder import ENDS, carry_of, setting, tolerances, work_ladder
 from contactbench.measure.laws import observables
-from contactbench.methods.base import METHODS
-from contactbench.methods.engines import ENGINES
+from contactbench.methods.base import ENGINES, METHODS
 from contactbench.methods.entry import prepare
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
@@ -209,7 +208,7 @@ class Scout:
             runs = [prepare(scene, name, save_at=[t], **options)() for t in earlier] + [solution]
             worst = next((each for each in runs if not each.ok), solution)
             error = self.question.error(runs) if worst.ok else math.nan
-        counts, printed = run.count(solution.counts), run.request.setting
+        counts, printed = solution.counts, run.request.setting
         self.attempts.append(
             Attempt(value, printed, worst.status, worst.message, seconds, error, counts, run)
         )

@@ -53,8 +53,8 @@ def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
     lost = judged["winner"] == OTHER
     every = lost.groupby(judged["scene"], sort=False).transform("all")
     scenes = [f"`{scene}`" for scene in judged["scene"][every].unique()]
-    there, elsewhere = int(every.sum()), int((~every).sum())
-    count = f"{there} of {there} pairs there, {int(lost[~every].sum())} of {elsewhere} elsewhere"
+    there, others, pairs = int(every.sum()), int(lost[~every].sum()), int((~every).sum())
+    count = f"{there} of {there} pairs there, {others} of {pairs} elsewhere"
     return "Where is it slower at every error, compiled?", names(scenes) or "nowhere", count
 
 

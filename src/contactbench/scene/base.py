@@ -230,10 +230,6 @@ class System(ABC):
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
-        """Return `slopes` on lists of floats, for solvers that call back."""
-        return lambda t, y: self.slopes(t, y, carry)
-
 
 def _unpickled(kind: type[System], attributes: dict[str, Any]) -> System:
     scene = object.__new__(kind)

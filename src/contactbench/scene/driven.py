@@ -11,7 +11,7 @@ from contactbench.boundary import their_code
 from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import Vector
-from contactbench.scene.base import TRIED, System
+from contactbench.scene.base import TRIED
 from contactbench.scene.mechanical import Mechanical
 
 
@@ -177,9 +177,6 @@ class Driven(Mechanical):
 
     def jacobian(self, x: Any) -> None:
         """Return None, since ∂∇V/∂t is not asked for: solvers difference."""
-
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
-        return System.on_lists(self, carry)
 
     @property
     def has_torque(self) -> bool:

@@ -264,18 +264,6 @@ class Mechanical(Scene):
     def has_jacobian(self) -> bool:
         return self.hessian is not None
 
-    def on_lists(self, carry: tuple[str, ...]) -> Callable[[float, Sequence[float]], Sequence[float]]:
-        """Return a shorter function where only q and p are carried."""
-        if carry:
-            return super().on_lists(carry)
-        n, rhs = len(self.q), self.rhs
-
-        def short(t: float, y: Sequence[float]) -> list[float]:
-            dx = rhs(State(tuple(y[:n]), tuple(y[n:])))
-            return [*dx.q, *dx.p]
-
-        return short
-
     def jacobian(self, x: State) -> list[list[Any]] | None:
         """Return ∂(rhs)/∂(state) in packed order, or None when the scene has no Hessian."""
         if self.hessian is None:

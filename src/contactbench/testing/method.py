@@ -13,8 +13,7 @@ import numpy as np
 from contactbench.errors import NAME, BadInput, excerpt
 from contactbench.measure.laws import LAWS
 from contactbench.measure.precision import march, order_at
-from contactbench.methods.base import FAMILIES, METHODS, Method
-from contactbench.methods.engines import CALLBACKS, ENGINES
+from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method
 from contactbench.methods.entry import prepare
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.methods.step_map import StepMap, trajectory
@@ -234,7 +233,7 @@ def counted(scene: Any, kind: str) -> tuple[Any, list[int]]:
 def counts(case: MethodCase) -> None:
     method, scene = case.method, case.scene
     run = case.run(save_at=[scene.t_end])
-    found = run.count(run().counts)
+    found = run().counts
     require(found.evaluations is None or found.evaluations > 0, f"evaluations = {found.evaluations!r}")
     if isinstance(method, StepMap):
         once, each = method.counts(scene, 1), method.per_step(scene)

@@ -68,11 +68,18 @@ class SceneCase:
         pairs = zip(self.scene.pack(x), self.scene.pack(v), strict=True)
         return self.read([a + amount * b for a, b in pairs])
 
-    def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
-        """The derivative of f, a list of numbers, along v."""
+    def derivative(self, f: Callable[[Any], Any]) -> list[Any]:
+        """Return the derivative at 0 of f(d), a list of numbers."""
         delta = self.xp.mpf(DELTA)
-        ends = [f(self.moved(x, v, sign * delta)) for sign in (1, -1)]
-        return [(a - b) / (2 * delta) for a, b in zip(*ends, strict=True)]
+        return [(a - b) / (2 * delta) for a, b in zip(f(delta), f(-delta), strict=True)]
+
+    def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
+        """Return the derivative of f, a list of numbers, along v."""
+        return self.derivative(lambda d: f(self.moved(x, v, d)))
+
+    def slope_of_form(self, form: Callable[..., Any], x: Any, dx: Any, v: Any, dv: Any) -> list[Any]:
+        """Return the derivative of form(x, v) while x moves along dx and v along dv."""
+        return self.derivative(lambda d: [form(self.moved(x, dx, d), self.moved(v, dv, d))])
 
     def rate(self, x: Any) -> Any:
         """Γ' = ∂H/∂s."""
@@ -161,19 +168,14 @@ def is_a_contact_system(case: SceneCase) -> None:
     scene, twin = case.scene, case.twin
     if not scene.is_contact:
         raise DoesNotApply("no contact system")
+    form = twin.contact_form
     for x in case.exact:
         field, rate = twin.rhs(x), case.rate(x)
-        case.near([twin.contact_form(x, field)], [-twin.hamiltonian(x)], "η(X) is not −H")
+        case.near([form(x, field)], [-twin.hamiltonian(x)], "η(X) is not −H")
         for v in twin.tangents(x):
             pushed = case.read(case.slope(lambda x: scene.pack(twin.rhs(x)), x, v))
-            delta = case.xp.mpf(DELTA)
-            ends = [
-                twin.contact_form(case.moved(x, field, sign * delta), case.moved(v, pushed, sign * delta))
-                for sign in (1, -1)
-            ]
-            case.near(
-                [(ends[0] - ends[1]) / (2 * delta)], [-rate * twin.contact_form(x, v)], "L_X η is not −Γ' η"
-            )
+            slope = case.slope_of_form(form, x, field, v, pushed)
+            case.near(slope, [-rate * form(x, v)], "L_X η is not −Γ' η")
         if not scene.rate_changes:
             case.near([rate], [twin.conformal_rate], "conformal_rate is not ∂H/∂s")
 
@@ -237,9 +239,9 @@ def solves_its_equations(case: SceneCase) -> None:
     start = twin.initial(scene.carry())
     begun = carried(scene.exact(twin, xp.mpf(0), xp))
     case.near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
-    t, delta = xp.mpf(repr(scene.t_end)) / 7, xp.mpf(DELTA)
-    here, ahead, behind = (carried(scene.exact(twin, t + d, xp)) for d in (0, delta, -delta))
-    slope = [(a - b) / (2 * delta) for a, b in zip(flat(ahead.values()), flat(behind.values()), strict=True)]
+    t = xp.mpf(repr(scene.t_end)) / 7
+    here = carried(scene.exact(twin, t, xp))
+    slope = case.derivative(lambda d: flat(carried(scene.exact(twin, t + d, xp)).values()))
     field = twin.rhs(start._replace(**here))
     case.near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
 

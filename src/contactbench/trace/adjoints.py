@@ -97,8 +97,6 @@ class Adjoints:
                 if isinstance(x[0], Recorded):
                     self.chain(operands[0], adjoint, x[1] * x[0] ** (x[1] - 1))
                 self.chain(operands[1], adjoint, y * xp.log(x[0]))
-            case "abs":
-                self.chain(operands[0], adjoint, xp.where(x[0] < 0, -1.0, 1.0))
             case "sqrt":
                 self.chain(operands[0], adjoint, 1.0 / y, 0.5)
             case "atan2":

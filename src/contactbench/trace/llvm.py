@@ -205,14 +205,14 @@ class Lowering:
 
         kind = x[0].type
         if name in INTRINSICS:
-            suffix = "f64" if kind == self.double else f"v{self.lanes}f64"
-            signature = self.ir.FunctionType(kind, [kind] * len(x))
-            return self.builder.call(
-                get_or_insert_function(self.builder.module, signature, f"llvm.{INTRINSICS[name]}.{suffix}"), x
-            )
-        if kind == self.double:
-            signature = self.ir.FunctionType(kind, [kind] * len(x))
-            return self.builder.call(get_or_insert_function(self.builder.module, signature, name), x)
+            name = f"llvm.{INTRINSICS[name]}.{'f64' if kind == self.double else f'v{self.lanes}f64'}"
+        elif kind != self.double:
+            return self.call_each(name, *x)
+        signature = self.ir.FunctionType(kind, [kind] * len(x))
+        return self.builder.call(get_or_insert_function(self.builder.module, signature, name), x)
+
+    def call_each(self, name: str, *x: Any) -> Any:
+        """A function that LLVM has no vectors of, number by number."""
         result = self.ir.Constant(self.wide, self.ir.Undefined)
         for i in map(self.ir.IntType(32), range(self.lanes)):
             each = self.call(name, *(self.builder.extract_element(v, i) for v in x))

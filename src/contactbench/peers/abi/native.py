@@ -8,26 +8,18 @@ import llvmlite.binding
 import numba
 from numba import types
 
+from contactbench.peers.abi import LETTERS
 from contactbench.peers.c_functions import ORIGIN
 
-#: as `LETTERS`
-TYPES: dict[str, Any] = {
-    "v": types.none,
-    "p": types.intp,
-    "a": types.CPointer(types.float64),
-    "d": types.float64,
-    "b": types.boolean,
-    "i": types.int32,
-    "l": types.long_,
-    "q": types.int64,
-    "z": types.uintp,
-}
+
+def type_of(letter: str) -> Any:
+    return types.CPointer(types.float64) if letter == "a" else getattr(types, LETTERS[letter][1])
 
 
 def external(name: str, address: int, word: str) -> Any:
     """Return a C function that compiled code can call."""
     llvmlite.binding.add_symbol(name, address)
-    result, *arguments = (TYPES[letter] for letter in word)
+    result, *arguments = map(type_of, word)
     return types.ExternalFunction(name, result(*arguments))
 
 
