@@ -20,7 +20,7 @@ JUDGED_TABLES = ("laws", "stability")
 #: the judgement of a run
 FLAGS = ("claimed", "kept", "undecided", "judged")
 #: the columns of `law_rows` but for `broken`
-COLUMNS = ("scene", "method", "family", "setting", "derivative", "solution_error")
+COLUMNS: tuple[str, ...] = ("scene", "method", "family", "setting", "derivative", "solution_error")
 COLUMNS += ("value", "uncertainty", "clamped", "frozen", "unsure", "bound", *FLAGS)
 
 
