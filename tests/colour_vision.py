@@ -1,4 +1,4 @@
-"""Colours as people see them: relative luminance, dichromacy, CIEDE2000."""
+"""Colours as people see them: relative luminance, dichromacy, L*a*b*."""
 
 from __future__ import annotations
 
@@ -43,24 +43,3 @@ def lab(color: str, vision: str = "normal") -> np.ndarray:
     xyz = XYZ @ np.clip(VISION[vision] @ linear(color), 0, 1) / WHITE
     f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
-
-
-def ciede2000(one: np.ndarray, other: np.ndarray) -> float:
-    """Sharma, Wu & Dalal (2005), Color Research & Application 30(1), equations 2 to 22; k = 1."""
-    (L1, a1, b1), (L2, a2, b2) = one, other
-    mean = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2
-    G = 0.5 * (1 - np.sqrt(mean**7 / (mean**7 + 25.0**7)))
-    a1, a2 = (1 + G) * a1, (1 + G) * a2
-    C1, C2 = np.hypot(a1, b1), np.hypot(a2, b2)
-    h1, h2 = (np.degrees(np.arctan2(b, a)) % 360 for a, b in ((a1, b1), (a2, b2)))
-    grey = C1 * C2 == 0
-    turn = 0.0 if grey else (h2 - h1 + 180) % 360 - 180
-    dL, dC, dH = L2 - L1, C2 - C1, 2 * np.sqrt(C1 * C2) * np.sin(np.radians(turn / 2))
-    L, C = (L1 + L2) / 2, (C1 + C2) / 2
-    h = h1 + h2 if grey else (h1 + turn / 2) % 360
-    wave = ((-0.17, 1, -30), (0.24, 2, 0), (0.32, 3, 6), (-0.20, 4, -63))
-    T = 1 + sum(size * np.cos(np.radians(n * h + shift)) for size, n, shift in wave)
-    SL, SC, SH = 1 + 0.015 * (L - 50) ** 2 / np.sqrt(20 + (L - 50) ** 2), 1 + 0.045 * C, 1 + 0.015 * C * T
-    RC = 2 * np.sqrt(C**7 / (C**7 + 25.0**7))
-    RT = -RC * np.sin(np.radians(60 * np.exp(-(((h - 275) / 25) ** 2))))
-    return float(np.sqrt((dL / SL) ** 2 + (dC / SC) ** 2 + (dH / SH) ** 2 + RT * dC / SC * dH / SH))

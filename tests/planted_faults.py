@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
@@ -20,8 +20,8 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import Prepared
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Scene
-from contactbench.splitting.composition import ONE, Composition, balance, palindrome
-from contactbench.splitting.tables import COMPOSITIONS, STRANG
+from contactbench.splitting.composition import ONE, Composition
+from contactbench.splitting.tables import STRANG
 
 LARGER = Fraction(1001, 1000)
 #: the contact method that most faults are planted in
@@ -53,37 +53,19 @@ def remade(kind: type, method: Any) -> Any:
 
 # -- coefficients ----------------------------------------------------------------------------------
 def faulty(composition: Composition) -> list[Composition]:
-    """The composition with one coefficient a part in a thousand larger, for each of those that define it.
-
-    What symmetry and consistency imply follows, so that the sums of a long palindrome and of a
-    processor remain right.  Short compositions have no coefficient that is not implied: there every
-    stage is changed by itself.
-    """
-    stages, processor = composition.stages, composition.processor
-    names, values = [name for name, _ in stages], [c for _, c in stages]
-    if composition.palindromic and composition.two_part and len(stages) > 3:
-        halves = one_larger(values[: len(stages) // 2 - 1])
-        kernels = [palindrome(names[0], names[1], half) for half in halves]
-    else:
-        kernels = [tuple(zip(names, changed, strict=True)) for changed in one_larger(values)]
-    wrong = [replace(composition, stages=kernel) for kernel in kernels]
-    if processor:
-        (first, _), (second, _) = processor[:2]
-        for free in one_larger([c for _, c in processor[:-2]]):
-            wrong.append(replace(composition, processor=balance(first, second, free)))
-    return wrong
+    """The composition with one coefficient a part in a thousand larger, for each of them."""
+    return [
+        replace(
+            composition, **{which: tuple((n, c * LARGER if i == k else c) for i, (n, c) in enumerate(stages))}
+        )
+        for which, stages in (("stages", composition.stages), ("processor", composition.processor))
+        for k in range(len(stages))
+    ]
 
 
-def one_larger(values: Sequence[Fraction]) -> list[list[Fraction]]:
-    """The values with one of them larger, for each."""
-    return [[c * LARGER if i == k else c for i, c in enumerate(values)] for k in range(len(values))]
-
-
-def wrong_coefficients(which: Mapping[str, int]) -> None:
-    """In each of the contact methods named, the k-th of its `faulty` compositions."""
-    for composition in COMPOSITIONS:
-        if composition.name in which:
-            put(contact_method(faulty(composition)[which[composition.name]]))
+def wrong_coefficient(k: int) -> None:
+    """The k-th coefficient of the contact method is a part in a thousand larger."""
+    put(contact_method(faulty(STRANG)[k]))
 
 
 # -- other faults ----------------------------------------------------------------------------------
@@ -133,10 +115,8 @@ class Slower:
 
     def prepare(self, request: Request) -> Prepared:
         run = self.method.prepare(request)
-        once, part = (
-            run.integrate,
-            self.method.prepare(replace(request, save_at=self.share * request.save_at)),
-        )
+        once = run.integrate
+        part = self.method.prepare(replace(request, save_at=self.share * request.save_at))
 
         def integrate(y0: Any) -> Any:
             part.integrate(y0)

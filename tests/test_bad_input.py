@@ -7,6 +7,7 @@ import math
 import re
 import sys
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,179 +15,11 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES
 from contactbench.cli import main
-from contactbench.measure.laws import law
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import definition, verify
+from properties import GENERAL
 
-#: a scene, a method and options of a run, and a part of the refusal
-RUNS = [
-    ("partcle", "rk4", {"step": 0.1}, "unknown scene 'partcle': did you mean 'particle'?"),
-    ("particle", "contact-strnag", {"step": 0.1}, "did you mean 'contact-strang'?"),
-    ("particle", "rk4", {"rtol": 1e-20}, "rk4 takes 1e-13 to 0.1"),
-    ("particle", "cvode-bdf", {"step": 0.1}, "give rtol"),
-    ("particle", "cvode-bdf", {}, "rtol is missing"),
-    ("particle", "cvode-bdf", {"rtol": 1e-30}, "takes 2.3e-16 to 0.1"),
-    ("particle", "scipy-dop853", {"rtol": -1}, "rtol = -1: must be > 0"),
-]
-#: options of a run of rk4 on the particle, beside a step of 0.1
-OPTIONS = [
-    ({"step": -0.1}, "step = -0.1: must be > 0"),
-    ({"step": 0}, "step = 0: must be > 0"),
-    ({"step": math.nan}, "step = nan: must be a finite number"),
-    ({"step": "0.1"}, "step = '0.1': must be a finite number"),
-    ({"step": np.complex128(0.1)}, "step = "),
-    ({"step": 10**400}, "must be a finite number"),
-    ({"step": 10**5000}, "step = <int>: must be"),  # too long to be printed
-    ({"engine": "fortran"}, "engine = 'fortran': rk4 runs on numba, jax, python"),
-    ({"save_at": [3.0, 1.0]}, "strictly increasing"),
-    ({"save_at": [1.0, math.nan]}, "must be finite times"),
-    ({"save_at": []}, "must be finite times"),
-    ({"carry": ("R",)}, "can carry s"),
-    ({"carry": np.ones(10**6)}, "can carry s"),
-    ({"carry": 5}, "carry = 5: scene 'particle' can carry s"),
-    ({"max_steps": 0}, "max_steps = 0"),
-    ({"max_steps": math.nan}, "max_steps = nan: must be"),
-]
-RUNS += [("particle", "rk4", {"step": 0.1} | options, says) for options, says in OPTIONS]
-
-
-def refusal(call, *arguments, **options):
-    """The message of a refusal: one line, short enough to be read."""
-    with pytest.raises(cb.BadInput) as caught:
-        call(*arguments, **options)
-    assert len(str(caught.value)) <= 300
-    assert str(caught.value).isprintable()
-    return str(caught.value)
-
-
-@pytest.mark.parametrize(("scene", "method", "options", "says"), RUNS, ids=[run[-1] for run in RUNS])
-def test_a_run_is_refused_in_one_line(scene, method, options, says):
-    assert says in refusal(cb.solve, scene, method, **options)
-
-
-@pytest.mark.parametrize(
-    ("registry", "wrong", "right"),
-    [("SCENES", "rigidbody", "rigid_body"), ("METHODS", "RK4", "rk4"), ("LAWS", "momentum", "momentum_law")],
-)
-def test_registries_suggest_the_nearest_name(registry, wrong, right):
-    with pytest.raises(cb.UnknownName, match=right):
-        getattr(cb, registry)[wrong]
-
-
-def test_a_prepared_run_checks_its_initial_data():
-    run = cb.prepare("particle", "rk4", step=0.1)
-    assert "q has 1 components" in refusal(run, q=(1.0,))
-    assert "unknown initial value" in refusal(run, M=(1.0, 2.0, 3.0))
-
-
-# -- the command line ------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("solve particle rk5 --step 0.1", "did you mean 'rk4'?"),
-        ("solve particle rk4 --step -1", "step = -1.0: must be > 0"),
-        ("solve particle rk4 --step 0.1 --t-end nan", "t_end = nan"),
-        ("solve particle rk4 --step 0.1 --set q=[1]", "q has 1 components and p 2"),
-        ("solve particle rk4 --step 0.1 --set gamma=abc", "--set gamma=abc"),
-        ("report --results /nonexistent", "no tables there"),
-    ],
-)
-def test_command_line_prints_one_line_and_exits_2(line, says, capsys):
-    assert main(line.split()) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    assert err.startswith("contactbench: ")
-    assert says in err
-
-
-def test_command_line_solves_and_prints_json(capsys):
-    assert (
-        main(["solve", "particle", "contact-strang", "--step", "0.01", "--set", "gamma=0.3", "--json"]) == 0
-    )
-    out = json.loads(capsys.readouterr().out)
-    assert out["status"] == "ok"
-    assert set(out["state"]) == {"q1", "q2", "p1", "p2", "s"}
-    assert out["counts"]["evaluations"] == 2001
-    # H decays as e^{-γt}: an independent check on the printed number
-    start = 0.625 + 0.045 + 0.05
-    assert out["H"] == pytest.approx(start * math.exp(-0.3 * 20), rel=1e-3)
-
-
-def test_command_line_lists_the_stored_references(capsys):
-    assert main(["references"]) == 0
-    digits = {line.split()[0]: int(line.split()[1]) for line in capsys.readouterr().out.splitlines()}
-    assert list(digits) == [name for name in cb.SCENES if name in digits]  # a plug-in's have none
-    assert {"particle", "rigid_body"} <= set(digits)
-    assert min(digits.values()) >= 30
-
-
-def test_command_line_lists_everything(capsys):
-    assert main(["list"]) == 0
-    listed = {line.split()[0] for line in capsys.readouterr().out.splitlines()}
-    assert {*cb.SCENES, *cb.METHODS, *cb.LAWS} <= listed
-
-
-def euler(scene, x, h, xp):
-    return cb.shifted(x, h, scene.rhs(x))
-
-
-# -- other calls -----------------------------------------------------------------------------------
 PARTICLE = cb.SCENES["particle"]
-
-
-def ensemble(start, **options):
-    return lambda: cb.ensemble("particle", "rk4", start, step=0.5, **options)
-
-
-def changed(**changes):
-    return lambda: PARTICLE.with_(**changes)
-
-
-def registered(registry, name, item):
-    return lambda: registry.__setitem__(name, item)
-
-
-CALLS = [
-    (ensemble({"q": (np.ones(2) * 1j, 0.5)}), "q[0] = array([0.+1.j, 0.+1.j]): must be a number or an array"),
-    (ensemble({"q": (np.array(["2020"], "datetime64[Y]"), 0.5)}), "must be a number or an array of numbers"),
-    (ensemble({"s": np.ones(2)}, chunk="x"), "chunk = 'x'"),
-    (changed(parameters=5), "parameters = 5: must be a dict"),
-    (changed(potential=1), "potential = 1: must be a function"),
-    (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
-    (changed(mass=5e-324), "mass = 5e-324"),
-    (changed(name="a\nb"), "name = 'a\\nb': must be"),
-    (changed(about="\a"), "about = '\\x07': must be"),
-    (lambda: cb.METHODS[[]], "unknown method []"),
-    (lambda: cb.fixed_step("x", None), "order = None"),
-    (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
-    (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
-    (lambda: cb.prepare("particle", "scipy-dop853", rtol=1e-6)(q=(1e160, 0.0)), "not finite there"),
-    (lambda: cb.composition("x", 1, 0.5, [1]), "kick = 0.5: must be a list"),
-    (registered(cb.METHODS, "x", 3), "3 cannot be registered: it is no method"),
-    (registered(cb.LAWS, "x", 3), "3 cannot be registered: it is no law"),
-    (registered(cb.METHODS, "x", cb.METHODS["rk4"]), "method name 'x': must be"),
-    (lambda: cb.solve("particle", FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
-    (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "more): allow it more"),
-]
-
-
-@pytest.mark.timeout(60)
-@pytest.mark.parametrize(("call", "says"), CALLS, ids=[says for _, says in CALLS])
-def test_a_call_is_refused_in_one_line(call, says):
-    assert says in refusal(call)
-
-
-@pytest.mark.timeout(60)
-@pytest.mark.parametrize("options", [{"step": 1e-300}, {"step": 1e-5, "save_at": [1e300]}, {"step": 1e-20}])
-def test_a_run_of_too_many_steps_ends_as_budget(options):
-    assert cb.solve("particle", "rk4", **options).status is cb.Status.budget
-
-
-@pytest.mark.timeout(60)
-@pytest.mark.parametrize("method", ["scipy-dop853", "scipy-radau"])
-def test_a_first_step_that_is_no_number_ends_the_run(method):
-    """A slope that is finite at the start and not where the first step leads: SciPy's loop would not end."""
-    assert not cb.solve(cb.SCENES["particle"].with_(q=(1e100, 0.0)), method, rtol=1e-6, save_at=[1.0]).ok
 
 
 # -- a user's functions ----------------------------------------------------------------------------
@@ -207,101 +40,195 @@ def user(**changes):
     return cb.Mechanical(name="mine", q=(0.7, -0.4), p=(0.1, 0.3), gamma=0.1, t_end=1.0, **given)
 
 
-GRADIENT = "gradient is not the potential's: component"
-WRONG = {
-    "sign": ({"gradient": lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)}, f"{GRADIENT} 1 is"),
-    "factor": ({"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 2 * q[1] + q[0] ** 2)}, f"{GRADIENT} 2 is"),
-    "little": (
-        {"gradient": lambda q: (q[0] + 2 * q[0] * q[1], 4.0001 * q[1] + q[0] ** 2)},
-        f"{GRADIENT} 2 is",
-    ),
-    "hessian": (
-        {"hessian": lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))},
-        "derivative: entry (2, 1) is",
-    ),
-    "shape": ({"hessian": lambda q: ((1.0, 2.0),)}, "must be 2 rows of 2 real numbers"),
-    "symmetry": ({"rotation_invariant": True}, "exerts a torque"),
-    "no number": ({"potential": lambda q: q}, "its potential is (0.7, -0.4)"),
-    "complex": ({"potential": lambda q: 1j * q[0]}, "must be a number"),
-}
-FIRST = {
-    "solve": lambda scene: cb.solve(scene, "scipy-radau", rtol=1e-6),
-    "reference": lambda scene: cb.reference(scene, [1.0]),
-    "ensemble": lambda scene: cb.ensemble(scene, "rk4", {"s": np.ones(2)}, step=0.5),
+GIVEN = {"name": "mine", "q": (1.0,), "p": (0.0,), "t_end": 1.0}
+FORCE = {"potential": lambda q, **_: q[0] ** 2 / 2, "gradient": lambda q, **_: (q[0],)}
+DRIVEN = {"potential": lambda q, t, **_: q[0] ** 2 / 2, "gradient": lambda q, t, **_: (q[0],)}
+#: the arguments of a scene of each kind whose functions take any parameter
+KINDS = {
+    cb.Mechanical: FORCE,
+    cb.GeneralDamping: {**FORCE, "damping": lambda s: s, "damping_slope": lambda s: 1.0},
+    cb.Driven: {**DRIVEN, "rate": lambda t, **_: 1.0, "span": lambda t, h, xp, **_: (h, h)},
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-@pytest.mark.parametrize("first", FIRST)
-def test_functions_that_do_not_fit_each_other_are_refused_with_both_numbers(name, first):
-    changes, says = WRONG[name]
-    message = refusal(FIRST[first], user(**changes))
-    assert says in message
-    assert "scene 'mine'" in message
+def wrong_user(**changes):
+    return lambda: cb.solve(user(**changes), "scipy-radau", rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{}, {"hessian": None}, {"potential": lambda q: 5.0 + q[0] ** 2 / 2 + 2 * q[1] ** 2 + q[0] ** 2 * q[1]}],
-)
-def test_functions_that_fit_are_taken(changes):
-    assert cb.solve(user(**changes), "rk4", step=0.1).ok
+def made(kind, **changes):
+    return lambda: cb.solve(kind(**KINDS[kind] | GIVEN | changes), "rk4", step=0.1)
 
 
-@pytest.mark.parametrize("scene", ALL_SCENES, ids=lambda scene: scene.name)
-def test_every_scene_of_ours_fits(scene):
-    """What is not checked at run time is checked here, by the same rules."""
-    if isinstance(scene, cb.Mechanical):
-        definition._verify(scene)
-    else:
-        verify(scene)
+def wrong_gradient(q):
+    return (q[0] + 2 * q[0] * q[1], 4.0001 * q[1] + q[0] ** 2)
 
 
-def test_a_definition_is_checked_once(monkeypatch):
-    calls = []
-    scene = user()
-    cb.solve(scene, "rk4", step=0.1)
-    monkeypatch.setattr(definition, "_verify", calls.append)
-    cb.solve(scene, "rk4", step=0.1)
-    cb.solve("particle", "rk4", step=0.1)
-    assert calls == []
-    cb.solve(scene.with_(gamma=0.2), "rk4", step=0.1)
-    assert len(calls) == 1
+# -- calls -----------------------------------------------------------------------------------------
+def solve(method="rk4", scene="particle", **options):
+    return lambda: cb.solve(scene, method, **options)
 
 
-ERRORS = {
-    "scene": (lambda: user(gradient=lambda q: q[5]), "test_bad_input.py, line "),
-    "exit": (
-        lambda: user(gradient=lambda q: sys.exit(0)),
-        "scene 'mine', <lambda> (test_bad_input.py, line ",
-    ),
-    "potential": (lambda: cb.solve(user(potential=lambda q: {}["a"]), "rk4", step=0.1), "KeyError: 'a'"),
-    "dict": (lambda: user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
-}
+def rk4(**options):
+    return solve(**{"step": 0.1} | options)
 
 
-@pytest.mark.parametrize("name", ERRORS)
-def test_an_error_of_a_users_function_is_told_as_theirs(name):
-    call, says = ERRORS[name]
+def reference(times, **options):
+    return lambda: cb.reference("particle", times, **options)
+
+
+def ensemble(start, **options):
+    return lambda: cb.ensemble("particle", "rk4", start, step=0.5, **options)
+
+
+def changed(**changes):
+    return lambda: PARTICLE.with_(**changes)
+
+
+def run_from(**start):
+    return lambda: cb.prepare("particle", "rk4", step=0.1)(**start)
+
+
+def registered(registry, item):
+    return lambda: registry.__setitem__("x", item)
+
+
+def euler(scene, x, h, xp):
+    return cb.shifted(x, h, scene.rhs(x))
+
+
+#: a call, and a part of its refusal
+CALLS = [
+    # names
+    (solve(scene="partcle", step=0.1), "unknown scene 'partcle': did you mean 'particle'?"),
+    (solve("contact-strnag", step=0.1), "did you mean 'contact-strang'?"),
+    (lambda: cb.LAWS["momentum"], "did you mean 'momentum_law'?"),
+    (lambda: cb.METHODS[[]], "unknown method []"),
+    (lambda: cb.reference("partikle", [1.0]), "unknown scene 'partikle'"),
+    (changed(name="a\nb"), "name = 'a\\nb': must be"),
+    (changed(about="\a"), "about = '\\x07': must be"),
+    (solve(FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
+    (registered(cb.METHODS, 3), "3 cannot be registered: it is no method"),
+    (registered(cb.LAWS, 3), "3 cannot be registered: it is no law"),
+    (registered(cb.METHODS, cb.METHODS["rk4"]), "method name 'x': must be"),
+    # step and tolerance
+    (solve(), "step is missing: rk4 has a fixed step; give step, or rtol"),
+    (rk4(rtol=1e-3), "step = 0.1 and rtol = 0.001: rk4 takes one of them"),
+    (rk4(atol=1e-3), "atol = 0.001: rk4 has a fixed step and takes no atol"),
+    (solve(rtol=1e-20), "rk4 takes 1e-13 to 0.1"),
+    (solve("cvode-bdf", step=0.1), "give rtol"),
+    (solve("cvode-bdf"), "rtol is missing"),
+    (solve("cvode-bdf", rtol=1e-30), "takes 2.3e-16 to 0.1"),
+    (solve("scipy-dop853", rtol=-1), "rtol = -1: must be > 0"),
+    (rk4(step=-0.1), "step = -0.1: must be > 0"),
+    (rk4(step=0), "step = 0: must be > 0"),
+    (rk4(step=math.nan), "step = nan: must be a finite number"),
+    (rk4(step="0.1"), "step = '0.1': must be a finite number"),
+    (rk4(step=10**5000), "step = <int>: must be"),  # too long to be printed
+    # other options
+    (rk4(engine="fortran"), "engine = 'fortran': rk4 runs on numba, jax, python"),
+    (rk4(save_at=[3.0, 1.0]), "strictly increasing"),
+    (rk4(save_at=[1.0, math.nan]), "must be finite times"),
+    (rk4(save_at=[]), "must be finite times"),
+    (rk4(carry=("R",)), "can carry s"),
+    (rk4(carry=np.ones(10**6)), "can carry s"),
+    (rk4(max_steps=0), "max_steps = 0"),
+    (rk4(max_steps=math.nan), "max_steps = nan: must be"),
+    (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "more): allow it more"),
+    (reference([1.0, -0.5]), "-0.5"),
+    (reference([1.0, math.nan]), "nan"),
+    (reference([]), "shape"),
+    (reference("soon"), "soon"),
+    (reference([1.0], seconds="soon"), "seconds = "),
+    (reference([1.0], seconds=math.nan), "seconds = "),
+    # initial data and parameters
+    (run_from(q=(1.0,)), "q has 1 components"),
+    (run_from(M=(1.0, 2.0, 3.0)), "unknown initial value"),
+    (lambda: cb.prepare("particle", "scipy-dop853", rtol=1e-6)(q=(1e160, 0.0)), "not finite there"),
+    (ensemble({"q": (np.ones(2) * 1j, 0.5)}), "q[0] = array([0.+1.j, 0.+1.j]): must be a number or an array"),
+    (ensemble({"s": np.ones(2)}, chunk="x"), "chunk = 'x'"),
+    (changed(parameters=5), "parameters = 5: must be a dict"),
+    (changed(mass=5e-324), "mass = 5e-324"),
+    (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(kappa=0.1), "without time"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(gamma=0.1), "has it in it"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(rate=None), "its rate is missing"),
+    (lambda: cb.SCENES["lane_emden_0"].with_(t=math.nan), "t = nan"),
+    (lambda: GENERAL.with_(gamma=0.1), "gamma"),
+    (lambda: GENERAL.with_(kappa=0.1), "kappa"),
+    # methods
+    (lambda: cb.fixed_step("x", None), "order = None"),
+    (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
+    (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
+    (lambda: cb.composition("x", 1, 0.5, [1]), "kick = 0.5: must be a list"),
+    # functions that do not fit each other, whoever needs them first
+    (wrong_user(gradient=lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)), "component 1 is"),
+    (wrong_user(gradient=wrong_gradient), "gradient is not the potential's: component 2 is"),
+    (lambda: cb.reference(user(gradient=wrong_gradient), [1.0]), "scene 'mine'"),
+    (lambda: cb.ensemble(user(gradient=wrong_gradient), "rk4", {"s": np.ones(2)}, step=0.5), "scene 'mine'"),
+    (wrong_user(hessian=lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))), "derivative: entry (2, 1) is"),
+    (wrong_user(hessian=lambda q: ((1.0, 2.0),)), "must be 2 rows of 2 real numbers"),
+    (wrong_user(rotation_invariant=True), "exerts a torque"),
+    (made(cb.GeneralDamping, s=0.5, damping=lambda s: s**3), "damping_slope is not the damping's"),
+    # functions that return no number, fail, or leave
+    (changed(potential=1), "potential = 1: must be a function"),
+    (wrong_user(potential=lambda q: q), "its potential is (0.7, -0.4)"),
+    (wrong_user(potential=lambda q: 1j * q[0]), "must be a number"),
+    (wrong_user(potential=lambda q: {}["a"]), "KeyError: 'a'"),
+    (wrong_user(gradient=lambda q: q[5]), "test_bad_input.py, line "),
+    (wrong_user(gradient=lambda q: sys.exit(0)), "scene 'mine', <lambda> (test_bad_input.py, line "),
+    (wrong_user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
+    (made(cb.Driven, rate=lambda t: None), "rate: must return a real number; it returns None"),
+    (made(cb.Driven, rate=lambda t: 1 / 0), "scene 'mine', <lambda> (test_bad_input.py, line "),
+    (made(cb.Driven, span=lambda t, h, xp: 1.0), "span: must return a pair"),
+    (made(cb.GeneralDamping, damping=lambda s: None), "damping: must return a real number"),
+    (made(cb.GeneralDamping, damping_slope=lambda s: None), "damping_slope: must return a real"),
+    (made(cb.GeneralDamping, damping_flow=lambda s, h, xp: None), "damping_flow: must return a real"),
+]
+
+
+def refusal(call):
+    """The message of a refusal: one line, short enough to be read."""
+    with pytest.raises(cb.BadInput) as caught:
+        call()
+    assert len(str(caught.value)) <= 300
+    assert str(caught.value).isprintable()
+    return str(caught.value)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(("call", "says"), CALLS, ids=[says for _, says in CALLS])
+def test_a_call_is_refused_in_one_line(call, says):
     assert says in refusal(call)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "name", ["s", "gamma", "t_end", "q", "t", "h", "xp", "self", "numbers", "parameters"]
+)
+def test_a_parameter_that_would_hide_another_name_is_refused(kind, name):
+    scene = kind(**KINDS[kind], **GIVEN, parameters={"stiffness": 1.0})
+    message = refusal(lambda: scene.with_(parameters={"stiffness": 1.0, name: 1.0}))
+    assert f"parameter '{name}': must have a name of its own" in message
+
+
+def run_of(method, engine):
+    return partial(cb.solve, "particle", method, step=0.1, engine=engine)
+
+
 STEPS = {
-    "another shape": (lambda scene, x, h, xp: x._replace(q=(*x.q, 1.0)), "returns q = "),
-    "no s": (lambda scene, x, h, xp: x._replace(s=None), "returns s = None: must be like 0.0"),
-    "no state": (lambda scene, x, h, xp: x.q, "must be a State"),
-    "complex": (lambda scene, x, h, xp: x._replace(s=1j), "returns s = 1j: must be like 0.0"),
-    "a list": (lambda scene, x, h, xp: x._replace(q=list(x.q)), "must be like (1.0, 0.5)"),
-    "an error": (lambda scene, x, h, xp: {}["a"], "<lambda> (test_bad_input.py, line "),
-    "an exit": (lambda scene, x, h, xp: sys.exit(0), "SystemExit: 0"),
+    "returns q = ": lambda scene, x, h, xp: x._replace(q=(*x.q, 1.0)),
+    "returns s = None: must be like 0.0": lambda scene, x, h, xp: x._replace(s=None),
+    "must be a State": lambda scene, x, h, xp: x.q,
+    "returns s = 1j: must be like 0.0": lambda scene, x, h, xp: x._replace(s=1j),
+    "<lambda> (test_bad_input.py, line ": lambda scene, x, h, xp: {}["a"],
+    "SystemExit: 0": lambda scene, x, h, xp: sys.exit(0),
 }
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax", "python"])
-@pytest.mark.parametrize("name", STEPS)
-def test_a_step_map_that_makes_no_state_is_refused(name, engine):
-    step, says = STEPS[name]
-    message = refusal(cb.solve, "particle", FixedStep("mine", 1, step), step=0.1, engine=engine)
+@pytest.mark.parametrize("says", STEPS)
+def test_a_step_map_that_makes_no_state_is_refused(says, engine):
+    message = refusal(run_of(FixedStep("mine", 1, STEPS[says]), engine))
     assert says in message
     assert "method 'mine'" in message
 
@@ -314,83 +241,49 @@ def test_an_error_later_in_a_run_is_told_as_theirs():
         float(x.q[0])  # a step map that wants values is not recorded, but called step by step
         return x if left[0] else {}["a"]
 
-    message = refusal(cb.solve, "particle", FixedStep("mine", 1, step), step=0.1, engine="python")
+    message = refusal(run_of(FixedStep("mine", 1, step), "python"))
     assert re.search(r"mine on scene 'particle', step \(test_bad_input.py, line \d+\): KeyError", message)
 
 
-def test_a_damping_whose_slope_is_another_is_refused():
-    base = user()
-    given = {name: getattr(base, name) for name in ("name", "potential", "gradient", "q", "p", "t_end")}
-    given |= {"s": 0.5, "damping": lambda s: s**3}
-    assert cb.solve(cb.GeneralDamping(**given, damping_slope=lambda s: 3 * s**2), "rk4", step=0.1).ok
-    message = refusal(cb.solve, cb.GeneralDamping(**given, damping_slope=lambda s: s**2), "rk4", step=0.1)
-    assert re.search(r"damping_slope is not the damping's: 0.\d+ at s = 0.\d+, the derivative", message)
+# -- what is taken ---------------------------------------------------------------------------------
+SHIFTED = {"potential": lambda q: 5.0 + q[0] ** 2 / 2 + 2 * q[1] ** 2 + q[0] ** 2 * q[1]}
 
 
-# -- what functions of time and of s return --------------------------------------------------------
-GIVEN = {"name": "mine", "q": (1.0,), "p": (0.0,), "t_end": 1.0}
-TIMED = {"potential": lambda q, t: q[0] ** 2 / 2, "gradient": lambda q, t: (q[0],), **GIVEN}
-PLAIN = {"potential": lambda q: q[0] ** 2 / 2, "gradient": lambda q: (q[0],), **GIVEN}
-OF_TIME = [
-    ({"rate": lambda t: None}, "rate: must return a real number; it returns None"),
-    ({"rate": lambda t: "1"}, "rate: must return a real number"),
-    ({"rate": lambda t: 1.0, "span": lambda t, h, xp: None}, "span: must return a pair"),
-    ({"rate": lambda t: 1.0, "span": lambda t, h, xp: 1.0}, "span: must return a pair"),
-    ({"rate": lambda t: 1 / 0}, "scene 'mine', <lambda> (test_bad_input.py, line "),
-]
-OF_S = [
-    ({"damping": lambda s: None}, "damping: must return a real number"),
-    ({"damping_slope": lambda s: None}, "damping_slope: must return a real"),
-    ({"damping_flow": lambda s, h, xp: None}, "damping_flow: must return a real"),
-]
+@pytest.mark.parametrize("changes", [{}, {"hessian": None}, SHIFTED])
+def test_functions_that_fit_are_taken(changes):
+    assert cb.solve(user(**changes), "rk4", step=0.1).ok
 
 
-@pytest.mark.parametrize(("changes", "says"), OF_TIME)
-def test_a_function_of_time_that_returns_no_number_is_refused(changes, says):
-    assert says in refusal(cb.Driven, **TIMED | changes)
+@pytest.mark.parametrize("scene", ALL_SCENES, ids=lambda scene: scene.name)
+def test_every_scene_of_ours_fits(scene):
+    """What is not checked at run time is checked here, by the same rules."""
+    (definition._verify if isinstance(scene, cb.Mechanical) else verify)(scene)
 
 
-@pytest.mark.parametrize(("changes", "says"), OF_S)
-def test_a_function_of_s_that_returns_no_number_is_refused(changes, says):
-    given = PLAIN | {"damping": lambda s: s, "damping_slope": lambda s: 1.0}
-    assert says in refusal(cb.GeneralDamping, **given | changes)
+def test_a_definition_is_checked_once(monkeypatch):
+    calls, scene = [], user()
+    cb.solve(scene, "rk4", step=0.1)
+    monkeypatch.setattr(definition, "_verify", calls.append)
+    cb.solve(scene, "rk4", step=0.1)
+    cb.solve("particle", "rk4", step=0.1)
+    assert calls == []
+    cb.solve(scene.with_(gamma=0.2), "rk4", step=0.1)
+    assert len(calls) == 1
 
 
-# -- names of parameters ---------------------------------------------------------------------------
-FORCE = {"potential": lambda q, **_: q[0] ** 2 / 2, "gradient": lambda q, **_: (q[0],)}
-DRIVEN = {"potential": lambda q, t, **_: q[0] ** 2 / 2, "gradient": lambda q, t, **_: (q[0],)}
-KINDS = {
-    cb.Mechanical: FORCE,
-    cb.GeneralDamping: {**FORCE, "damping": lambda s: s, "damping_slope": lambda s: 1.0},
-    cb.Driven: {**DRIVEN, "rate": lambda t, **_: 1.0, "span": lambda t, h, xp, **_: (h, h)},
-}
-TAKEN = [
-    "s",
-    "gamma",
-    "mass",
-    "t_end",
-    "q",
-    "p",
-    "t",
-    "h",
-    "xp",
-    "self",
-    "y",
-    "numbers",
-    "name",
-    "parameters",
-]
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("options", [{"step": 1e-300}, {"step": 1e-5, "save_at": [1e300]}, {"step": 1e-20}])
+def test_a_run_of_too_many_steps_ends_as_budget(options):
+    assert cb.solve("particle", "rk4", **options).status is cb.Status.budget
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", TAKEN)
-def test_a_parameter_that_would_hide_another_name_is_refused(kind, name):
-    scene = kind(**KINDS[kind], **GIVEN, parameters={"stiffness": 1.0})
-    message = refusal(scene.with_, parameters={"stiffness": 1.0, name: 1.0})
-    assert f"parameter '{name}': must have a name of its own" in message
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("method", ["scipy-dop853", "scipy-radau"])
+def test_a_first_step_that_is_no_number_ends_the_run(method):
+    """A slope that is finite at the start and not where the first step leads: SciPy's loop would not end."""
+    assert not cb.solve(PARTICLE.with_(q=(1e100, 0.0)), method, rtol=1e-6, save_at=[1.0]).ok
 
 
-# -- functions without a hash ----------------------------------------------------------------------
 @dataclass
 class Euler:
     """A step map with data of its own, which `dataclass` leaves without a hash."""
@@ -401,30 +294,70 @@ class Euler:
         return euler(scene, x, h, xp)
 
 
-@dataclass(frozen=True)
-class Tabled(FixedStep):
-    """A method with a list in it."""
-
-    table: tuple | list = ()
-
-
 @pytest.mark.parametrize("engine", ["numba", "jax", "python"])
-@pytest.mark.parametrize("method", [FixedStep("own", 1, Euler()), Tabled("own", 1, euler, table=[1.0])])
-def test_a_step_map_need_not_be_hashable(method, engine):
-    plain = cb.solve("particle", FixedStep("plain", 1, euler), step=0.1, engine=engine)
-    np.testing.assert_array_equal(cb.solve("particle", method, step=0.1, engine=engine).y, plain.y)
+def test_a_step_map_need_not_be_hashable(engine):
+    own, plain = (run_of(FixedStep("own", 1, step), engine)() for step in (Euler(), euler))
+    np.testing.assert_array_equal(own.y, plain.y)
 
 
-def test_nor_need_a_law():
-    @dataclass
-    class Ended:
-        offset: float = 1.0
+# -- the command line ------------------------------------------------------------------------------
+LINES = [
+    ("solve particle rk5 --step 0.1", "unknown method 'rk5': did you mean 'rk4'?"),
+    ("solve particle rk4 --step -1", "step = -1.0: must be > 0"),
+    ("solve particle rk4 --step 0.1 --t-end nan", "t_end = nan"),
+    ("solve particle rk4 --step 0.1 --set q=[1]", "q has 1 components and p 2"),
+    ("solve particle rk4 --step 0.1 --set gamma=abc", "--set gamma=abc"),
+    ("solve particle rk4 --step 0.1 --set gamma=" + "9" * 5000, "gamma"),
+    ("solve particle rk4 --step 0.1 --set gamma=" + "[" * 3000, "gamma"),
+    ("solve particle rk4 --step 0.1 --set q=[1e160,0]", "not finite there"),
+    ("solve particle rk4 --step 0.1 --plugin /nonexistent/x.py", "no such file"),
+    ("report --results /nonexistent", "no tables there"),
+    ("compare particle rk4 --error small", "--error small: must be errors separated by commas"),
+    ("compare particle rk4 --error -1e-3,1e-2", "error = -0.001: must be between 0 and 1"),
+    ("compare particle rk4 --budget soon", "--budget soon: must be a time, as in 60s or 2m"),
+    ("compare particle rk4 --budget 0", "budget = 0.0: must be > 0"),
+    ("compare particle rk4 rk5", "unknown method 'rk5': did you mean 'rk4'?"),
+    ("compare particle rk4 --plot out.txt", "--plot out.txt: must end in .svg, .png, .pdf"),
+    ("check particel", "unknown method or scene 'particel': did you mean 'particle'?"),
+    ("check central --engine numba", "--engine numba: central is a scene"),
+    ("compare particle rk4 --html nowhere/out.html", "--html nowhere/out.html: cannot be written"),
+    ("claim C99", "unknown claim 'C99'"),
+]
 
-        def __call__(self, solution):
-            return self.offset
 
-    law("the end", "end")(Ended())
-    try:
-        assert cb.solve("particle", "rk4", step=0.1).laws().loc["Ended", "deviation"] == 1.0
-    finally:
-        del cb.LAWS["Ended"]
+@pytest.mark.parametrize(("line", "says"), LINES, ids=[says for _, says in LINES])
+def test_command_line_prints_one_line_and_exits_2(line, says, capsys):
+    assert main(line.split()) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith("contactbench: ")
+    assert says in err
+
+
+@pytest.mark.parametrize("line", ["compare", "gate --budget 0", "gate --budget soon"])
+def test_bad_usage_is_one_line(line, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(line.split())
+    err = capsys.readouterr().err
+    assert (caught.value.code, err.count("\n")) == (2, 1)
+    assert err.startswith(f"contactbench {line.split()[0]}: ")
+
+
+def test_command_line_solves_and_prints_json(capsys):
+    line = "solve particle contact-strang --step 0.01 --set gamma=0.3 --json"
+    assert main(line.split()) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert out["status"] == "ok"
+    assert set(out["state"]) == {"q1", "q2", "p1", "p2", "s"}
+    assert out["counts"]["evaluations"] == 2001
+    # H decays as e^{-γt}: an independent check on the printed number
+    assert out["H"] == pytest.approx((0.625 + 0.045 + 0.05) * math.exp(-0.3 * 20), rel=1e-3)
+
+
+def test_command_line_lists_everything(capsys):
+    assert main(["list"]) == 0
+    assert {*cb.SCENES, *cb.METHODS, *cb.LAWS} <= set(capsys.readouterr().out.split())
+    assert main(["references"]) == 0
+    digits = {line.split()[0]: int(line.split()[1]) for line in capsys.readouterr().out.splitlines()}
+    assert {"particle", "rigid_body"} <= set(digits) <= set(cb.SCENES)
+    assert min(digits.values()) >= 30

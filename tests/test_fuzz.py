@@ -6,13 +6,9 @@ every run (derandomised): a part of them in the quick run, all 2000 of them with
 
 from __future__ import annotations
 
-import contextlib
-import io
 import itertools
 import math
 import warnings
-from datetime import datetime
-from decimal import Decimal
 from fractions import Fraction
 
 import numpy as np
@@ -21,23 +17,20 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import contactbench as cb
-from contactbench.cli import main
 from contactbench.errors import LONGEST
 from contactbench.methods.base import METHODS
 from contactbench.solution import Status
 
 #: calls of each kind
-QUICK, ALL = 20, 170
+QUICK, ALL = 20, 250
 
 # -- what comes to hand ----------------------------------------------------------------------------
-NUMBERS = [0, -1, 1, 3, True, 0.5, -0.0, math.nan, math.inf, -math.inf, 5e-324, 1e160, 1e300, 10**5000, 1j]
-NUMBERS += [np.float32(0.1), np.int64(3), np.complex128(1 + 2j), np.float64(math.nan)]
-NUMBERS += [Fraction(1, 3), Decimal("0.1"), np.datetime64("2020-01-01"), datetime(2020, 1, 1)]
+NUMBERS = [0, -1, 3, True, 0.5, math.nan, math.inf, -math.inf, 5e-324, 1e160, 1e300, 10**5000, 1j]
+NUMBERS += [np.float32(0.1), np.int64(3), np.complex128(1 + 2j), Fraction(1, 3), np.datetime64("2020-01-01")]
 WORDS = [None, "", "x", "0.1", "s", b"s", "rk4", "particle", "numba", "\n", "x" * 10**5]
-LISTS = [[], (), {}, set(), [[]], [None], ["s"], ["s", "s"], ("R", "s"), [1.0, "x"], [1j, 0.5], {"q": 1}]
+LISTS = [[], {}, set(), [[]], [None], ["s", "s"], ("R", "s"), [1.0, "x"], [1j, 0.5], {"q": 1}]
 LISTS += [(1.0,), (1.0, 2.0), (0.0, 0.0), (1e160, 0.0), (1.0, 2.0, 3.0), [[1.0], [2.0, 3.0]]]
-ARRAYS = [np.array(1.0), np.ones(2), np.ones(10**6), np.ones((2, 2)), np.ones(4) * 1j, np.zeros(0)]
-ARRAYS += [np.array([None, 1]), np.array([math.nan, 1.0]), np.array(["2020-01-01"], "datetime64[D]")]
+ARRAYS = [np.array(1.0), np.ones(10**6), np.ones((2, 2)), np.ones(4) * 1j, np.zeros(0), np.array([None, 1])]
 OBJECTS = [object(), object, len, lambda *a, **k: None, lambda: 1 / 0, range(3), ..., iter([1.0])]
 OBJECTS += [cb.SCENES, cb.SCENES["particle"], cb.METHODS["rk4"]]
 ANYTHING = st.sampled_from(NUMBERS + WORDS + LISTS + ARRAYS + OBJECTS)
@@ -53,6 +46,7 @@ RTOL = st.sampled_from([1e-3, 1e-6])
 TIMES = st.sampled_from([[1.0], [0.0, 0.5, 1.0], (0.3,), np.array([1.0, 2.0])])
 CARRY = st.sampled_from([(), ("s",), "s", ("R", "s")])
 PAIR, TRIPLE = st.just((1.0, 0.5)), st.just((1.0, 2.0, 3.0))
+TENTH = st.just(0.1)
 SETTING = st.one_of(STEP.map(lambda h: {"step": h}), RTOL.map(lambda r: {"rtol": r}))
 #: budgets are small where nothing else is given: the check is tried, not the solver
 SOUND = SETTING.map(lambda setting: {"max_steps": 2000, **setting})
@@ -66,10 +60,6 @@ def loose(sound):
 def options(**sound):
     """Keywords: some are left out, some are not what they should be."""
     return st.fixed_dictionaries({}, optional={name: loose(values) for name, values in sound.items()})
-
-
-def numbers(*names):
-    return {name: st.just(0.1) for name in names}
 
 
 def force(q, **parameters):
@@ -99,20 +89,16 @@ NUMBER = itertools.count()
 
 # -- the calls -------------------------------------------------------------------------------------
 def solve(draw):
-    return cb.solve(draw(loose(SCENE)), draw(loose(METHOD)), **draw(SOUND), **draw(options(carry=CARRY)))
-
-
-def solve_oddly(draw):
     budget = st.sampled_from([10, 1000])
     given = options(
         step=STEP, rtol=RTOL, atol=RTOL, save_at=TIMES, carry=CARRY, engine=ENGINE, max_steps=budget
     )
-    return cb.solve(draw(SCENE), draw(METHOD), **{**draw(SOUND), **draw(given)})
+    return cb.solve(draw(loose(SCENE)), draw(loose(METHOD)), **{**draw(SOUND), **draw(given)})
 
 
 def prepare_and_run(draw):
     run = cb.prepare(draw(SCENE), draw(METHOD), **draw(SOUND), save_at=draw(TIMES))
-    return run(**draw(options(q=PAIR, p=PAIR, M=TRIPLE, R=st.just(1), **numbers("s"))))
+    return run(**draw(options(q=PAIR, p=PAIR, M=TRIPLE, R=st.just(1), s=TENTH)))
 
 
 def ensemble(draw):
@@ -142,17 +128,11 @@ def compare(draw):
 def mechanical(draw):
     given = {"potential": draw(FUNCTION), "gradient": draw(FUNCTION), "q": (1.0, 0.5), "p": (0.0, 0.1)}
     functions = {"hessian": FUNCTION, "exact": FUNCTION}
-    more = options(q=PAIR, p=PAIR, name=st.just("x"), **functions, **numbers("mass", "gamma", "kappa", "s"))
+    more = options(
+        q=PAIR, p=PAIR, name=st.just("x"), **functions, mass=TENTH, gamma=TENTH, kappa=TENTH, s=TENTH
+    )
     scene = cb.Mechanical(**{"name": "user", "t_end": 1.0, **given, **draw(more)})
     return cb.solve(scene, draw(METHOD), **draw(SOUND))
-
-
-def rigid_body(draw):
-    given = {"name": "user", "inertia": (1.0, 2.0, 3.0), "M": (1.0, 0.5, 0.1), "t_end": 1.0}
-    more = options(
-        inertia=TRIPLE, M=TRIPLE, damping=TRIPLE, R=st.just(1), name=st.just("x"), **numbers("gamma", "s")
-    )
-    return cb.solve(cb.RigidBody(**{**given, **draw(more)}), draw(METHOD), **draw(SOUND))
 
 
 def changed(draw):
@@ -175,42 +155,8 @@ def step_map(draw):
         METHODS.pop(name, None)
 
 
-def registries(draw):
-    registry = draw(st.sampled_from([cb.METHODS, cb.SCENES, cb.LAWS]))
-    return draw(st.sampled_from([registry.__getitem__, registry.add]))(draw(ANYTHING))
-
-
-SHELL = ["0.1", "-1", "nan", "1e-300", "1e300", "inf", "x", "", "=", "1" * 400, "q=[1]", "q={}"]
-SHELL += ["q=[1e160,0]", "gamma=1e999", "gamma=" + "9" * 5000, "gamma=[" * 3000]
-SHELL += ["potential=1", "name=3", "mass=5e-324", "s=null"]
-FLAGS = ["--set", "--t-end", "--engine", "--out", "--plot", "--traceback-x", "--plugin"]
-
-
-def shell(draw):
-    """The command line, in this process: its words are text, and its end is a status of 0, 1 or 2."""
-    words = st.sampled_from(SHELL)
-    setting = draw(st.sampled_from(["--step", "--rtol"])), draw(st.one_of(st.just("0.1"), words))
-    line = ["solve", draw(loose(SCENE).map(str))[:200], draw(METHOD), *setting, "--max-steps", "2000"]
-    for flag in draw(st.lists(st.sampled_from(FLAGS), max_size=2)):
-        word = draw(words)
-        line += [flag, f"/nonexistent/{word[:20]}" if flag in ("--out", "--plot", "--plugin") else word]
-    line += draw(st.lists(st.sampled_from(["--json", "--laws"]), max_size=1))
-    err = io.StringIO()
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(err):
-        try:
-            status = main(line)
-        except SystemExit as end:  # argparse's way to leave
-            status = end.code
-    message = err.getvalue()
-    assert status in (0, 1, 2), line
-    assert message.count("\n") == (status == 2), (line, message)
-    # argparse prints the whole of a word that it cannot take
-    assert len(message) <= LONGEST + len("contactbench: \n") or "--help" in message, (line, message)
-    return status
-
-
-CALLS = (solve, solve_oddly, prepare_and_run, ensemble, reference, compare)
-CALLS += (mechanical, rigid_body, changed, step_map, registries, shell)
+CALLS = (solve, prepare_and_run, ensemble, reference, compare)
+CALLS += (mechanical, changed, step_map)
 
 
 def ends(call, data):
@@ -240,7 +186,3 @@ SAME["suppress_health_check"] = list(HealthCheck)
 @pytest.mark.quick(n=QUICK)
 def test_a_call_ends_in_a_value_a_status_or_one_line(call, n):
     settings(max_examples=n, **SAME)(given(data=st.data())(lambda data: ends(call, data)))()
-
-
-def test_the_calls_are_2000():
-    assert ALL * len(CALLS) >= 2000

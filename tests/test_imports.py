@@ -42,14 +42,3 @@ def test_nothing_heavy_is_loaded_and_the_environment_is_left_alone(statement, mo
     found = set(loaded(statement).split())
     assert "contactbench" in found
     assert not found & (HEAVY | SOLVERS | PARTS | more)
-
-
-def test_what_is_loaded_when_first_asked_for_is_the_same_from_then_on():
-    import contactbench as cb
-    from contactbench.ensembles import ensemble
-
-    assert set(cb.LATER) <= set(cb.__all__)
-    assert all(getattr(cb, name) is getattr(cb, name) for name in cb.LATER)
-    assert cb.ensemble is ensemble
-    with pytest.raises(AttributeError, match="no attribute 'assemble'"):
-        _ = cb.assemble

@@ -47,18 +47,8 @@ def test_a_law_without_a_number_says_why():
     short = cb.solve("particle", "rk4", step=0.1, max_steps=10).laws()
     assert short["deviation"].isna().all()
     assert set(short["note"]) == {"budget"}
-    scene = cb.Mechanical(
-        name="rest",
-        q=(1.0, 0.0),
-        p=(0.0, 0.0),
-        gamma=0.0,
-        kappa=1.0,
-        s=0.0,
-        t_end=1.0,
-        potential=lambda q: 0.0 * q[0],
-        gradient=lambda q: (0.0 * q[0], 0.0 * q[1]),
-    )
-    laws = cb.solve(scene, "rk4", step=0.1, save_at=[1.0]).laws()
+    rest = cb.SCENES["quadratic_damping"].with_(q=(0.0, 0.0), p=(0.0, 0.0), s=0.0)
+    laws = cb.solve(rest, "rk4", step=0.1, save_at=[1.0]).laws()
     assert math.isnan(laws.loc["hamiltonian_law", "deviation"])
     assert "H(0) = 0" in laws.loc["hamiltonian_law", "note"]
 

@@ -5,7 +5,6 @@ Thirty calls in the quick run, five hundred with ``-m slow``.
 
 from __future__ import annotations
 
-import functools
 import math
 import random
 
@@ -32,11 +31,6 @@ def coupled_force(q, k, c):
     return force
 
 
-def ring_force(q, k, c):
-    n = len(q)
-    return [k * (2 * q[i] - q[i - 1] - q[(i + 1) % n]) + c * q[i] for i in range(n)]
-
-
 FORMS = {
     "quartic": (
         lambda q, k, c: k * sum(x * x for x in q) / 2 + c * sum(x**4 for x in q) / 4,
@@ -50,10 +44,6 @@ FORMS = {
     "well": (
         lambda q, k, c: -k * well(q) + c * sum(x * x for x in q) / 2,
         lambda q, k, c: [k * x * well(q) + c * x for x in q],
-    ),
-    "ring": (
-        lambda q, k, c: sum(k * (q[i] - q[i - 1]) ** 2 + c * q[i] ** 2 for i in range(len(q))) / 2,
-        ring_force,
     ),
 }
 
@@ -80,8 +70,8 @@ def attributes(form, k, c):
 
 
 def potential_alone(form, k, c):
-    model = Attributes(form, k, c)
-    return {"potential": model.potential}, model.change
+    given, change = attributes(form, k, c)
+    return {"potential": given["potential"]}, change
 
 
 SHARED = {}
@@ -107,23 +97,12 @@ def closure(form, k, c):
     return {"potential": potential, "gradient": lambda q: tuple(dV(q, k, c))}, change
 
 
-def partial(form, k, c):
-    V, dV = FORMS[form]
-    held = [k, c]
-
-    def force(q, held):
-        return tuple(dV(q, *held))
-
-    given = {"potential": lambda q: V(q, *held), "gradient": functools.partial(force, held=held)}
-    return given, lambda k, c: held.__setitem__(slice(None), [k, c])
-
-
 def parameters(form, k, c):
     V, dV = FORMS[form]
     return {"potential": V, "gradient": dV, "parameters": {"k": k, "c": c}}, None
 
 
-STYLES = [attributes, global_numbers, closure, partial, potential_alone, parameters]
+STYLES = [attributes, global_numbers, closure, potential_alone, parameters]
 METHOD_NAMES = ["contact-strang", "contact-rkn6", "contact-bm4", "rk4", "contact-adaptive", "heyoka-taylor"]
 METHOD_NAMES += ["scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-dop853"]
 

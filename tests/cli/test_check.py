@@ -48,19 +48,3 @@ def test_a_broken_rule_ends_it(line, rule, capsys):
     assert [int(row[0]) for row in rows(out)] == list(range(1, rule))
     assert err.startswith(f"contactbench: rule {rule}: {line[0]}")
     assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        (["particel"], "unknown method or scene 'particel': did you mean 'particle'?"),
-        (["central", "--engine", "numba"], "--engine numba: central is a scene"),
-        (["rk4", "--engine", "c"], "engines = ('c',)"),
-    ],
-)
-def test_bad_values_are_one_line(line, says, capsys):
-    assert main(["check", *line]) == 2
-    out, err = capsys.readouterr()
-    assert err.startswith(f"contactbench: {says}")
-    assert err.count("\n") == 1
-    assert len(out.splitlines()) <= 1

@@ -50,13 +50,6 @@ def test_an_output_that_cannot_be_written_is_refused_first(line, option, suffix,
     assert err.startswith(f"contactbench: {option} {path}: ")
 
 
-@pytest.mark.usefixtures("idle")
-@pytest.mark.parametrize("line", ["solve particle rk4 --step 0.1", "compare particle rk4"])
-def test_a_figure_that_nobody_draws_is_refused_first(line, tmp_path, capsys):
-    assert cli.main([*line.split(), "--plot", str(tmp_path / "x.txt")]) == 2
-    assert "must end in .svg, .png, .pdf" in capsys.readouterr().err
-
-
 def test_trying_a_file_changes_nothing(tmp_path):
     path = tmp_path / "there.csv"
     path.write_text("kept")

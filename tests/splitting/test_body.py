@@ -67,6 +67,15 @@ def test_a_body_at_rest_stays_and_has_a_derivative(method):
     assert np.isfinite(solution.sensitivity).all()
 
 
+@pytest.mark.parametrize("method", EXACT_DRIFT)
+@pytest.mark.parametrize("M", [(1, 0, 0), (0, 1, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1)], ids=str)
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+@pytest.mark.quick(engine="numba")
+def test_the_closed_form_has_a_derivative_on_the_axes_and_between_two(method, M, engine):
+    solution = cb.solve(BODY.with_(M=M), method, step=0.5, save_at=[1.0], engine=engine)
+    assert cb.LAWS["contact_drift"](solution) < 1e-13
+
+
 @pytest.mark.parametrize("engine", ["jax", "python"])
 @pytest.mark.quick(engine="python")
 def test_a_step_as_long_as_the_decay_is_no_trouble(engine):

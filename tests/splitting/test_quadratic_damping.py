@@ -13,7 +13,7 @@ import decimals
 from cases import random_state
 from contactbench.measure import precision
 from contactbench.measure.laws import decay_rate
-from contactbench.splitting import composition, flows
+from contactbench.splitting import composition
 from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax, jnp
 
@@ -53,12 +53,6 @@ def test_the_laws_take_their_rate_from_the_truth():
     assert rate[-1] * SCENE.t_end == pytest.approx(integral, rel=1e-3)
 
 
-def test_rate_is_finite_at_a_saved_start():
-    solution = cb.solve(SCENE, "rk4", step=0.01, save_at=[0.0, 0.1])
-    assert decay_rate(solution)[0] == 0
-    assert cb.LAWS["momentum_law"](solution) < 1e-8
-
-
 @pytest.mark.parametrize("name", ["hamiltonian_law", "momentum_law", "contact_drift_frozen"])
 def test_an_accurate_run_keeps_the_laws_and_a_rough_one_does_not(name):
     tight, rough = (cb.LAWS[name](solve("scipy-dop853", rtol=rtol)) for rtol in (1e-12, 1e-4))
@@ -87,18 +81,6 @@ def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
         solution = cb.solve(scene, method, step=0.4, save_at=[0.0, *TIMES], engine=engine)
         assert cb.LAWS["own_factor_drift"](solution) < 1e-12
         assert cb.LAWS["contact_drift"](solution) > 1e-9
-
-
-@pytest.mark.parametrize(("flow", "method"), [("damp", "contact-abc"), ("drift_damp", "contact-rkn6")])
-def test_a_wrong_formula_for_the_factor_shows(monkeypatch, flow, method):
-    solution = solve(method, step=0.2)
-    right = flows.MECHANICAL[flow]
-
-    def root(scene, x, h, xp):
-        return right.log_factor(scene, x, h, xp) / 2
-
-    monkeypatch.setitem(flows.MECHANICAL, flow, right._replace(log_factor=root))
-    assert cb.LAWS["own_factor_drift"](solution) > 0.1
 
 
 @pytest.mark.parametrize("method", CONTACT)
@@ -146,17 +128,3 @@ def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, kappa, s,
     assert solution.end_time == pytest.approx(infinity, abs=0.011)
     assert np.isfinite(solution.y[0]).all()
     assert np.isnan(solution.y[1]).all()
-
-
-@pytest.mark.parametrize("method", ["herglotz1", "herglotz2"])
-def test_methods_that_need_a_constant_rate_refuse(method):
-    solution = cb.solve(SCENE, method, step=0.1)
-    assert solution.status is cb.Status.unsupported
-    assert SCENE.name in solution.message
-
-
-def test_hamiltonian_zero_gives_no_rate():
-    """At rest in the minimum with s = 0."""
-    scene = SCENE.with_(q=(0.0, 0.0), p=(0.0, 0.0), s=0.0)
-    with pytest.raises(cb.BadInput, match=r"H\(0\) = 0"):
-        cb.LAWS["hamiltonian_law"](cb.solve(scene, "rk4", step=0.1))

@@ -201,21 +201,6 @@ def test_other_parameters_never_get_frozen_values(change):
     np.testing.assert_allclose(found.y, run.y.T, rtol=0, atol=1e-10)
 
 
-@each_scene
-@pytest.mark.quick(name=("oscillator", "rigid_body_anisotropic"))
-def test_live_equals_frozen(name):
-    """The live path at its lower precision agrees with the files, at times in the first quarter."""
-    scene = SCENES[name]
-    t = np.array([scene.t_end * k / 200 for k in (0, 7, 50)])
-    decimals, digits, _ = truth.live(scene, t, scene.carry())
-    exact, _, _ = truth.frozen(scene, t, scene.carry())
-    context = truth.decimal_context(60)
-    numbers = [[[context.mpf(x) for x in row] for row in rows] for rows in (decimals, exact)]
-    assert digits >= 30
-    # the files count digits from the largest entry of 201 times, here it is the largest of three
-    assert truth.agreeing_digits(*numbers, 60) >= min(digits, ENTRIES[name]["digits"]) - 3
-
-
 def test_without_heyoka_extrapolation_answers(monkeypatch):
     scene, t = SCENES["central"].with_(gamma=0.2), np.array([0.0, 1.0, 2.5])
     with_heyoka, _, _ = truth.live(scene, t, ("s",))
@@ -279,16 +264,11 @@ def test_functions_of_one_name_are_told_apart():
 @pytest.mark.parametrize(
     ("scene", "times", "says"),
     [
-        (SCENES["particle"], [1.0, -0.5], "-0.5"),
-        (SCENES["particle"], [1.0, float("nan")], "nan"),
-        (SCENES["particle"], [float("inf")], "inf"),
-        (SCENES["particle"], [], "shape"),
-        (SCENES["particle"], "soon", "soon"),
         (SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0)), [20.0], "blows up at t = 3.409"),
         (mine(lambda q: math.sin(q[0]), lambda q: (math.cos(q[0]),)), [1.0], "fail in high precision"),
     ],
 )
-def test_errors_are_one_line(scene, times, says):
+def test_a_motion_without_a_truth_is_refused_in_one_line(scene, times, says):
     with pytest.raises(BadInput) as caught:
         reference(scene, times)
     assert says in str(caught.value)
@@ -313,12 +293,6 @@ def test_a_short_span_of_a_fast_motion_is_no_blow_up():
     fast = SCENES["oscillator"].with_(omega=1e8, q=(1.0,), p=(0.0,), gamma=0.0)
     ((q, _),) = truth.taylor(fast, ["2e-6"], (), 140)
     assert float(q) == pytest.approx(np.cos(200.0), abs=1e-12)
-
-
-@pytest.mark.parametrize("seconds", ["soon", None, float("nan"), 1j, np.ones(2)], ids=str)
-def test_the_time_allowed_is_a_number(seconds):
-    with pytest.raises(BadInput, match="seconds = "):
-        reference(SCENES["oscillator"], [1.0], seconds=seconds)
 
 
 def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
@@ -358,12 +332,6 @@ def test_the_generator_imports_no_method_under_test():
     imported = [getattr(n, "module", "") or "" for n in nodes if isinstance(n, ast.ImportFrom)]
     assert imported
     assert not [name for name in imported if name.startswith(("contactbench.methods", "contactbench.peers"))]
-
-
-@pytest.mark.slow
-@each_scene
-def test_recomputation_confirms_the_files(generate, name):
-    assert generate.check(SCENES[name]) == []
 
 
 def test_a_power_at_zero_is_a_product_to_heyoka():

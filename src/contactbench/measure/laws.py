@@ -199,14 +199,6 @@ def is_composed(solution: Solution) -> bool:
     return solution.log_factor() is not None
 
 
-def momentum_deviation(solution: Solution) -> Deviation:
-    """That of J from J(y₀) e^{−∫Γ'}, whether or not the scene has that law."""
-    scene, states = solution.scene, solution.states()
-    value, terms = np.array(scene.momentum(states)).T, scene.momentum_terms(states)
-    start = np.array(scene.momentum(solution.start()))
-    return conformal(value, start, solution.t, decay_rate(solution), terms)
-
-
 @law(
     f"max ‖J e^{{∫Γ'}} − J(y₀)‖ / ‖J(y₀)‖; {RATE}",
     "J law",
@@ -217,7 +209,10 @@ def momentum_deviation(solution: Solution) -> Deviation:
     claimed=lambda solution: is_of_contact_flows(solution) and knows_factor(solution),
 )
 def momentum_law(solution: Solution) -> Deviation:
-    return momentum_deviation(solution)
+    scene, states = solution.scene, solution.states()
+    value, terms = np.array(scene.momentum(states)).T, scene.momentum_terms(states)
+    start = np.array(scene.momentum(solution.start()))
+    return conformal(value, start, solution.t, decay_rate(solution), terms)
 
 
 @law(

@@ -53,7 +53,8 @@ def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
     lost = judged["winner"] == OTHER
     every = lost.groupby(judged["scene"], sort=False).transform("all")
     scenes = [f"`{scene}`" for scene in judged["scene"][every].unique()]
-    count = f"{int(every.sum())} of {int(every.sum())} pairs there, {int(lost[~every].sum())} of {int((~every).sum())} elsewhere"
+    there, others, pairs = int(every.sum()), int(lost[~every].sum()), int((~every).sum())
+    count = f"{there} of {there} pairs there, {others} of {pairs} elsewhere"
     return "Where is it slower at every error, compiled?", names(scenes) or "nowhere", count
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 
 from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, UNSURE, structural_bound
 from contactbench.results.contest import LIMIT
+from contactbench.results.round_off import numbers
 from contactbench.results.schema import Column, Rule, Table
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
@@ -19,7 +20,7 @@ JUDGED_TABLES = ("laws", "stability")
 #: the judgement of a run
 FLAGS = ("claimed", "kept", "undecided", "judged")
 #: the columns of `law_rows` but for `broken`
-COLUMNS = ("scene", "method", "family", "setting", "derivative", "solution_error")
+COLUMNS: tuple[str, ...] = ("scene", "method", "family", "setting", "derivative", "solution_error")
 COLUMNS += ("value", "uncertainty", "clamped", "frozen", "unsure", "bound", *FLAGS)
 
 
@@ -38,13 +39,6 @@ def laws_at_equal_cost() -> list[str]:
     """Return the laws of the table at equal cost, in its order."""
     own = [n for n in DECAY_LAWS.columns if n in laws_in(LAWS_TABLE) and not n.endswith(FROZEN)]
     return [n for n in own if n != "solution_error"]
-
-
-def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
-    """Return a column as floats, `default` where it is blank or missing."""
-    if column not in rows:
-        return pd.Series(default, rows.index, dtype=float)
-    return pd.to_numeric(rows[column], errors="coerce").astype(float).fillna(default)
 
 
 def bound(rows: pd.DataFrame, law: str) -> pd.Series:

@@ -104,13 +104,32 @@ def runs(results: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     try:
-        listed = json.loads(path.read_text(encoding="utf-8"))["runs"]
-        if not listed or not all("profile" in run for run in listed):
-            raise ValueError("a run has a profile")
-        return [{"run": f"run {k}", "tables": {}, **run} for k, run in enumerate(listed, start=1)]
-    except (OSError, ValueError, TypeError, LookupError, RecursionError) as error:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        listed: Any = found.get("runs") if isinstance(found, dict) else None
+        why = fault(listed)
+    except (OSError, ValueError, RecursionError) as error:
         why = " ".join(str(error).split())[:100]
-        raise BadInput(f"{path}: {why}: not the record of a benchmark run; restore it") from None
+    if why:
+        raise BadInput(f"{path}: {why}: not the record of a benchmark run; restore it")
+    return [{"run": f"run {k}", "tables": {}, **run} for k, run in enumerate(listed, start=1)]
+
+
+#: types of what is read of a record; not every run has all of it, but each has a profile
+TYPES = {str: "run profile utc commit isa references", dict: "packages tables threads plugins", bool: "dirty"}
+
+
+def fault(listed: Any) -> str:
+    """Return what is wrong with a list of records, empty where nothing is."""
+    if not isinstance(listed, list) or not listed:
+        return "no list of runs"
+    for k, run in enumerate(listed, start=1):
+        if not isinstance(run, dict) or "profile" not in run:
+            return f"run {k}: no record with a profile"
+        for type_, names in TYPES.items():
+            for name in names.split():
+                if not isinstance(run.get(name, type_()), type_):
+                    return f"run {k}: {name!r} is {str(run[name])[:40]!r}"
+    return ""
 
 
 def save_run(

@@ -10,6 +10,13 @@ from contactbench.measure.round_off import STRUCTURE as STRUCTURE
 from contactbench.results.schema import Rule
 
 
+def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
+    """Return a column as floats, `default` where it is blank or missing."""
+    if column not in rows:
+        return pd.Series(default, rows.index, dtype=float)
+    return pd.to_numeric(rows[column], errors="coerce").astype(float).fillna(default)
+
+
 def round_off(rows: pd.DataFrame) -> np.ndarray:
     """Below what an error, relative to the size of its quantity, is round-off.
 
@@ -18,11 +25,8 @@ def round_off(rows: pd.DataFrame) -> np.ndarray:
     limit of rows at 50 digits, ten times their uncertainty.
     """
 
-    def numbers(column: str) -> pd.Series:
-        return pd.to_numeric(rows.get(column, pd.Series(0.0, rows.index))).astype(float).fillna(0.0)
-
-    floor = np.finfo(float).eps * np.maximum(100.0, np.sqrt(numbers("evaluations")))
-    floor *= np.maximum(1.0, numbers("condition_number"))
+    floor = np.finfo(float).eps * np.maximum(100.0, np.sqrt(numbers(rows, "evaluations", 0.0)))
+    floor *= np.maximum(1.0, numbers(rows, "condition_number", 1.0))
     return np.where(rows.get("engine", "") == "mpmath", 1e-39, floor)
 
 

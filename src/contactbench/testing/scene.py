@@ -227,7 +227,8 @@ def has_tangents(case: SceneCase) -> None:
 def solves_its_equations(case: SceneCase) -> None:
     """The closed form, where there is one: from the initial state, and with the slope of the equations."""
     scene, twin, xp = case.scene, case.twin, case.xp
-    if scene.exact is None:
+    exact = scene.exact
+    if exact is None:
         raise DoesNotApply("no closed form")
 
     def carried(state: Any) -> dict[str, Any]:
@@ -237,11 +238,11 @@ def solves_its_equations(case: SceneCase) -> None:
         return [c for part in parts for c in (part if isinstance(part, tuple) else (part,))]
 
     start = twin.initial(scene.carry())
-    begun = carried(scene.exact(twin, xp.mpf(0), xp))
+    begun = carried(exact(twin, xp.mpf(0), xp))
     case.near(flat(begun.values()), flat(getattr(start, f) for f in begun), "exact starts elsewhere")
     t = xp.mpf(repr(scene.t_end)) / 7
-    here = carried(scene.exact(twin, t, xp))
-    slope = case.derivative(lambda d: flat(carried(scene.exact(twin, t + d, xp)).values()))
+    here = carried(exact(twin, t, xp))
+    slope = case.derivative(lambda d: flat(carried(exact(twin, t + d, xp)).values()))
     field = twin.rhs(start._replace(**here))
     case.near(slope, flat(getattr(field, f) for f in here), "exact does not solve the equations")
 
