@@ -98,12 +98,12 @@ def runs(rule: Callable[[MethodCase], None]) -> Callable[[MethodCase], None]:
     """Return a rule that does not apply where the scene is refused."""
 
     @wraps(rule)
-    def followed(case: MethodCase) -> None:
+    def follow_rule(case: MethodCase) -> None:
         if case.refused:
             raise DoesNotApply("the scene is refused")
         rule(case)
 
-    return followed
+    return follow_rule
 
 
 def declares(case: MethodCase) -> None:
@@ -216,8 +216,8 @@ def ends_as_it_says(case: MethodCase) -> None:
     case.measured["end of a blow-up"] = off
 
 
-def counted(scene: Any, kind: str) -> tuple[Any, list[int]]:
-    """The scene with a function that counts its calls, and the count; it cannot be recorded."""
+def with_counter(scene: Any, kind: str) -> tuple[Any, list[int]]:
+    """Return the scene with a function that counts its calls, and the count; it cannot be recorded."""
     calls, name = [0], "gradient" if kind == "gradient" else "rhs"
     original = getattr(scene, name)
 
@@ -246,7 +246,7 @@ def counts(case: MethodCase) -> None:
     # what cannot be counted on an engine is counted on another
     engine = next((e for e in (case.engine, *method.engines) if e in CALLBACKS), None)
     if engine and (engine == case.engine or case.first) and found.kind in ("gradient", "rhs"):
-        twin, calls = counted(scene, found.kind)
+        twin, calls = with_counter(scene, found.kind)
         run = replace(case, engine=engine).run(scene=twin, save_at=[scene.t_end])
         calls[0] = 0
         reported = run().counts.evaluations
