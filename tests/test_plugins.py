@@ -13,6 +13,7 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench import plugins
+from contactbench.boundary import VARIABLE
 from contactbench.cli import main
 from contactbench.report import write
 from contactbench.results.provenance import runs
@@ -99,6 +100,7 @@ def test_the_command_line_takes_it_anywhere_on_the_line(example):
 # -- files that fail -------------------------------------------------------------------------------
 STEP = "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, h, xp):\n    "
 SCENE = "import contactbench as cb\ncb.SCENES.add("
+ENDED = "ended after 1 s, the time it was given (--plugin-timeout"
 FAILURES = {
     "syntax": ("x = (", "line 1: SyntaxError"),
     "exception": ("import contactbench as cb\n\ncb.SCENES['partcle']", "line 3: UnknownName: unknown scene"),
@@ -108,18 +110,22 @@ FAILURES = {
     "name": (f"{SCENE}cb.SCENES['central'].with_(name='a/b'))", "scene name 'a/b': must be letters"),
     "exit at import": ("import sys\nsys.exit(0)", "bad.py, line 2): SystemExit: 0"),
     "exit in a step": (f"{STEP}raise SystemExit(0)", "method 'bad', step (bad.py, line 4): SystemExit: 0"),
+    "loop at import": ("while True:\n    pass", ENDED),
+    "loop in a step": (f"{STEP}while x:\n        pass", ENDED),
     "a step that fails": (f"{STEP}return {{}}['a']", "method 'bad', step (bad.py, line 4): KeyError: 'a'"),
 }
 
 
 @pytest.fixture
-def solve_with(registries, tmp_path):
-    """Solve by the method of a plug-in that is given as text."""
+def solve_with(registries, tmp_path, monkeypatch):
+    """Solve by the method of a plug-in that is given as text, in its second."""
+    monkeypatch.setenv(VARIABLE, "60")
     path = tmp_path / "bad.py"
 
     def solve(text, *more):
         path.write_text(text)
         line = ["solve", "particle", "bad", "--step", "0.1", "--plugin", str(path)]
+        line += ["--plugin-timeout", "1"]
         return main([*line, *more])
 
     return solve

@@ -1,19 +1,23 @@
-"""Where other people's code is called: its errors are reported as theirs."""
+"""Where other people's code is called: its errors are reported as theirs, its endless loops are ended."""
 
 from __future__ import annotations
 
 import linecache
 import os
 import re
+import signal
 import sysconfig
+import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from time import perf_counter
 from types import FunctionType
 from typing import Any
 
 from contactbench.errors import BadInput, one_line
+from contactbench.start import VARIABLE
 
 #: characters of another's message that are repeated
 REPEATED = 120
@@ -30,6 +34,10 @@ _INSTALLED = tuple(
 
 class UserError(BadInput):
     """An error in a user's function or plug-in; the exception itself is its `__cause__`."""
+
+
+class Overrun(BaseException):
+    """The time limit is over.  Not an `Exception`, so that the code it ends does not catch it."""
 
 
 def is_ours(function: Any) -> bool:
@@ -99,7 +107,10 @@ def _failing(frame: traceback.FrameSummary) -> str:
 
 def user_error(what: str, error: BaseException) -> UserError:
     """The error as a line: whose it is, where it happened, what it says."""
-    says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
+    if isinstance(error, Overrun):
+        says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
+    else:
+        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
     made = UserError(f"{what}{place(error)}: {says}")
     made.__cause__ = error
     return made
@@ -121,10 +132,51 @@ def blame(what: str, error: BaseException) -> BaseException:
 
 @contextmanager
 def their_code(what: str) -> Iterator[None]:
-    """Whatever goes wrong inside, an exit included, is a `UserError` that names `what`."""
+    """Raise a `UserError` that names `what` for an error, an exit or an endless loop inside."""
     try:
-        yield
+        with within(limit()):
+            yield
     except (BadInput, KeyboardInterrupt, GeneratorExit):
         raise
     except BaseException as error:
         raise user_error(what, error) from error
+
+
+def limit() -> float:
+    """Return the seconds that a first evaluation may take, 0 for any time."""
+    try:
+        seconds = float(os.environ.get(VARIABLE, 0.0))
+    except ValueError:
+        seconds = -1.0
+    if not 0 <= seconds < 1e9:
+        raise BadInput(f"{VARIABLE} = {os.environ[VARIABLE]}: must be seconds ≥ 0")
+    return seconds
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raise `Overrun` inside after so many seconds.
+
+    Only the main thread can be interrupted, and only where the system has timers; elsewhere there is no limit.
+    """
+    possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
+    if not seconds or not possible:
+        yield
+        return
+
+    def over(*_: Any) -> None:
+        raise Overrun
+
+    begun, (pending, interval) = perf_counter(), signal.getitimer(signal.ITIMER_REAL)
+    if pending and pending < seconds:  # an outer limit comes first
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, over)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        if pending:
+            signal.setitimer(signal.ITIMER_REAL, max(pending - (perf_counter() - begun), 1e-3), interval)

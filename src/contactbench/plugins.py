@@ -19,7 +19,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from contactbench.boundary import frame_of, their_code, user_error
+from contactbench.boundary import frame_of, limit, their_code, user_error, within
 from contactbench.errors import BadInput, Registry, one_line
 from contactbench.methods import METHODS
 from contactbench.methods.step_map import StepMap, try_step
@@ -43,7 +43,7 @@ def load_file(path: Path | str) -> None:
     """Run a Python file that registers methods and scenes; a file given twice is run once.
 
     What it registers is evaluated once.  Raises `BadInput`, with the file's own line, when it cannot be read,
-    fails, ends the program or registers nothing.
+    fails, ends the program, takes longer than `boundary.limit` or registers nothing.
     """
     path = Path(path)
     if not path.is_file():
@@ -52,7 +52,8 @@ def load_file(path: Path | str) -> None:
         return
     before = _registered()
     try:
-        _run(path.resolve())
+        with within(limit()):
+            _run(path.resolve())
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -118,7 +119,8 @@ def load_installed() -> None:
     for group, registry in GROUPS.items():
         for point in installed.select(group=group):
             try:
-                _register(registry, point.load())
+                with within(limit()):
+                    _register(registry, point.load())
             except KeyboardInterrupt:
                 raise
             except BaseException as error:

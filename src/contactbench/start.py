@@ -1,6 +1,6 @@
-"""What the command line needs before anything else is imported: one line for Ctrl-C.
+"""What the command line needs before anything else is imported: one line for Ctrl-C, a time limit for plug-ins.
 
-A process that imports the package for itself keeps its exception hook.
+A process that imports the package for itself keeps its exception hook and its signal handlers.
 """
 
 from __future__ import annotations
@@ -8,6 +8,12 @@ from __future__ import annotations
 import os
 import sys
 from types import TracebackType
+
+#: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time.  Where it
+#: is not set there is no limit: a timer needs a signal handler
+VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
+#: what the command line sets it to
+SECONDS = "60"
 
 
 def is_command_line() -> bool:
@@ -28,3 +34,4 @@ def report_uncaught(kind: type[BaseException], error: BaseException, trace: Trac
 
 if is_command_line():
     sys.excepthook = report_uncaught
+    os.environ.setdefault(VARIABLE, SECONDS)

@@ -10,7 +10,6 @@ import sys
 import pytest
 
 from cases import REPOSITORY
-from contactbench import start
 
 MODULE = [sys.executable, "-m", "contactbench"]
 SOLVE = ["solve", "particle", "rk4", "--step", "0.1", "--t-end", "1"]
@@ -96,10 +95,3 @@ def test_an_interrupt_while_it_is_imported_is_one_line(how, interrupted, tmp_pat
 def test_whoever_imports_the_package_keeps_the_traceback(interrupted):
     done = run(sys.executable, "-c", "import contactbench", **interrupted)
     assert b"Traceback" in done.stderr
-
-
-def test_a_plugin_has_a_time_limit_without_being_given_one(tmp_path):
-    plugin = tmp_path / "mine.py"
-    plugin.write_text("import signal\nraise ValueError(signal.getitimer(signal.ITIMER_REAL)[0] > 50)\n")
-    done = run("env", "-u", start.VARIABLE, *MODULE, "list", "--plugin", plugin)
-    assert done.stderr.decode().endswith("ValueError: True\n")

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import Any
 
+from contactbench.boundary import VARIABLE, limit
 from contactbench.cli import check, claim, compare, gate, listing, references, report, solve
 from contactbench.cli.parsing import PLUGIN, Intermixed, Parser
 from contactbench.errors import BadInput, one_line
@@ -93,6 +94,9 @@ def main(argv: list[str] | None = None) -> int:
     plugins, _ = PLUGIN.parse_known_args(argv)
     arguments = parser().parse_args(argv)
     try:
+        if plugins.plugin_timeout is not None:
+            os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
+            limit()
         if plugins.plugin:
             from contactbench.plugins import load_file
 

@@ -102,6 +102,8 @@ PICTURES = (".svg", ".png", ".pdf")
 PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)
 FILES = "Python file that registers methods or scenes of your own; may be repeated"
 PLUGIN.add_argument("--plugin", action="append", default=[], metavar="FILE", type=Path, help=FILES)
+LIMIT = "for importing a plug-in and for each first evaluation of what it brings (default: 60; 0: any time)"
+PLUGIN.add_argument("--plugin-timeout", metavar="SECONDS", help=LIMIT)
 PLUGIN.add_argument("--traceback", action="store_true", help="show where an error comes from")
 
 #: ``command(name, run, about, examples) -> parser`` makes one more command
