@@ -91,7 +91,8 @@ def test_a_marginal_time_needs_halves_and_no_closed_form():
     timed = [r | {"marginal_s": 1e-6, "marginal_halves_ratio": 1.0} for r in ladder("rk4")]
     exact = [r | {"control": "exact"} for r in timed]
     assert set(found(timed, kind=MARGINAL)["method"]) == {"rk4"}
-    assert not len(found(exact, ladder("contact-a"), kind=MARGINAL))
+    noise = [r | {"marginal_halves_ratio": ratio} for r, ratio in zip(timed, (2.0, 0.5) * 9, strict=False)]
+    assert not len(found(exact, noise, ladder("contact-a"), kind=MARGINAL))
 
 
 # -- who wins --------------------------------------------------------------------------------------

@@ -35,6 +35,8 @@ SAME_INTEGRATOR = {"scipy-dop853": "dop853", "cyrk-dop853": "dop853"}
 COUNTED = 1.15
 #: cells of an engine timed by two processes from which on it has a spread of its own
 ENOUGH = 8
+#: the difference of two times is resolved where its own halves agree within this; else it is noise of what is fixed
+RESOLVED = 1.5
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Kind:
     """A kind of cost.
 
     cost : its column.  halves, processes : columns of the ratio of the cell's own halves, and of a second process to
-    the first.  resolved : a cost without halves is not resolved, and takes no part; nor does a closed form, which
-    costs the same for any span.
+    the first.  resolved : a cost whose halves differ by more than `RESOLVED` takes no part; nor does a closed form,
+    which costs the same for any span.
     """
 
     name: str
@@ -62,7 +64,8 @@ class Kind:
         if self.engines != "any":
             chosen &= called_back if self.engines == "callbacks" else ~called_back
         if self.resolved:
-            chosen &= (rows["control"] != "exact") & rows[self.halves].notna()
+            halves = rows[self.halves].astype(float)
+            chosen &= (rows["control"] != "exact") & halves.between(1 / RESOLVED, RESOLVED)
         return chosen
 
     def process_spread(self, rows: pd.DataFrame, engine: str = "") -> float:
