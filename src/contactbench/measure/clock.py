@@ -172,7 +172,7 @@ def process_columns(
 ) -> dict[str, float]:
     """Return the columns of a call that a second process has timed too: what it says over what the first said."""
     columns = {"time_process_ratio": least(again) / least(visits)}
-    if part is not None:
+    if part is not None and all(visit.part for visit in again):
         first, second = marginal(visits, part), marginal(again, part)
         if min(first, second) > 0:
             columns["marginal_process_ratio"] = second / first
