@@ -206,6 +206,8 @@ RUNS = [
         {"one": "convergence", "three": "laws", "five": "laws"},
     ),  # of the same commit as four
     ("six", "laws convergence", "laws convergence", {"six": "laws convergence"}),
+    # resumes a run that has made the rest of what is whole
+    ("seven", "laws", "laws convergence", {"six": "convergence", "seven": "laws"}),
 ]
 
 

@@ -136,17 +136,16 @@ def save_run(
     name: str, record: Mapping[str, Any], made: Iterable[str], whole: Iterable[str], results: Path
 ) -> None:
     """Add a run that made rows of some tables, and some tables as a whole, and forget runs without rows."""
-    made, whole = sorted(set(made)), set(whole)
-    if not made and not whole:
+    others = {run["run"]: run for run in runs(results)}
+    own = {**others.pop(name, {"tables": {}})["tables"], **dict.fromkeys(made, "part")}
+    alone = own.keys() & set(whole)  # another run made the rest of what is whole
+    if not own:
         return
-    mine = {"run": name, **record, "tables": {table: "whole" if table in whole else "part" for table in made}}
+    mine = {"run": name, **record, "tables": own | dict.fromkeys(alone, "whole")}
     before = []
-    for run in runs(results):
-        if run["run"] == name:  # merged in several goes
-            mine["tables"] = {**run["tables"], **mine["tables"]}
-        elif not alike(run, mine):
-            there = {table: part for table, part in run["tables"].items() if table in TABLES}
-            kept = {table: part for table, part in there.items() if table not in whole}
+    for run in others.values():
+        if not alike(run, mine):
+            kept = {table: part for table, part in run["tables"].items() if table in TABLES.keys() - alone}
             before += [{**run, "tables": kept}] if kept else []
     with replacing(results / "environment.json") as file:
         json.dump({"runs": [*before, mine]}, file, indent=1, sort_keys=True)
