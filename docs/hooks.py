@@ -22,8 +22,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Return the text with the links of the results to docs/, which is the root of the site."""
-    return markdown.replace("](../docs/", "](../")
+    """Return the text with the links between results/ and docs/, which is the root of the site."""
+    return markdown.replace("](../docs/", "](../").replace("](../results/", "](results/")
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:

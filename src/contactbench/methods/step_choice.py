@@ -81,31 +81,34 @@ class ChosenStep(Prepared):
         """The step for the tolerance, and the evaluations spent on finding it."""
         r, order = self.request, self.method_.order
         assert r.rtol is not None
-        target, step, spent, gap = AIM * r.rtol, float(r.save_at[-1]) / FIRST, 0, math.inf
+        end = float(r.save_at[-1])
+        target, step, spent, gap = AIM * r.rtol, end / FIRST, 0, math.inf
         pilots: list[tuple[float, np.ndarray]] = []
-        divided = 0
+        divided, finer = 0, 2.0
         while (steps := self.run.steps_at(step)) <= r.max_steps:
             if steps == divided:  # one step between saved times already: the same pilot, not an agreeing one
-                pilots[-1] = step, pilots[-1][1]
                 step /= 2
                 continue
+            # saved times shorten steps: a pilot may have less than twice as many as the one before
+            coarser, finer = finer, steps / divided if divided else 2.0
+            taken = step if math.isclose(steps * step, end) else end / steps
             divided = steps
             y, cost = self.pilot(y0, step)
-            pilots.append((step, y))
+            pilots.append((taken, y))
             spent += cost
             if len(pilots) > 1:
                 before, gap = gap, distance(pilots[-2][1], y)
                 if gap < ROUND_OFF:  # exact, or as good as it gets
                     return step, spent
-                rate = math.log2(before / gap) if math.isfinite(before) else 0.0
+                rate = math.log(before / gap) / math.log(coarser) if math.isfinite(before) else 0.0
                 settled = gap < TRUSTED_GAP and rate > order - LEEWAY
                 # an order seen to be higher, as the next term of the error makes it, counts in part
-                finest = gap / (2 ** min(max(rate, order), order + LEEWAY) - 1)
+                finest = gap / (finer ** min(max(rate, order), order + LEEWAY) - 1)
                 if settled and finest <= target:
                     return self.between(pilots, finest, target), spent
                 ahead = (target / finest) ** (1 / order)
                 if settled and rate < order + LEEWAY and ahead > 1 / REACH:
-                    return step * ahead, spent
+                    return taken * ahead, spent
             step /= 2
         return step, spent  # will end as `budget`
 

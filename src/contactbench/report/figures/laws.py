@@ -74,7 +74,7 @@ def message(rows: pd.DataFrame, laws: pd.DataFrame, scene: str) -> str:
                 f"{name} to {decade(ours.max(), math.ceil)} (others at best {decade(theirs.min(), math.floor)})"
             )
     if kept:
-        return f"{scene}: contact methods keep {' and '.join(kept)}"
+        return f"{scene}, these settings: contact methods of fixed steps keep {' and '.join(kept)}"
     worst = rows.groupby("method")["energy_deviation"].max().dropna()
     if not len(worst):
         return f"{scene}: laws along time"

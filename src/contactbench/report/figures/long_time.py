@@ -40,5 +40,5 @@ def message(rows: pd.DataFrame) -> str:
     ours, theirs = rows[own]["pairing_defect"].max(), rows[~own]["pairing_defect"].min()
     return (
         f"Contact methods pair the Lyapunov exponents to {decade(ours, math.ceil)} at any cost, "
-        f"others to {decade(theirs, math.floor)} at best"
+        f"others to {decade(theirs, math.floor)} at best, but for the reference"
     )
