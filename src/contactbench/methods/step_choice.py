@@ -105,7 +105,8 @@ class ChosenStep(Prepared):
                 # an order seen to be higher, as the next term of the error makes it, counts in part
                 finest = gap / (finer ** min(max(rate, order), order + LEEWAY) - 1)
                 if settled and finest <= target:
-                    return self.between(pilots, finest, target), spent
+                    # the last pilot is accurate enough, whatever saved times have made of its step
+                    return max(step, self.between(pilots, finest, target)), spent
                 ahead = (target / finest) ** (1 / order)
                 if settled and rate < order + LEEWAY and ahead > 1 / REACH:
                     return taken * ahead, spent
