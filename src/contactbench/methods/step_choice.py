@@ -83,10 +83,11 @@ class ChosenStep(Prepared):
         assert r.rtol is not None
         end = float(r.save_at[-1])
         target, step, spent, gap = AIM * r.rtol, end / FIRST, 0, math.inf
-        pilots: list[tuple[float, np.ndarray]] = []
+        pilots: list[tuple[float, np.ndarray, float]] = []  # the step taken, the states, the step asked for
         divided, finer = 0, 2.0
         while (steps := self.run.steps_at(step)) <= r.max_steps:
             if steps == divided:  # one step between saved times already: the same pilot, not an agreeing one
+                pilots[-1] = *pilots[-1][:2], step
                 step /= 2
                 continue
             # saved times shorten steps: a pilot may have less than twice as many as the one before
@@ -94,7 +95,7 @@ class ChosenStep(Prepared):
             taken = step if math.isclose(steps * step, end) else end / steps
             divided = steps
             y, cost = self.pilot(y0, step)
-            pilots.append((taken, y))
+            pilots.append((taken, y, step))
             spent += cost
             if len(pilots) > 1:
                 before, gap = gap, distance(pilots[-2][1], y)
@@ -105,8 +106,7 @@ class ChosenStep(Prepared):
                 # an order seen to be higher, as the next term of the error makes it, counts in part
                 finest = gap / (finer ** min(max(rate, order), order + LEEWAY) - 1)
                 if settled and finest <= target:
-                    # the last pilot is accurate enough, whatever saved times have made of its step
-                    return max(step, self.between(pilots, finest, target)), spent
+                    return self.between(pilots, finest, target), spent
                 ahead = (target / finest) ** (1 / order)
                 if settled and rate < order + LEEWAY and ahead > 1 / REACH:
                     return taken * ahead, spent
@@ -114,17 +114,18 @@ class ChosenStep(Prepared):
         return step, spent  # will end as `budget`
 
     @staticmethod
-    def between(pilots: list[tuple[float, np.ndarray]], finest: float, target: float) -> float:
+    def between(pilots: list[tuple[float, np.ndarray, float]], finest: float, target: float) -> float:
         """The step between two pilots at which the error, measured against the finest, is the target."""
-        fine, error = pilots[-1][0], finest
-        for step, y in reversed(pilots[:-1]):
-            larger = distance(y, pilots[-1][1])
+        (fine, last, asked), error = pilots[-1], finest
+        for taken, y, step in reversed(pilots[:-1]):
+            larger = distance(y, last)
             if not larger <= target:
                 if not math.isfinite(larger):
-                    return fine
-                return fine * (step / fine) ** (math.log(target / error) / math.log(larger / error))
-            fine, error = step, max(larger, error)
-        return fine
+                    return asked
+                shorter = math.log(target / error) / math.log(larger / error)
+                return max(asked, fine * (taken / fine) ** shorter)
+            fine, asked, error = taken, step, max(larger, error)
+        return asked
 
     def pilot(self, y0: np.ndarray, step: float) -> tuple[np.ndarray, int]:
         """(q, p) or M at the saved times with a step, and the evaluations it took."""
