@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import copyreg
 import dataclasses
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, switch, text, unknown_name
+from contactbench.errors import BadInput, excerpt, finite, function, positive, switch, text, unknown_name
 from contactbench.numbers.nested import leaves
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
@@ -25,6 +26,37 @@ EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
 TRIED = 1e-3
+#: what returns the value of a field as it is kept, or raises `BadInput`; called with its name and the value given
+Check = Callable[[str, Any], Any]
+
+
+def optional(check: Check) -> Check:
+    """Return a check that lets None pass."""
+    return lambda name, value: None if value is None else check(name, value)
+
+
+def experiment_names(name: str, value: Any) -> tuple[str, ...]:
+    """Return names of experiments, or raise `BadInput`."""
+    if isinstance(value, tuple) and all(isinstance(e, str) and e in EXPERIMENTS for e in value):
+        return value
+    raise BadInput(f"{name} = {excerpt(value)}: must be a tuple of names among {', '.join(EXPERIMENTS)}")
+
+
+def named_numbers(name: str, value: Any) -> dict[str, float]:
+    """Return finite numbers by name, or raise `BadInput`."""
+    if isinstance(value, Mapping) and all(isinstance(key, str) and key.isidentifier() for key in value):
+        return {key: finite(key, number) for key, number in value.items()}
+    raise BadInput(f"{name} = {excerpt(value)}: must be a dict of numbers by name")
+
+
+def reciprocal(value: Any) -> Any:
+    """Return 1/value, of each number in a tuple."""
+    return tuple(map(reciprocal, value)) if isinstance(value, tuple) else 1 / value
+
+
+def refill(value: Any, supply: Iterator[Any]) -> Any:
+    """Return the next number of a supply in place of a number, as many in place of a tuple."""
+    return tuple(refill(part, supply) for part in value) if isinstance(value, tuple) else next(supply)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,15 +206,26 @@ class System(ABC):
                     f"scene {self.name!r}: its {name} {excerpt(function)} cannot be pickled: it must be a function "
                     "that can be recorded, or stand at the top of a module"
                 ) from error
-        return _unpickled, (type(self), scene.__dict__)
+        return copyreg.__newobj__, (type(self),), scene.__dict__  # type: ignore[attr-defined]
+
+    def _start(self, name: str) -> tuple[list[Any], dict[str, float]]:
+        """Return the arguments of a user's function at the start."""
+        given, wanted = {"xp": math, "h": TRIED * self.t_end}, self.functions[name]
+        plain = [given[each] if each in given else getattr(self, each) for each in wanted if each != "**"]
+        return plain, dict(getattr(self, "parameters", {})) if "**" in wanted else {}
+
+    def _value(self, name: str) -> Any:
+        """Return the value of a user's function at the start."""
+        plain, parameters = self._start(name)
+        with their_code(f"scene {self.name!r}"):
+            return getattr(self, name)(*plain, **parameters)
 
     def _formula(self, name: str) -> Formula | None:
-        function, wanted = getattr(self, name), self.functions[name]
+        """Return a user's function as a formula; None for what needs none or cannot be recorded."""
+        function = getattr(self, name)
         if function is None or isinstance(function, Formula) or is_ours(function):
             return None
-        parameters = dict(getattr(self, "parameters", {})) if "**" in wanted else {}
-        values = {"xp": math, "h": TRIED * self.t_end}
-        plain = [values[w] if w in values else getattr(self, w) for w in wanted if w != "**"]
+        plain, parameters = self._start(name)
         shape = tuple("xp" if v is math else len(v) if isinstance(v, tuple) else 0 for v in plain)
         with their_code(f"scene {self.name!r}"):
             try:
@@ -231,12 +274,6 @@ class System(ABC):
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 
 
-def _unpickled(kind: type[System], attributes: dict[str, Any]) -> System:
-    scene = object.__new__(kind)
-    scene.__dict__.update(attributes)
-    return scene
-
-
 @dataclass(frozen=True, kw_only=True)
 class Scene(System):
     """A system with an energy, a contact Hamiltonian and a momentum map, initial data and an end time.
@@ -271,34 +308,45 @@ class Scene(System):
     #: the experiments that run it, where it is not all of them but that of stability
     experiments: tuple[str, ...] = ()
 
+    #: the NamedTuple of its states
+    state: ClassVar[Any] = None
+    #: the fields that are its initial data: those of its states
     initial_fields: ClassVar[tuple[str, ...]] = ()
+    #: the fields whose numbers are its parameters, in their order; those in `parameters` come last
+    coefficients: ClassVar[tuple[str, ...]] = ()
+    #: coefficients that are kept as reciprocals too, and under which name: compiled loops run up to twice as fast
+    #: where no division is left in the right-hand side
+    reciprocals: ClassVar[dict[str, str]] = {}
+    #: how its fields are validated
+    checks: ClassVar[dict[str, Check]] = {
+        "name": text,
+        "about": text,
+        "hard": switch,
+        "experiments": experiment_names,
+        "exact": optional(function),
+        "t_end": positive,
+        "s": finite,
+    }
     #: its state has coordinates q and p of the same number, and η = ds − p dq
     canonical: ClassVar[bool] = False
 
-    def _check_kinds(self) -> None:
-        """Raise `BadInput` for a field that is of another kind altogether."""
-        text("name", self.name)
-        text("about", self.about)
-        switch("hard", self.hard)
-        known = isinstance(self.experiments, tuple) and all(
-            isinstance(e, str) and e in EXPERIMENTS for e in self.experiments
-        )
-        if not known:
-            allowed = ", ".join(EXPERIMENTS)
-            raise BadInput(
-                f"experiments = {excerpt(self.experiments)}: must be a tuple of names among {allowed}"
-            )
-        if self.exact is not None:
-            function("exact", self.exact)
-
-    def _check_names(self, parameters: Iterable[str]) -> None:
-        """Raise `BadInput` for a parameter that would hide what bears its name already."""
+    def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
-        for name in parameters:
+        for name, check in self.checks.items():
+            self._fix(name, check(name, getattr(self, name)))
+        for name in getattr(self, "parameters", {}):
             if name in taken:
                 raise BadInput(
                     f"parameter {name!r}: must have a name of its own, none of {', '.join(sorted(taken))}"
                 )
+        for name, kept in self.reciprocals.items():
+            value = getattr(self, name)
+            self._fix(kept, reciprocal(value))
+            if not all(map(math.isfinite, leaves(getattr(self, kept)))):
+                raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
+
+    def _fix(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
 
     def is_in(self, experiment: str) -> bool:
         """Return whether an experiment runs it."""
@@ -313,31 +361,49 @@ class Scene(System):
         """
         allowed = [f.name for f in dataclasses.fields(self) if f.init]
         extra = dict(getattr(self, "parameters", {}))
-        fields: dict[str, Any] = {}
-        for key, value in changes.items():
-            if key in extra:
-                extra[key] = finite(key, value)
-            elif key in allowed:
-                fields[key] = value
-            else:
-                raise unknown_name(f"parameter of scene {self.name!r}", key, [*extra, *allowed])
-        if extra and "parameters" not in fields:
-            fields["parameters"] = extra
-        return dataclasses.replace(self, **fields)
+        for name in changes:
+            if name not in extra and name not in allowed:
+                raise unknown_name(f"parameter of scene {self.name!r}", name, [*extra, *allowed])
+        named = {name: finite(name, changes.pop(name)) for name in extra if name in changes}
+        if extra:
+            changes = {"parameters": extra | named} | changes
+        return dataclasses.replace(self, **changes)
 
-    @abstractmethod
+    def numbers(self) -> list[float]:
+        own = leaves([getattr(self, name) for name in self.coefficients])
+        return [*own, *getattr(self, "parameters", {}).values()]
+
     def number_names(self) -> list[str]:
         """Return the names by which `with_` knows each of `numbers`; empty where it is part of a larger parameter."""
+        names: list[str] = []
+        for name in self.coefficients:
+            value = getattr(self, name)
+            names += [""] * len(leaves(value)) if isinstance(value, tuple) else [name]
+        return [*names, *getattr(self, "parameters", {})]
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        supply = iter(numbers)
+        changed = {name: refill(getattr(self, name), supply) for name in self.coefficients}
+        changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
+        if names := list(getattr(self, "parameters", {})):
+            changed["parameters"] = dict(zip(names, supply, strict=True))
+        return self._replaced(**changed)
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+        values = {name: getattr(self, name) for name in self.initial_fields} | data
+        kept = [
+            name for name in self.initial_fields if name in carry or name not in self.state._field_defaults
+        ]
+        vectors = {name for name in kept if isinstance(getattr(self, name), tuple)}
+        return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
 
     def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:
             if key not in self.initial_fields:
                 raise unknown_name(f"initial value of scene {self.name!r}", key, self.initial_fields)
-        if not data:
-            return {f: getattr(self, f) for f in self.initial_fields}
-        changed = self.with_(**data)
-        return {f: getattr(changed, f) for f in self.initial_fields}
+        changed = self.with_(**data) if data else self
+        return {name: getattr(changed, name) for name in self.initial_fields}
 
     # -- physics -------------------------------------------------------------------------------
     @abstractmethod
@@ -352,9 +418,12 @@ class Scene(System):
     def momentum(self, x: Any) -> Vector | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
-    @abstractmethod
     def tangents(self, x: Any) -> list[Any]:
-        """Return a basis of the tangent space at x, as states."""
+        """Return a basis of the tangent space at x, as states: the coordinates', the time left out."""
+        size = len(self.pack(x))
+        carry = [name for name in self.optional if getattr(x, name) is not None]
+        units = ([1.0 if i == j else 0.0 for j in range(size)] for i in range(size) if i != self.clock)
+        return [self.unpack(unit, carry) for unit in units]
 
     def displaced(self, x: Any, v: Any, amount: float) -> Any:
         """Return the state at `amount` along a curve that leaves x with tangent v."""
@@ -367,6 +436,10 @@ class Scene(System):
     @abstractmethod
     def contact_terms(self, x: Any, dx: Any) -> Any:
         """Return the size of the terms that η(dx) is the difference of."""
+
+    def energy_terms(self, x: Any) -> Any:
+        """Return the size of the terms that H0 is the sum of."""
+        return abs(self.energy(x))
 
     @abstractmethod
     def hamiltonian_terms(self, x: Any) -> Any:
@@ -386,19 +459,24 @@ class Scene(System):
         return None if self.conformal_rate is None else self.conformal_rate * t
 
     @property
+    def is_contact(self) -> bool:
+        """The exact flow is a conformal contact map, with a rate that is constant or changes."""
+        return self.conformal_rate is not None or self.rate_changes
+
+    @property
     def has_hamiltonian_law(self) -> bool:
         """H' = −Γ'(s) H."""
         return self.is_contact
 
     @property
+    def bounds_energy(self) -> bool:
+        """H0 never exceeds what it was at the start."""
+        return not self.may_gain_energy
+
+    @property
     def rate_changes(self) -> bool:
         """φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant."""
         return False
-
-    @property
-    def is_contact(self) -> bool:
-        """The exact flow is a conformal contact map, with a rate that is constant or changes."""
-        return self.conformal_rate is not None or self.rate_changes
 
     @property
     def has_momentum_law(self) -> bool:
@@ -414,12 +492,3 @@ class Scene(System):
     def may_gain_energy(self) -> bool:
         """H0 need not decay: no damping, negative damping, or damping whose sign follows the motion."""
         return False
-
-    @property
-    def bounds_energy(self) -> bool:
-        """H0 never exceeds what it was at the start."""
-        return not self.may_gain_energy
-
-    def energy_terms(self, x: Any) -> Any:
-        """Return the size of the terms that H0 is the sum of."""
-        return abs(self.energy(x))
