@@ -100,7 +100,7 @@ class System(ABC):
     @property
     def motion(self) -> int:
         """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
-        return len(self.labels(()))
+        return len(self.without_clock(self.labels(())))
 
     @abstractmethod
     def initial(self, carry: Sequence[str], **data: Any) -> Any:
@@ -249,11 +249,10 @@ class System(ABC):
         twin.__dict__.update(self.__dict__ | attributes)
         return twin
 
-    def __copy__(self) -> Self:
+    def __deepcopy__(self, memo: object = None) -> Self:
         return self  # nothing of it changes
 
-    def __deepcopy__(self, memo: object) -> Self:
-        return self
+    __copy__ = __deepcopy__
 
     # -- equations -----------------------------------------------------------------------------
     @abstractmethod
@@ -389,12 +388,33 @@ class Scene(System):
             changed["parameters"] = dict(zip(names, supply, strict=True))
         return self._replaced(**changed)
 
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
-        values = {name: getattr(self, name) for name in self.initial_fields} | data
-        kept = [
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        functions = tuple(getattr(self, name) for name in self.functions)
+        return (self.kind, *functions, *self.labels(self.optional), *self.number_names(), *self.decided)
+
+    @property
+    def decided(self) -> tuple[Any, ...]:
+        """What its equations or flows choose by, computed once of the numbers it was made with."""
+        return ()
+
+    def fields_in(self, carry: Sequence[str]) -> list[str]:
+        """Return the names of the fields of its states that are integrated."""
+        return [
             name for name in self.initial_fields if name in carry or name not in self.state._field_defaults
         ]
-        vectors = {name for name in kept if isinstance(getattr(self, name), tuple)}
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        found: list[str] = []
+        for name in self.fields_in(carry):
+            value = getattr(self, name)
+            found += [f"{name}{i + 1}" for i in range(len(value))] if isinstance(value, tuple) else [name]
+        return found
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+        values = {name: getattr(self, name) for name in self.initial_fields} | data
+        vectors = {name for name in values if isinstance(getattr(self, name), tuple)}
+        kept = self.fields_in(carry)
         return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
 
     def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:

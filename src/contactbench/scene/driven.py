@@ -94,16 +94,8 @@ class Driven(Mechanical):
                 raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(pair)}")
 
     # -- state ---------------------------------------------------------------------------------
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        names = super().labels(())
-        return [*names, "t", *(c for c in self.optional if c in carry)]
-
     @property
     def clock(self) -> int:
-        return 2 * len(self.q)
-
-    @property
-    def motion(self) -> int:
         return 2 * len(self.q)
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
@@ -114,10 +106,6 @@ class Driven(Mechanical):
     @property
     def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("mass",) if self.rate else ("gamma", "mass")
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (Driven, *super().structure, self.rate, self.span)
 
     # -- physics -------------------------------------------------------------------------------
     def V(self, q: Vector, t: Any = None) -> Any:
@@ -147,16 +135,15 @@ class Driven(Mechanical):
         s = None if x.s is None else self.kinetic(x.p) - self.potential_at(x) - rate * x.s
         return DrivenState(velocity, force, 1.0 + 0 * x.t, s)
 
-    @property
-    def has_jacobian(self) -> bool:
-        return False
+    #: ∂∇V/∂t is not asked for: solvers difference
+    has_jacobian = False
+    has_torque = False
+    has_hamiltonian_law = False
+    may_gain_energy = True
+    bounds_energy = False
 
     def jacobian(self, x: Any) -> None:
-        """Return None, since ∂∇V/∂t is not asked for: solvers difference."""
-
-    @property
-    def has_torque(self) -> bool:
-        return False
+        """Return None."""
 
     @property
     def conformal_rate(self) -> Any:
@@ -165,18 +152,6 @@ class Driven(Mechanical):
     @property
     def rate_changes(self) -> bool:
         return self.rate is not None
-
-    @property
-    def has_hamiltonian_law(self) -> bool:
-        return False
-
-    @property
-    def may_gain_energy(self) -> bool:
-        return True
-
-    @property
-    def bounds_energy(self) -> bool:
-        return False
 
     def rate_at(self, t: Any) -> Any:
         """Return γ(t)."""

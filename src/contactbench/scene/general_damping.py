@@ -62,17 +62,9 @@ class GeneralDamping(Mechanical):
             if getattr(self, name) is not None:
                 require_number(name, self._value(name))
 
-    @property
-    def required(self) -> tuple[str, ...]:
-        return ("s",)
+    required = ("s",)
 
-    @property
-    def nonlinear_damping(self) -> bool:
-        return True
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (*super().structure, GeneralDamping, self.damping, self.damping_slope, self.damping_flow)
+    nonlinear_damping = True
 
     def dissipation(self, s: Any) -> Any:
         return self.damping(s)
@@ -80,5 +72,8 @@ class GeneralDamping(Mechanical):
     def dissipation_rate(self, s: Any) -> Any:
         return self.damping_slope(s)
 
+    #: Γ'' is not asked for: solvers difference
+    has_jacobian = False
+
     def jacobian(self, x: State) -> None:
-        """Return None, since Γ'' is not asked for: solvers difference."""
+        """Return None."""

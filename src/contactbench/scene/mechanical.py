@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import isfinite
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, is_number, positive, switch, vector
+from contactbench.errors import BadInput, excerpt, finite, function, positive, switch, vector
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Check, Scene, named_numbers, optional
@@ -22,19 +21,9 @@ from contactbench.trace.formula import Formula, formula
 LARGEST_HESSIAN = 32
 
 
-@lru_cache(256)
-def derived_gradient(potential: Formula) -> Formula:
-    """Return ∇V from V.  Raises `BadInput` for a function whose derivative is not known."""
-    try:
-        return potential.gradient()
-    except CannotRecord as why:
-        raise BadInput(f"the gradient is missing, and cannot be derived from the potential: {why}") from why
-
-
-@lru_cache(256)
-def derived_hessian(gradient: Formula) -> Formula:
-    """Return the Hessian from ∇V.  Raises `CannotRecord`."""
-    return gradient.jacobian(symmetric=True)
+#: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
+derived_gradient = lru_cache(256)(Formula.gradient)
+derived_jacobian = lru_cache(256)(Formula.jacobian)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,31 +99,17 @@ class Mechanical(Scene):
         self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
         if len(self.q) != len(self.p):
             raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
-        self._check_force()
-
-    def _check_force(self) -> None:
-        """Raise `BadInput` unless the gradient at the initial position is n finite numbers."""
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
             force = self.dV(self.q)
         if not isinstance(force, tuple | list | np.ndarray):
             raise BadInput(
                 f"gradient: must return {len(self.q)} numbers, a tuple; it returns {excerpt(force)}"
             )
-        if len(force) != len(self.q):
-            raise BadInput(f"q = {excerpt(self.q)}: scene {self.name!r} needs {len(force)} components")
-        if not all(map(is_number, force)):
-            raise BadInput(f"gradient: must return real numbers; it returns {excerpt(force)}")
-        if not all(map(isfinite, force)):
-            raise BadInput(f"q = {excerpt(self.q)}: the force of scene {self.name!r} is not finite there")
+        vector(f"q = {excerpt(self.q)}, where gradient", force, len(self.q))
 
     @property
     def required(self) -> tuple[str, ...]:
         return ("s",) if self.kappa else ()
-
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        n = len(self.q)
-        names = [f"q{i + 1}" for i in range(n)] + [f"p{i + 1}" for i in range(n)]
-        return names + [c for c in self.optional if c in carry]
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
         n = len(self.q)
@@ -146,33 +121,29 @@ class Mechanical(Scene):
         return self.kappa_sign != 0
 
     @property
-    def structure(self) -> tuple[Any, ...]:
-        functions = self.potential, self.gradient, self.hessian
-        return (Mechanical, *functions, len(self.q), tuple(self.parameters), self.kappa_sign)
+    def decided(self) -> tuple[Any, ...]:
+        return (self.kappa_sign,)
 
     def recorded(self) -> Self:
         """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""
         scene = super().recorded()
         if scene.gradient is None:
-            scene = scene._replaced(gradient=derived_gradient(scene._potential_formula()))
+            sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
+            try:
+                potential = scene.potential
+                if not isinstance(potential, Formula):
+                    potential = formula(potential, sizes, tuple(self.parameters))
+                scene = scene._replaced(gradient=derived_gradient(potential))
+            except CannotRecord as why:
+                raise BadInput(
+                    f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
+                ) from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
             with suppress(CannotRecord):
-                scene = scene._replaced(hessian=derived_hessian(scene.gradient))
+                scene = scene._replaced(hessian=derived_jacobian(scene.gradient, symmetric=True))
         return scene
-
-    def _potential_formula(self) -> Formula:
-        """Return the potential as a formula; `BadInput` where it cannot be recorded."""
-        if isinstance(self.potential, Formula):
-            return self.potential
-        sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
-        try:
-            return formula(self.potential, sizes, tuple(self.parameters))
-        except CannotRecord as why:
-            raise BadInput(
-                f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
-            ) from why
 
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:

@@ -124,9 +124,8 @@ class RigidBody(Scene):
         return ("R", "s") if self.isotropic else ("R",)
 
     def labels(self, carry: Sequence[str]) -> list[str]:
-        names = ["M1", "M2", "M3"]
-        names += ["R_w", "R_x", "R_y", "R_z"] if "R" in carry else []
-        return names + (["s"] if "s" in carry else [])
+        quaternion = {"R1": "R_w", "R2": "R_x", "R3": "R_y", "R4": "R_z"}
+        return [quaternion.get(name, name) for name in super().labels(carry)]
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> BodyState:
         R = tuple(y[3:7]) if "R" in carry else None
@@ -139,8 +138,8 @@ class RigidBody(Scene):
         return ("inertia", "rates") if self.axes is None else ("inertia", "rates", "axes")
 
     @property
-    def structure(self) -> tuple[Any, ...]:
-        return (RigidBody, self.isotropic, self.isotropic or self.axes is None, self.by_inertia)
+    def decided(self) -> tuple[Any, ...]:
+        return self.by_inertia
 
     # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:
