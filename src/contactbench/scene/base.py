@@ -7,13 +7,23 @@ import dataclasses
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, positive, switch, text, unknown_name
-from contactbench.numbers.nested import leaves
+from contactbench.errors import (
+    BadInput,
+    excerpt,
+    finite,
+    function,
+    items_of,
+    positive,
+    switch,
+    text,
+    unknown_name,
+)
+from contactbench.numbers.nested import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
 from contactbench.trace.formula import Formula, formula
@@ -51,12 +61,7 @@ def named_numbers(name: str, value: Any) -> dict[str, float]:
 
 def reciprocal(value: Any) -> Any:
     """Return 1/value, of each number in a tuple."""
-    return tuple(map(reciprocal, value)) if isinstance(value, tuple) else 1 / value
-
-
-def refill(value: Any, supply: Iterator[Any]) -> Any:
-    """Return the next number of a supply in place of a number, as many in place of a tuple."""
-    return tuple(refill(part, supply) for part in value) if isinstance(value, tuple) else next(supply)
+    return rebuild(value, [1 / number for number in leaves(value)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,14 +84,12 @@ class System(ABC):
         """Return the optional fields to integrate, validated; None means all the scene has."""
         if names is None:
             return self.optional
-        given = (names,) if isinstance(names, str) else names
-        if not isinstance(given, Sequence | set | frozenset | dict) or not all(
-            isinstance(name, str) and name in self.optional for name in given
-        ):
-            what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
-            raise BadInput(f"carry = {excerpt(names)}: scene {self.name!r} can carry {what}")
-        names = tuple(given)
-        return tuple(name for name in self.optional if name in names or name in self.required)
+        what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
+        wanted = f"names of fields; scene {self.name!r} can carry {what}"
+        given = [names] if isinstance(names, str) else items_of("carry", names, wanted)
+        if not all(isinstance(name, str) and name in self.optional for name in given):
+            raise BadInput(f"carry = {excerpt(names)}: must be {wanted}")
+        return tuple(name for name in self.optional if name in given or name in self.required)
 
     @property
     def required(self) -> tuple[str, ...]:
@@ -161,15 +164,16 @@ class System(ABC):
         return self.structure if is_ours(type(self)) else self._equations()
 
     @property
-    def own_equations(self) -> list[str]:
-        """What a user's kind of scene writes anew of the equations of the kind of this package that it is based on.
-
-        The flows that contact methods are composed of know nothing of it.
-        """
-        kind = type(self)
-        base = next(each for each in kind.__mro__ if is_ours(each))
+    def own_equations(self) -> str | None:
+        """Why the flows of its kind do not solve it: a kind of a user's own writes equations anew; None where they do."""
+        base = next(each for each in type(self).__mro__ if is_ours(each))
         names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
-        return [name for name in names if getattr(kind, name, None) is not getattr(base, name, None)]
+        anew = [name for name in names if getattr(type(self), name, None) is not getattr(base, name, None)]
+        if not anew:
+            return None
+        return (
+            f"its flows are those of {self.kind}, and {type(self).__name__} has {', '.join(anew)} of its own"
+        )
 
     def _equations(self) -> Hashable | None:
         carry, names = self.optional, ("rhs", "jacobian", "energy", "hamiltonian", "momentum", "gradient_at")
@@ -347,12 +351,6 @@ class Scene(System):
     def _fix(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
 
-    def is_in(self, experiment: str) -> bool:
-        """Return whether an experiment runs it."""
-        if self.experiments:
-            return experiment in self.experiments
-        return self.hard == (experiment == "stability")
-
     def with_(self, **changes: Any) -> Self:
         """Return a copy with some parameters changed, any of them by keyword.
 
@@ -381,11 +379,11 @@ class Scene(System):
         return [*names, *getattr(self, "parameters", {})]
 
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        supply = iter(numbers)
-        changed = {name: refill(getattr(self, name), supply) for name in self.coefficients}
+        own = [getattr(self, name) for name in self.coefficients]
+        changed = dict(zip(self.coefficients, rebuild(own, numbers), strict=True))
         changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
         if names := list(getattr(self, "parameters", {})):
-            changed["parameters"] = dict(zip(names, supply, strict=True))
+            changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
         return self._replaced(**changed)
 
     @property
