@@ -165,7 +165,7 @@ class System(ABC):
 
     @property
     def own_equations(self) -> str | None:
-        """Why the flows of its kind do not solve it: a kind of a user's own writes equations anew; None where they do."""
+        """Why the flows of its kind do not solve a user's own kind, which writes equations anew; None where they do."""
         base = next(each for each in type(self).__mro__ if is_ours(each))
         names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
         anew = [name for name in names if getattr(type(self), name, None) is not getattr(base, name, None)]
