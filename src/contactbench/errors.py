@@ -178,16 +178,15 @@ def items_of(name: str, value: Any, wanted: str) -> list[Any]:
         refuse(name, value, wanted)
 
 
-def function(name: str, value: Any) -> None:
-    if not callable(value):
-        refuse(name, value, "a function")
+def function(name: str, value: Any) -> Any:
+    return value if callable(value) else refuse(name, value, "a function")
 
 
-def text(name: str, value: Any) -> None:
+def text(name: str, value: Any) -> str:
     if not isinstance(value, str) or CONTROL.search(value):
         refuse(name, value, "a string of one line, without control characters")
+    return value
 
 
-def switch(name: str, value: Any) -> None:
-    if not isinstance(value, bool | np.bool_):
-        refuse(name, value, "True or False")
+def switch(name: str, value: Any) -> bool:
+    return bool(value) if isinstance(value, bool | np.bool_) else refuse(name, value, "True or False")
