@@ -274,14 +274,7 @@ def replaced(old, new):
 #: what is done to a file of a folder, and where the message says that it is damaged
 DAMAGE = {
     "odd record": ("environment.json", lambda text: "[1]", "no list of runs"),
-    "no JSON": ("environment.json", lambda text: '{\n"a": b}', "line 2 column 6"),
-    "other types": ("environment.json", replaced('{"jax": "1"}', "1"), "run 1: 'packages'"),
     "foreign table": ("laws.csv", lambda text: "a,b\n1,2\n", "columns are not those of table 'laws'"),
-    "word": ("laws.csv", replaced("1e-05", "small"), "line 2, column 'solution_error'"),
-    "infinity": ("laws.csv", replaced("1e-05", "inf"), "line 2, column 'solution_error'"),
-    "half a step": ("work_precision.csv", replaced(",200,", ",25.5,"), "column 'steps'"),
-    "no flag": ("convergence.csv", replaced("True", "perhaps"), "line 2, column 'in_fit'"),
-    "a row twice": ("laws.csv", lambda text: text + text.splitlines()[1] + "\n", "line 4: the key"),
     "cut short": ("laws.csv", lambda text: text.rsplit(",", 5)[0], "line 3: cut short"),
 }
 
