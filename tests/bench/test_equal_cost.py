@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from bench_decay import COSTS, SAVES, evaluations, value_at
-from equal_cost import step_at, tolerance_at
+from cells import step_at, tolerance_at
 
 RANGE = (1e-13, 1e-1)
 

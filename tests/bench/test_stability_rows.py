@@ -7,7 +7,7 @@ import math
 import pytest
 
 import contactbench as cb
-from stability_rows import overdamped_row
+from bench_stability import overdamped_row
 
 
 def test_the_last_kick_leaves_the_overdamped_momentum_too_large():

@@ -108,7 +108,7 @@ def test_the_one_step_map_tends_to_the_flow(method):
 @pytest.mark.parametrize("name", ["contact-abc", "contact-strang"])
 @pytest.mark.parametrize(("damping", "expected"), [(1.0, 1.08), (5.0, 2.54), (25.0, 13.3)])
 def test_splitting_force_and_friction_gets_the_creep_wrong(name, damping, expected):
-    from stability_rows import overdamped_row
+    from bench_stability import overdamped_row
 
     row = overdamped_row(name, "step", damping / 50.0, None)
     assert row["true_rate"] == slow_rate(50.0)
@@ -126,8 +126,8 @@ def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
 @pytest.mark.parametrize("t_end", [1e4, 1e5])
 def test_the_exact_solution_has_no_error_of_its_rate(t_end):
     """A method that returns the truth, through all that a method goes through."""
+    from bench_stability import weak_row
     from planted import plant_truth
-    from stability_rows import weak_row
 
     with plant_truth() as name:
         row = weak_row("weak_damping", name, t_end)

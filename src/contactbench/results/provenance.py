@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from contactbench.errors import BadInput
+from contactbench.measure.clock import SEED
 from contactbench.plugins import LOADED
 from contactbench.results.schema import TABLES
 from contactbench.results.store import replacing
@@ -35,7 +36,7 @@ THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")
 ]
 
 
-def environment(profile: str, seed: int) -> dict[str, Any]:
+def environment(profile: str) -> dict[str, Any]:
     """Where and with what a run is made."""
     versions = {}
     for name in PACKAGES:
@@ -46,7 +47,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
     return {
         "utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "profile": profile,
-        "shuffle_seed": seed,
+        "shuffle_seed": SEED,
         "python": sys.version.split()[0],
         "packages": versions,
         "cpu": _cpu(),
