@@ -27,7 +27,6 @@ def ladder(profile):
 
 
 def in_double_precision(scene, method):
-    """(row, step, error) for each step size."""
     for h in steps(scene, POINTS):
         solution = cb.solve(
             scene, method.name, save_at=save_times(scene), carry=(), **keywords(method.control, h)

@@ -38,7 +38,6 @@ DEVIATIONS |= {"momentum": "momentum_law", "contact": "contact_drift"}
 
 
 def along_time(solution):
-    """Rows of the time table."""
     columns = {"t": solution.t, "energy": energies(solution)[0]}
     for name, law in DEVIATIONS.items():
         found = LAWS[law].along(solution) if LAWS[law].applies(solution.scene) else np.nan

@@ -42,7 +42,6 @@ def starts(count):
 
 
 def settings(method):
-    """(kind, value) of each rung."""
     if method.adaptive:
         return [("rtol", rtol) for rtol in RTOLS]
     each = method.per_step(SCENE, ())
@@ -50,7 +49,6 @@ def settings(method):
 
 
 def with_tangents(method, kind, value, count=TRAJECTORIES):
-    """Rows of the exponents, and of the energy along them."""
     span = {"every": PERIOD, "intervals": PERIODS, "settle": SETTLE, "initial_conditions": starts(count)}
     found = cb.lyapunov(SCENE, method.name, **span, **keywords(kind, value))
     largest = Average(found.exponents.value[0], found.exponents.error[0])

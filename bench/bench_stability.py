@@ -19,9 +19,9 @@ import contactbench as cb
 from cells import cells, controlled, key, outcome, right_hand_sides, small, step_budget, tolerance_at
 from contactbench.boundary import UserError
 from contactbench.measure.clock import seconds
-from contactbench.measure.deviation import MEANINGFUL
 from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.measure.ladder import SAVES, save_times
+from contactbench.measure.law import MEANINGFUL
 from contactbench.measure.laws import row as laws_row
 from contactbench.measure.stability import (
     THEORY,
@@ -65,7 +65,6 @@ SPANS = (1e4, 1e5)
 
 
 def settings(scene, method):
-    """(kind, value) of each rung of a method's ladder."""
     if method.control == EXACT:
         return [(EXACT, 0.0)]
     if method.adaptive:
@@ -102,7 +101,6 @@ def questions(profile):
 
 
 def calls(cell, profile):
-    """What a cell runs: (row without its result, function, arguments) for each of its rows."""
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     engine, budget = method.engines[0], budget_of(profile, scene, method)
     for kind, value in settings(scene, method):
@@ -162,7 +160,6 @@ QUICK, LONG, CALLS = 0.01, 0.3, 5
 
 
 def stability_row(scene, method, engine, kind, value, max_steps):
-    """A row of the table `stability`."""
     scene = cb.SCENES[scene]
     with blamed_on_solver():
         options = {"engine": engine, "save_at": save_times(scene), "max_steps": max_steps}
@@ -308,7 +305,6 @@ def pilot_cost(scene, method):
 # -- workers ---------------------------------------------------------------------------------------
 @pytest.fixture(scope="session")
 def worker():
-    """A process beside this one, on the same core, that keeps what it has compiled."""
     with Worker() as one:
         yield one
 

@@ -174,7 +174,6 @@ def added(run, bare, once):
 
 
 def prepared_limit(cell):
-    """The same for a C loop."""
     name, method, step = cell
     scene = cb.SCENES[name]
     row = key(name, "limit-c", "c", "step", step, method)
@@ -196,5 +195,4 @@ def prepared_limit(cell):
 @pytest.mark.timed
 @cells(limits)
 def test_limit(cell, clock):
-    """The same arithmetic as a C loop: what a compiled kernel is compared with."""
     clock.time(WORK_PRECISION, {}, prepared_limit, cell)

@@ -120,7 +120,6 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
 
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
-    """The columns that say what was set: control, value, variant, and all of them printed."""
     printed = setting_key(control, value)
     setting = f"{variant} {printed}".strip()
     return {"control": control, "value": value, "variant": variant, "setting": setting}
@@ -129,14 +128,12 @@ def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
 def key(
     scene: str, method: str, engine: str, control: str, value: float, variant: str = ""
 ) -> dict[str, Any]:
-    """The columns that say what a row is of; what is no method is a plain loop."""
     family = METHODS[method].family if method in METHODS else "limit"
     own = {"scene": scene, "method": method, "family": family, "engine": engine}
     return own | controlled(control, value, variant)
 
 
 def outcome(solution: Solution, counts: Counts | None = None, variant: str = "") -> dict[str, Any]:
-    """The columns every row of a run has: key, status, counts."""
     counts, method = counts or solution.counts, METHODS[solution.method]
     row = key(solution.scene.name, method.name, solution.engine, solution.control, solution.value, variant)
     row |= {"status": str(solution.status), "message": solution.message, "evaluation_kind": counts.kind}
@@ -189,7 +186,6 @@ def tolerance_at(cost: Callable[[float], float], target: float, rtol_range: tupl
 
 
 def distance(cost: float, target: float) -> float:
-    """|log(cost/target)|, inf for a bad end."""
     return abs(math.log(cost / target)) if 0 < cost < math.inf else math.inf
 
 

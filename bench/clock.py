@@ -124,7 +124,6 @@ class Timetable:
         return self.remote([core for core in usable_cores() if core not in mine][:1] or mine, mine, *call)
 
     def go(self) -> None:
-        """Visit all cells, and record each with its last visit."""
         pairs = [(entry, call) for entry in self.entries for call in (entry.call, entry.again) if call]
         for _, call in pairs:
             call.warm_up()
@@ -179,7 +178,6 @@ class Clock:
         self.timetable.entries.append(Entry(call, call.part, again, record, self.benchmark))
 
     def time_on(self, cores: list[int], table: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Time a cell in a process of its own on several cores."""
         if self.timetable is None:
             self.record(table, **function(*arguments)[0])
             return

@@ -151,7 +151,6 @@ def identity(item: pytest.Item) -> Cell:
 
 
 def all_cells(config: pytest.Config) -> list[Cell]:
-    """Return all cells of all experiments, as pytest names them."""
     return [
         (file.name, f"{test.__name__}[{name}]")
         for file in Path(__file__).parent.glob("bench_*.py")
@@ -240,7 +239,6 @@ def record_all(
 
 @pytest.fixture
 def record(record_all: Callable[..., None]) -> Callable[..., None]:
-    """``record(table, **row)`` adds a row to a result table."""
     return lambda which, **row: record_all(which, [row])
 
 
@@ -254,7 +252,6 @@ def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
 
 @pytest.fixture(scope="module")
 def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
-    """The timed cells of an experiment, which are timed after the last of them was prepared."""
     if not request.config.timed:
         yield None
         return
@@ -280,7 +277,6 @@ def clock(
     record: Callable[..., None],
     complete: Callable[..., dict[str, Any]],
 ) -> Clock:
-    """The clock of a timed cell."""
     item = request.node
 
     def later(which: Any, row: dict[str, Any]) -> Callable[[dict[str, Any]], None]:

@@ -16,8 +16,8 @@ import scipy.integrate
 import sksundae.cvode
 from CyRK import pysolve_ivp
 
-import contactbench as cb
 import bench_ensemble
+import contactbench as cb
 from contactbench.peers import c_functions
 from contactbench.solution import Status
 from contactbench.xla import jnp

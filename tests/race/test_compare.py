@@ -13,8 +13,7 @@ import contactbench as cb
 from contactbench.measure.ladder import ENDS
 from contactbench.methods.base import ENGINES
 from contactbench.race import comparison
-from contactbench.race.comparison import COLUMNS, Comparison, judge_times
-from contactbench.race.scout import Attempt, Scout
+from contactbench.race.comparison import COLUMNS, Attempt, Comparison, Scout, judge_times
 from contactbench.solution import Counts, Status
 from contactbench.truth import OutOfTime
 
@@ -193,7 +192,7 @@ def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so(monkey
     quick, slow = (Attempt(1.0, "step=1", Status.ok, "", seconds, error=1e-3) for seconds in (1e-3, 100.0))
     for each, attempt in zip(race.scouts, (quick, slow), strict=True):
         each.attempts.append(attempt)
-    monkeypatch.setattr("contactbench.race.comparison.bare", lambda attempt: lambda: None)
+    monkeypatch.setattr(Attempt, "bare", lambda attempt: lambda: None)
     race.time()
     assert race.times.keys() == {id(quick)}
     assert race.row(race.scouts[1], 1e-2)["reason"] == "too slow for the time that was left"

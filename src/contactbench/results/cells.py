@@ -49,8 +49,7 @@ class Cells:
     """The cells of one run, which one or several processes finish, and those of the runs before it.
 
     profile, selection : what is run, and which part of it was asked for (empty: all).  A cell is done if it was
-    finished since a run with this selection last began anew.  A run in several goes (first what is not timed, then,
-    resumed, what is) begins with the first of them.
+    finished since a run with this selection last began anew.
     """
 
     def __init__(self, results: Path, profile: str, run: str, selection: str = "") -> None:
@@ -93,16 +92,12 @@ class Cells:
         self._mark().touch()
 
     def done(self) -> dict[Cell, Rows]:
-        """Return the cells that are done, with their rows."""
         begun = self._begun()
         files = (path for path in self.folder.glob(f"*{DONE}") if path.stat().st_mtime >= begun)
         return {entry.cell: entry.rows for entry in map(_read, files) if entry and entry.cell}
 
     def merge(self, expected: Iterable[Cell] = ()) -> None:
-        """Put all new cells into the tables, whichever run has finished them.
-
-        expected : all cells of the experiments that are run as a whole.
-        """
+        """Put all new cells into the tables, whichever run finished them; expected : all cells of a whole run."""
         (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
         with FileLock(self.results / FOLDER / "lock"):
             paths = sorted((self.results / FOLDER).glob(f"*/*{NEW}"), key=lambda path: path.stat().st_mtime)
@@ -159,7 +154,6 @@ class Cells:
 
 
 def _digest(*names: str) -> str:
-    """Return a file name for names of whatever length and letters."""
     return hashlib.sha256("\n".join(names).encode()).hexdigest()[:24]
 
 
@@ -173,7 +167,6 @@ def _read(path: Path) -> Entry | None:
 
 
 def _plain(value: Any) -> Any:
-    """Return NumPy scalars as JSON has them."""
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{value!r} cannot be put in a table")
