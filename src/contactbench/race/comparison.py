@@ -473,8 +473,8 @@ class Comparison:
         self.bar.set_description("timing")
         runs: dict[str, dict[int, Attempt]] = {kind: {} for kind in KINDS}
         for each in self.scouts:
-            attempts = filter(None, (self.chosen(each, error) for error in self.question.errors))
-            runs[each.kind] |= {id(attempt): attempt for attempt in attempts}
+            found = (self.chosen(each, error) for error in self.question.errors)
+            runs[each.kind] |= {id(attempt): attempt for attempt in found if attempt}
         least = sum(FEWEST_CALLS * attempt.seconds for attempt in runs["callbacks"].values())
         for kind in KINDS:
             left = self.left(1.0)

@@ -218,13 +218,13 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
         ratios = part["cost"] / least.cost
         margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in part.itertuples()]
         pairs = zip(ratios, margins, strict=True)
-        verdicts = [verdict(ratio, most) if ratio == ratio else "" for ratio, most in pairs]
+        verdicts = [str(verdict(ratio, most)) if ratio == ratio else "" for ratio, most in pairs]
         if verdicts[0]:
-            alike = {v for v in verdicts[1:] if v} - {Verdict.loss}
-            verdicts[0] = max(alike, key=list(Verdict).index, default=Verdict.win)
+            alike = {Verdict(v) for v in verdicts[1:] if v} - {Verdict.loss}
+            verdicts[0] = str(max(alike, key=list(Verdict).index, default=Verdict.win))
         if "at_least" in part and (part["at_least"] <= least.cost).any():
-            verdicts = [v if v in ("", Verdict.loss) else Verdict.undecided for v in verdicts]
-        parts.append(part.assign(ratio=ratios, margin=margins, verdict=[str(v) for v in verdicts]))
+            verdicts = [v if v in ("", "loss") else "undecided" for v in verdicts]
+        parts.append(part.assign(ratio=ratios, margin=margins, verdict=verdicts))
     return pd.concat(parts, ignore_index=True) if parts else costs.assign(ratio=[], margin=[], verdict=[])
 
 

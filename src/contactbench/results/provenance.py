@@ -25,18 +25,7 @@ from contactbench.plugins import LOADED
 from contactbench.results.schema import TABLES
 from contactbench.results.store import replacing
 
-PACKAGES = (
-    "contactbench",
-    "numpy",
-    "scipy",
-    "numba",
-    "llvmlite",
-    "jax",
-    "jaxlib",
-    "diffrax",
-    "scikit-sundae",
-)
-PACKAGES += ("heyoka", "cyrk", "pandas", "matplotlib", "mpmath")
+PACKAGES = "contactbench numpy scipy numba llvmlite jax jaxlib diffrax scikit-sundae heyoka cyrk pandas matplotlib mpmath"
 #: what decides the tables
 SOURCES = ("src", "bench", "references", "pyproject.toml", "constraints.txt", "tox.ini")
 CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", *SOURCES)
@@ -46,7 +35,7 @@ THREADS += ["XLA_FLAGS", "JAX_PLATFORMS"]
 
 def environment(profile: str) -> dict[str, Any]:
     versions = {}
-    for name in PACKAGES:
+    for name in PACKAGES.split():
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
     root = Path(__file__).parents[3]
