@@ -40,7 +40,7 @@ from contactbench.claims.orders import (
 from contactbench.claims.rigid_body import body_flow_defect
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, solve
-from contactbench.methods.step_map import trajectory
+from contactbench.methods.fixed_step_run import trajectory
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES
 from contactbench.splitting.flows import MECHANICAL, Flow

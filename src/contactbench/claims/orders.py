@@ -12,7 +12,7 @@ from contactbench.measure.laws import LAWS
 from contactbench.measure.order import fit_order
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.step_map import trajectory
+from contactbench.methods.fixed_step_run import trajectory
 from contactbench.scene import Mechanical, State
 from contactbench.scenes import SCENES
 from contactbench.truth import decimal_context, reference, with_decimals

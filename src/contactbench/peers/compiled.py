@@ -9,8 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
+from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.peers.abi import KNOWN
 from contactbench.peers.c_functions import c_functions, clock_of, derivative
 from contactbench.peers.variational import SOURCE, run_variational, variational_request

@@ -15,8 +15,8 @@ from __future__ import annotations
 import importlib.util
 from dataclasses import dataclass
 
-from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Request
-from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.base import CLAMPED, METHODS, Adaptive
+from contactbench.methods.prepared import Prepared, Refused, Request
 from contactbench.peers.abi.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, why_not
 from contactbench.peers.compiled import CompiledPeer
 from contactbench.scene import Scene

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Request
-from contactbench.methods.compiled import CompiledRun
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
+from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive
+from contactbench.methods.jax_engine import CompiledRun
+from contactbench.methods.prepared import Outcome, Prepared, Request
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
@@ -34,15 +33,9 @@ class DiffraxRun(CompiledRun):
     capacities = (1, 1024)
 
     def __post_init__(self) -> None:
-        from contactbench.xla import jax
-
         super().__post_init__()
-        r = self.request
-        self.fixed = jax.device_put(self.arguments())
-        self.final_only = len(r.save_at) == 1
-        self.program, self.compile_s = self.compiled(
-            "run", self.flat(self._solve_and_count), self._own_start, self.fixed
-        )
+        self.final_only = len(self.request.save_at) == 1
+        self.compile(self.flat(self._solve_and_count), self.arguments())
 
     def arguments(self) -> np.ndarray:
         r = self.request
@@ -130,11 +123,11 @@ class DiffraxRun(CompiledRun):
         return packed(solution.ys[1], times), info, packed(solution.ys[0], times[-1:])[0]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        return np.asarray(self.program(self.placed(y0), self.fixed))[-len(y0) :]
+        return self.call(y0)[-len(y0) :]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        y, info, last = self.unflat(np.asarray(self.program(self.placed(y0), self.fixed)), len(y0))
+        y, info, last = self.unflat(self.call(y0), len(y0))
         accepted, rejected, successful, exhausted, collapsed, time, *counted = info
         accepted, rejected = int(accepted), int(rejected)
         evaluations = int(counted[0]) if counted else self.method_.evaluations(accepted, rejected)

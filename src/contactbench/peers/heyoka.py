@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Request
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, stopwatch
+from contactbench.methods.base import METHODS, ROUNDING, Adaptive
+from contactbench.methods.prepared import Outcome, Prepared, Request, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
 from contactbench.peers.variational import SOURCE, run_variational, variational_request
 from contactbench.scene import Scene
@@ -72,15 +71,15 @@ class TaylorRun(Prepared):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             system = taylor_system(r.scene, r.carry, heyoka)
-            _, start = self.split_clock(self._own_start)
-            compact = len(self._own_start) > UNROLLED
+            _, start = self.split_clock(self.start)
+            compact = len(self.start) > UNROLLED
             return heyoka.taylor_adaptive(system, start, tol=r.rtol, compact_mode=compact), elapsed()
 
         numbers = tuple(r.scene.numbers())
         program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
-        size, clock = len(self._own_start), self._clock
+        size, clock = len(self.start), self._clock
         self.motion: Any = slice(clock) if clock == size - 1 else [i for i in range(size) if i != clock]
         self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes = heyoka.taylor_outcome

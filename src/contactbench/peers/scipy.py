@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Request
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
-from contactbench.methods.request import NO_NUMBER
+from contactbench.methods.base import CLAMPED, METHODS, Adaptive
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request
 from contactbench.peers.callback import CallbackPeer
 from contactbench.solution import Counts, Status
 

@@ -14,10 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Request
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused
-from contactbench.methods.request import NO_NUMBER
+from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
 from contactbench.peers.abi.cvode import ADAMS, BDF, TOO_MUCH_WORK, Library, library
 from contactbench.peers.callback import CallbackPeer
 from contactbench.peers.compiled import CompiledPeer
@@ -110,7 +108,7 @@ class CompiledCvodeRun(CompiledPeer):
         r = self.request
         assert r.rtol is not None
         assert r.atol is not None
-        kind, size = {"Adams": ADAMS, "BDF": BDF}[self.solver], len(self.split_clock(self._own_start)[1])
+        kind, size = {"Adams": ADAMS, "BDF": BDF}[self.solver], len(self.split_clock(self.start)[1])
         self.memory = m = Memory(
             kind, self.functions, self.data, size, (r.rtol, r.atol), SHORTEST * self.end, self.end
         )

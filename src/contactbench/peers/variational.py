@@ -20,8 +20,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from contactbench.methods.base import Request
-from contactbench.methods.prepared import Prepared
+from contactbench.methods.prepared import Prepared, Request
 from contactbench.scene import Scene, System, dot
 from contactbench.scene.cache import key
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, excerpt, finite, function, switch, text, unknown_name
-from contactbench.numbers.nested import leaves
+from contactbench.numbers.dual import leaves
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
 from contactbench.trace.formula import Formula, formula

@@ -15,8 +15,9 @@ from contactbench.measure.laws import LAWS
 from contactbench.measure.precision import march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method
 from contactbench.methods.entry import prepare
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import trajectory
 from contactbench.methods.prepared import Prepared, Refused
-from contactbench.methods.step_map import StepMap, trajectory
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
 from contactbench.solution import Status
@@ -174,7 +175,7 @@ def truncation(case: MethodCase) -> float:
 
 def is_controlled_by_its_setting(case: MethodCase) -> None:
     method, scene, measured = case.method, case.scene, case.measured
-    if isinstance(method, StepMap):
+    if isinstance(method, FixedStep):
         if case.first:
             measured["order"] = order = order_at(method, scene, 1.0, 20)
             require(abs(order - method.order) < ORDER, f"of order {order:.3f}, not {method.order}")
@@ -206,7 +207,7 @@ def ends_as_it_says(case: MethodCase) -> None:
     escape = SCENES[ESCAPE]
     if case.method.refuses(escape) is not None:
         return
-    setting: dict[str, Any] = {"step": 0.002} if isinstance(case.method, StepMap) else {}
+    setting: dict[str, Any] = {"step": 0.002} if isinstance(case.method, FixedStep) else {}
     solution = case.run(scene=escape, save_at=[escape.t_end], max_steps=20_000, **setting)()
     require(solution.status is Status.diverged, f"beyond the blow-up: ends {solution.status}")
     found = blow_up_time(escape)
@@ -235,7 +236,7 @@ def counts(case: MethodCase) -> None:
     run = case.run(save_at=[scene.t_end])
     found = run().counts
     require(found.evaluations is None or found.evaluations > 0, f"evaluations = {found.evaluations!r}")
-    if isinstance(method, StepMap):
+    if isinstance(method, FixedStep):
         once, each = method.counts(scene, 1), method.per_step(scene)
         require(found.steps == STEPS["coarse"], f"{found.steps} steps")
         expected = once + (STEPS["coarse"] - 1) * each
@@ -266,7 +267,7 @@ def engines_agree(case: MethodCase) -> None:
         case.measured[f"off {engine}"] = gap = case.gap(mine, run().y)
         require(gap < bound, f"{case.engine} is {gap:.1e} off {engine}")
         break
-    if isinstance(method, StepMap):
+    if isinstance(method, FixedStep):
         scene: Any = case.scene
         x = scene.initial(scene.carry())
         pair = scene.unpack([np.array([v, 1.1 * v]) for v in scene.pack(x)], scene.carry())
@@ -280,7 +281,7 @@ def engines_agree(case: MethodCase) -> None:
 
 def claims(case: MethodCase) -> None:
     method, scene = case.method, case.scene
-    if scene.conformal_rate is not None and (method.contact or isinstance(method, StepMap)):
+    if scene.conformal_rate is not None and (method.contact or isinstance(method, FixedStep)):
         coarse: dict[str, Any] = {"step": scene.t_end / 10} if method.control == "step" else {}
         case.measured["contact drift"] = drift = LAWS["contact_drift"](
             case.run(save_at=[scene.t_end], **coarse)()
@@ -288,7 +289,7 @@ def claims(case: MethodCase) -> None:
         # to round-off times the growth of the phase's own error along the run
         kept = drift < (EXACT if method.exact else ROUND_OFF)
         require(kept == method.contact, f"contact = {method.contact}, with a contact drift of {drift:.1e}")
-    if isinstance(method, StepMap) and case.first:
+    if isinstance(method, FixedStep) and case.first:
         context = decimal_context(50)
         ahead = march(method, scene, "0.2", 3, context)
         back = march(method, scene, "-0.2", 3, context, ahead)
@@ -309,7 +310,7 @@ def differentiates(case: MethodCase) -> None:
     states, mine = run.linearised(run.start, run().y)
     require(case.gap(states, run().y) < GROWTH * RTOLS["fine"], "the derivative is taken elsewhere")
     exact = MethodCase(METHODS["rk4"], "numba", scene).run("fine", save_at=[scene.t_end])
-    bound = truncation(case) if isinstance(case.method, StepMap) else GROWTH * RTOLS["fine"]
+    bound = truncation(case) if isinstance(case.method, FixedStep) else GROWTH * RTOLS["fine"]
     case.measured["gap"] = gap = case.gap(mine, exact.sensitivity(exact.start))
     require(gap < bound, f"the derivative is {gap:.1e} off that of the flow")
 

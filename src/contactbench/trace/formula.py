@@ -15,7 +15,7 @@ from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
-from contactbench.numbers.nested import leaves, rebuild
+from contactbench.numbers.dual import leaves, rebuild
 from contactbench.trace.adjoints import Adjoints
 from contactbench.trace.form import (
     FUNCTIONS,
