@@ -39,7 +39,7 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Mechanical, Scene, Vector
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
-from contactbench.splitting.composition import advance, own_equations, plan
+from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
@@ -426,7 +426,7 @@ class AdaptiveContactMethod(Adaptive):
             return f"{self.name} has no step density for forces that change with time, as on scene {scene.name!r}"
         if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
-        return own_equations(scene)
+        return scene.own_equations
 
     def prepare(self, request: Request) -> Prepared:
         return RUNS[request.engine](self.name, request)
