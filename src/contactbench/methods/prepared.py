@@ -139,8 +139,8 @@ class Prepared(ABC):
             out.y = self.at_saved_times(y0, out.y)
         return Solution(
             *(r.scene, self.method, r.engine, r.setting, r.carry, r.save_at),
-            *(out.y, out.status, out.message, out.counts, out.end_time),
-            *(y0, self, r.control, r.value),
+            *(out.y, y0, out.status, out.message, out.counts, out.end_time),
+            *(self, r.control, r.value),
             *(out.steps or self.steps_taken),
         )
 
