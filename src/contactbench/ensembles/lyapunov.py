@@ -21,13 +21,11 @@ from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.entry import lookup, prepare
-from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.numba_engine import loop_of
+from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.abi import FACTS, KNOWN
-from contactbench.peers.abi.cyrk import SUCCESS
-from contactbench.peers.cyrk import CyrkRun
+from contactbench.peers.compiled import FACTS, KNOWN
+from contactbench.peers.cyrk import SUCCESS, CyrkRun
 from contactbench.scene import Scene
 from contactbench.trace.compiled import compile_function
 

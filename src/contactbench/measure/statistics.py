@@ -74,7 +74,10 @@ def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
 
 
 # -- wins and ties ---------------------------------------------------------------------------------
-#: no margin of two costs is smaller, however quiet the machine
+#: margins where no clock decides: of numbers of evaluations, which are interpolated between two settings; of costs of
+#: whole settings, which stand so far apart; and of errors
+COUNTED, RUNG, ALIKE = 1.15, 1.5, 2.0
+#: no margin of two times is smaller, however quiet the machine
 FLOOR = 1.03
 #: by what factor a cell's least round differs from process to process, in 95 of 100 cells (the layout of code and data
 #: in memory): measured over five processes, for tables in which no second process timed anything
@@ -119,11 +122,16 @@ def margin(halves: Iterable[float], processes: float) -> float:
     return max(FLOOR, math.exp(math.hypot(*logs)))
 
 
+def ties(value: Any, least: Any, margin: float) -> Any:
+    """Return whether a cost or an error, or each of a column, is no more than the least but for a margin."""
+    return value <= margin * least
+
+
 def verdict(ratio: float, margin: float) -> Verdict:
     """Return what a cost over that of the other means, within a margin."""
     if not ratio > 0:
         raise BadInput(f"ratio = {ratio!r}: must be a ratio of two costs, > 0")
-    if max(ratio, 1 / ratio) > margin:
+    if not ties(max(ratio, 1 / ratio), 1.0, margin):
         return Verdict.win if ratio < 1 else Verdict.loss
     return Verdict.tie if margin <= WIDEST else Verdict.undecided
 

@@ -13,7 +13,15 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from contactbench.measure.statistics import Verdict, envelope, interpolate, margin, process_spread, verdict
+from contactbench.measure.statistics import (
+    COUNTED,
+    Verdict,
+    envelope,
+    interpolate,
+    margin,
+    process_spread,
+    verdict,
+)
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 #: errors at which methods are compared
@@ -31,8 +39,6 @@ UNTIMED = ("mpmath",)
 CUT = ("budget", "timeout")
 #: one integrator of two makers: where engines do not matter one contestant
 SAME_INTEGRATOR = {"scipy-dop853": "dop853", "cyrk-dop853": "dop853"}
-#: two numbers of evaluations tie up to this ratio: counts repeat, but between two settings they are interpolated
-COUNTED = 1.15
 #: cells of an engine timed by two processes from which on it has a spread of its own
 ENOUGH = 8
 #: the difference of two times is resolved where its own halves agree within this; else it is noise of what is fixed

@@ -25,7 +25,8 @@ from contactbench.plugins import LOADED
 from contactbench.results.schema import TABLES
 from contactbench.results.store import replacing
 
-PACKAGES = "contactbench numpy scipy numba llvmlite jax jaxlib diffrax scikit-sundae heyoka cyrk pandas matplotlib mpmath"
+PACKAGES = "contactbench numpy scipy pandas matplotlib mpmath"
+SOLVERS = "numba llvmlite jax jaxlib diffrax scikit-sundae heyoka cyrk"
 #: what decides the tables
 SOURCES = ("src", "bench", "references", "pyproject.toml", "constraints.txt", "tox.ini")
 CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", *SOURCES)
@@ -35,7 +36,7 @@ THREADS += ["XLA_FLAGS", "JAX_PLATFORMS"]
 
 def environment(profile: str) -> dict[str, Any]:
     versions = {}
-    for name in PACKAGES.split():
+    for name in f"{PACKAGES} {SOLVERS}".split():
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
     root = Path(__file__).parents[3]
