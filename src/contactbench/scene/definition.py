@@ -20,8 +20,7 @@ from contactbench.errors import BadInput, excerpt, is_number
 from contactbench.scene.base import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.scene.driven import Driven
-from contactbench.scene.general_damping import GeneralDamping
-from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.mechanical import GeneralDamping, Mechanical
 from contactbench.trace.formula import Formula
 
 #: points near the initial one, and how far from it, in parts of the size of each component
@@ -63,7 +62,6 @@ def verify_at(scene: Scene, y: np.ndarray) -> None:
 
 
 def _has_functions(scene: Scene) -> TypeGuard[Mechanical]:
-    """Return whether a user has written any of them."""
     given = (getattr(scene, name) for name in scene.functions)
     return isinstance(scene, Mechanical) and not all(part is None or is_ours(part) for part in given)
 
@@ -107,7 +105,6 @@ def _verify(scene: Mechanical) -> None:
 
 
 def _motion(scene: Mechanical) -> np.ndarray:
-    """Return packed states (k, d) along the motion, by a solver of its own."""
     from scipy.integrate import DOP853
 
     carry = scene.carry(("s",))
@@ -145,7 +142,6 @@ class Claim(NamedTuple):
 def _check(
     scene: Mechanical, states: np.ndarray, claims: Callable[[Mechanical, np.ndarray], Iterator[Claim]]
 ) -> None:
-    """Compare what is claimed at packed states (k, d), some of them, left out where a function is not defined."""
     some = states[:: max(1, len(states) // SOME)]
     for y in some:
         with _within_the_domain():
@@ -157,12 +153,10 @@ def _check(
 
 # -- what is claimed -------------------------------------------------------------------------------
 def _is_given(function: Any) -> bool:
-    """Return whether a function was not derived from another one."""
     return function is not None and not (isinstance(function, Formula) and function.live is None)
 
 
 def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
-    """Return what else potential and gradient take at a packed state: the time, or nothing."""
     return [] if scene.clock is None else [float(y[scene.clock])]
 
 
@@ -180,7 +174,6 @@ def _force(scene: Mechanical, q: np.ndarray, time: list[float]) -> np.ndarray:
 
 
 def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
-    """Yield what a gradient and a damping claim at a packed state."""
     q, time, h = y[: len(scene.q)], _time(scene, y), LATER * scene.t_end
     if _is_given(scene.gradient):
         says = "its gradient is not the potential's: component {j} is"
@@ -252,8 +245,6 @@ def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
 
 # -- derivatives -----------------------------------------------------------------------------------
 def _compare(scene: Mechanical, claim: Claim) -> None:
-    """Raise `BadInput` unless a claim is right, or differences cannot tell."""
-
     def f(x: np.ndarray) -> np.ndarray:
         return np.array(claim.f(x), dtype=float)
 
@@ -294,7 +285,6 @@ def difference(
 
 
 def _size(q: np.ndarray) -> np.ndarray:
-    """Return the size of each component, the largest for those that are zero."""
     return np.where(q == 0, np.abs(q).max() or 1.0, np.abs(q))
 
 
