@@ -190,11 +190,10 @@ def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
             rate = -scene.damping(flow(s, h, math))
             yield _flow(scene, "damping_flow", lambda h: flow(s, float(h[0]), math), s, h, rate, where)
     if isinstance(scene, Driven) and scene.span is not None:
-        (t,), where = time, f"t = {time[0]:.6g}"
-        for i, rate in enumerate((scene.rate_at(t + h), math.exp(-scene.spent(t, h, math)[0]))):
-            yield _flow(
-                scene, f"span[{i}]", lambda h, i=i: scene.spent(t, float(h[0]), math)[i], 0.0, h, rate, where
-            )
+        (t,), spent, where = time, scene.spent, f"t = {time[0]:.6g}"
+        rates = scene.rate_at(t + h), math.exp(-spent(t, h, math)[0])
+        yield _flow(scene, "span[0]", lambda h: spent(t, float(h[0]), math)[0], 0.0, h, rates[0], where)
+        yield _flow(scene, "span[1]", lambda h: spent(t, float(h[0]), math)[1], 0.0, h, rates[1], where)
 
 
 def _flow(
