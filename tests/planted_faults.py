@@ -14,10 +14,9 @@ from typing import Any
 
 import contactbench as cb
 from contactbench.methods import METHODS
-from contactbench.methods.base import Request
 from contactbench.methods.contact import contact_method
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prepared import Prepared
+from contactbench.methods.prepared import Prepared, Request
 from contactbench.splitting.composition import Composition
 from contactbench.splitting.tables import STRANG
 

@@ -22,7 +22,7 @@ from typing import Any
 from contactbench.boundary import limit, their_code, user_error, within
 from contactbench.errors import BadInput, Registry, one_line
 from contactbench.methods import METHODS
-from contactbench.methods.step_map import StepMap, try_step
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Scene, verify
 from contactbench.scenes import SCENES
 
@@ -91,11 +91,11 @@ def try_out(item: Any) -> None:
     """Evaluate a scene's functions, or a step map on a scene, once: raises `BadInput` where that fails."""
     if isinstance(item, Scene):
         verify(item)
-    elif isinstance(item, StepMap):
+    elif isinstance(item, FixedStep):
         with their_code(f"method {item.name!r}"):
             scene = next((scene for scene in SCENES.values() if item.refuses(scene) is None), None)
         if scene is not None:
-            try_step(item, scene, scene.carry(), None)
+            item.try_step(scene, scene.carry())
 
 
 def load_installed() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.python_engine import PythonLoop
+from contactbench.methods.fixed_step_run import PythonLoop
 from contactbench.numbers.protocol import abilities
 from contactbench.plugins import OWN
 from contactbench.testing import METHOD_RULES, MethodCase, Violation, check_method, method_cases

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.measure.deviation import conformal_deviation
+from contactbench.measure.law import conformal_deviation
 from contactbench.measure.laws import LAWS
 from contactbench.scene import Scene
 from contactbench.solution import DIVERGENCE, Status

@@ -15,8 +15,9 @@ from contactbench.measure.laws import LAWS
 from contactbench.measure.order import march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method
 from contactbench.methods.entry import prepare
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import trajectory
 from contactbench.methods.prepared import Prepared, Refused
-from contactbench.methods.step_map import StepMap, trajectory
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
 from contactbench.solution import Status
@@ -154,7 +155,7 @@ def truncation(case: MethodCase) -> float:
 
 def is_controlled_by_its_setting(case: MethodCase) -> None:
     method = case.method
-    if isinstance(method, StepMap):
+    if isinstance(method, FixedStep):
         if case.first:
             case.measured["order"] = order = order_at(method, case.scene, 1.0, 20)
             require(abs(order - method.order) < ORDER, f"of order {order:.3f}, not {method.order}")
@@ -184,7 +185,7 @@ def ends_as_it_says(case: MethodCase) -> None:
     escape = SCENES[ESCAPE]
     if case.method.refuses(escape) is not None:
         return
-    setting: dict[str, Any] = {"step": 0.002} if isinstance(case.method, StepMap) else {}
+    setting: dict[str, Any] = {"step": 0.002} if isinstance(case.method, FixedStep) else {}
     solution = case.run(scene=escape, max_steps=20_000, **setting)()
     require(solution.status is Status.diverged, f"beyond the blow-up: ends {solution.status}")
     require(np.isnan(solution.y[-1]).all(), "diverged, with a state at the end")
@@ -211,7 +212,7 @@ def counts(case: MethodCase) -> None:
     method, scene = case.method, case.scene
     found = case.run()().counts
     require(found.evaluations is None or found.evaluations > 0, f"evaluations = {found.evaluations!r}")
-    if isinstance(method, StepMap):
+    if isinstance(method, FixedStep):
         expected = method.counts(scene, 1) + (STEPS["coarse"] - 1) * method.per_step(scene)
         require(found.steps == STEPS["coarse"], f"{found.steps} steps")
         require(found.evaluations == expected, f"{found.evaluations} evaluations, not {expected}")
@@ -239,7 +240,7 @@ def engines_agree(case: MethodCase) -> None:
         if engine != case.engine and not isinstance(run, Refused):
             case.require_below(bound, f"off {engine}", case.gap(mine, run().y), case.engine)
             break
-    if isinstance(method, StepMap):
+    if isinstance(method, FixedStep):
         x = scene.initial(scene.carry())
         pair = scene.unpack([np.array([v, 1.1 * v]) for v in scene.pack(x)], scene.carry())
         together = next(trajectory(method, scene, pair, [(0.1, 5)], np))
@@ -250,13 +251,13 @@ def engines_agree(case: MethodCase) -> None:
 
 def claims(case: MethodCase) -> None:
     method, scene, measured = case.method, case.scene, case.measured
-    if scene.conformal_rate is not None and (method.contact or isinstance(method, StepMap)):
+    if scene.conformal_rate is not None and (method.contact or isinstance(method, FixedStep)):
         coarse: dict[str, Any] = {"step": scene.t_end / 10} if method.control == "step" else {}
         measured["contact drift"] = drift = LAWS["contact_drift"](case.run(**coarse)())
         # to round-off times the growth of the phase's own error along the run
         kept = drift < (EXACT if method.exact else ROUND_OFF)
         require(kept == method.contact, f"contact = {method.contact}, with a contact drift of {drift:.1e}")
-    if isinstance(method, StepMap) and case.first:
+    if isinstance(method, FixedStep) and case.first:
         context = decimal_context(50)
         ahead = march(method, scene, "0.2", 3, context)
         back = march(method, scene, "-0.2", 3, context, ahead)
@@ -273,7 +274,7 @@ def differentiates(case: MethodCase) -> str | None:
     states, mine = run.linearised(run.start, run().y)
     require(case.gap(states, run().y) < GROWTH * RTOLS["fine"], "the derivative is taken elsewhere")
     exact = MethodCase(METHODS["rk4"], "numba", case.scene).run("fine")
-    bound = truncation(case) if isinstance(case.method, StepMap) else GROWTH * RTOLS["fine"]
+    bound = truncation(case) if isinstance(case.method, FixedStep) else GROWTH * RTOLS["fine"]
     case.require_below(bound, "gap", case.gap(mine, exact.sensitivity(exact.start)), "not that of the flow")
     return None
 
