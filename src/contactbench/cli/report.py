@@ -12,7 +12,7 @@ from contactbench.errors import BadInput
 def report(arguments: argparse.Namespace) -> int:
     """Write markdown, figures and the page from the CSV tables, or say which are not what the tables say."""
     import contactbench as cb
-    from contactbench.report import check, write
+    from contactbench.report import write
 
     registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
     if not list(arguments.results.glob("*.csv")):
@@ -20,7 +20,7 @@ def report(arguments: argparse.Namespace) -> int:
             f"--results {arguments.results}: no tables there; run the benchmark first (tox -e bench)"
         )
     if arguments.check:
-        found = check.differing(arguments.results, arguments.readme, registries)
+        found = write.differing(arguments.results, arguments.readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
     writable_folder("--results", arguments.results)
