@@ -9,19 +9,8 @@ import pytest
 
 import contactbench as cb
 from contactbench.report import glossary, markdown
-from contactbench.report.views import (
-    Cell,
-    Mark,
-    View,
-    as_cell,
-    count,
-    duration,
-    frame_of,
-    matrix,
-    names,
-    power,
-    times,
-)
+from contactbench.report.numbers import count, duration, names, power, times
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.results.schema import TABLES
 
 

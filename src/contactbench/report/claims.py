@@ -9,7 +9,8 @@ import pandas as pd
 from contactbench.report import paper
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.drawing import Figure
-from contactbench.report.views import DASH, Cell, Mark, View, frame_of, how_often
+from contactbench.report.numbers import DASH, how_often
+from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.schema import BEYOND, SEPARATOR
 
 SOURCE = "claims.csv"

@@ -9,7 +9,8 @@ import pandas as pd
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.curves import best_of_each, by_method, family_and_order, floats, in_colour, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.views import Cell, Mark, View, how_often, matrix, pick
+from contactbench.report.numbers import how_often
+from contactbench.report.views import Cell, Mark, View, matrix, pick
 
 SOURCE = "convergence.csv"
 #: a measured order further than this from the claimed one, and than its own spread, is an exception
@@ -55,8 +56,8 @@ def parts(frames: Frames) -> list[Part | None]:
     off = pick(fit[fit["off"]], "scene", "method", "order", **labels)
     orders = matrix(fit, "method", "scene", order_cell)
     legend = (
-        f"±: spread of the extrapolation. Marked: further from the claimed order than that and than {AGREES:g}. Before any "
-        "extrapolation: column `last_slope`."
+        f"±: spread of the extrapolation. Marked: further from the claimed order than that and than {AGREES:g}. "
+        "Before any extrapolation: column `last_slope`."
     )
     return [
         View("orders", "Extrapolated order", orders, legend, SOURCE),

@@ -14,7 +14,7 @@ from contactbench.measure.round_off import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
 from contactbench.report.look import look
-from contactbench.report.views import power
+from contactbench.report.numbers import power
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17

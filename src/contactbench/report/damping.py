@@ -6,18 +6,8 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
-from contactbench.report.views import (
-    DASH,
-    Cell,
-    Mark,
-    View,
-    as_cell,
-    count,
-    frame_of,
-    matrix,
-    names,
-    scientific,
-)
+from contactbench.report.numbers import DASH, count, names, scientific
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.results.round_off import STRUCTURE
 
 #: errors whose ratio is within this are as good as equal

@@ -23,7 +23,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import DASHES, MUTED, ROLES, look
-from contactbench.report.views import SUPERSCRIPTS
+from contactbench.report.numbers import SUPERSCRIPTS
 
 #: inches: a figure's width by its panels in a row, the height of a panel
 WIDTHS, HEIGHT = {1: 8.0, 2: 9.6, 3: 11.0}, 4.2

@@ -20,7 +20,8 @@ from contactbench.report.chapters import (
     summary,
 )
 from contactbench.report.laws import cost_cells, law_label, with_bounds
-from contactbench.report.views import DASH, Cell, View, frame_of, how_often, names
+from contactbench.report.numbers import DASH, how_often, names
+from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
 from contactbench.results.judgement import law_rows
 

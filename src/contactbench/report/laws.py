@@ -25,22 +25,8 @@ from contactbench.report.curves import (
 )
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
-from contactbench.report.views import (
-    DASH,
-    Cell,
-    Mark,
-    Show,
-    View,
-    as_cell,
-    count,
-    frame_of,
-    how_often,
-    matrix,
-    names,
-    readable,
-    scientific,
-    times,
-)
+from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
+from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 from contactbench.results.judgement import bound, law_rows, laws_at_equal_cost, laws_in, structural_laws
 from contactbench.results.schema import Column

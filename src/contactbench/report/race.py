@@ -17,19 +17,9 @@ from contactbench.report.curves import best_of_each, by_method, cheapest, contes
 from contactbench.report.draw import svg
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import law_label
+from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.page import page
-from contactbench.report.views import (
-    DASH,
-    Cell,
-    Mark,
-    View,
-    count,
-    duration,
-    frame_of,
-    names,
-    scientific,
-    times,
-)
+from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.judgement import structural_laws
 from contactbench.results.tables import LAWS_TABLE
 

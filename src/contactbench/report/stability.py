@@ -12,20 +12,8 @@ from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Sectio
 from contactbench.report.curves import best_of_each, by_method, family_and_order, highest
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label, with_bounds
-from contactbench.report.views import (
-    DASH,
-    Cell,
-    Mark,
-    View,
-    as_cell,
-    count,
-    frame_of,
-    how_often,
-    matrix,
-    names,
-    pick,
-    scientific,
-)
+from contactbench.report.numbers import DASH, count, how_often, names, scientific
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix, pick
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
 from contactbench.results.contest import EVALUATIONS
 from contactbench.results.judgement import laws_in
@@ -35,6 +23,7 @@ from contactbench.results.tables import STABILITY
 SOURCE, LIMITS = "stability.csv", "stability_limits.csv"
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
+LADDER = "Settings from coarse to fine; h/n: the time that an evaluation of a fixed-step method is worth."
 
 
 @lru_cache(2)
@@ -136,10 +125,7 @@ def parts(frames: Frames) -> list[Part]:
     return [
         endings_view(started_runs(hard)),
         *contests,
-        Section(
-            "Scene by scene",
-            (Text(f"h/n: the time that an evaluation of a fixed-step method is worth. {LEGEND}"), *scenes),
-        ),
+        Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes)),
     ]
 
 

@@ -14,7 +14,8 @@ import pandas as pd
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
-from contactbench.report.views import DASH, Cell, Mark, View, count, duration, how_often, matrix, power, times
+from contactbench.report.numbers import DASH, count, duration, how_often, power, times
+from contactbench.report.views import Cell, Mark, View, matrix
 from contactbench.results import contest as judge
 from contactbench.results.contest import COMPILED, CONTACT, EVALUATIONS, KINDS, OTHER, Kind, contestants
 
