@@ -10,7 +10,7 @@ from contactbench.report.headline import mission_view, most_met_cost
 from contactbench.report.laws import equal_cost_view
 from contactbench.report.views import Mark
 from contactbench.results.contest import COMPILED
-from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
+from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM
 from frames import frames, row, table
 
 

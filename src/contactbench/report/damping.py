@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.round_off import STRUCTURE
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
-from contactbench.results.round_off import STRUCTURE
 
 #: errors whose ratio is within this are as good as equal
 ALIKE = 2.0

@@ -58,12 +58,6 @@ def back_end() -> str:
     return hashlib.sha256(Path(llvm.__file__).read_bytes()).hexdigest()
 
 
-def kind(array: str) -> str:
-    """What numba calls an array."""
-    dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
-    return f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]"
-
-
 @cache
 def compile_function(function: Function, lanes: int = 1, fused: bool = True) -> Any:
     """The function, compiled for the arrays that its arguments name.
@@ -72,9 +66,13 @@ def compile_function(function: Function, lanes: int = 1, fused: bool = True) -> 
     operation with one rounding, which Python's are not.
     Raises `CannotRecord` where numba is told not to compile.
     """
+    kinds = []
+    for array in function.arguments:
+        dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
+        kinds.append(f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]")
     source = FUNCTION.format(
         digest=digest(back_end(), function.digest, lanes, fused),
-        kinds=", ".join(map(kind, function.arguments)),
+        kinds=", ".join(kinds),
         name=function.name,
         arguments=", ".join(function.arguments),
     )
@@ -87,13 +85,18 @@ def compiles() -> bool:
     return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
 
 
+def require_compiler() -> None:
+    """Raise `CannotRecord` where numba is told not to compile."""
+    if not compiles():
+        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
+
+
 def import_source(source: str, names: Any) -> ModuleType:
     """A module from a file of the cache folder, which is written unless it is there.
 
     names() : what the source finds defined.
     """
-    if not compiles():
-        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
+    require_compiler()
     name = f"program_{hashlib.sha256(source.encode()).hexdigest()[:32]}"
     path = folder() / f"{name}.py"
     if not path.exists() or path.read_text() != source:
