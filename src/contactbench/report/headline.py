@@ -9,16 +9,7 @@ from typing import Any
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, work_precision
-from contactbench.report.chapters import (
-    CHAPTERS,
-    Chapter,
-    Frames,
-    Part,
-    Section,
-    Text,
-    chapters,
-    summary,
-)
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, chapters, summary
 from contactbench.report.laws import cost_cells, law_label, with_bounds
 from contactbench.report.numbers import DASH, how_often, names
 from contactbench.report.views import Cell, View, frame_of
