@@ -21,10 +21,10 @@ import numpy as np
 from contactbench.ensembles.devices import CHUNK, Own, Result, on_devices
 from contactbench.ensembles.members import Watch
 from contactbench.errors import BadInput
-from contactbench.methods.base import METHODS, Request
+from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import Division, FixedStepRun
-from contactbench.methods.numba_engine import Loop, loop_of
+from contactbench.methods.fixed_step_run import Division, FixedStepRun, Loop, loop_of
+from contactbench.methods.prepared import Request
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace.compiled import compile_function
 
