@@ -8,15 +8,12 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.statistics import ALIKE, COUNTED, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
 SOURCE, STRONG = "damping_rates.csv", "strong_damping.csv"
-#: errors whose ratio is within this are as good as equal
-ALIKE = 2.0
-#: a method may cost this much more than the others and still be at equal cost
-AFFORDABLE = 1.15
 #: γh per evaluation is sorted into ranges with these borders
 DAMPING_RANGES = (0.0, 0.01, 0.1, 1.0, 10.0, math.inf)
 #: with which the others are compared under strong damping: a composition without steps against time
@@ -45,7 +42,7 @@ def rates_view(frame: pd.DataFrame) -> View:
 
 def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Cell]:
     """Return the most accurate of the fixed-step runs and of the adaptive ones that cost no more; and that cost."""
-    budget = AFFORDABLE * float((fixed if len(fixed) else adaptive)["evaluations"].max())
+    budget = COUNTED * float((fixed if len(fixed) else adaptive)["evaluations"].max())
     rows = pd.concat([fixed, adaptive[adaptive["evaluations"] <= budget]])
     errors = rows.groupby("method", sort=False)["rate_error"].min()
     return best_cell(errors.astype(float)), as_cell(budget, count)
@@ -57,7 +54,7 @@ def best_cell(errors: pd.Series) -> Cell:
     if not len(errors):
         return Cell(DASH)
     least = float(errors.iloc[0])
-    first = [str(m) for m in errors.index[errors <= max(STRUCTURE, ALIKE * least)]]
+    first = [str(m) for m in errors.index[(errors <= STRUCTURE) | ties(errors, least, ALIKE)]]
     return Cell(f"{names(first, 3)} {scientific(least)}", mark=Mark.tie if len(first) > 1 else Mark.best)
 
 

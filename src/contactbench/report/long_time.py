@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.statistics import RUNG, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.figures import long_time as figures
 from contactbench.report.numbers import DASH, names, scientific
@@ -18,8 +19,6 @@ ALLOWED = {ENERGY: 0.1, EXPONENT: 0.05, DIMENSION: 0.01}
 AVERAGES = (ENERGY, EXPONENT, DIMENSION)
 #: error bars on either side of an average in which the true one surely is
 SURE = 2.0
-#: settings stand up to so far apart: methods whose least cost differs by less tie
-RUNG = 1.5
 
 
 def deviations(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
@@ -61,7 +60,7 @@ def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
     columns = ["surely", "perhaps", "bound"]
     costs = pd.DataFrame.from_dict(found, orient="index", columns=columns).astype(float).dropna()
     costs = costs.sort_values(["surely", "perhaps"], kind="stable")
-    return costs.assign(first=costs["perhaps"] <= RUNG * costs["surely"].min())
+    return costs.assign(first=ties(costs["perhaps"], costs["surely"].min(), RUNG))
 
 
 def cost_text(cost: pd.Series) -> str:
