@@ -6,14 +6,11 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.statistics import ALIKE, COUNTED, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
-#: errors whose ratio is within this are as good as equal
-ALIKE = 2.0
-#: a method may cost this much more than the others and still be at equal cost
-AFFORDABLE = 1.15
 #: with which the others are compared under strong damping: a composition without steps against time
 BASE = "contact-strang"
 
@@ -39,7 +36,7 @@ def rates_view(frame: pd.DataFrame) -> View:
 
 def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Cell]:
     """Return the most accurate of the fixed-step runs and of the adaptive ones that cost no more; and that cost."""
-    budget = AFFORDABLE * float((fixed if len(fixed) else adaptive)["evaluations"].max())
+    budget = COUNTED * float((fixed if len(fixed) else adaptive)["evaluations"].max())
     rows = pd.concat([fixed, adaptive[adaptive["evaluations"] <= budget]])
     errors = rows.groupby("method", sort=False)["rate_error"].min()
     return best_cell(errors.astype(float)), as_cell(budget, count)
@@ -51,7 +48,7 @@ def best_cell(errors: pd.Series) -> Cell:
     if not len(errors):
         return Cell(DASH)
     least = float(errors.iloc[0])
-    first = [str(m) for m in errors.index[errors <= max(STRUCTURE, ALIKE * least)]]
+    first = [str(m) for m in errors.index[(errors <= STRUCTURE) | ties(errors, least, ALIKE)]]
     return Cell(f"{names(first, 3)} {scientific(least)}", mark=Mark.tie if len(first) > 1 else Mark.best)
 
 

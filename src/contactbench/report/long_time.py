@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.statistics import RUNG, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.curves import ROUND_OFF, by_method, decade
 from contactbench.report.drawing import Axis, Figure, Panel
@@ -21,8 +22,6 @@ SOURCE = "long_time.csv"
 ALLOWED = {ENERGY: 0.1, EXPONENT: 0.05, DIMENSION: 0.01}
 #: error bars that count as a deviation
 SURE = 2.0
-#: settings stand up to so far apart: methods whose least cost differs by less tie
-RUNG = 1.5
 
 
 def of(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
@@ -64,7 +63,7 @@ def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
         found[name] = cost, cost == own["evaluations_per_time"].iloc[0]
     costs = pd.DataFrame.from_dict(found, orient="index", columns=["cost", "bound"]).dropna()
     costs = costs.sort_values("cost", kind="stable")
-    return costs.assign(first=costs["cost"] <= RUNG * costs["cost"].min())
+    return costs.assign(first=ties(costs["cost"], costs["cost"].min(), RUNG))
 
 
 def cost_text(cost: pd.Series) -> str:
