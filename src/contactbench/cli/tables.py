@@ -34,14 +34,14 @@ LABELS |= {"corrected_evidence": "measured"}
 
 def report(arguments: argparse.Namespace) -> int:
     import contactbench as cb
-    from contactbench.report import check, write
+    from contactbench.report import write
 
     results, readme = arguments.results, arguments.readme
     registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
     if not list(results.glob("*.csv")):
         raise BadInput(f"--results {results}: no tables there; run the benchmark first (tox -e bench)")
     if arguments.check:
-        found = check.differing(results, readme, registries)
+        found = write.differing(results, readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
     if readme:  # refused now if it has no computed part
