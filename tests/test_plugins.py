@@ -27,6 +27,7 @@ from contactbench.results.store import read
 from contactbench.results.tables import WORK_PRECISION
 
 MINE = ("my-method", "double-well")
+REGISTRIES = {"methods": cb.METHODS, "scenes": cb.SCENES}
 EXTENSIONS = [Path(__file__).parent / "extensions" / f"{name}.py" for name in ("law", "question")]
 
 
@@ -86,7 +87,7 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
 
 def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
     assert not set(MINE) & {*cb.METHODS, *cb.SCENES}
-    assert "work_precision_double-well.svg" in {path.name for path in write.report(results, {})}
+    assert "work_precision_double-well.svg" in {path.name for path in write.report(results, REGISTRIES)}
     for name in ("work_precision.md", "convergence.md", "report.html"):
         assert "my-method" in (results / name).read_text()
     assert "## double-well" in (results / "work_precision.md").read_text()
