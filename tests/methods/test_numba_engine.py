@@ -134,7 +134,7 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
         run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
         spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
         written = np.array(plain.as_written(plain.start.tolist(), spans))
-        assert plain.loop is not None
+        assert plain.program is not None
         for solution in run(), plain():
             assert (solution.status, solution.counts) == (Status.ok, plain.totals)
             np.testing.assert_allclose(solution.y, written, rtol=0, atol=2e-14 * np.abs(written).max())

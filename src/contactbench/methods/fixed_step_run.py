@@ -115,9 +115,8 @@ class Loop:
         return setup
 
     @cached_property
-    def in_python(self) -> tuple[Any, Any]:
-        """`setup` and `run`, run by Python."""
-        return execute(self.program.setup), execute(self.program.run)
+    def setup_in_python(self) -> Any:
+        return execute(self.program.setup)
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
@@ -134,7 +133,7 @@ class Loop:
             rows = [[0.0] * program.width for _ in spans]
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
                 given = (numbers, spans, program.data, program.shape)
-                self.in_python[0](*(part.tolist() for part in given), rows)
+                self.setup_in_python(*(part.tolist() for part in given), rows)
                 return np.array(rows, dtype=float)
         w = np.empty((len(spans), program.width))
         self.setup(numbers, spans, program.data, program.shape, w)
@@ -343,20 +342,24 @@ class PythonLoop(FixedStepRun):
     It takes a tenth of the time of the step map as it is written, which runs where none can be recorded.
     """
 
+    program: Program | None = None
+
     def __post_init__(self) -> None:
-        elapsed = stopwatch()
-        self.loop: Loop | None = None
-        with suppress(CannotRecord):
-            self.loop = Loop(program_of(self.method_, self.request.scene, self.request.carry), 0.0)
-            self.setup, self.run = self.loop.in_python
-            self.compile_s = elapsed()
+        self.record()
         super().__post_init__()
+
+    def record(self) -> None:
+        elapsed = stopwatch()
+        with suppress(CannotRecord):
+            program = program_of(self.method_, self.request.scene, self.request.carry)
+            self.setup, self.run = execute(program.setup), execute(program.run)
+            self.program, self.compile_s = program, elapsed()
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         spans = list(zip(h.tolist(), n.tolist(), strict=True))
-        if self.loop is not None:
+        if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                return np.array(self.run_program(self.loop.program, y0.tolist(), spans))
+                return np.array(self.run_program(self.program, y0.tolist(), spans))
         return np.array(self.as_written(y0.tolist(), spans), dtype=float)
 
     def run_program(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
