@@ -81,13 +81,11 @@ def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
 
 
 def first_density(scene: Mechanical, x: Any, epsilon: Any, span: Any, xp: Any) -> Any:
-    """ρ of the first step."""
     omega, growth = frequency(scene, x, span)
     return larger(omega + epsilon * growth / 2, SLOWEST * omega, xp)
 
 
 def next_density(scene: Mechanical, x: Any, density: Any, epsilon: Any, span: Any, xp: Any) -> Any:
-    """ρ of the step after x."""
     return larger(density + epsilon * frequency(scene, x, span)[1], SLOWEST * density, xp)
 
 
@@ -136,7 +134,6 @@ def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pac
 
 
 def motion_of(scene: Any, x: Any) -> list[Any]:
-    """q and p, without their tangents."""
     return [value(c) for c in scene.pack(x)[: scene.motion]]
 
 
@@ -185,8 +182,6 @@ class RecordedLoops:
 
 
 class JaxLoops:
-    """A while loop over the steps inside a scan over the saved times."""
-
     def repeat_while(self, condition: Any, body: Any, x: Any) -> Any:
         from contactbench.xla import lax
 
@@ -234,8 +229,6 @@ def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, movin
 # -- runs ----------------------------------------------------------------------------------------------
 @dataclass
 class AdaptiveContactRun(Prepared):
-    """What the engines share: how a run ends, and what it costs."""
-
     sensitivity_source = "forward-mode AD, accepted steps frozen"
     #: how `sensitivity` with frozen=False differentiates
     map_source = "forward-mode AD through the steps and their choice"
@@ -279,20 +272,15 @@ class AdaptiveContactRun(Prepared):
         return self.finish(y0, y[:reached], counts, status, message, (time, np.array(last)))
 
     def cost(self, steps: int, reached: int) -> Counts:
-        """Counts of a sequence of steps, and of a shortened step to every saved time reached."""
         taken, curvatures = steps + reached, steps + 1
-        evaluations = taken * self.per_step
-        if self.by_gradients:
-            return Counts(taken, evaluations + curvatures * self.by_gradients, 0, 0, "gradient")
-        return Counts(taken, evaluations, curvatures, 0, "gradient")
+        evaluations = taken * self.per_step + curvatures * self.by_gradients
+        return Counts(taken, evaluations, 0 if self.by_gradients else curvatures, 0, "gradient")
 
 
 _loops: Cache[tuple[Any, float]] = Cache(256)
 
 
 class AdaptiveNumbaLoop(AdaptiveContactRun):
-    """The loop as a program compiled by LLVM."""
-
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
@@ -300,7 +288,6 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         self.run, self.compile_s = self.loop()
 
     def loop(self, tangent: bool = False, moving: bool = False) -> tuple[Any, float]:
-        """The compiled loop, and the seconds it took."""
         r = self.request
 
         def make() -> tuple[Any, float]:
@@ -311,7 +298,6 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 
     def call(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the saved times, and the facts about the end of the sequence."""
         y, facts = np.empty((len(self.times), len(start))), np.empty(3 + len(start))
         run(start, self.numbers, self.options, self.times, y, facts)
         return y, facts
@@ -352,7 +338,6 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         return self.as_written(y0)
 
     def as_written(self, y0: np.ndarray) -> Outcome:
-        """The same without a recorded loop."""
         r, y = self.request, np.full((self._saves, len(y0)), math.nan)
         x = r.scene.unpack(y0.tolist(), r.carry)
         loops = PythonLoops(x)

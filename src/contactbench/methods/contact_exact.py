@@ -24,7 +24,6 @@ from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
 
 
 def evolve(scene: Any, x: Any, t: Any, xp: Any) -> Any:
-    """The state at time t from state x at time 0."""
     flow = flows_of(scene)["free_damp"]
     return flow.apply(scene, x, flow.constants(scene, t, xp), xp)
 
@@ -46,7 +45,6 @@ class ExactRun(Prepared):
         self.compile_s = self.runs[0].compile_s
 
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """−γt, as every flow of the scene."""
         return -self.request.scene.conformal_rate * self.request.save_at
 
     def states_at(self, y0: np.ndarray) -> np.ndarray:
@@ -78,8 +76,6 @@ class WrittenLoop(PythonLoop):
 
 
 class ExactJax(ExactRun, CompiledRun):
-    """All saved times at once, compiled."""
-
     def connect(self) -> None:
         self.compile(self.states, self.together(self.request.scene.numbers(), self.times()))
 
@@ -106,8 +102,6 @@ class ExactJax(ExactRun, CompiledRun):
 
 
 class ExactMethod(Method):
-    """A closed form for any time: neither step nor tolerance."""
-
     name = "contact-exact"
     about = "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
     order = None

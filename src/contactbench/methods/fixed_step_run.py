@@ -108,7 +108,6 @@ class Loop:
 
     @cached_property
     def setup(self) -> Any:
-        """What is computed ahead of a run, compiled: the same bits as in Python, whose operations are not fused."""
         elapsed = stopwatch()
         setup = compile_function(self.program.setup, fused=False)
         self.seconds += elapsed()
@@ -210,7 +209,6 @@ class FixedStepRun(Prepared):
         return Counts(steps, evaluations, 0, 0, self.kind)
 
     def division(self, step: float) -> np.ndarray:
-        """Steps in each interval when divided by `step`."""
         return steps_in(self.marks, self.later, step)
 
     @abstractmethod
@@ -226,7 +224,6 @@ class FixedStepRun(Prepared):
         return self.judge(y0, self.intervals(y0, self.h, self.n))
 
     def judge(self, y0: np.ndarray, y: np.ndarray) -> Outcome:
-        """Return the outcome of a run with these states after the intervals."""
         out = self.finish(y0, self.from_start(y0, y), self.totals)
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
@@ -296,8 +293,6 @@ class Division(FixedStepRun):
 
 
 class NumbaLoop(FixedStepRun):
-    """The steps as one compiled loop over all intervals."""
-
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
@@ -363,7 +358,6 @@ class PythonLoop(FixedStepRun):
         return np.array(self.as_written(y0.tolist(), spans), dtype=float)
 
     def run_program(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
-        """States after each interval, by the recorded loop."""
         numbers, data, shape = self.request.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
         for span in spans:

@@ -38,7 +38,6 @@ class CompiledRun(Prepared):
 
     @property
     def identity(self) -> Hashable | None:
-        """What the program depends on of the scene, and of a user's method."""
         return self.request.scene.identity
 
     @abstractmethod
@@ -51,7 +50,6 @@ class CompiledRun(Prepared):
         return np.concatenate(vectors, dtype=float)
 
     def apart(self, fixed: Any) -> list[Any]:
-        """The arguments again, inside the program."""
         return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
 
     @staticmethod
@@ -62,17 +60,14 @@ class CompiledRun(Prepared):
         return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
 
     def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
-        """The three again: saved states (k, d), facts, last state (d,)."""
         rest = vector[self.capacity * d :].tolist()
         return vector[: self._saves * d].reshape(-1, d), rest[:-d], rest[-d:]
 
     def room(self, saves: int) -> int:
-        """The number of saved times of the program for so many."""
         return next((size for size in self.capacities if size >= saves), saves)
 
     @cached_property
     def capacity(self) -> int:
-        """The number of saved times of the program."""
         return self.room(self._saves)
 
     def times(self) -> np.ndarray:
@@ -92,7 +87,6 @@ class CompiledRun(Prepared):
         return jax.device_put(self.start)
 
     def compile(self, states: Callable[..., Any], fixed: np.ndarray) -> None:
-        """Move the arguments to the device and compile the program of the run."""
         from contactbench.xla import jax
 
         # on the device once: converting them at every call would cost as much as a short run
@@ -132,7 +126,6 @@ class CompiledRun(Prepared):
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-    """x after n turns of ``x = body(x)``."""
     from contactbench.xla import lax
 
     return lax.fori_loop(0, n, lambda _, x: body(x), x)
@@ -162,7 +155,6 @@ class JaxLoop(FixedStepRun, CompiledRun):
         self.fixed = self.spans(self.h, self.n)
 
     def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """The arguments of the program; intervals beyond those asked for have no steps."""
         padded = np.zeros((2, self.capacity))
         padded[:, : len(n)] = h, n
         return self.together(self.numbers, *padded)

@@ -96,7 +96,6 @@ class ChosenStep(Prepared):
         return self.run.log_factor(y0, y)
 
     def choose(self, y0: np.ndarray) -> tuple[float, list[Pilot]]:
-        """The step for the tolerance, and the pilots that were run to find it."""
         r, order = self.request, self.method_.order
         assert r.rtol is not None
         target, step, gap, finer = AIM * r.rtol, self._end / FIRST, math.inf, 2.0

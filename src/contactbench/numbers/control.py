@@ -30,7 +30,6 @@ class Repeat:
 
 
 def turns(n: int, body: Callable[[Any], Any], x: Any) -> Any:
-    """x after n turns of ``x = body(x)``."""
     for _ in range(n):
         x = body(x)
     return x
@@ -53,11 +52,6 @@ def settle(x: Any, xp: Any) -> Any:
     return xp.settle(x) if abilities(xp).barrier else x
 
 
-def negligible(x: Any) -> bool:
-    """Whether a plain number is lost beside 1."""
-    return 1 + x == 1
-
-
 def scan(
     body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int, rest: Callable[[Any], Any], xp: Any
 ) -> tuple[Any, Any]:
@@ -72,7 +66,7 @@ def scan(
     for _ in range(ENDLESS if can.branch else turns):
         x, out = body(x)
         outs.append(out)
-        if can.branch and negligible(rest(x)):
+        if can.branch and 1 + rest(x) == 1:  # the rest is negligible
             return x, outs
     if can.branch:
         raise ArithmeticError(f"no convergence in {ENDLESS} turns")
@@ -80,7 +74,6 @@ def scan(
 
 
 def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:
-    """x after ``x = body(x, out)`` for the outs of a `scan`, last to first."""
     if abilities(xp).loops:
         return xp.unwind(body, x, outs)
     for out in reversed(outs):
@@ -99,7 +92,6 @@ class XlaNumbers(Numbers):
         return getattr(jax.numpy, name)
 
     def settle(self, x: Any) -> Any:
-        """x, computed once."""
         from contactbench.xla import lax
 
         return lax.optimization_barrier(x)

@@ -54,7 +54,6 @@ class ChoosingNumbers(Numbers):
 
 
 def abilities(xp: Any) -> Abilities:
-    """Return what the numbers of a namespace can do."""
     if isinstance(xp, Numbers):
         return xp.abilities
     package = getattr(xp, "__name__", type(xp).__module__).partition(".")[0]

@@ -57,7 +57,6 @@ class Series(Unknown):
 
 
 def bare(x: Any) -> Any:
-    """The expression of a series; any other number as it is."""
     return x.expression if isinstance(x, Series) else x
 
 
@@ -78,8 +77,6 @@ for _name in ("add", "sub", "mul", "truediv"):
 
 
 class SeriesNumbers(Numbers):
-    """The number namespace that goes with them: heyoka's functions."""
-
     def __getattr__(self, name: str) -> Callable[..., Series]:
         import heyoka
 
