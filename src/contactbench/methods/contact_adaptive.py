@@ -94,12 +94,14 @@ def larger(a: Any, b: Any, xp: Any) -> Any:
 
 
 # -- the loop, on every engine -------------------------------------------------------------------------
-def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pace: Any) -> Any:
+def solve(
+    scene: Any, x: Any, options: Any, times: Any, xp: Any, pace: Any, repeat_while: Any, over: Any
+) -> Any:
     """Take the sequence of steps from x, and at each of the times the shortened step off it.
 
-    options : ε, the span, the budget of steps.  loops : those of an engine, ``repeat_while(condition, body, x)``, and
-    ``over(times, body, x)`` with a body that returns x and a row, NaN where not reached.  pace(x) : what decides how
-    long steps are, x or x without its tangent.
+    options : ε, the span, the budget of steps.  pace(x) : what decides how long steps are, x or x without its tangent.
+    The loops of an engine: ``repeat_while(condition, body, x)``, and ``over(times, body, x)`` with a body that returns
+    x and a row, NaN where not reached.
     Returns what `over` does of (x, time, density, steps).
     """
     epsilon, span, budget = options
@@ -122,7 +124,7 @@ def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pac
         return x, time + h, next_density(scene, pace(x), density, epsilon, span, xp), steps + 1
 
     def interval(carried: Any, due: Any) -> Any:
-        carried = loops.repeat_while(lambda c: (next_time(c) <= due) & healthy(c), step, carried)
+        carried = repeat_while(lambda c: (next_time(c) <= due) & healthy(c), step, carried)
         x, time, _, _ = carried
         complete = (next_time(carried) > due) & healthy(carried)
         there = flat(scene.pack(advance(RKN6, scene, x, due - time, 1, xp)))
@@ -130,7 +132,7 @@ def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pac
 
     density, zero = first_density(scene, pace(x), epsilon, span, xp), 0.0 * span
     time = Dual(zero, zero) if isinstance(density, Dual) else zero
-    return loops.over(times, interval, (x, time, density, zero))
+    return over(times, interval, (x, time, density, zero))
 
 
 def motion_of(scene: Any, x: Any) -> list[Any]:
@@ -141,60 +143,6 @@ def flat(components: Any) -> list[Any]:
     """Numbers, and after them the derivatives of dual ones."""
     tangents = map(slope, components) if isinstance(components[0], Dual) else ()
     return [*map(value, components), *tangents]
-
-
-class PythonLoops:
-    """Plain loops, which leave what was reached before there was no number: `rows`, and the `last` state carried."""
-
-    def __init__(self, x: Any) -> None:
-        self.rows: list[list[float]] = []
-        self.last = (x, 0.0, math.nan, 0.0)
-
-    def repeat_while(self, condition: Any, body: Any, x: Any) -> Any:
-        while condition(x):
-            self.last = x = body(x)
-        return x
-
-    def over(self, times: Any, body: Any, x: Any) -> None:
-        self.last = x
-        for t in times:
-            x, row = body(x, t)
-            self.rows.append(row)
-
-
-class RecordedLoops:
-    """Loops of a recorded function of the arrays `times` and `y`, which gets the rows."""
-
-    def __init__(self, tape: Tape) -> None:
-        self.tape, self.repeat_while = tape, tape.repeat_while
-
-    def over(self, times: str, body: Any, x: Any) -> Any:
-        tape = self.tape
-
-        def interval(carried: Any) -> Any:
-            x, j = carried
-            x, row = body(x, tape.assign(Element(times, (j.name,)), "f", tape.block))
-            stores = [Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row)]
-            tape.block.statements += stores
-            return x, j + 1
-
-        return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]
-
-
-class JaxLoops:
-    def repeat_while(self, condition: Any, body: Any, x: Any) -> Any:
-        from contactbench.xla import lax
-
-        return lax.while_loop(condition, body, x)
-
-    def over(self, times: Any, body: Any, x: Any) -> Any:
-        from contactbench.xla import jnp, lax
-
-        def interval(x: Any, due: Any) -> Any:
-            x, row = body(x, due)
-            return x, jnp.stack(row)
-
-        return lax.scan(interval, x, times)
 
 
 def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, moving: bool = False) -> Function:
@@ -217,9 +165,19 @@ def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, movin
     def pace(x: Any) -> Any:
         return x if moving else scene.unpack(list(map(value, scene.pack(x))), carry)
 
-    x = scene.unpack(start, carry)
-    end = solve(twin, x, load("options", 3), "times", xp, RecordedLoops(tape), pace)
-    x, time, density, steps = end
+    def over(times: str, body: Any, x: Any) -> Any:
+        def interval(carried: Any) -> Any:
+            x, j = carried
+            x, row = body(x, tape.assign(Element(times, (j.name,)), "f", tape.block))
+            tape.block.statements += [
+                Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row)
+            ]
+            return x, j + 1
+
+        return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]
+
+    x, options = scene.unpack(start, carry), load("options", 3)
+    x, time, density, steps = solve(twin, x, options, "times", xp, pace, tape.repeat_while, over)
     facts = [value(time), value(density), steps, *flat(scene.pack(x))]
     stores = [Store(Element("facts", (i,)), operand_of(fact)) for i, fact in enumerate(facts)]
     arguments = ("start", "numbers", "options", "times", "y", "facts")
@@ -338,14 +296,27 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         return self.as_written(y0)
 
     def as_written(self, y0: np.ndarray) -> Outcome:
-        r, y = self.request, np.full((self._saves, len(y0)), math.nan)
+        r, rows = self.request, np.full((self._saves, len(y0)), math.nan)
         x = r.scene.unpack(y0.tolist(), r.carry)
-        loops = PythonLoops(x)
-        with suppress(*NO_NUMBER):
-            solve(r.scene, x, self.options.tolist(), r.save_at.tolist(), math, loops, lambda x: x)
-        y[: len(loops.rows)] = np.reshape(loops.rows, (-1, len(y0)))
-        x, time, density, steps = loops.last
-        return self.outcome(y0, y, (time, density, steps, *r.scene.pack(x)))
+        last = x, 0.0, math.nan, 0.0
+
+        def repeat_while(condition: Any, body: Any, x: Any) -> Any:
+            nonlocal last
+            while condition(x):
+                last = x = body(x)
+            return x
+
+        def over(times: list[float], body: Any, x: Any) -> None:
+            nonlocal last
+            last = x
+            for k, time in enumerate(times):
+                x, rows[k] = body(x, time)
+
+        with suppress(*NO_NUMBER):  # what was reached before counts
+            options = self.options.tolist(), r.save_at.tolist()
+            solve(r.scene, x, *options, math, lambda x: x, repeat_while, over)
+        x, *facts = last
+        return self.outcome(y0, rows, (*facts, *r.scene.pack(x)))
 
 
 class ScalarNumbers(XlaNumbers):
@@ -379,7 +350,15 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         scene: Any = self.request.scene.with_numbers(list(numbers))
         x = scene.unpack(list(y0), self.request.carry)
         pace = lax.stop_gradient if frozen else lambda x: x
-        (x, *facts), y = solve(scene, x, options, times, ScalarNumbers(), JaxLoops(), pace)
+
+        def over(times: Any, body: Any, x: Any) -> Any:
+            def interval(x: Any, due: Any) -> Any:
+                x, row = body(x, due)
+                return x, jnp.stack(row)
+
+            return lax.scan(interval, x, times)
+
+        (x, *facts), y = solve(scene, x, options, times, ScalarNumbers(), pace, lax.while_loop, over)
         return y, jnp.stack(facts), jnp.stack(scene.pack(x))
 
     def integrate(self, y0: np.ndarray) -> Outcome:

@@ -71,9 +71,14 @@ class OneStep:
         scene = self.scene.with_numbers(numbers)
         return tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
 
-    @cached_property
+    @property
     def _numba_type_(self) -> Any:
-        """What numba takes this for where compiled code calls it: a function of straight-line arithmetic.
+        """What numba takes this for where compiled code calls it: a compiled function."""
+        return self.compiled._numba_type_
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The step as straight-line arithmetic, compiled by numba.
 
         Raises `CannotRecord` where scene or method branch on values.
         """
@@ -85,7 +90,7 @@ class OneStep:
         arguments = (Unpack(names[:d], "y"), Update((names[d],), ("h",)), Unpack(names[d + 1 :], "numbers"))
         own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
         step = Function("step", ("y", "h", own), (*arguments, *recorded.body), recorded.results)
-        return numba.njit(execute(step), error_model="numpy")._numba_type_
+        return numba.njit(execute(step), error_model="numpy")
 
 
 def namespace(*values: Any) -> Any:
