@@ -41,19 +41,16 @@ Check = Callable[[str, Any], Any]
 
 
 def optional(check: Check) -> Check:
-    """Return a check that lets None pass."""
     return lambda name, value: None if value is None else check(name, value)
 
 
 def experiment_names(name: str, value: Any) -> tuple[str, ...]:
-    """Return names of experiments, or raise `BadInput`."""
     if isinstance(value, tuple) and all(isinstance(e, str) and e in EXPERIMENTS for e in value):
         return value
     raise BadInput(f"{name} = {excerpt(value)}: must be a tuple of names among {', '.join(EXPERIMENTS)}")
 
 
 def named_numbers(name: str, value: Any) -> dict[str, float]:
-    """Return finite numbers by name, or raise `BadInput`."""
     if isinstance(value, Mapping) and all(isinstance(key, str) and key.isidentifier() for key in value):
         return {key: finite(key, number) for key, number in value.items()}
     raise BadInput(f"{name} = {excerpt(value)}: must be a dict of numbers by name")
@@ -78,6 +75,10 @@ class System(ABC):
     functions: ClassVar[dict[str, tuple[str, ...]]] = {}
     #: optional state fields, in packing order
     optional: ClassVar[tuple[str, ...]] = ("s",)
+    #: those that the dynamics cannot do without
+    required: ClassVar[tuple[str, ...]] = ()
+    #: whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise
+    has_jacobian: ClassVar[bool] = True
 
     # -- packing -------------------------------------------------------------------------------
     def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
@@ -90,11 +91,6 @@ class System(ABC):
         if not all(isinstance(name, str) and name in self.optional for name in given):
             raise BadInput(f"carry = {excerpt(names)}: must be {wanted}")
         return tuple(name for name in self.optional if name in given or name in self.required)
-
-    @property
-    def required(self) -> tuple[str, ...]:
-        """Optional fields the dynamics cannot do without."""
-        return ()
 
     @abstractmethod
     def labels(self, carry: Sequence[str]) -> list[str]:
@@ -155,13 +151,11 @@ class System(ABC):
     def identity(self) -> Hashable | None:
         """What compiled code depends on besides the numbers; None where nobody can tell, and nothing is kept.
 
-        A user's function counts by the operations it was recorded with, as do the equations of a kind of scene
-        of a user's own.
+        A user's function counts by the operations it was recorded with; what a kind of a user's own does is not known.
         """
         given = (getattr(self, name) for name in self.functions)
-        if not all(f is None or isinstance(f, Formula) or is_ours(f) for f in given):
-            return None
-        return self.structure if is_ours(type(self)) else self._equations()
+        known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
+        return self.structure if known else None
 
     @property
     def own_equations(self) -> str | None:
@@ -174,21 +168,6 @@ class System(ABC):
         return (
             f"its flows are those of {self.kind}, and {type(self).__name__} has {', '.join(anew)} of its own"
         )
-
-    def _equations(self) -> Hashable | None:
-        carry, names = self.optional, ("rhs", "jacobian", "energy", "hamiltonian", "momentum", "gradient_at")
-
-        def everything(y: Any, *numbers: Any) -> list[Any]:
-            twin = self.with_numbers(numbers)
-            x = twin.unpack(y, carry)
-            values = [getattr(twin, name)(x) for name in names if hasattr(twin, name)]
-            return [leaf for value in values for leaf in leaves(value)]
-
-        sizes = (len(self.labels(carry)), *[0] * len(self.numbers()))
-        try:
-            return type(self), self.kind, formula(everything, sizes, ())
-        except CannotRecord:
-            return None
 
     def recorded(self) -> Self:
         """Return the scene with its user's functions as formulas: what they compute now.
@@ -213,13 +192,11 @@ class System(ABC):
         return copyreg.__newobj__, (type(self),), scene.__dict__  # type: ignore[attr-defined]
 
     def _start(self, name: str) -> tuple[list[Any], dict[str, float]]:
-        """Return the arguments of a user's function at the start."""
         given, wanted = {"xp": math, "h": TRIED * self.t_end}, self.functions[name]
         plain = [given[each] if each in given else getattr(self, each) for each in wanted if each != "**"]
         return plain, dict(getattr(self, "parameters", {})) if "**" in wanted else {}
 
     def _value(self, name: str) -> Any:
-        """Return the value of a user's function at the start."""
         plain, parameters = self._start(name)
         with their_code(f"scene {self.name!r}"):
             return getattr(self, name)(*plain, **parameters)
@@ -266,11 +243,6 @@ class System(ABC):
     @abstractmethod
     def jacobian(self, x: Any) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
-
-    @property
-    def has_jacobian(self) -> bool:
-        """Whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise."""
-        return True
 
     def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
@@ -332,6 +304,16 @@ class Scene(System):
     }
     #: its state has coordinates q and p of the same number, and η = ds − p dq
     canonical: ClassVar[bool] = False
+    #: what its equations or flows choose by, computed once of the numbers it was made with
+    decided: ClassVar[tuple[Any, ...]] = ()
+    #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
+    rate_changes: ClassVar[bool] = False
+    #: J' = −Γ'(s) J
+    has_momentum_law: ClassVar[bool] = False
+    #: one component of J obeys J' = −γJ + torque instead, at a constant γ
+    has_torque: ClassVar[bool] = False
+    #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
+    may_gain_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
@@ -390,11 +372,6 @@ class Scene(System):
     def structure(self) -> tuple[Any, ...]:
         functions = tuple(getattr(self, name) for name in self.functions)
         return (self.kind, *functions, *self.labels(self.optional), *self.number_names(), *self.decided)
-
-    @property
-    def decided(self) -> tuple[Any, ...]:
-        """What its equations or flows choose by, computed once of the numbers it was made with."""
-        return ()
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         """Return the names of the fields of its states that are integrated."""
@@ -456,7 +433,6 @@ class Scene(System):
         """Return the size of the terms that η(dx) is the difference of."""
 
     def energy_terms(self, x: Any) -> Any:
-        """Return the size of the terms that H0 is the sum of."""
         return abs(self.energy(x))
 
     @abstractmethod
@@ -490,23 +466,3 @@ class Scene(System):
     def bounds_energy(self) -> bool:
         """H0 never exceeds what it was at the start."""
         return not self.may_gain_energy
-
-    @property
-    def rate_changes(self) -> bool:
-        """φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant."""
-        return False
-
-    @property
-    def has_momentum_law(self) -> bool:
-        """J' = −Γ'(s) J."""
-        return False
-
-    @property
-    def has_torque(self) -> bool:
-        """One component of J obeys J' = −γJ + torque instead, at a constant γ."""
-        return False
-
-    @property
-    def may_gain_energy(self) -> bool:
-        """H0 need not decay: no damping, negative damping, or damping whose sign follows the motion."""
-        return False

@@ -150,11 +150,10 @@ class Driven(Mechanical):
         return self.gamma if self.rate is None else None
 
     @property
-    def rate_changes(self) -> bool:
+    def rate_changes(self) -> bool:  # type: ignore[override]
         return self.rate is not None
 
     def rate_at(self, t: Any) -> Any:
-        """Return γ(t)."""
         return self.gamma if self.rate is None else self.rate(t, **self.parameters)
 
     def spent(self, t: Any, h: Any, xp: Any) -> tuple[Any, Any]:

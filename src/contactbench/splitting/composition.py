@@ -1,17 +1,14 @@
 """Compositions of subflows as data, and the loop that runs them all.
 
 A composition is the list of its stages, in the order in which they act, with exact coefficients.
-Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is
-also a composition of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with
-b1 = α1, a1 = α1 + α2, b2 = α2 + α3, … (McLachlan 1995, doi:10.1137/0916010), which is how it is read
-where a scene comes in more than two parts: a body with anisotropic damping.  Neighbouring stages of one
-flow are merged, within a step and from one step to the next (first same as last), so that for example
-Strang costs one gradient per step.
+Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is also a composition
+of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with b1 = α1, a1 = α1 + α2, b2 = α2 + α3, …
+(McLachlan 1995, doi:10.1137/0916010), which is how it is read where a scene comes in more than two parts.  Neighbouring
+stages of one flow are merged, within a step and from one to the next, so that Strang costs one gradient per step.
 
-A composition may be processed: stages π before the first step, the same ones in reverse order π* after
-the last, so that n steps are π χⁿ π*.  The kernel χ then need only be conjugate to a method of the
-order, which leaves it far fewer conditions, and it is the kernel that is paid for at every step
-(Blanes, Casas, Ros, SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
+A composition may be processed: n steps are π χⁿ π*, π* the stages π in reverse order.  The kernel χ, paid for at every
+step, need only be conjugate to a method of the order, which leaves it far fewer conditions (Blanes, Casas, Ros,
+SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
 """
 
 from __future__ import annotations
@@ -19,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import chain
+from itertools import accumulate, chain, groupby
 from itertools import repeat as repeated
 from typing import Any
 
@@ -52,24 +49,15 @@ class Composition:
 
     @property
     def palindromic(self) -> bool:
-        """Whether the stages read the same backwards, which makes the method time-symmetric."""
         return self.stages == self.stages[::-1]
 
     @property
     def two_part(self) -> bool:
-        """Whether it is a splitting into kicks and merged drifts."""
         return {name for name, _ in self.stages} == {"kick", "drift_damp"}
 
     def alphas(self) -> list[Fraction]:
         """Return the coefficients of χ and χ* in turn (two-part compositions)."""
-        alphas: list[Fraction] = []
-        for _, coefficient in self.stages[:-1]:
-            alphas.append(coefficient - (alphas[-1] if alphas else 0))
-        return alphas
-
-    def run(self, n: int) -> tuple[Stage, ...]:
-        """Return the stages of n steps, one list from start to end."""
-        return merge((*self.processor, *self.stages * n, *reversed(self.processor)))
+        return list(accumulate((c for _, c in self.stages[:-1]), lambda alpha, c: c - alpha))
 
 
 def palindrome(first: str, second: str, half: Sequence[Any]) -> tuple[Stage, ...]:
@@ -96,25 +84,16 @@ def balance(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stage
 
 def strang_composition(gammas: Iterable[Any]) -> tuple[Stage, ...]:
     """Return Strang steps of sizes γ1, γ2, … one after another, neighbouring kicks merged."""
-    stages: list[Stage] = []
-    for gamma in map(Fraction, gammas):
-        stages += [("kick", gamma / 2), ("drift_damp", gamma), ("kick", gamma / 2)]
-    return merge(stages)
+    steps = ((("kick", c / 2), ("drift_damp", c), ("kick", c / 2)) for c in map(Fraction, gammas))
+    return merge(chain.from_iterable(steps))
 
 
 def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
-    """Add up neighbours of the same flow."""
-    out: list[Stage] = []
-    for name, coefficient in stages:
-        if out and out[-1][0] == name:
-            out[-1] = (name, out[-1][1] + coefficient)
-        else:
-            out.append((name, coefficient))
-    return tuple(out)
+    neighbours = groupby(stages, lambda stage: stage[0])
+    return tuple((name, sum((c for _, c in same), Fraction(0))) for name, same in neighbours)
 
 
 def number(coefficient: Fraction, xp: Any) -> Any:
-    """Return a coefficient as a number of the namespace: exact in mpmath, else a Python float."""
     if abilities(xp).digits:
         return xp.mpf(coefficient.numerator) / coefficient.denominator
     return float(coefficient)
@@ -141,7 +120,6 @@ ON_BODY = {"drift": "free", "damp": "damp"}
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
-    """Return the stages of one step on a scene."""
     if {name for name, _ in composition.stages} <= flows_of(scene).keys():
         return composition.stages
     if composition.two_part:
@@ -163,8 +141,6 @@ class Plan:
     joint: tuple[Stage, ...]
 
     def count(self, flows: dict[str, Flow], kinds: Collection[str], n: int) -> int:
-        """Return how many operations of some kinds n steps take."""
-
         def cost(stages: tuple[Stage, ...]) -> int:
             return sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
 
@@ -201,7 +177,6 @@ def advance(
     rolled = repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
-        """Apply the stages one after another: written out, or a loop over the period of their flows."""
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
             return run(stages[1:], run(stages[:1], x))
         flows_in_turn = [name for name, _ in stages]
@@ -238,7 +213,6 @@ def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp:
 
 
 def shortest_period(names: list[str]) -> int:
-    """Return the length of the shortest list whose repetition is `names`."""
     size = len(names)
     return next(p for p in range(1, size + 1) if size % p == 0 and names == names[:p] * (size // p))
 
@@ -282,7 +256,6 @@ def entry(constants: Any, i: Any) -> Any:
 
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
-    """Return whether `advance_by_the_clock` applies."""
     odd = len(composition.stages) % 2 == 1  # its turns end as they begin
     return composition.two_part and odd and scene.kind == "isotropic body"
 
@@ -333,7 +306,6 @@ def advance_by_the_clock(
 
 
 def scale(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
-    """Return the coefficients times a factor: one vector for array namespaces, else a list."""
     values = [number(c, xp) for c in coefficients]
     if abilities(xp).vectors:
         return xp.multiply.outer(xp.asarray(values), factor)

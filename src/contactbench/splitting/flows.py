@@ -1,18 +1,13 @@
 """The exact subflows every contact integrator is composed of.
 
-Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A
-flow is split in two so that its transcendental coefficients leave the time loop:
-``constants(scene, h, xp)`` once per step size, ``apply(scene, x, constants, xp)`` once per step.
-`xp` is the number namespace: `math`, `numpy`, `jax.numpy` or an mpmath context.
+Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A flow is split in two so
+that its transcendental coefficients leave the time loop: ``constants(scene, h, xp)`` once per step size,
+``apply(scene, x, constants, xp)`` once per step; `xp` is the namespace of the numbers.
 
-For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of
-its own (`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.
-
-Nyström tables keep their order on these two parts.  In the Jacobi bracket
-{f, g} = f_q·g_p − f_p·g_q + f_s (p·g_p − g) − g_s (p·f_p − f) the potential acts as the derivation
-{V, g} = ∇V·g_p + V g_s, whose coefficients depend on q alone: it lowers the degree of a polynomial in
-(p, s) by one.  T + Γ is of degree two in (p, s), hence {V, {V, {V, T + Γ}}} = 0, which is the one
-bracket that Nyström order conditions leave out.  A cubic term in Γ would break it.
+For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of its own
+(`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On these Nyström tables keep
+their order: {V, {V, {V, T + Γ}}} = 0, since V lowers the degree in (p, s) by one and T + Γ is of degree two
+(docs/mathematics.md).  A cubic term in Γ would break it.
 """
 
 from __future__ import annotations
@@ -69,9 +64,7 @@ class Flow(NamedTuple):
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
     undamped = gamma == 0
-    if abilities(xp).branch:
-        return h if undamped else -xp.expm1(-gamma * h) / gamma
-    return xp.where(undamped, h, -xp.expm1(-gamma * h) / xp.where(undamped, 1.0, gamma))
+    return choose(undamped, h, -xp.expm1(-gamma * h) / choose(undamped, 1.0, gamma, xp), xp)
 
 
 #: above this γh the decay is applied as a factor, below it as a small loss
@@ -87,9 +80,7 @@ def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
     """
     strong = gamma * h > STRONG
     factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)
-    if abilities(xp).branch:
-        return (factor, 0.0) if strong else (1.0, loss)
-    return xp.where(strong, factor, 1.0), xp.where(strong, 0.0, loss)
+    return choose(strong, factor, 1.0, xp), choose(strong, 0.0, loss, xp)
 
 
 # -- mechanical scenes ---------------------------------------------------------------------------
@@ -126,13 +117,11 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
 
 
 def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
-    """Return 1/D of `damp`, infinite where D ≤ 0."""
     D = 1 + half_kappa * x.s
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
 def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    """Return −∫Γ'(s) along the flow C: −γh − 2 log D."""
     linear = -scene.gamma * h
     if not scene.nonlinear_damping:
         return linear
@@ -195,7 +184,6 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
 
 
 def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    """Return −∫Γ'(s) along the flow AC: −γh − log y."""
     linear = linear_log_factor(scene, x, h, xp)
     if not scene.nonlinear_damping:
         return linear
@@ -212,12 +200,10 @@ MECHANICAL = {
 
 
 # -- scenes with time in them ----------------------------------------------------------------------
-# The damping advances the time, the kick uses the one it finds.  Autonomous in (q, p, t, s): A is T, B is V(q, t) at a
-# fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact however A, B and C alternate.
-# Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the clock depend on neither p
-# nor s: Nyström tables keep their order.
+# A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact however
+# they alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the clock depend
+# on neither p nor s: Nyström tables keep their order.
 def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
-    """Return −G."""
     return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
 
 
@@ -262,7 +248,6 @@ NODES, ITERATIONS, PANELS = 16, 6, 2
 
 @cache
 def rule() -> tuple[list[float], list[float]]:
-    """Return points and weights of Gauss's rule on [0, 1]; computed when first used."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     return ((1 + x) / 2).tolist(), (w / 2).tolist()
 
@@ -277,7 +262,6 @@ def decay(scene: Any, s: Any, h: Any, xp: Any) -> Any:
 
 
 def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
-    """Return s(h) by quadrature in one panel."""
     start = scene.dissipation(s)
     r = scene.dissipation_rate(s - start * damped_time(scene.dissipation_rate(s), h / 2, xp))
     resting = start == 0
@@ -286,14 +270,12 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
         return s - start * damped_time(r, tau, xp)
 
     def pace(tau: Any) -> Any:
-        """Return k."""
         there = scene.dissipation(at(tau))
         gone = there == 0
         ratio = choose(resting, 1.0, start, xp) / choose(gone, 1.0, there, xp)
         return choose(resting, 1.0, choose(gone, 1.0, xp.exp(-r * tau) * ratio, xp), xp)
 
     def elapsed(tau: Any) -> Any:
-        """Return the integral of k up to tau."""
         if abilities(xp).digits:
             return xp.quad(pace, [0, tau])
         return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
@@ -327,7 +309,6 @@ def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
 
 
 def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
-    """Return −∫Γ'(s) along it."""
     return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
 
@@ -372,13 +353,9 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
     if x.R is None:
         return BodyState(x.M, None, s)
     still = square == 0
-    if abilities(xp).branch:
-        size = xp.sqrt(square)
-        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
-    else:
-        size = xp.sqrt(xp.where(still, 1.0, square))  # 1: no derivative of √0 is taken
-        scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
-        cos = xp.where(still, 1.0, xp.cos(a * size / 2))
+    size = xp.sqrt(choose(still, 1.0, square, xp))  # 1: no derivative of √0 is taken
+    scale = choose(still, a / 2, xp.sin(a * size / 2) / size, xp)
+    cos = choose(still, 1.0, xp.cos(a * size / 2), xp)
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
     return settle(BodyState(x.M, R, s), xp)
 
