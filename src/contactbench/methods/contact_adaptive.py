@@ -46,6 +46,7 @@ from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Element, Function, Operation, Store
 from contactbench.trace.python import execute
 from contactbench.trace.recording import RecordedNumbers, Tape, attempt, operand_of
+from contactbench.xla import jnp, lax
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
@@ -220,7 +221,9 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         time, density, steps, *last = facts
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        counts = self.cost(int(steps), reached)
+        taken, curvatures = int(steps) + reached, int(steps) + 1  # a shortened step to every saved time reached
+        evaluations = taken * self.per_step + curvatures * self.by_gradients
+        counts = Counts(taken, evaluations, 0 if self.by_gradients else curvatures, 0, "gradient")
         if reached == len(y):
             return self.finish(y0, y, counts)
         status, message = Status.budget, f"max_steps = {r.max_steps} spent (t = {time:.6g})"
@@ -228,11 +231,6 @@ class AdaptiveContactRun(Prepared):
             status = Status.failed
             message = f"step {self.epsilon / density:.3g} below the resolution of time (t = {time:.6g})"
         return self.finish(y0, y[:reached], counts, status, message, (time, np.array(last)))
-
-    def cost(self, steps: int, reached: int) -> Counts:
-        taken, curvatures = steps + reached, steps + 1
-        evaluations = taken * self.per_step + curvatures * self.by_gradients
-        return Counts(taken, evaluations, 0 if self.by_gradients else curvatures, 0, "gradient")
 
 
 _loops: Cache[tuple[Any, float]] = Cache(256)
@@ -344,8 +342,6 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         return self.derivative(y0, states, "frozen" if frozen else "map")
 
     def _solve(self, y0: Any, fixed: Any, frozen: bool = True) -> Any:
-        from contactbench.xla import jnp, lax
-
         numbers, options, times = self.apart(fixed)
         scene: Any = self.request.scene.with_numbers(list(numbers))
         x = scene.unpack(list(y0), self.request.carry)

@@ -21,6 +21,7 @@ from contactbench.numbers.control import Repeat, XlaNumbers
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
+from contactbench.xla import jax, jnp
 
 
 def evolve(scene: Any, x: Any, t: Any, xp: Any) -> Any:
@@ -83,8 +84,6 @@ class ExactJax(ExactRun, CompiledRun):
         return (self.method, self.capacity)
 
     def states(self, y0: Any, fixed: Any) -> Any:
-        from contactbench.xla import jax, jnp
-
         numbers, times = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))

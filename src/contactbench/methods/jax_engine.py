@@ -15,6 +15,7 @@ from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
 from contactbench.scene.cache import Cache, key
 from contactbench.trace.recording import reason_of
+from contactbench.xla import jax, jnp, lax
 
 _programs: Cache[tuple[Any, float]] = Cache(1024)
 
@@ -55,8 +56,6 @@ class CompiledRun(Prepared):
     @staticmethod
     def flat(function: Callable[..., tuple[Any, Any, Any]]) -> Callable[..., Any]:
         """A function that returns saved states, facts about the run, and its last state, all in one vector."""
-        from contactbench.xla import jnp
-
         return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
 
     def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
@@ -82,13 +81,9 @@ class CompiledRun(Prepared):
 
     @cached_property
     def _start_on_device(self) -> Any:
-        from contactbench.xla import jax
-
         return jax.device_put(self.start)
 
     def compile(self, states: Callable[..., Any], fixed: np.ndarray) -> None:
-        from contactbench.xla import jax
-
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(fixed)
         self.program, self.compile_s = self.compiled("run", states, self.start, self.fixed)
@@ -98,8 +93,6 @@ class CompiledRun(Prepared):
 
         Raises `CannotRecord` where what is traced branches on values.
         """
-        from contactbench.xla import jax
-
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             try:
@@ -114,8 +107,6 @@ class CompiledRun(Prepared):
 
     def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
         """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
-        from contactbench.xla import jax
-
         def push(y0: Any, v: Any, fixed: Any) -> Any:
             return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 
@@ -126,8 +117,6 @@ class CompiledRun(Prepared):
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-    from contactbench.xla import lax
-
     return lax.fori_loop(0, n, lambda _, x: body(x), x)
 
 
@@ -167,8 +156,6 @@ class JaxLoop(FixedStepRun, CompiledRun):
         return identity(self.method_, self.request.scene, self.request.carry)
 
     def states(self, y0: Any, fixed: Any) -> Any:
-        from contactbench.xla import jnp, lax
-
         numbers, h, n = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))

@@ -29,9 +29,6 @@ class Series(Unknown):
     def numbers(self) -> SeriesNumbers:
         return SeriesNumbers()
 
-    def __repr__(self) -> str:
-        return f"<series {self.expression}>"
-
     def __pow__(self, exponent: Any) -> Series:
         if isinstance(exponent, Series):
             return Series(self.expression**exponent.expression)
