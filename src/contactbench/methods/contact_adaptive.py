@@ -221,7 +221,10 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         time, density, steps, *last = facts
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        taken, curvatures = int(steps) + reached, int(steps) + 1  # a shortened step to every saved time reached
+        taken, curvatures = (
+            int(steps) + reached,
+            int(steps) + 1,
+        )  # a shortened step to every saved time reached
         evaluations = taken * self.per_step + curvatures * self.by_gradients
         counts = Counts(taken, evaluations, 0 if self.by_gradients else curvatures, 0, "gradient")
         if reached == len(y):

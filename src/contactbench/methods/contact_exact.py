@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class ExactRun(Prepared):
         self.connect()
 
     def connect(self) -> None:
-        r, method = self.request, cast("Any", METHODS[self.method])
+        r, method = self.request, METHODS[self.method]
         run = {"numba": NumbaLoop, "python": WrittenLoop}[r.engine]
         to = [replace(r, save_at=self.later[k : k + 1], step=t) for k, t in enumerate(self.later.tolist())]
         self.runs = [run(self.method, request, method) for request in to]

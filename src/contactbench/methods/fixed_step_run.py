@@ -8,7 +8,7 @@ from collections.abc import Hashable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from contactbench.solution import DIVERGENCE, Counts, Status
 from contactbench.trace.compiled import compile_function, require_compiler
 from contactbench.trace.program import Program, record
 from contactbench.trace.python import execute
-
-if TYPE_CHECKING:
-    from contactbench.methods.fixed_step import FixedStep
 
 #: more steps than any budget allows are counted as this many
 UNCOUNTED = 2**50
@@ -51,7 +48,7 @@ def steps_in(span: Any, until: Any, step: float) -> Any:
 
 
 # -- the loop over steps, recorded from a method on a scene ------------------------------------------
-def program_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
+def program_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
     """The recorded loop of a method on a scene.
 
     tangent : packed states are followed by a tangent vector, which is carried along.
@@ -69,12 +66,12 @@ def program_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent:
     return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
 
 
-def is_fixed(method: FixedStep) -> bool:
+def is_fixed(method: Any) -> bool:
     """Whether a step map is one of this package, which computes the same tomorrow."""
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
 
 
-def identity(method: FixedStep, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
+def identity(method: Any, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
     """What a compiled loop of a method on a scene depends on besides the numbers; None where nobody can tell.
 
     A user's step map counts by what it was recorded with, as the scene's functions do.
@@ -152,7 +149,7 @@ class Loop:
 _loops: Cache[Loop] = Cache(1024)
 
 
-def loop_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+def loop_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
     """The recorded loop of a method on a scene; one for all scenes of one identity.
 
     Raises `CannotRecord`, also where numba is told not to compile.
@@ -175,7 +172,8 @@ class FixedStepRun(Prepared):
     An engine's own class writes `intervals`, and `bare` where there is a faster way.
     """
 
-    method_: FixedStep
+    #: a `FixedStep`
+    method_: Any
 
     sensitivity_source = "forward-mode AD through the same steps, compiled"
 
@@ -379,7 +377,7 @@ class PythonLoop(FixedStepRun):
         return rows + [[math.nan] * len(y)] * (len(spans) - len(rows))
 
 
-def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
+def trajectory(method: Any, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
     """States after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)

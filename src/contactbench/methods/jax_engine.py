@@ -93,6 +93,7 @@ class CompiledRun(Prepared):
 
         Raises `CannotRecord` where what is traced branches on values.
         """
+
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             try:
@@ -107,6 +108,7 @@ class CompiledRun(Prepared):
 
     def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
         """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
+
         def push(y0: Any, v: Any, fixed: Any) -> Any:
             return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 

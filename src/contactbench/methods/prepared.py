@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import blame
-from contactbench.errors import BadInput, excerpt
+from contactbench.errors import BadInput, Registry, excerpt
 from contactbench.methods.differences import differences
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
@@ -28,6 +28,8 @@ from contactbench.solution import (
     setting_key,
 )
 
+#: name → method, each a `base.Method`
+METHODS = Registry("method")
 #: Python's way to say inf or nan
 NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
 
@@ -299,8 +301,6 @@ class Prepared(ABC):
 
 
 def prepare_again(method: str, request: Request) -> Prepared:
-    from contactbench.methods.base import METHODS
-
     return METHODS[method].prepare(request)
 
 

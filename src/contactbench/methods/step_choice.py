@@ -13,16 +13,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from threading import Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.methods.fixed_step_run import FixedStepRun, total
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.solution import Status
-
-if TYPE_CHECKING:
-    from contactbench.methods.fixed_step import FixedStep
 
 #: error aimed at, as a part of the tolerance
 AIM = 0.4
@@ -58,7 +55,8 @@ class ChosenStep(Prepared):
     #: the state decides on a whole number of steps, which a small change of it leaves as it is
     steps_follow_state = False
 
-    method_: FixedStep
+    #: a `FixedStep`
+    method_: Any
     engine_run: type[FixedStepRun]
 
     def __post_init__(self) -> None:
