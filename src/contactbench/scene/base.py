@@ -370,8 +370,10 @@ class Scene(System):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        functions = tuple(getattr(self, name) for name in self.functions)
-        return (self.kind, *functions, *self.labels(self.optional), *self.number_names(), *self.decided)
+        functions = (getattr(self, name) for name in self.functions)
+        values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
+        sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
+        return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         """Return the names of the fields of its states that are integrated."""

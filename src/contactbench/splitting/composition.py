@@ -265,11 +265,10 @@ def advance_by_the_clock(
 ) -> BodyState:
     """Advance the free body and isotropic damping together, without splitting the two.
 
-    Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ,
-    dτ = e^{−γt} dt, of which a step from t takes e^{−γt} φ(h).  What is left of damping is one factor on M
-    and s at the end; and the spin commutes with all else, so that one for all steps does.  The last step
-    is like the others, joined to the opening of a next one, which is then taken back: what a compiled
-    program has beside its loops costs it more than a rotation.
+    Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ, dτ = e^{−γt} dt,
+    of which a step from t takes e^{−γt} φ(h).  One factor on M and s at the end is left of it, and one spin for all
+    steps, since it commutes with all else.  The last step is joined to the opening of a next one, which is then taken
+    back: what a compiled program has beside its loops costs it more than a rotation.
     """
     stages, gamma, decay = stages_on(composition, scene), scene.gamma, xp.exp(-scene.gamma * h)
     tau = damped_time(gamma, h, xp)

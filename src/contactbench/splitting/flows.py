@@ -200,9 +200,9 @@ MECHANICAL = {
 
 
 # -- scenes with time in them ----------------------------------------------------------------------
-# A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact however
-# they alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the clock depend
-# on neither p nor s: Nyström tables keep their order.
+# A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact
+# however they alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the
+# clock depend on neither p nor s: Nyström tables keep their order.
 def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
     return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
 
@@ -353,9 +353,13 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
     if x.R is None:
         return BodyState(x.M, None, s)
     still = square == 0
-    size = xp.sqrt(choose(still, 1.0, square, xp))  # 1: no derivative of √0 is taken
-    scale = choose(still, a / 2, xp.sin(a * size / 2) / size, xp)
-    cos = choose(still, 1.0, xp.cos(a * size / 2), xp)
+    if abilities(xp).branch:
+        size = xp.sqrt(square)
+        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
+    else:
+        size = xp.sqrt(xp.where(still, 1.0, square))  # 1: no derivative of √0 is taken
+        scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
+        cos = xp.where(still, 1.0, xp.cos(a * size / 2))
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
     return settle(BodyState(x.M, R, s), xp)
 
