@@ -318,6 +318,13 @@ class NumbaLoop(FixedStepRun):
         self.run(y0, *self.ahead, after)
         return after[-1]
 
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        if not self.saves_start and self.ahead is not None and self.needed <= self.request.max_steps:
+            after = np.empty(self.size)
+            if self.run(y0, *self.ahead, after) < 0:  # nothing to look for
+                return Outcome(after, self.totals, Status.ok, "", self._end, True)
+        return super().integrate(y0)
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         if n is not self.n or self.ahead is None:
             return self.loop.states(self.numbers, y0, h, n)
