@@ -230,9 +230,7 @@ def complete(request: pytest.FixtureRequest) -> Callable[..., dict[str, Any]]:
 
 
 @pytest.fixture
-def record_all(
-    request: pytest.FixtureRequest, complete: Callable[..., dict[str, Any]]
-) -> Callable[..., None]:
+def record_all(request: pytest.FixtureRequest, complete: Any) -> Callable[..., None]:
     """``record_all(table, rows)`` adds many rows at once."""
     return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
 
@@ -271,12 +269,7 @@ def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
 
 
 @pytest.fixture
-def clock(
-    request: pytest.FixtureRequest,
-    timetable: Timetable | None,
-    record: Callable[..., None],
-    complete: Callable[..., dict[str, Any]],
-) -> Clock:
+def clock(request: pytest.FixtureRequest, timetable: Timetable | None, record: Any, complete: Any) -> Clock:
     item = request.node
 
     def later(which: Any, row: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
