@@ -320,17 +320,17 @@ def rows_of(calls, worker):
 
 
 @cells(ladder)
-def test_stability(cell, profile, worker, record_all):
+def test_stability(cell, profile, worker, record):
     rows = rows_of(calls(cell, profile), worker)
-    record_all(STABILITY, rows)
+    record(STABILITY, *rows)
     assert rows
     assert all(row["status"] == "ok" or row["message"] for row in rows)
 
 
 @cells(questions)
-def test_rates(cell, profile, worker, record_all):
+def test_rates(cell, profile, worker, record):
     rows = rows_of(rate_calls(cell, profile), worker)
-    record_all(DAMPING_RATES, rows)
+    record(DAMPING_RATES, *rows)
     assert all(row["status"] == "ok" or row["message"] for row in rows)
 
 
@@ -348,11 +348,11 @@ def linear(profile):
 
 
 @cells(linear)
-def test_linear_stability(cell, record_all):
+def test_linear_stability(cell, record):
     method = cb.METHODS[cell[0]]
-    record_all(STABILITY_LIMITS, [limits(method, gamma, omega) for gamma in GAMMAS for omega in OMEGAS])
-    record_all(ONE_STEP, [row for gamma in GAMMAS for row in radii(method, gamma)])
-    record_all(STRONG_DAMPING, [row for gamma in STRONG for row in errors(method, gamma)])
+    record(STABILITY_LIMITS, *(limits(method, gamma, omega) for gamma in GAMMAS for omega in OMEGAS))
+    record(ONE_STEP, *(row for gamma in GAMMAS for row in radii(method, gamma)))
+    record(STRONG_DAMPING, *(row for gamma in STRONG for row in errors(method, gamma)))
 
 
 def limits(method, gamma, omega):
