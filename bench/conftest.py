@@ -123,7 +123,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.controls:
         items.sort(key=lambda item: (item.path.name, item.get_closest_marker("timed") is not None))
     else:
-        items.sort(key=lambda item: str(item.callspec.params["cell"][:2]))
+        items.sort(key=lambda item: str(item.callspec.params["cell"]))
 
 
 @pytest.hookimpl(tryfirst=True)  # before a worker of pytest-xdist says what it has collected
