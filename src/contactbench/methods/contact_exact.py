@@ -153,7 +153,9 @@ class ExactMethod(Method):
     """A closed form for any time: neither step nor tolerance."""
 
     name: str = "contact-exact"
-    about: str = "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
+    about: str = (
+        "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
+    )
     order: int | None = None
     engines: tuple[str, ...] = tuple(RUNS)
     family: str = "contact"
