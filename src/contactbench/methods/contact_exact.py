@@ -8,7 +8,7 @@ evaluation counts as the rotations it costs, few where the attitude is not carri
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -100,16 +100,21 @@ class ExactJax(ExactRun, CompiledRun):
         return CompiledRun.sensitivity(self, y0)
 
 
+@dataclass(frozen=True)  # its fields are its definition
 class ExactMethod(Method):
-    name = "contact-exact"
-    about = "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
-    order = None
-    engines = ("numba", "jax", "python")
-    family = "contact"
-    contact = True
-    adaptive = False
-    exact = True
-    tolerance = "nothing: the result has the digits that round-off of the phase leaves"
+    """A closed form for any time: neither step nor tolerance."""
+
+    name: str = "contact-exact"
+    about: str = (
+        "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
+    )
+    order: int | None = None
+    engines: tuple[str, ...] = ("numba", "jax", "python")
+    family: str = "contact"
+    contact: bool = True
+    adaptive: bool = False
+    exact: bool = True
+    tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "isotropic body":
