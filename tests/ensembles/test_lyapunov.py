@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactbench as cb
-from contactbench.ensembles.lyapunov import kaplan_yorke, orthonormal
+from contactbench.ensembles.lyapunov import kaplan_yorke
 
 PERIOD, EPS = 2 * np.pi, np.finfo(float).eps
 OSCILLATOR, DUFFING = cb.SCENES["oscillator"], cb.SCENES["duffing"]
@@ -29,15 +29,6 @@ def duffing(method, n=64, intervals=100, scene=DUFFING, seed=1, **setting):
 )
 def test_kaplan_yorke(exponents, dimension):
     assert kaplan_yorke(np.array(exponents)) == pytest.approx(dimension, rel=1e-14)
-
-
-def test_orthonormalisation_is_numpys_qr():
-    v = np.random.default_rng(5).normal(size=(3, 4, 5))
-    q, logs = orthonormal(v)
-    for k in range(5):
-        mine, r = np.linalg.qr(v[:, :, k].T)
-        np.testing.assert_allclose(np.abs(q[:, :, k].T), np.abs(mine), rtol=1e-12)
-        np.testing.assert_allclose(logs[:, k], np.log(np.abs(np.diag(r))), rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize(
