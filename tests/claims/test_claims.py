@@ -31,7 +31,7 @@ from contactbench.claims.step_stability import threshold, unconditional_from
 from contactbench.cli import main
 from contactbench.methods import METHODS, compiled, contact_adaptive, numba_engine
 from contactbench.methods.contact import contact_method
-from contactbench.peers import c_functions
+from contactbench.peers import compiled as compiled_peers
 from contactbench.report import claims as chapter
 from contactbench.report import markdown
 from contactbench.report.figures import paper
@@ -68,7 +68,7 @@ def fresh(monkeypatch):
     monkeypatch.setattr(compiled, "_programs", Cache(64))
     for module in (numba_engine, contact_adaptive):
         monkeypatch.setattr(module, "_loops", Cache(64))
-    monkeypatch.setattr(c_functions, "_compiled", Cache(64))
+    monkeypatch.setattr(compiled_peers, "_compiled", Cache(64))
 
 
 # -- the rows --------------------------------------------------------------------------------------

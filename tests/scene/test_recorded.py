@@ -277,7 +277,7 @@ def test_many_components_compile(n):
 
 @pytest.mark.parametrize("method", ["cvode-adams", "cvode-bdf", "cyrk-dop853"])
 def test_programs_of_peers_grow_with_the_couplings_not_with_their_square(method):
-    from contactbench.peers.c_functions import functions
+    from contactbench.peers.compiled import functions
 
     sizes = [
         sum(len(function.body) for function in functions(chain(n).recorded(), ())[1].values())

@@ -22,6 +22,8 @@ from contactbench.solution import Counts, Status
 
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
+#: the version whose C interface is known
+INTERFACE = "0.20."
 #: CyRK's status codes
 SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR = 1, -52, -53
 

@@ -13,7 +13,7 @@ import llvmlite.binding
 import numba
 from numba import types
 
-from contactbench.peers.c_functions import ORIGIN
+from contactbench.peers.compiled import ORIGIN
 
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
 #: as ctypes has them, and as numba does
@@ -28,12 +28,6 @@ LETTERS: dict[str, tuple[Any, Any]] = {
     "q": (ctypes.c_int64, types.int64),
     "z": (ctypes.c_size_t, types.uintp),
 }
-
-
-def signature(word: str) -> tuple[Any, tuple[Any, ...]]:
-    """The result and the arguments of a C function, as ctypes has them."""
-    result, *arguments = (LETTERS[letter][0] for letter in word)
-    return result, tuple(arguments)
 
 
 def external(name: str, address: int | None, word: str) -> Any:

@@ -21,9 +21,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from contactbench.peers.abi import external, join, signature, split
-from contactbench.peers.c_functions import JACOBIAN_CALLS, RHS_CALLS, CFunctions
-from contactbench.peers.compiled import KNOWN
+from contactbench.peers.abi import LETTERS, external, join, split
+from contactbench.peers.compiled import JACOBIAN_CALLS, KNOWN, RHS_CALLS, CFunctions
 from contactbench.peers.sundials import MAJOR, TOO_MUCH_WORK
 
 #: linear multistep methods, and integration tasks
@@ -31,7 +30,7 @@ METHODS = {"Adams": 1, "BDF": 2}
 NORMAL, ONE_STEP = 1, 2
 #: what the library's file may be called
 PATTERNS = ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.dylib")
-#: the functions used, by their signatures as `abi.signature` reads them; n is the type SUNDIALS counts with
+#: the functions used, by their signatures as words; n is the type SUNDIALS counts with
 SIGNATURES = {
     "iip": "SUNContext_Create",
     "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree",
@@ -81,7 +80,7 @@ def load() -> Any:
         library = ctypes.CDLL(str(path))
         for name, word in FUNCTIONS.items():
             function = getattr(library, name)
-            function.restype, function.argtypes = signature(word.replace("n", index))
+            function.restype, *function.argtypes = (LETTERS[letter][0] for letter in word.replace("n", index))
     except (OSError, AttributeError) as error:
         raise ImportError(f"{path.name}: {error}") from error
     version, label = [c_int(), c_int(), c_int()], ctypes.create_string_buffer(16)
