@@ -34,7 +34,7 @@ def derived_gradient(potential: Formula) -> Formula:
 @lru_cache(256)
 def derived_hessian(gradient: Formula) -> Formula:
     """Return the Hessian from ∇V.  Raises `CannotRecord`."""
-    return gradient.jacobian(symmetric=True)
+    return gradient.hessian()
 
 
 @dataclass(frozen=True, kw_only=True)

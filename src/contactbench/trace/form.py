@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -89,10 +89,12 @@ class Unpack(NamedTuple):
     sequence: str
 
 
+@dataclass(frozen=True, eq=False)
 class Digested:
-    """A thing that is compared and hashed by all that it computes: `parts`."""
+    """A thing that is compared and hashed by all that it computes: `parts`, its fields."""
 
-    parts: Any
+    def parts(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, field.name) for field in fields(self) if field.compare)
 
     @cached_property
     def digest(self) -> str:
@@ -116,9 +118,6 @@ class Function(Digested):
     arguments: tuple[str, ...]
     body: tuple[Any, ...]
     result: Results = 0
-
-    def parts(self) -> tuple[Any, ...]:
-        return self.name, self.arguments, self.body, self.result
 
 
 def digest(*parts: Any) -> str:
