@@ -20,6 +20,7 @@ import importlib.util
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -27,8 +28,12 @@ import numpy as np
 from contactbench.methods.base import Adaptive, Request
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.dual import Dual, slope
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, System, dot
 from contactbench.scene.cache import key
+from contactbench.trace.form import Function, Unpack
+from contactbench.trace.python import execute
+from contactbench.trace.recording import Recorded, Tape, attempt
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,6 @@ class PeerRun(Prepared):
     sensitivity_source = "variational equations, a run of its own"
 
     def variational(self) -> Self:
-        """The same run of the scene together with its tangent vectors."""
         base = self.request.scene
         count = len(base.tangents(base.initial(self.request.carry)))
         name = f"variational equations of {base.name}"
@@ -97,8 +101,6 @@ class PeerRun(Prepared):
 
 
 class Bundle(NamedTuple):
-    """A state and its tangent vectors, each a state of the same fields."""
-
     x: Any
     v: tuple[Any, ...]
 
@@ -185,3 +187,60 @@ def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
         moved = [Dual(c, 1.0 if i == j else 0.0) for i, c in enumerate(y)]
         columns.append([slope(c) for c in scene.pack(scene.rhs(scene.unpack(moved, carry)))])
     return [list(row) for row in zip(*columns, strict=True)]
+
+
+# -- solvers that call back into Python ---------------------------------------------------------------
+@dataclass
+class CallbackPeer(PeerRun):
+    """A run of a solver whose right-hand side, and Jacobian if it takes one, are Python functions of plain floats.
+
+    They are as lean as what a user would write for one problem: the scene is recorded once as a plain Python
+    function, its numbers written in as constants.  Where it cannot be recorded (a force that branches on values)
+    it is called as it is, at four times the cost.
+
+    rhs : ``(t, y) -> slopes`` and jacobian : ``(t, y) -> rows``, on a list of floats; None where there is none.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        scene, carry = self.request.scene, self.request.carry
+        self.rhs = record_function(scene, "rhs", carry) or (lambda t, y: scene.slopes(t, y, carry))
+        self.jacobian: Callable[[float, Any], Any] | None = None
+        if self.method_.implicit and scene.has_jacobian:
+            self.jacobian = record_function(scene, "jacobian", carry) or (
+                lambda t, y: motion_jacobian(scene, t, y, carry)
+            )
+
+    def slopes(self, calls: list[int] | None) -> Callable[[float, Any], Any]:
+        """The right-hand side; calls : its first entry counts the evaluations."""
+        rhs = self.rhs
+        if calls is None:
+            return rhs
+
+        def counting(t: float, y: Any) -> Any:
+            calls[0] += 1
+            return rhs(t, y)
+
+        return counting
+
+    def packed(self, rows: list[np.ndarray], y: np.ndarray, start: float) -> np.ndarray:
+        """The packed states of those reached at the saved times; y : the first."""
+        return self.insert_clock(np.reshape(rows, (-1, len(y))), start, self.request.save_at[: len(rows)])
+
+
+def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
+    """``f(t, y)`` on a list of floats: the slopes, or rows of a Jacobian; None if it cannot be had."""
+    tape = Tape()
+    names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
+    t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
+    slopes = scene.slopes if what == "rhs" else partial(motion_jacobian, scene)
+    try:
+        results = tape.results(attempt(lambda: slopes(t, y, carry)))
+    except (CannotRecord, TypeError):
+        return None
+    return execute(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
+
+
+def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
+    rows = scene.jacobian(scene.unpack(scene.with_clock(y, t), carry))
+    return [scene.without_clock(row) for row in scene.without_clock(rows)]

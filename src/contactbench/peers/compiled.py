@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from threading import Lock
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,9 +28,8 @@ from contactbench.peers.base import PeerRun, derivative
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
-from contactbench.trace.compiled import back_end, import_source
+from contactbench.trace.compiled import back_end, import_source, intrinsic
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, digest, read_by
-from contactbench.trace.llvm import intrinsic
 from contactbench.trace.python import execute
 from contactbench.trace.recording import Block, Tape, attempt, is_constant, operand_of
 
@@ -52,20 +51,19 @@ KNOWN = len(FACTS)
 LARGEST_JACOBIAN = 64
 
 
-@dataclass(frozen=True)
-class CFunctions:
-    """Addresses of the two functions (jacobian 0 where it cannot be had), and how to make their data."""
+class CFunctions(NamedTuple):
+    """Addresses of the two functions (jacobian 0 where it cannot be had), and how to make their data.
+
+    compile_s : seconds spent recording and compiling.  code : the machine code, kept alive.
+    """
 
     rhs: int
     jacobian: int
     constants: Callable[[Sequence[float]], Sequence[float]]
-    #: seconds spent recording and compiling
     compile_s: float
-    #: the machine code, kept alive
     code: Any
 
     def data(self, numbers: Sequence[float]) -> np.ndarray:
-        """The argument `data` for a scene's numbers."""
         return np.array([0.0] * CONSTANTS + [*self.constants(numbers)])
 
 

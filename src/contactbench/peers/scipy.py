@@ -13,8 +13,7 @@ import numpy as np
 from contactbench.methods.base import CLAMPED, METHODS
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.request import NO_NUMBER
-from contactbench.peers.base import Peer
-from contactbench.peers.callback import CallbackPeer
+from contactbench.peers.base import CallbackPeer, Peer
 from contactbench.solution import Counts, Status
 
 #: evaluations DOP853 adds for the interpolant of a step

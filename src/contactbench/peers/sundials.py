@@ -18,8 +18,7 @@ from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Request
 from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared
 from contactbench.methods.request import NO_NUMBER
-from contactbench.peers.base import Peer
-from contactbench.peers.callback import CallbackPeer
+from contactbench.peers.base import CallbackPeer, Peer
 from contactbench.peers.compiled import CompiledPeer
 from contactbench.solution import Counts, Status
 
@@ -30,8 +29,6 @@ TOO_MUCH_WORK = -1
 
 
 class CvodeRun(CallbackPeer):
-    """scikit-sundae, calling back into Python."""
-
     def bare(self, y0: np.ndarray) -> np.ndarray:
         start, y = self.split_clock(y0)
         solver = self.solver(start)
@@ -120,7 +117,6 @@ class CompiledCvodeRun(CompiledPeer):
 
 
 def cvode(name: str, request: Request, method: Peer) -> Prepared:
-    """The run of an engine."""
     if request.engine == "c+python":
         return CvodeRun(name, request, method)
     try:

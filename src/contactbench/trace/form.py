@@ -46,8 +46,6 @@ class Element(NamedTuple):
 
 
 class Assign(NamedTuple):
-    """A name for a value, once and for all."""
-
     target: str
     value: Operation | Element
 
@@ -60,8 +58,6 @@ class Update(NamedTuple):
 
 
 class Store(NamedTuple):
-    """A value written to an array."""
-
     element: Element
     value: Operand
 
@@ -121,7 +117,6 @@ class Function(Digested):
 
 
 def digest(*parts: Any) -> str:
-    """SHA-256 of what parts of this form are."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 

@@ -188,7 +188,6 @@ def slopes(
 
 
 def constant(x: Any) -> Amount:
-    """A number as an amount."""
     return (1.0, x) if isinstance(x, Recorded) else (float(x), 1.0)
 
 
@@ -205,13 +204,13 @@ def plus(a: Amount, b: Amount) -> Amount:
 
 
 def number(amount: Amount) -> Any:
-    """The value of an amount."""
     coefficient, x = amount
+    if not coefficient:
+        return 0.0
     return -x if coefficient == -1.0 else coefficient * x
 
 
 def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:
-    """A name for every number in the arguments of a formula."""
     return tuple(f"v{i}" for i in range(sum(n or 1 for n in arguments if isinstance(n, int)) + len(names)))
 
 

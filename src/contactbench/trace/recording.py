@@ -39,7 +39,6 @@ class Block:
         self.known: dict[Hashable, str] = {}
 
     def within(self, other: Block) -> bool:
-        """Whether it is the other block or a part of it."""
         return self is other or (self.parent is not None and self.parent.within(other))
 
 
@@ -79,12 +78,10 @@ class Tape:
         return operand_of(x, kind)
 
     def results(self, numbers: Any) -> Results:
-        """Nested numbers as nested tuples of operands."""
         nested = isinstance(numbers, tuple | list)
         return tuple(map(self.results, numbers)) if nested else self.read(numbers, self.root)
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-        """n-fold application, recorded as a loop."""
         outer, start = self.block, leaves(x)
         kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
         inner, names = Block(outer), tuple(map(self.name, kinds))
@@ -225,7 +222,6 @@ OPERATORS: dict[str, Callable[..., Any]] = {
 
 
 def is_constant(x: Any, value: float) -> bool:
-    """Whether x is this number, known when recording."""
     return not isinstance(x, Recorded | Dual | np.ndarray) and x == value
 
 

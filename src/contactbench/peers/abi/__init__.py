@@ -31,7 +31,6 @@ LETTERS: dict[str, tuple[Any, Any]] = {
 
 
 def external(name: str, address: int | None, word: str) -> Any:
-    """A C function that compiled code can call."""
     llvmlite.binding.add_symbol(name, address)
     result, *arguments = (LETTERS[letter][1] for letter in word)
     return types.ExternalFunction(name, result(*arguments))

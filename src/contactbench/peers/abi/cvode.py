@@ -69,7 +69,6 @@ def library_file() -> Path:
 
 
 def load() -> Any:
-    """The library, its functions with their types."""
     path = library_file()
     from sksundae._cy_common import config  # how the library was built
 
@@ -95,7 +94,6 @@ library = load()
 
 
 def function(name: str) -> Any:
-    """A function of the library that compiled code can call."""
     return external(name, ctypes.cast(getattr(library, name), c_void_p).value, FUNCTIONS[name])
 
 
@@ -170,7 +168,6 @@ def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-unty
 
 @numba.njit(cache=True)
 def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """`FACTS` and the state at the end."""
     restart(start, memory, vector, y, data, clock, end)
     set_max_steps(memory, max_steps)
     reached = np.zeros(1)
@@ -180,7 +177,6 @@ def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: igno
 
 @numba.njit(cache=True)
 def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
         row = to_end(starts[k], memory, vector, y, data, clock, end, max_steps)
@@ -240,8 +236,6 @@ class Memory:
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         matrix = library.SUNDenseMatrix(size, size, context)
         linear = library.SUNLinSol_Dense(self.vector, matrix, context)
-        if not (self.vector and memory and matrix and linear):
-            raise MemoryError("CVODE could not allocate its memory")
         weakref.finalize(self, free, memory, linear, matrix, self.vector, context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
         check("CVodeSStolerances", memory, *tolerances)
@@ -254,7 +248,6 @@ class Memory:
 
 
 def check(name: str, *arguments: Any) -> None:
-    """Call a function of the library that returns 0 where all is well."""
     if flag := getattr(library, name)(*arguments):
         raise RuntimeError(f"{name} returned {flag}")
 

@@ -91,7 +91,6 @@ def separate(start, data, clock):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """`FACTS` and the state at the end."""
     y, own = separate(start, data, clock)
     result = solve(rhs, method, y, own, np.empty(0), end, rtol, atol, max_steps)
     return facts(result, y, own, clock, status_of(result) == SUCCESS)
@@ -99,7 +98,6 @@ def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type
 
 @numba.njit(cache=True)
 def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
         row = to_end(starts[k], rhs, method, data, clock, end, rtol, atol, max_steps)
