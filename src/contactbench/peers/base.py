@@ -17,6 +17,7 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
 from __future__ import annotations
 
 import importlib.util
+from abc import abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -26,11 +27,14 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from contactbench.methods.base import Adaptive, Request
+from contactbench.methods.outcome import Outcome
 from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.request import NO_NUMBER
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, System, dot
 from contactbench.scene.cache import key
+from contactbench.solution import Counts, Status
 from contactbench.trace.form import Function, Unpack
 from contactbench.trace.python import execute
 from contactbench.trace.recording import Recorded, Tape, attempt
@@ -190,6 +194,10 @@ def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
 
 
 # -- solvers that call back into Python ---------------------------------------------------------------
+#: evaluations DOP853 adds for the interpolant of a step, and before the first step
+INTERPOLANT, BEFORE = 3, 2
+
+
 @dataclass
 class CallbackPeer(PeerRun):
     """A run of a solver whose right-hand side, and Jacobian if it takes one, are Python functions of plain floats.
@@ -201,6 +209,9 @@ class CallbackPeer(PeerRun):
     rhs : ``(t, y) -> slopes`` and jacobian : ``(t, y) -> rows``, on a list of floats; None where there is none.
     """
 
+    #: as how many steps the last one counts that failed
+    failure = 1
+
     def __post_init__(self) -> None:
         super().__post_init__()
         scene, carry = self.request.scene, self.request.carry
@@ -211,21 +222,50 @@ class CallbackPeer(PeerRun):
                 lambda t, y: motion_jacobian(scene, t, y, carry)
             )
 
-    def slopes(self, calls: list[int] | None) -> Callable[[float, Any], Any]:
-        """The right-hand side; calls : its first entry counts the evaluations."""
-        rhs = self.rhs
-        if calls is None:
-            return rhs
+    @abstractmethod
+    def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:
+        """A solver, with the interface of SciPy's, for the motion from a time on."""
 
-        def counting(t: float, y: Any) -> Any:
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, times, calls = self.request, self.request.save_at, [0]
+        start, y = self.split_clock(y0)
+        rows, steps, interpolated, status, message = ([y] if self.saves_start else []), 0, 0, Status.ok, ""
+
+        def counting(t: float, y: Any) -> Any:  # libraries leave out the calls that difference the Jacobian
             calls[0] += 1
-            return rhs(t, y)
+            return self.rhs(t, y)
 
-        return counting
-
-    def packed(self, rows: list[np.ndarray], y: np.ndarray, start: float) -> np.ndarray:
-        """The packed states of those reached at the saved times; y : the first."""
-        return self.insert_clock(np.reshape(rows, (-1, len(y))), start, self.request.save_at[: len(rows)])
+        try:
+            solver = self.begin(start, y, counting)
+        except NO_NUMBER as error:  # the right-hand side failed at the initial state
+            message, counts = f"{type(error).__name__}: {error} (t = 0)", Counts(0, calls[0], 0, None)
+            return self.finish(y0, np.empty((0, len(y0))), counts, Status.failed, message)
+        try:
+            while len(rows) < len(times):
+                if steps == r.max_steps:
+                    status, message = Status.budget, f"max_steps = {r.max_steps} spent at t = {solver.t:.6g}"
+                    break
+                note = solver.step()
+                steps += self.failure if solver.status == "failed" else 1
+                if solver.status == "failed":
+                    status, message = Status.failed, f"{note} (t = {solver.t:.6g})"
+                    break
+                due = times[len(rows) : int(np.searchsorted(times, solver.t, side="right"))]
+                if len(due) and due[0] < solver.t:  # no interpolation at the solver's own point
+                    interpolated, interpolant = interpolated + 1, solver.dense_output()
+                own = solver.t, solver.y.copy()
+                rows += [own[1] if t == own[0] else interpolant(t) for t in due]
+        except (*NO_NUMBER, np.linalg.LinAlgError) as error:
+            status, message = Status.failed, f"{type(error).__name__}: {error} (t = {solver.t:.6g})"
+        rejected = None
+        if (stages := self.method_.stages) is not None:
+            rejected = (calls[0] - BEFORE - INTERPOLANT * interpolated) // stages - steps
+        counts, stopped = (
+            Counts(steps, calls[0], solver.njev, rejected),
+            (float(solver.t), np.array(solver.y)),
+        )
+        found = self.insert_clock(np.reshape(rows, (-1, len(y))), start, times[: len(rows)])
+        return self.finish(y0, found, counts, status, message, stopped)
 
 
 def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
