@@ -11,8 +11,7 @@ import numpy as np
 
 import contactbench as cb
 from contactbench.methods.base import METHODS, Adaptive
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
+from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.solution import Counts, Status
 
 
@@ -50,7 +49,7 @@ NAMES = ("planted-hang", "planted-crash", "planted-raise", "planted-nan", "plant
 
 def row(method):
     """A row of the stability table, made where the planted methods are registered."""
-    from stability_rows import stability_row
+    from bench_stability import stability_row
 
     for name in NAMES:
         if name not in METHODS:

@@ -11,7 +11,7 @@ from mpmath import mp
 import contactbench as cb
 from cases import in_mp
 from contactbench.measure import order as precision
-from contactbench.splitting.dissipation import decay
+from contactbench.splitting.flows import decay
 from contactbench.testing import check_scene
 from properties import GENERAL, cubic_flow
 
@@ -67,6 +67,17 @@ def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
     assert cb.LAWS["solution_error"](solution) < 1e-6
     accurate = cb.solve(scene, "scipy-dop853", rtol=1e-11, save_at=times)
     np.testing.assert_allclose(accurate.y, solution.y, rtol=0, atol=1e-6)
+
+
+def test_a_derived_hessian_is_no_jacobian():
+    functions = {
+        "potential": lambda q: q[0] ** 4 / 4,
+        "damping": lambda s: s**3,
+        "damping_slope": lambda s: 3 * s * s,
+    }
+    scene = cb.GeneralDamping(name="mine", q=(1.0,), p=(0.0,), s=0.3, t_end=3.0, **functions)
+    runs = [cb.solve(scene, name, rtol=1e-8, save_at=[3.0]) for name in ("scipy-radau", "scipy-dop853")]
+    np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("engine", ["numba", "python"])

@@ -15,14 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.cores import LANES
-from contactbench.ensembles.measures import furthest, within
-from contactbench.ensembles.members import members
+from contactbench.ensembles.chunks import LANES
+from contactbench.ensembles.members import furthest, members, within
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.entry import lookup, prepare
-from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.numba_engine import loop_of
+from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.compiled import FACTS, KNOWN

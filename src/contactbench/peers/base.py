@@ -26,10 +26,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from contactbench.methods.base import Adaptive, Request
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, Refused
-from contactbench.methods.request import NO_NUMBER
+from contactbench.methods.base import Adaptive
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, System, dot

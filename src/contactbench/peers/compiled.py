@@ -21,8 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import stopwatch
+from contactbench.methods.prepared import Outcome, stopwatch
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import PeerRun, derivative
 from contactbench.scene import Scene

@@ -6,35 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import isfinite
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import is_ours, user_error
-from contactbench.errors import BadInput, excerpt, finite, function, is_real, positive, switch, vector
+from contactbench.boundary import is_ours, their_code
+from contactbench.errors import BadInput, excerpt, finite, function, positive, require_number, switch, vector
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
-from contactbench.scene.base import Scene
+from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
 LARGEST_HESSIAN = 32
 
 
-@lru_cache(256)
-def derived_gradient(potential: Formula) -> Formula:
-    """Return ∇V from V.  Raises `BadInput` for a function whose derivative is not known."""
-    try:
-        return potential.gradient()
-    except CannotRecord as why:
-        raise BadInput(f"the gradient is missing, and cannot be derived from the potential: {why}") from why
-
-
-@lru_cache(256)
-def derived_hessian(gradient: Formula) -> Formula:
-    """Return the Hessian from ∇V.  Raises `CannotRecord`."""
-    return gradient.hessian()
+#: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
+derived_gradient = lru_cache(256)(Formula.gradient)
+derived_hessian = lru_cache(256)(Formula.hessian)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,121 +67,76 @@ class Mechanical(Scene):
     hessian: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
-    #: kept so that no division is left in the right-hand side: compiled loops run up to twice as fast
     inverse_mass: Any = field(init=False, repr=False, default=1.0)
+    #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it
+    kappa_sign: int = field(init=False, repr=False, default=0)
 
     kind: ClassVar[str] = "mechanical"
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
         ("potential", "gradient", "hessian"), ("q", "**")
     )
+    state: ClassVar[Any] = State
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
+    coefficients: ClassVar[tuple[str, ...]] = ("gamma", "kappa", "mass")
+    reciprocals: ClassVar[dict[str, str]] = {"mass": "inverse_mass"}
+    checks: ClassVar[dict[str, Check]] = {
+        **Scene.checks,
+        "potential": function,
+        "gradient": optional(function),
+        "hessian": optional(function),
+        "q": vector,
+        "p": vector,
+        "gamma": finite,
+        "kappa": finite,
+        "mass": positive,
+        "rotation_invariant": switch,
+        "parameters": named_numbers,
+    }
     canonical: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        self._check_kinds()
-        fix = object.__setattr__
-        fix(self, "q", vector("q", self.q))
-        fix(self, "p", vector("p", self.p))
+        super().__post_init__()
+        self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
         if len(self.q) != len(self.p):
             raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
-        for name in ("gamma", "kappa", "s"):
-            fix(self, name, finite(name, getattr(self, name)))
-        fix(self, "mass", positive("mass", self.mass))
-        fix(self, "inverse_mass", finite(f"mass = {self.mass!r}: 1/mass", 1 / self.mass))
-        fix(self, "t_end", positive("t_end", self.t_end))
-        fix(self, "parameters", {k: finite(k, v) for k, v in self.parameters.items()})
-        self._check_force()
-
-    def _check_kinds(self) -> None:
-        super()._check_kinds()
-        function("potential", self.potential)
-        for name in ("gradient", "hessian"):
-            if getattr(self, name) is not None:
-                function(name, getattr(self, name))
-        switch("rotation_invariant", self.rotation_invariant)
-        names = self.parameters if isinstance(self.parameters, Mapping) else [None]
-        if not all(isinstance(name, str) and name.isidentifier() for name in names):
-            raise BadInput(f"parameters = {excerpt(self.parameters)}: must be a dict of numbers by name")
-        self._check_names(self.parameters)
-
-    def _check_force(self) -> None:
-        """Raise `BadInput` unless the gradient at the initial position is n finite numbers."""
-        try:
+        with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
             force = self.dV(self.q)
-        except (ZeroDivisionError, OverflowError):
-            raise BadInput(
-                f"q = {excerpt(self.q)}: the force of scene {self.name!r} is singular there"
-            ) from None
-        except (ValueError, IndexError, TypeError) as error:
-            raise BadInput(
-                f"q = {excerpt(self.q)}: wrong for scene {self.name!r}, whose gradient says: "
-                f"{user_error(type(error).__name__, error)}"
-            ) from error
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise user_error(f"scene {self.name!r}", error) from error
         if not isinstance(force, tuple | list | np.ndarray):
             raise BadInput(
                 f"gradient: must return {len(self.q)} numbers, a tuple; it returns {excerpt(force)}"
             )
-        if len(force) != len(self.q):
-            raise BadInput(f"q = {excerpt(self.q)}: scene {self.name!r} needs {len(force)} components")
-        if not all(is_real(f) and hasattr(f, "__float__") for f in force):
-            raise BadInput(f"gradient: must return real numbers; it returns {excerpt(force)}")
-        if not all(isfinite(f) for f in force):
-            raise BadInput(f"q = {excerpt(self.q)}: the force of scene {self.name!r} is not finite there")
+        vector(f"q = {excerpt(self.q)}, where gradient", force, len(self.q))
 
     @property
-    def required(self) -> tuple[str, ...]:
+    def required(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("s",) if self.kappa else ()
-
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        n = len(self.q)
-        names = [f"q{i + 1}" for i in range(n)] + [f"p{i + 1}" for i in range(n)]
-        return names + [c for c in self.optional if c in carry]
-
-    def initial(self, carry: Sequence[str], **data: Any) -> State:
-        values = {f: getattr(self, f) for f in self.initial_fields} | data
-        return State(tuple(values["q"]), tuple(values["p"]), values["s"] if "s" in carry else None)
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
         n = len(self.q)
         return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
 
-    def numbers(self) -> list[float]:
-        return [self.gamma, self.kappa, self.mass, *self.parameters.values()]
-
-    def number_names(self) -> list[str]:
-        return ["gamma", "kappa", "mass", *self.parameters]
-
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        gamma, kappa, mass, *rest = numbers
-        parameters = dict(zip(self.parameters, rest, strict=True))
-        own = {"gamma": gamma, "kappa": kappa, "mass": mass, "inverse_mass": 1 / mass}
-        return self._replaced(**own, parameters=parameters, _kappa_sign=self.kappa_sign)
-
-    @property
-    def kappa_sign(self) -> int:
-        """1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it."""
-        known = self.__dict__.get("_kappa_sign")
-        return int(self.kappa > 0) - int(self.kappa < 0) if known is None else known
-
     @property
     def nonlinear_damping(self) -> bool:
-        """Whether Γ has its quadratic term."""
         return self.kappa_sign != 0
 
     @property
-    def structure(self) -> tuple[Any, ...]:
-        functions = self.potential, self.gradient, self.hessian
-        return (Mechanical, *functions, len(self.q), tuple(self.parameters), self.kappa_sign)
+    def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
+        return (self.kappa_sign,)
 
     def recorded(self) -> Self:
         """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""
         scene = super().recorded()
         if scene.gradient is None:
-            scene = scene._replaced(gradient=derived_gradient(scene._potential_formula()))
+            sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
+            try:
+                potential = scene.potential
+                if not isinstance(potential, Formula):
+                    potential = formula(potential, sizes, tuple(self.parameters))
+                scene = scene._replaced(gradient=derived_gradient(potential))
+            except CannotRecord as why:
+                raise BadInput(
+                    f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
+                ) from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
@@ -200,21 +144,8 @@ class Mechanical(Scene):
                 scene = scene._replaced(hessian=derived_hessian(scene.gradient))
         return scene
 
-    def _potential_formula(self) -> Formula:
-        """Return the potential as a formula; `BadInput` where it cannot be recorded."""
-        if isinstance(self.potential, Formula):
-            return self.potential
-        sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
-        try:
-            return formula(self.potential, sizes, tuple(self.parameters))
-        except CannotRecord as why:
-            raise BadInput(
-                f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
-            ) from why
-
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
-        """Return T(p) = ‖p‖²/2m."""
         return dot(p, p) * self.inverse_mass / 2
 
     def V(self, q: Vector) -> Any:
@@ -224,32 +155,25 @@ class Mechanical(Scene):
         return (self.gradient or self.recorded().gradient)(q, **self.parameters)  # type: ignore[misc]
 
     def potential_at(self, x: Any) -> Any:
-        """Return V at a state."""
         return self.V(x.q)
 
     def gradient_at(self, x: Any) -> Vector:
-        """Return ∇V at a state."""
         return self.dV(x.q)
 
     def damping_at(self, x: Any) -> Any:
-        """Return γ at a state."""
         return self.gamma
 
     def energy(self, x: State) -> Any:
-        """Return H0 = T + V."""
         return self.kinetic(x.p) + self.potential_at(x)
 
     def dissipation(self, s: Any) -> Any:
-        """Return Γ(s) = γ s + ½ κ s²."""
         linear = self.gamma * s
         return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
 
     def dissipation_rate(self, s: Any) -> Any:
-        """Return Γ'(s) = γ + κ s."""
         return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
 
     def hamiltonian(self, x: State) -> Any:
-        """Return H = H0 + Γ(s); needs s."""
         return self.energy(x) + self.dissipation(x.s)
 
     def rhs(self, x: State) -> State:
@@ -261,11 +185,10 @@ class Mechanical(Scene):
         return State(velocity, force, self.kinetic(x.p) - self.V(x.q) - self.dissipation(x.s))
 
     @property
-    def has_jacobian(self) -> bool:
+    def has_jacobian(self) -> bool:  # type: ignore[override]
         return self.hessian is not None
 
     def jacobian(self, x: State) -> list[list[Any]] | None:
-        """Return ∂(rhs)/∂(state) in packed order, or None when the scene has no Hessian."""
         if self.hessian is None:
             return None
         n = len(x.q)
@@ -288,24 +211,20 @@ class Mechanical(Scene):
             return (q[0] * p[1] - q[1] * p[0],)
         return cross(q, p) if len(q) == 3 else None
 
-    def torque(self, x: State) -> Vector | None:
-        """Return −q × ∇V, the rate at which the potential changes the angular momentum."""
-        return self.momentum(State(x.q, tuple(-g for g in self.gradient_at(x))))
-
     @property
-    def has_momentum_law(self) -> bool:
+    def has_momentum_law(self) -> bool:  # type: ignore[override]
         return self.rotation_invariant and len(self.q) in (2, 3)
 
     @property
-    def has_torque(self) -> bool:
+    def has_torque(self) -> bool:  # type: ignore[override]
         return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
     @property
-    def rate_changes(self) -> bool:
+    def rate_changes(self) -> bool:  # type: ignore[override]
         return self.nonlinear_damping
 
     @property
-    def may_gain_energy(self) -> bool:
+    def may_gain_energy(self) -> bool:  # type: ignore[override]
         return self.nonlinear_damping or self.gamma <= 0
 
     @property
@@ -313,33 +232,88 @@ class Mechanical(Scene):
         return not self.nonlinear_damping and self.gamma >= 0
 
     def energy_terms(self, x: State) -> Any:
-        """Return T + |V|."""
         return self.kinetic(x.p) + abs(self.potential_at(x))
 
     def contact_form(self, x: State, dx: State) -> Any:
-        """Return η(dx) = ds − p·dq at x."""
         return dx.s - dot(x.p, dx.q)
 
     def contact_terms(self, x: State, dx: State) -> Any:
-        """Return |ds| + ‖p‖‖dq‖."""
         return abs(dx.s) + norm(x.p) * norm(dx.q)
 
     def hamiltonian_terms(self, x: State) -> Any:
-        """Return |T| + |V + Γ|."""
         kinetic = self.kinetic(x.p)
         return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
 
     def momentum_terms(self, x: State) -> Any:
-        """Return ‖q‖‖p‖."""
         return norm(x.q) * norm(x.p)
-
-    def tangents(self, x: State) -> list[State]:
-        """Return the coordinate basis of the tangent space at x, in packed order."""
-        flat = self.pack(x)
-        carry = ("s",) if x.s is not None else ()
-        size = len(flat)
-        return [self.unpack([1.0 if i == j else 0.0 for j in range(size)], carry) for i in range(size)]
 
     @property
     def conformal_rate(self) -> Any:
         return None if self.nonlinear_damping else self.gamma
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneralDamping(Mechanical):
+    """H = ‖p‖²/2m + V(q) + Γ(s) for any smooth Γ, on the three-part splitting: kick, drift and damping.
+
+    Nyström tables, Herglotz's recursion and `contact-adaptive` refuse it: their flows need a Γ at most quadratic.
+
+        GeneralDamping(name="cubic", potential=V, gradient=dV, q=(1.0,), p=(0.0,), s=0.5, t_end=10.0,
+                       damping=lambda s: 0.1 * s + s**3, damping_slope=lambda s: 0.1 + 3 * s * s)
+
+    Parameters
+    ----------
+    damping, damping_slope
+        ``Γ(s) -> number`` and ``Γ'(s) -> number``, plain arithmetic like the force.
+    damping_flow
+        ``(s, h, xp) -> s(h)``, the solution of s' = −Γ(s) where it is known in closed form; by default it is found
+        by quadrature (`splitting.dissipation`), many evaluations of Γ a step.
+
+    Raises
+    ------
+    BadInput
+        As `Mechanical` does, and for a gamma or kappa beside Γ.
+    """
+
+    damping: Callable[[Any], Any]
+    damping_slope: Callable[[Any], Any]
+    damping_flow: Callable[[Any, Any, Any], Any] | None = None
+
+    kind: ClassVar[str] = "general damping"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {
+        **Mechanical.functions,
+        **dict.fromkeys(("damping", "damping_slope"), ("s",)),
+        "damping_flow": ("s", "h", "xp"),
+    }
+
+    coefficients: ClassVar[tuple[str, ...]] = ("mass",)
+    checks: ClassVar[dict[str, Check]] = {
+        **Mechanical.checks,
+        "damping": function,
+        "damping_slope": function,
+        "damping_flow": optional(function),
+    }
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.gamma or self.kappa:
+            raise BadInput(f"gamma = {self.gamma!r}, kappa = {self.kappa!r}: Γ has them in it")
+        for name in ("damping", "damping_slope", "damping_flow"):
+            if getattr(self, name) is not None:
+                require_number(name, self._value(name))
+
+    required = ("s",)
+
+    nonlinear_damping = True
+
+    def dissipation(self, s: Any) -> Any:
+        return self.damping(s)
+
+    def dissipation_rate(self, s: Any) -> Any:
+        return self.damping_slope(s)
+
+    #: Γ'' is not asked for: solvers difference
+    has_jacobian = False
+
+    def jacobian(self, x: State) -> None:
+        """Return None."""

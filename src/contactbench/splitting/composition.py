@@ -1,27 +1,27 @@
 """Compositions of subflows as data, and the loop that runs them all.
 
 A composition is the list of its stages, in the order in which they act, with exact coefficients.
-Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is
-also a composition of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with
-b1 = α1, a1 = α1 + α2, b2 = α2 + α3, … (McLachlan 1995, doi:10.1137/0916010), which is how it is read
-where a scene comes in more than two parts: a body with anisotropic damping.  Neighbouring stages of one
-flow are merged, within a step and from one step to the next (first same as last), so that for example
-Strang costs one gradient per step.
+Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is also a composition
+of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with b1 = α1, a1 = α1 + α2, b2 = α2 + α3, …
+(McLachlan 1995, doi:10.1137/0916010), which is how it is read where a scene comes in more than two parts.  Neighbouring
+stages of one flow are merged, within a step and from one to the next, so that Strang costs one gradient per step.
 
-A composition may be processed: stages π before the first step, the same ones in reverse order π* after
-the last, so that n steps are π χⁿ π*.  The kernel χ then need only be conjugate to a method of the
-order, which leaves it far fewer conditions, and it is the kernel that is paid for at every step
-(Blanes, Casas, Ros, SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
+A composition may be processed: n steps are π χⁿ π*, π* the stages π in reverse order.  The kernel χ, paid for at every
+step, need only be conjugate to a method of the order, which leaves it far fewer conditions (Blanes, Casas, Ros,
+SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import accumulate, chain, groupby
+from itertools import repeat as repeated
 from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.control import turns as unrolled
 from contactbench.numbers.protocol import abilities
 from contactbench.scene import BodyState, RigidBody, Scene
 from contactbench.splitting.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
@@ -49,24 +49,15 @@ class Composition:
 
     @property
     def palindromic(self) -> bool:
-        """Whether the stages read the same backwards, which makes the method time-symmetric."""
         return self.stages == self.stages[::-1]
 
     @property
     def two_part(self) -> bool:
-        """Whether it is a splitting into kicks and merged drifts."""
         return {name for name, _ in self.stages} == {"kick", "drift_damp"}
 
     def alphas(self) -> list[Fraction]:
         """Return the coefficients of χ and χ* in turn (two-part compositions)."""
-        alphas: list[Fraction] = []
-        for _, coefficient in self.stages[:-1]:
-            alphas.append(coefficient - (alphas[-1] if alphas else 0))
-        return alphas
-
-    def run(self, n: int) -> tuple[Stage, ...]:
-        """Return the stages of n steps, one list from start to end."""
-        return merge((*self.processor, *self.stages * n, *reversed(self.processor)))
+        return list(accumulate((c for _, c in self.stages[:-1]), lambda alpha, c: c - alpha))
 
 
 def palindrome(first: str, second: str, half: Sequence[Any]) -> tuple[Stage, ...]:
@@ -93,43 +84,27 @@ def balance(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stage
 
 def strang_composition(gammas: Iterable[Any]) -> tuple[Stage, ...]:
     """Return Strang steps of sizes γ1, γ2, … one after another, neighbouring kicks merged."""
-    stages: list[Stage] = []
-    for gamma in map(Fraction, gammas):
-        stages += [("kick", gamma / 2), ("drift_damp", gamma), ("kick", gamma / 2)]
-    return merge(stages)
+    steps = ((("kick", c / 2), ("drift_damp", c), ("kick", c / 2)) for c in map(Fraction, gammas))
+    return merge(chain.from_iterable(steps))
 
 
 def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
-    """Add up neighbours of the same flow."""
-    out: list[Stage] = []
-    for name, coefficient in stages:
-        if out and out[-1][0] == name:
-            out[-1] = (name, out[-1][1] + coefficient)
-        else:
-            out.append((name, coefficient))
-    return tuple(out)
+    neighbours = groupby(stages, lambda stage: stage[0])
+    return tuple((name, sum((c for _, c in same), Fraction(0))) for name, same in neighbours)
 
 
 def number(coefficient: Fraction, xp: Any) -> Any:
-    """Return a coefficient as a number of the namespace: exact in mpmath, else a Python float."""
     if abilities(xp).digits:
         return xp.mpf(coefficient.numerator) / coefficient.denominator
     return float(coefficient)
 
 
 # -- a composition on a scene ----------------------------------------------------------------------
-def own_equations(scene: Scene) -> str | None:
-    """Return why flows of a kind of scene do not solve one that writes its equations anew, or None."""
-    if not (anew := scene.own_equations):
-        return None
-    return f"its flows are those of {scene.kind}, and {type(scene).__name__} has {', '.join(anew)} of its own"
-
-
 def refusal(composition: Composition, scene: Scene) -> str | None:
     """Return why the composition does not have its order on this scene, or None."""
     if composition.nystrom and "drift_damp" not in flows_of(scene):
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
-    return own_equations(scene)
+    return scene.own_equations
 
 
 #: the flows χ is made of, in their order, by kind of scene
@@ -145,7 +120,6 @@ ON_BODY = {"drift": "free", "damp": "damp"}
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
-    """Return the stages of one step on a scene."""
     if {name for name, _ in composition.stages} <= flows_of(scene).keys():
         return composition.stages
     if composition.two_part:
@@ -167,8 +141,6 @@ class Plan:
     joint: tuple[Stage, ...]
 
     def count(self, flows: dict[str, Flow], kinds: Collection[str], n: int) -> int:
-        """Return how many operations of some kinds n steps take."""
-
         def cost(stages: tuple[Stage, ...]) -> int:
             return sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
 
@@ -205,7 +177,6 @@ def advance(
     rolled = repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
-        """Apply the stages one after another: written out, or a loop over the period of their flows."""
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
             return run(stages[1:], run(stages[:1], x))
         flows_in_turn = [name for name, _ in stages]
@@ -232,27 +203,16 @@ def advance(
 
 def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Any) -> Any:
     """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
-    flows, total = flows_of(scene), 0.0
-    for name, coefficient in run_on(composition, scene, n):
+    flows, steps, total = flows_of(scene), plan(composition, scene), 0.0
+    rounds = chain.from_iterable(repeated((*steps.inner, *steps.joint), n - 1))
+    for name, coefficient in chain(steps.opening, rounds, steps.inner, steps.closing):
         flow, span = flows[name], number(coefficient, xp) * h
         total = total + flow.log_factor(scene, x, span, xp)
         x = flow.apply(scene, x, flow.constants(scene, span, xp), xp)
     return total
 
 
-def run_on(composition: Composition, scene: Scene, n: int) -> Iterator[Stage]:
-    """Return the stages of n steps on a scene, one after another."""
-    steps = plan(composition, scene)
-    yield from steps.opening
-    for k in range(n):
-        yield from steps.inner
-        if k < n - 1:
-            yield from steps.joint
-    yield from steps.closing
-
-
 def shortest_period(names: list[str]) -> int:
-    """Return the length of the shortest list whose repetition is `names`."""
     size = len(names)
     return next(p for p in range(1, size + 1) if size % p == 0 and names == names[:p] * (size // p))
 
@@ -296,9 +256,8 @@ def entry(constants: Any, i: Any) -> Any:
 
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
-    """Return whether `advance_by_the_clock` applies."""
-    ends_as_it_begins = len(composition.stages) % 2 == 1  # and so do its turns
-    return composition.two_part and ends_as_it_begins and scene.kind == "isotropic body"
+    odd = len(composition.stages) % 2 == 1  # its turns end as they begin
+    return composition.two_part and odd and scene.kind == "isotropic body"
 
 
 def advance_by_the_clock(
@@ -306,11 +265,10 @@ def advance_by_the_clock(
 ) -> BodyState:
     """Advance the free body and isotropic damping together, without splitting the two.
 
-    Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ,
-    dτ = e^{−γt} dt, of which a step from t takes e^{−γt} φ(h).  What is left of damping is one factor on M
-    and s at the end; and the spin commutes with all else, so that one for all steps does.  The last step
-    is like the others, joined to the opening of a next one, which is then taken back: what a compiled
-    program has beside its loops costs it more than a rotation.
+    Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ, dτ = e^{−γt} dt,
+    of which a step from t takes e^{−γt} φ(h).  One factor on M and s at the end is left of it, and one spin for all
+    steps, since it commutes with all else.  The last step is joined to the opening of a next one, which is then taken
+    back: what a compiled program has beside its loops costs it more than a rotation.
     """
     stages, gamma, decay = stages_on(composition, scene), scene.gamma, xp.exp(-scene.gamma * h)
     tau = damped_time(gamma, h, xp)
@@ -319,23 +277,18 @@ def advance_by_the_clock(
     opening = scale([first], tau * turn_rate(scene), xp)[0]
     turned = scale(turns, tau * turn_rate(scene), xp)
     topped = scale((c for name, c in stages if name == "top"), tau * top_rate(scene), xp)
-    rounds = len(turns)
 
     def both(x: BodyState, about_largest: Any, about_smallest: Any) -> BodyState:
         return rotation(rotation(x, largest, about_largest, xp), smallest, about_smallest, xp)
 
     def first_rounds(x: BodyState, clock: Any) -> BodyState:
         """Advance by all rounds of a step but its last: written out, or a loop where short code matters more."""
-        if not repeat.over_stages:
-            for k in range(rounds - 1):
-                x = both(x, clock * topped[k], clock * turned[k])
-            return x
 
         def another(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
             x, k = carried
             return both(x, clock * topped[k], clock * turned[k]), k + 1
 
-        return repeat(rounds - 1, another, (x, 0))[0]
+        return (repeat if repeat.over_stages else unrolled)(len(turns) - 1, another, (x, 0))[0]
 
     joint = turned[-1] + decay * opening  # the next step starts on a slower clock
 
@@ -352,7 +305,6 @@ def advance_by_the_clock(
 
 
 def scale(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
-    """Return the coefficients times a factor: one vector for array namespaces, else a list."""
     values = [number(c, xp) for c in coefficients]
     if abilities(xp).vectors:
         return xp.multiply.outer(xp.asarray(values), factor)

@@ -37,7 +37,6 @@ DEGREE = 5
 
 
 def product(a: Words, b: Words) -> Words:
-    """Return the product, words longer than `DEGREE` left out."""
     found: Words = {}
     for left, c in a.items():
         for right, d in b.items():
@@ -47,7 +46,6 @@ def product(a: Words, b: Words) -> Words:
 
 
 def flow_of(stages: Iterable[Stage]) -> Words:
-    """Return the product of the exponentials of the stages."""
     whole: Words = {"": Fraction(1)}
     for name, c in stages:
         powers = {LETTERS[name] * k: c**k / factorial(k) for k in range(DEGREE + 1)}
@@ -56,14 +54,13 @@ def flow_of(stages: Iterable[Stage]) -> Words:
 
 
 def logarithm(series: Words) -> Words:
-    """Return the log of a series that begins with one."""
     rest = {word: c for word, c in series.items() if word}
     found: Words = {}
     power: Words = {"": Fraction(1)}
     for k in range(1, DEGREE + 1):
         power = product(power, rest)
         for word, c in power.items():
-            found[word] = found.get(word, Fraction(0)) - c * Fraction((-1) ** k, k)
+            found[word] = found.get(word, 0) - c * Fraction((-1) ** k, k)
     return found
 
 
@@ -80,10 +77,7 @@ def weights(stages: tuple[Stage, ...]) -> Words:
     return {word: c for word, c in found.items() if c and not word.endswith("BB")}
 
 
-Function = Callable[[Any, Any], Any]
-
-
-def bracket(scene: Mechanical, letters: str) -> Function:
+def bracket(scene: Mechanical, letters: str) -> Callable[[Any, Any], Any]:
     """Return {w₁, {w₂, … {w_k, {A, B}}}} as a function of q and p."""
     if not letters:
         return lambda q, p: -(dot(scene.dV(q), p) * scene.inverse_mass + scene.gamma * scene.V(q))
@@ -101,12 +95,11 @@ def bracket(scene: Mechanical, letters: str) -> Function:
 
 
 def lift(x: Any, direction: Any) -> tuple[Dual, ...]:
-    """Return x as dual numbers, for a derivative along a direction."""
     return tuple(map(Dual, x, direction))
 
 
 def has_modified_hamiltonian(composition: Composition) -> bool:
-    """Return whether n steps are the flow of one H̃: nothing before the first and after the last of them."""
+    """Return whether n steps are the flow of one H̃."""
     return composition.two_part and composition.palindromic and not composition.processor
 
 

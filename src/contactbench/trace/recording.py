@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import place, plain_function
-from contactbench.numbers.dual import Dual
-from contactbench.numbers.nested import leaves, rebuild
+from contactbench.numbers.dual import Dual, leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
 from contactbench.trace import form
 from contactbench.trace.form import Assign, Element, Operand, Operation, Results, Update, text
@@ -82,6 +81,25 @@ class Tape:
         return tuple(map(self.results, numbers)) if nested else self.read(numbers, self.root)
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
+        return self._loop(x, body, lambda inner: form.Loop("_", self.read(n, self.block, "i"), tuple(inner)))
+
+    def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
+        """Application as long as a condition holds, recorded as a loop."""
+        tests: list[Any] = []
+
+        def turn(x: Any) -> Any:
+            more = self.read(condition(x), self.block)
+            tests.extend([len(self.block.statements), more])
+            return body(x)
+
+        def loop(inner: list[Any]) -> form.While:
+            size, more = tests
+            return form.While(tuple(inner[:size]), more, tuple(inner[size:]))
+
+        return self._loop(x, turn, loop)
+
+    def _loop(self, x: Any, body: Callable[[Any], Any], make: Callable[[list[Any]], Any]) -> Any:
+        """Record the body in a block of its own, of which `make` is to make a statement."""
         outer, start = self.block, leaves(x)
         kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
         inner, names = Block(outer), tuple(map(self.name, kinds))
@@ -100,8 +118,7 @@ class Tape:
         if len(end) != len(start):
             raise CannotRecord("a loop whose body returns a state of another shape")
         inner.statements.append(update(end, inner))
-        times = self.read(n, outer, "i")
-        outer.statements += [update(start, outer), form.Loop("_", times, tuple(inner.statements))]
+        outer.statements += [update(start, outer), make(inner.statements)]
         return state(outer)
 
 
