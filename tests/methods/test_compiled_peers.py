@@ -14,7 +14,7 @@ import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_state
-from contactbench.peers import abi, compiled, sundials
+from contactbench.peers import abi, compiled
 from contactbench.peers.base import derivative
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
@@ -206,7 +206,7 @@ def load_anew(monkeypatch):
 @pytest.mark.parametrize(
     ("method", "place", "name", "value", "reason"),
     [
-        ("cvode-bdf", sundials, "MAJOR", 99, "its C interface is known for version 99 only"),
+        ("cvode-bdf", compiled, "MAJOR", 99, "its C interface is known for version 99 only"),
         ("cvode-bdf", importlib.util, "find_spec", lambda name: None, "scikit-sundae is not installed"),
         ("cvode-bdf", Path, "glob", lambda self, pattern: [], "CVODE library is not in"),
         ("cyrk-dop853", CyRK, "__version__", "0.21.0", "CyRK 0.21.0 may have another C interface"),

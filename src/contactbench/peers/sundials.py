@@ -18,13 +18,8 @@ import numpy as np
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.peers.base import CallbackPeer, Peer
-from contactbench.peers.compiled import CompiledPeer
+from contactbench.peers.compiled import TOO_MUCH_WORK, CompiledPeer
 from contactbench.solution import Status
-
-#: the major version of SUNDIALS whose C interface is known
-MAJOR = 7
-#: what CVode returns when the budget of steps is spent
-TOO_MUCH_WORK = -1
 
 
 class Stepper:

@@ -22,8 +22,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from contactbench.peers.abi import LETTERS, external, join, split
-from contactbench.peers.compiled import JACOBIAN_CALLS, KNOWN, RHS_CALLS, CFunctions
-from contactbench.peers.sundials import MAJOR, TOO_MUCH_WORK
+from contactbench.peers.compiled import JACOBIAN_CALLS, KNOWN, MAJOR, RHS_CALLS, TOO_MUCH_WORK, CFunctions
 
 #: linear multistep methods, and integration tasks
 METHODS = {"Adams": 1, "BDF": 2}

@@ -15,8 +15,14 @@ from CyRK.cy.pyhelpers import find_ode_method_int
 from CyRK.nb import numba_c_api
 
 from contactbench.peers.abi import external, join, split
-from contactbench.peers.compiled import KNOWN, RHS_CALLS
-from contactbench.peers.cyrk import INTERFACE, SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
+from contactbench.peers.compiled import (
+    INTERFACE,
+    KNOWN,
+    RHS_CALLS,
+    SUCCESS,
+    TOO_MANY_STEPS,
+    TOO_MANY_STEPS_SO_FAR,
+)
 
 __all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", "to_end"]
 
