@@ -409,15 +409,16 @@ RUNS: dict[str, type[AdaptiveContactRun]] = {
 }
 
 
+@dataclass(frozen=True)  # its fields are its definition
 class AdaptiveContactMethod(Adaptive):
     family = "contact"
-    name = "contact-adaptive"
-    order = 6
-    about = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
-    engines = tuple(RUNS)
-    evaluations_per_step = 12
-    takes_atol = False
-    tolerance = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
+    name: str = "contact-adaptive"
+    order: int | None = 6
+    about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
+    engines: tuple[str, ...] = tuple(RUNS)
+    evaluations_per_step: int = 12
+    takes_atol: bool = False
+    tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "general damping":

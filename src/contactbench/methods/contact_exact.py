@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -148,18 +148,21 @@ class ExactJax(ExactRun, CompiledRun):
 RUNS: dict[str, type[ExactRun]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}
 
 
+@dataclass(frozen=True)  # its fields are its definition
 class ExactMethod(Method):
     """A closed form for any time: neither step nor tolerance."""
 
-    name = "contact-exact"
-    about = "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
-    order = None
-    engines = tuple(RUNS)
-    family = "contact"
-    contact = True
-    adaptive = False
-    exact = True
-    tolerance = "nothing: the result has the digits that round-off of the phase leaves"
+    name: str = "contact-exact"
+    about: str = (
+        "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
+    )
+    order: int | None = None
+    engines: tuple[str, ...] = tuple(RUNS)
+    family: str = "contact"
+    contact: bool = True
+    adaptive: bool = False
+    exact: bool = True
+    tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "isotropic body":
