@@ -28,7 +28,7 @@ from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 from contactbench.scene import BodyState, Mechanical, RigidBody, State
-from contactbench.scene.cache import Cache
+from contactbench.scene.base import Cache
 from contactbench.splitting import flows, modified
 from contactbench.splitting.tables import COMPOSITIONS
 

@@ -14,13 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours, plain_function
-from contactbench.boundary import place as place_of
-from contactbench.errors import BadInput, array, excerpt, is_real, one_line
+from contactbench.errors import BadInput, array, excerpt, is_ours, is_real, one_line, plain_function
+from contactbench.errors import place as place_of
 from contactbench.scene import Scene, verify
-from contactbench.scene.cache import Cache, key
+from contactbench.scene.base import Cache, key, scene_of
 from contactbench.scene.definition import verify_along
-from contactbench.scenes import scene_of
 from contactbench.truth.digits import (
     Rows,
     agreeing_digits,
