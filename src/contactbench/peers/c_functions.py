@@ -21,8 +21,7 @@ import numpy as np
 from contactbench.methods.prepared import stopwatch
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.variational import derivative
-from contactbench.scene import Scene
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Scene, key
 from contactbench.trace.compiled import back_end, import_source
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, digest, read_by
 from contactbench.trace.llvm import intrinsic

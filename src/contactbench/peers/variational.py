@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 from contactbench.numbers.dual import Dual, slope
-from contactbench.scene import Scene, System, dot
-from contactbench.scene.cache import key
+from contactbench.scene import Scene, System, dot, key
 
 
 class Bundle(NamedTuple):
