@@ -21,7 +21,7 @@ from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.cli import main
 from contactbench.methods import METHODS, contact_adaptive, fixed_step_run, jax_engine
 from contactbench.methods.contact import contact_method
-from contactbench.peers import c_functions
+from contactbench.peers import compiled as compiled_peers
 from contactbench.report import claims as chapter
 from contactbench.report import markdown, paper
 from contactbench.results.schema import BEYOND
@@ -56,7 +56,7 @@ def fresh(monkeypatch):
     monkeypatch.setattr(jax_engine, "_programs", Cache(64))
     for module in (fixed_step_run, contact_adaptive):
         monkeypatch.setattr(module, "_loops", Cache(64))
-    monkeypatch.setattr(c_functions, "_compiled", Cache(64))
+    monkeypatch.setattr(compiled_peers, "_compiled", Cache(64))
 
 
 # -- the rows --------------------------------------------------------------------------------------
