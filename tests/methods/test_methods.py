@@ -10,7 +10,7 @@ import pytest
 
 import contactbench as cb
 from cases import few_slow
-from contactbench.methods.entry import tolerance
+from contactbench.methods.base import tolerance
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.peers import diffrax
 from contactbench.solution import Status

@@ -16,9 +16,8 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
 from contactbench.solution import Status
 from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import FUNCTIONS
+from contactbench.trace.form import FUNCTIONS, execute
 from contactbench.trace.program import record
-from contactbench.trace.python import execute
 from contactbench.trace.recording import ALIASES
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]

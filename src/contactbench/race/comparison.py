@@ -18,8 +18,7 @@ from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import ENDS, carry_of, tolerances, work_ladder
 from contactbench.measure.laws import laws_of, observables, row
 from contactbench.measure.statistics import PROCESSES
-from contactbench.methods.base import ENGINES, METHODS
-from contactbench.methods.entry import lookup, prepare
+from contactbench.methods.base import ENGINES, METHODS, lookup, prepare
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.results.contest import CUT, standings
