@@ -13,7 +13,7 @@ from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import loop_of
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.callback import record_function
+from contactbench.peers.base import record_function
 from contactbench.solution import Status
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS

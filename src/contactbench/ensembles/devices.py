@@ -11,7 +11,7 @@ from contactbench.ensembles.members import Watch
 from contactbench.methods.fixed_step_run import FixedStepRun, identity
 from contactbench.methods.jax_engine import rolled
 from contactbench.numbers.control import XlaNumbers
-from contactbench.scene.cache import Cache, key
+from contactbench.scene.base import Cache, key
 
 #: trajectories a core integrates at a time: half a kilobyte per component
 TILE = 64

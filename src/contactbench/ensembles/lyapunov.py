@@ -23,8 +23,8 @@ from contactbench.methods.entry import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
 from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.compiled import FACTS, KNOWN
-from contactbench.peers.cyrk import SUCCESS, CyrkRun
+from contactbench.peers.compiled import FACTS, KNOWN, SUCCESS
+from contactbench.peers.cyrk import CyrkRun
 from contactbench.scene import Scene
 from contactbench.trace.compiled import compile_function
 

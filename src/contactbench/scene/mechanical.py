@@ -10,8 +10,18 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, positive, require_number, switch, vector
+from contactbench.errors import (
+    BadInput,
+    excerpt,
+    finite,
+    function,
+    is_ours,
+    positive,
+    require_number,
+    switch,
+    their_code,
+    vector,
+)
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Check, Scene, named_numbers, optional
@@ -23,7 +33,7 @@ LARGEST_HESSIAN = 32
 
 #: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
 derived_gradient = lru_cache(256)(Formula.gradient)
-derived_jacobian = lru_cache(256)(Formula.jacobian)
+derived_hessian = lru_cache(256)(Formula.hessian)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +151,7 @@ class Mechanical(Scene):
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
             with suppress(CannotRecord):
-                scene = scene._replaced(hessian=derived_jacobian(scene.gradient, symmetric=True))
+                scene = scene._replaced(hessian=derived_hessian(scene.gradient))
         return scene
 
     # -- physics -------------------------------------------------------------------------------
