@@ -74,10 +74,10 @@ def test_other_parameters_steps_and_tolerances_do_not_recompile(method):
 
     coarse, fine = ({"rtol": 1e-7}, {"rtol": 1e-11}) if method.adaptive else ({"step": 0.05}, {"step": 0.002})
     cb.solve(PARTICLE, method.name, save_at=[1.0], **coarse)
-    before = len(jax_engine._programs)
+    before = len(jax_engine._programs.items)
     other = PARTICLE.with_(gamma=0.5, coupling=0.3, q=(0.1, 0.2), t_end=9.0)
     cb.solve(other, method.name, save_at=[2.0], **fine)
-    assert len(jax_engine._programs) == before
+    assert len(jax_engine._programs.items) == before
 
 
 # -- saved times -----------------------------------------------------------------------------------
