@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contactbench.measure.round_off import decide
+from contactbench.measure.law import decide
 from contactbench.results.judgement import bound, law_rows
 from frames import frames, row, table
 

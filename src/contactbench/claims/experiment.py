@@ -22,9 +22,9 @@ from contactbench.claims.integrator import (
     slope,
 )
 from contactbench.claims.ledger import CORRECTED, Evidence, at_least, at_most, claim
+from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import LAWS
 from contactbench.measure.pullback import growth
-from contactbench.measure.round_off import round_off_bound
 from contactbench.methods import METHODS, solve
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES

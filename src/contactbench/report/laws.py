@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.measure.round_off import UNSURE, decide
+from contactbench.measure.law import UNSURE, decide
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
