@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from cases import few_slow
-from contactbench.claims import CLAIMS, Correction, Verdict, body_stability, experiment, rigid_body, verdict
+from contactbench.claims import CLAIMS, Correction, Verdict, integrator, rigid_body, verdict
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
@@ -27,8 +27,7 @@ from contactbench.report import markdown, paper
 from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
-from contactbench.scene import BodyState, Mechanical, RigidBody, State
-from contactbench.scene.cache import Cache
+from contactbench.scene import BodyState, Cache, Mechanical, RigidBody, State
 from contactbench.splitting import flows, modified
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -133,8 +132,8 @@ def test_a_verdict_does_not_hang_on_the_parameters(name, parameters):
 def test_one_bad_contact_method_refutes_the_claim_of_all(bad, monkeypatch):
     drifts = dict.fromkeys([PRINTED, ABC, STRANG], 1e-16) | {bad: 3e-3}
     drifts |= {"rk4": 1e-2, "diffrax-tsit5": 2e-2}
-    monkeypatch.setattr(experiment, "solve", lambda scene, name, **setting: name)
-    monkeypatch.setattr(experiment, "LAWS", {"contact_drift": drifts.__getitem__})
+    monkeypatch.setattr(integrator, "solve", lambda scene, name, **setting: name)
+    monkeypatch.setattr(integrator, "LAWS", {"contact_drift": drifts.__getitem__})
     row = CLAIMS["C34"].row()
     assert (row["verdict"], row["measured"]) == ("refuted", 3e-3)
     drifts[bad] = 1e-16
@@ -143,28 +142,28 @@ def test_one_bad_contact_method_refutes_the_claim_of_all(bad, monkeypatch):
 
 # -- stability of the damped body's rotations ------------------------------------------------------
 def test_an_extreme_axis_may_be_a_saddle():
-    D, M = body_stability.COUNTEREXAMPLE, [0.0, 0.0, 1.0]
-    assert body_stability.growth(D, M) == pytest.approx((math.sqrt(14 / 9) - 1) / 2, rel=1e-12)  # 0.1236
-    end = body_stability.momentum_at(D, [1e-6, 1e-6, 1.0], 400.0)
+    D, M = rigid_body.COUNTEREXAMPLE, [0.0, 0.0, 1.0]
+    assert rigid_body.growth(D, M) == pytest.approx((math.sqrt(14 / 9) - 1) / 2, rel=1e-12)  # 0.1236
+    end = rigid_body.momentum_at(D, [1e-6, 1e-6, 1.0], 400.0)
     assert end == pytest.approx([0.0, 0.0, -0.678774], abs=1e-6)
-    assert body_stability.growth(D, [0.0, 0.0, -1.0]) < 0  # the sign of M* matters
+    assert rigid_body.growth(D, [0.0, 0.0, -1.0]) < 0  # the sign of M* matters
 
 
 @pytest.mark.parametrize("axes", [(0,), (1,), (2,)])
 @pytest.mark.parametrize("seed", [11, 12])
 def test_criterion(axes, seed, monkeypatch):
     """Trace and determinant against the full 3×3 spectrum, and a formula without d_jk, which is wrong."""
-    cases = body_stability.random_equilibria(axes, 150, seed)
+    cases = rigid_body.random_equilibria(axes, 150, seed)
     assert {np.linalg.matrix_rank(D) for D, _, _ in cases} == {0, 1, 2}
     assert all(np.allclose(D @ M, 0, atol=1e-14) for D, _, M in cases)
-    assert body_stability.count_misjudged(cases) == 0
-    exact = body_stability.criterion
+    assert rigid_body.count_misjudged(cases) == 0
+    exact = rigid_body.criterion
 
     def diagonal_only(D, M, inertia):
         return exact(np.diag(np.diag(D)), M, inertia)
 
-    monkeypatch.setattr(body_stability, "criterion", diagonal_only)
-    assert body_stability.count_misjudged(cases) > 5
+    monkeypatch.setattr(rigid_body, "criterion", diagonal_only)
+    assert rigid_body.count_misjudged(cases) > 5
 
 
 def test_steps_of_any_size_from_a_damping_on():

@@ -14,7 +14,7 @@ import pytest
 
 import contactbench as cb
 from cases import TILTED, USER, few_slow
-from contactbench.ensembles.devices import TILE
+from contactbench.ensembles.chunks import TILE
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.solution import Status
 

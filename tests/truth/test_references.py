@@ -20,9 +20,8 @@ from contactbench import truth
 from contactbench.errors import BadInput
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES
-from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.hard import HARD
-from contactbench.scenes.standard import STANDARD
+from contactbench.scenes.standard import STANDARD, damped_oscillator
 from contactbench.truth import digest, reference
 from contactbench.truth.reference import closed_form, confirmed
 

@@ -36,8 +36,7 @@ from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request,
 from contactbench.numbers.control import XlaNumbers, choose
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Mechanical, Scene, Vector
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Mechanical, Scene, Vector, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of

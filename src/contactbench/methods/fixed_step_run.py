@@ -16,8 +16,7 @@ from contactbench.boundary import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Scene, key
 from contactbench.solution import DIVERGENCE, Counts, Status
 from contactbench.trace.compiled import compile_function, require_compiler
 from contactbench.trace.program import Program, record

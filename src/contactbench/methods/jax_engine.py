@@ -13,7 +13,7 @@ import numpy as np
 from contactbench.methods.fixed_step_run import FixedStepRun, identity
 from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, key
 from contactbench.trace.recording import reason_of
 from contactbench.xla import jax, jnp, lax
 

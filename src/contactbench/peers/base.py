@@ -30,8 +30,7 @@ from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene, System, dot
-from contactbench.scene.cache import key
+from contactbench.scene import Scene, System, dot, key
 from contactbench.solution import Counts, Status
 from contactbench.trace.form import Function, Unpack
 from contactbench.trace.python import execute

@@ -24,8 +24,7 @@ import numpy as np
 from contactbench.methods.prepared import Outcome, stopwatch
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import PeerRun, derivative
-from contactbench.scene import Scene
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Scene, key
 from contactbench.solution import Counts, Status
 from contactbench.trace.compiled import back_end, import_source, intrinsic
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, digest, read_by

@@ -18,8 +18,7 @@ from contactbench.methods.base import METHODS, ROUNDING
 from contactbench.methods.prepared import Outcome, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, bare
 from contactbench.peers.base import Peer, PeerRun
-from contactbench.scene import Scene
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Scene, key
 from contactbench.solution import Counts, Status
 
 

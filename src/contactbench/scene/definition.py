@@ -17,8 +17,7 @@ import numpy as np
 
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, excerpt, is_number
-from contactbench.scene.base import Scene
-from contactbench.scene.cache import Cache, key
+from contactbench.scene.base import Cache, Scene, key
 from contactbench.scene.driven import Driven
 from contactbench.scene.mechanical import GeneralDamping, Mechanical
 from contactbench.trace.formula import Formula

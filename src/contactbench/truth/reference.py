@@ -17,23 +17,26 @@ import numpy as np
 from contactbench.boundary import is_ours, plain_function
 from contactbench.boundary import place as place_of
 from contactbench.errors import BadInput, array, excerpt, is_real, one_line
-from contactbench.scene import Scene, verify
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Scene, key, verify
 from contactbench.scene.definition import verify_along
 from contactbench.scenes import scene_of
-from contactbench.truth.digits import (
+from contactbench.truth.engines import (
+    NEVER,
+    BlowUp,
     Rows,
     agreeing_digits,
     decimal_context,
     disagreement,
     distance,
+    extrapolation,
+    heyoka_reads_rhs,
     matching_digits,
     place,
     rounded,
     scales,
+    taylor,
     with_decimals,
 )
-from contactbench.truth.engines import NEVER, BlowUp, extrapolation, heyoka_reads_rhs, taylor
 from contactbench.truth.frozen import digest, entries, frozen
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
