@@ -245,8 +245,7 @@ def prepared_row(cell, exact):
     start = perf_counter()
     y = run()
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
-    y = np.asarray(y)
-    steps, evaluations, kind = costs()
+    y, (steps, evaluations, kind) = np.asarray(y), costs()
     if exact is not None:
         row["solution_error"] = error(y, np.asarray(exact))
         short = 0 < (evaluations or steps or 0) * n < SINGLE_WORK

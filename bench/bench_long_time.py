@@ -62,13 +62,10 @@ def plain(method, kind, value):
     run = cb.prepare(SCENE, method.name, save_at=times, carry=(), **keywords(kind, value))
     given = starts(TRAJECTORIES)
     runs = [run(q=(q,), p=(p,)) for q, p in zip(given["q"][0], given["p"][0], strict=True)]
-    ok = [solution for solution in runs if solution.ok]
-    average, spent = Average(math.nan, math.nan), (math.nan, math.nan)
-    if ok:
-        energy = np.array([SCENE.energy(solution.states())[SETTLE:] for solution in ok])
-        average = jackknife(blocks(energy.T[:, None]), np.sum)
-        spent = np.mean([(each.counts.evaluations, each.counts.jacobians) for each in ok], axis=0) / times[-1]
-    return row(method, kind, value, ENERGY, average, spent, len(runs) - len(ok))
+    energy = np.array([SCENE.energy(solution.states())[SETTLE:] for solution in runs])
+    average = jackknife(blocks(energy.T[:, None]), np.sum)
+    spent = np.mean([(each.counts.evaluations, each.counts.jacobians) for each in runs], axis=0) / times[-1]
+    return row(method, kind, value, ENERGY, average, spent, sum(not solution.ok for solution in runs))
 
 
 def row(method, kind, value, quantity, average, spent, lost, count=TRAJECTORIES):

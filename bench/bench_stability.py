@@ -186,8 +186,7 @@ def end_error(solution):
     """‖y − y*‖ / ‖y*‖ at the end, of (q, p) or M; 0 where both have underflowed."""
     size = len(solution.scene.labels(()))
     truth = cb.reference(solution.scene, solution.t[-1:], solution.carry).y[0, :size]
-    gap, length = np.linalg.norm(solution.y[-1, :size] - truth), np.linalg.norm(truth)
-    return float(gap / max(length, MEANINGFUL))
+    return float(np.linalg.norm(solution.y[-1, :size] - truth) / max(np.linalg.norm(truth), MEANINGFUL))
 
 
 # -- overdamped ------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ class Measured:
     @property
     def bound(self) -> bool:
         """Whether the value is an upper bound."""
-        return self.uncertainty is not None and self.value <= 2 * self.uncertainty
+        return self.uncertainty is not None and self.value <= UNSURE * self.uncertainty
 
 
 @dataclass(frozen=True)
@@ -231,22 +231,11 @@ def structural_bound(growth: Any, evaluations: Any) -> Any:
     return np.maximum(STRUCTURE, round_off_bound(growth, evaluations))
 
 
-def decide(value: Any, bound: Any) -> tuple[Any, Any]:
-    """Whether a deviation shows that the law is kept, and whether it shows nothing; both may be columns."""
-    within = value <= bound
-    kept = within & ((bound <= DECIDABLE) | (value <= STRUCTURE))
-    return kept, within & np.logical_not(kept)
+def judge(value: float, bound: float, unsure: bool = False, faded: bool = False) -> tuple[bool, bool]:
+    """Whether a deviation shows that a law is kept, and whether it shows nothing.
 
-
-def judge(value: Any, bound: Any, uncertainty: Any, all_clamped: Any, error: Any) -> tuple[Any, Any, Any]:
-    """Whether a law is judged in a run, whether it is kept, and whether that is undecided; all may be columns.
-
-    all_clamped : whether it was clamped at every saved time.  error : of the solution, nan where it is not known.
+    unsure : it is an upper bound only.  faded : it was clamped at every saved time.
     """
-    judged = np.logical_not(np.asarray(error, dtype=float) > WRECKED)
-    kept, ill = decide(value, bound)
-    faded = kept & all_clamped
-    kept = kept & np.logical_not(faded)
-    unsure = (uncertainty > 0) & (value <= UNSURE * uncertainty)
-    undecided = ill | faded | (unsure & np.logical_not(kept))
-    return judged, kept & judged, undecided & judged
+    decides = bound <= DECIDABLE or value <= STRUCTURE
+    kept = value <= bound and decides and not faded
+    return kept, not kept and (value <= bound or unsure)

@@ -24,6 +24,7 @@ from contactbench.measure.law import (
     JUDGEMENT,
     MEANINGFUL,
     OF_THE_STATE,
+    WRECKED,
     Deviation,
     Gate,
     Law,
@@ -422,9 +423,8 @@ def judgement(
     solution: Solution, law: Law, measured: Measured, of_map: float, error: float
 ) -> tuple[Any, ...]:
     claimed, growth = law.claimed(solution), 1.0 if law.name in OF_THE_STATE else of_map
-    bound = float(structural_bound(growth, solution.counts.evaluations or 0))
-    faded = measured.clamped is not None and measured.clamped >= len(solution.t)
-    judged, kept, undecided = judge(measured.value, bound, measured.uncertainty or 0.0, faded, error)
-    if not judged:
+    if error > WRECKED:
         return claimed, None, None, math.nan
-    return claimed, None if undecided else bool(kept), bool(undecided), bound
+    bound = float(structural_bound(growth, solution.counts.evaluations or 0))
+    kept, undecided = judge(measured.value, bound, measured.bound, measured.clamped == len(solution.t))
+    return claimed, None if undecided else kept, undecided, bound
