@@ -17,7 +17,7 @@ import pytest
 
 import contactbench as cb
 from cells import cells, controlled, key, outcome, right_hand_sides, small, step_budget, tolerance_at
-from contactbench.boundary import UserError
+from contactbench.errors import UserError
 from contactbench.measure.clock import seconds
 from contactbench.measure.isolation import Died, TimedOut, Worker
 from contactbench.measure.ladder import SAVES, save_times

@@ -19,8 +19,8 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench import plugins
-from contactbench.boundary import VARIABLE
 from contactbench.cli import main
+from contactbench.errors import VARIABLE
 from contactbench.report import write
 from contactbench.results.provenance import runs
 from contactbench.results.store import read

@@ -29,7 +29,7 @@ def truth_as_solution(scene, times=TIMES):
     """The reference dressed up as a run."""
     exact = cb.reference(scene, times)
     y0 = np.array(scene.pack(scene.initial(scene.optional)))
-    return Solution(scene, "truth", "none", "exact", scene.optional, times, exact.y.copy(), y0=y0)
+    return Solution(scene, "truth", "none", scene.optional, times, exact.y.copy(), y0=y0)
 
 
 def of_the_states(scene):
@@ -84,7 +84,7 @@ def test_energy_that_stays_does_not_grow_whatever_its_sign_and_size(bottom, size
     eps = np.finfo(float).eps
     level = bottom * size * (1 + eps * np.array([0, 2, 0, 10, 0, 2, 0]))
     y = np.stack([level, 0 * level], axis=1)
-    solution = Solution(scene, "planted", "none", "exact", (), np.arange(7.0), y, y0=y[0])
+    solution = Solution(scene, "planted", "none", (), np.arange(7.0), y, y0=y[0])
     assert cb.LAWS["energy_increases"](solution) == (1 if bottom else 0)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.boundary import FUNCTIONS
+from contactbench.errors import FUNCTIONS
 from contactbench.numbers.dual import DERIVATIVES, Dual
 from contactbench.numbers.protocol import Numbers
 

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.boundary import blame
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, blame
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution

@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import blame
-from contactbench.errors import BadInput, array, excerpt, positive, text, whole
+from contactbench.errors import BadInput, array, blame, excerpt, positive, text, whole
 from contactbench.methods.base import CALLBACKS, METHODS, Method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.prepared import Prepared, Refused, Request, require_slope
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, verify
+from contactbench.scene.base import scene_of
 from contactbench.scene.definition import verify_at
-from contactbench.scenes import scene_of
 from contactbench.solution import Solution
-from contactbench.trace.compiled import compiles
+from contactbench.trace.compiled import COMPILES
 from contactbench.trace.recording import reason_of
 
 DEFAULT_MAX_STEPS = 10**8
@@ -124,7 +123,8 @@ def make_request(
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
     if (why := chosen.refuses(scene)) is not None:
         return Refused(chosen.name, request, why)
-    verify(scene)
+    if scene.has_users_functions:
+        verify(scene)
     require_slope(scene, scene.initial(request.carry))
     if isinstance(chosen, FixedStep):
         chosen.try_step(scene, request.carry, step)
@@ -197,7 +197,7 @@ def saved_times(save_at: Any) -> np.ndarray:
 
 def engines_of(method: Method) -> tuple[str, ...]:
     """Return a method's engines in the order to try them: Python first where numba is told not to compile."""
-    return method.engines if compiles() else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
+    return method.engines if COMPILES else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
 
 
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
@@ -206,6 +206,6 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     Raises `BadInput` as it does, and where a gradient is not that of the potential at a saved state.
     """
     solution = prepare(scene, method, **options)()
-    if solution.ok:
+    if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)
     return solution

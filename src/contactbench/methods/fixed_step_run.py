@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours
+from contactbench.errors import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Cache, Scene, key
 from contactbench.solution import DIVERGENCE, Counts, Status
-from contactbench.trace.compiled import compile_function, require_compiler
+from contactbench.trace.compiled import compile_function
 from contactbench.trace.program import Program, record
 from contactbench.trace.python import execute
 
@@ -149,11 +149,7 @@ _loops: Cache[Loop] = Cache(1024)
 
 
 def loop_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
-    """The recorded loop of a method on a scene; one for all scenes of one identity.
-
-    Raises `CannotRecord`, also where numba is told not to compile.
-    """
-    require_compiler()
+    """The recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
 
     def make() -> Loop:
         elapsed = stopwatch()

@@ -12,24 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import blame
-from contactbench.errors import BadInput, Registry, excerpt
+from contactbench.errors import BadInput, Registry, blame, excerpt
 from contactbench.methods.differences import differences
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import (
+    DIVERGENCE,
     EXACT,
     Counts,
     Differential,
     Solution,
     Status,
-    divergence_bound,
-    first_divergence,
     setting_key,
 )
 
 #: name → method, each a `base.Method`
 METHODS = Registry("method")
+FEW = 64
 #: Python's way to say inf or nan
 NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
 
@@ -135,8 +134,8 @@ class Prepared(ABC):
         if self._clock is not None:
             out.y = self.at_saved_times(y0, out.y)
         return Solution(
-            *(r.scene, self.method, r.engine, r.setting, r.carry, r.save_at),
-            *(out.y, y0, out.status, out.message, out.counts, out.end_time),
+            *(r.scene, self.method, r.engine, r.carry, r.save_at, out.y, y0),
+            *(out.status, out.message, out.counts, out.end_time),
             *(self, r.control, r.value),
             *(out.steps or self.steps_taken),
         )
@@ -184,8 +183,15 @@ class Prepared(ABC):
 
     # -- how a run ended -------------------------------------------------------------------------------
     def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
-        """Return the index of the first saved state in y that is not finite or out of scale, or None."""
-        return first_divergence(y, self._motion, divergence_bound(y0[: self._motion]))
+        """Return the index of the first saved state in y that is not finite, or 10⁶ times the initial (q, p) or M."""
+        # the common case first, without an overflow; a few numbers are worth no NumPy, many are
+        size, start = self._motion, y0[: self._motion]
+        bound = DIVERGENCE * (math.sqrt(float(start @ start)) or 1.0)
+        largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
+        if largest <= bound:  # nan fails every comparison
+            return None
+        bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, :size]).max(axis=1) <= bound))
+        return int(np.argmax(bad)) if bad.any() else None
 
     def finish(
         self,

@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from contactbench.boundary import UserError
-from contactbench.errors import BadInput, excerpt, finite, items_of, positive, switch
+from contactbench.errors import BadInput, UserError, excerpt, finite, items_of, positive, switch
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import ENDS, carry_of, tolerances, work_ladder
 from contactbench.measure.laws import laws_of, observables, row

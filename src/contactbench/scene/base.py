@@ -11,16 +11,18 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from contactbench.boundary import is_ours, their_code
 from contactbench.errors import (
     BadInput,
+    Registry,
     excerpt,
     finite,
     function,
+    is_ours,
     items_of,
     positive,
     switch,
     text,
+    their_code,
     unknown_name,
 )
 from contactbench.numbers.dual import leaves, rebuild
@@ -150,8 +152,8 @@ class System(ABC):
         """Return a packed state as a NamedTuple of components."""
 
     @staticmethod
-    def pack(state: Any) -> list[Any]:
-        """Return a state as a flat list, fields that are not carried left out."""
+    def pack(state: Sequence[Any]) -> list[Any]:
+        """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for part in state:
             if isinstance(part, tuple):
@@ -183,6 +185,12 @@ class System(ABC):
         given = (getattr(self, name) for name in self.functions)
         known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
         return self.structure if known else None
+
+    @property
+    def has_users_functions(self) -> bool:
+        """Whether any of its functions, or of their derivatives, is not of this package."""
+        given = (getattr(self, name) for name in self.functions)
+        return not all(part is None or is_ours(part) for part in given)
 
     @property
     def own_equations(self) -> str | None:
@@ -376,7 +384,7 @@ class Scene(System):
         return dataclasses.replace(self, **changes)
 
     def numbers(self) -> list[float]:
-        own = leaves([getattr(self, name) for name in self.coefficients])
+        own = self.pack([getattr(self, name) for name in self.coefficients])
         return [*own, *getattr(self, "parameters", {}).values()]
 
     def number_names(self) -> list[str]:
@@ -495,3 +503,16 @@ class Scene(System):
     def bounds_energy(self) -> bool:
         """H0 never exceeds what it was at the start."""
         return not self.may_gain_energy
+
+
+#: name → scene, in table order
+SCENES = Registry("scene", Scene)
+
+
+def scene_of(scene: object) -> Scene:
+    """Return a scene, itself or by name, its functions recorded; else raise `UnknownName` with a suggestion."""
+    if isinstance(scene, str):
+        scene = SCENES[scene]
+    if not isinstance(scene, Scene):
+        raise BadInput(f"scene = {excerpt(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
+    return scene.recorded()

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
-from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, is_number
+from contactbench.errors import BadInput, excerpt, is_number, their_code
 from contactbench.scene.base import Cache, Scene, key
 from contactbench.scene.driven import Driven
 from contactbench.scene.mechanical import GeneralDamping, Mechanical
@@ -61,8 +60,7 @@ def verify_at(scene: Scene, y: np.ndarray) -> None:
 
 
 def _has_functions(scene: Scene) -> TypeGuard[Mechanical]:
-    given = (getattr(scene, name) for name in scene.functions)
-    return isinstance(scene, Mechanical) and not all(part is None or is_ours(part) for part in given)
+    return isinstance(scene, Mechanical) and scene.has_users_functions
 
 
 def _once(scene: Scene, where: str, check: Callable[[Mechanical], None]) -> None:

@@ -10,8 +10,18 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, positive, require_number, switch, vector
+from contactbench.errors import (
+    BadInput,
+    excerpt,
+    finite,
+    function,
+    is_ours,
+    positive,
+    require_number,
+    switch,
+    their_code,
+    vector,
+)
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Check, Scene, named_numbers, optional

@@ -24,6 +24,8 @@ from contactbench.trace import form
 
 #: folder for generated files and compiled programs; by default the user's cache folder
 VARIABLE = "CONTACTBENCH_CACHE"
+#: whether numba is allowed to
+COMPILES = os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
 #: the arrays a program works on: how many dimensions, and of whole numbers
 DIMENSIONS = {"spans": 2, "w": 2, "after": 2, "y": 2, "starts": 2, "ends": 3}
 WHOLE = ("shape", "part")
@@ -313,22 +315,13 @@ def compile_function(function: form.Function, lanes: int = 1, fused: bool = True
     return getattr(module, function.name)
 
 
-def compiles() -> bool:
-    return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
-
-
-def require_compiler() -> None:
-    """Raise `CannotRecord` where numba is told not to compile."""
-    if not compiles():
-        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
-
-
 def import_source(source: str, names: Any) -> ModuleType:
     """A module from a file of the cache folder, which is written unless it is there.
 
     names() : what the source finds defined.
     """
-    require_compiler()
+    if not COMPILES:
+        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
     name = f"program_{hashlib.sha256(source.encode()).hexdigest()[:32]}"
     path = folder() / f"{name}.py"
     if not path.exists() or path.read_text() != source:

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, is_ours
 from contactbench.scene import Scene
 from contactbench.trace.formula import Formula
 

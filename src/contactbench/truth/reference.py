@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours, plain_function
-from contactbench.boundary import place as place_of
-from contactbench.errors import BadInput, array, excerpt, is_real, one_line
+from contactbench.errors import BadInput, array, excerpt, is_ours, is_real, one_line, plain_function
+from contactbench.errors import place as place_of
 from contactbench.scene import Cache, Scene, key, verify
+from contactbench.scene.base import scene_of
 from contactbench.scene.definition import verify_along
-from contactbench.scenes import scene_of
 from contactbench.truth.engines import (
     NEVER,
     BlowUp,
