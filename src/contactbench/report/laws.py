@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import UNSURE, decide
+from contactbench.measure.law import UNSURE, judge
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
@@ -79,7 +79,7 @@ def drift_cell(row: Any, law: str) -> Cell:
     if pd.isna(row.get(law)):
         return Cell(DASH)
     value, error, limit = (number(name) for name in (law, f"{law}_uncertainty", f"{law}_bound"))
-    kept, ill = decide(value, limit) if limit else (False, False)
+    kept, ill = judge(value, limit) if limit else (False, False)
     unsure = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
     signs = (DAGGER if number(f"{law}_clamped") > 0 else "") + (DOUBLE_DAGGER if ill else "")

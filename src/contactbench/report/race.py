@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import OF_THE_STATE
+from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
 from contactbench.report.chapters import Chapter, Contents, Part, Text, summary
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
