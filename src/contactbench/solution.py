@@ -154,8 +154,8 @@ class Solution:
     def __repr__(self) -> str:
         """One line: what was run, how it ended, what it cost."""
         setting, n = self.setting, self.counts.evaluations
-        if self.run is not None and self.run.atol is not None:
-            setting += f", atol={self.run.atol:.6g}"
+        if self.run is not None and self.run.request.atol is not None:
+            setting += f", atol={self.run.request.atol:.6g}"
         if self.control == "rtol" and not math.isnan(self.step):
             setting += f": step={self.step_chosen:.6g}"
         if self.step < self.step_chosen * (1 - 1e-9):

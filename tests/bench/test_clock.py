@@ -76,13 +76,7 @@ def test_another_process_prepares_and_times_what_it_is_told():
 
 def test_without_times_the_row_is_recorded_at_once_and_so_is_what_cannot_be_run():
     rows = []
-
-    def record(table, row):
-        rows.append((table, row))
-
-    def refuse(cell):
-        return {"status": "unsupported"}, None
-
-    Clock(None, "cell", record, None).time("table", {"a": 1}, lambda: ({"b": 2}, print))
-    Clock(Timetable({"cell": ""}, 8), "cell", record, None).time("table", {"a": 1}, refuse, "cell")
-    assert rows == [("table", {"a": 1, "b": 2}), ("table", {"a": 1, "status": "unsupported"})]
+    for table, call in ((None, print), (Timetable({"cell": ""}, 8), None)):
+        clock = Clock(table, "cell", lambda *row: rows.append(row), None)
+        clock.time("table", {"a": 1}, lambda call: ({"b": 2}, call), call)
+    assert rows == [("table", {"a": 1, "b": 2})] * 2

@@ -9,25 +9,25 @@ import pytest
 import contactbench as cb
 from bench_decay import COSTS, SAVES, evaluations, value_at
 from bench_work_precision import error, errors, evaluations_spread, passes_through
-from cases import few_slow
 from cells import step_at, tolerance_at
 from conftest import PROFILES
 from contactbench.measure.ladder import ENDS, work_ladder
 
 
-def spread(method, scene, rtol):
+@pytest.mark.parametrize(
+    ("method", "scene", "rtol", "turns"),
+    [
+        ("cvode-bdf", "particle", 1e-4, False),
+        ("heyoka-taylor", "particle", 1e-4, False),
+        ("cvode-adams", "particle_long", 1e-12, True),  # 31 to 49 thousand evaluations were met
+    ],
+)
+def test_only_a_long_run_at_a_tight_tolerance_turns_on_the_last_digit_of_its_initial_data(
+    method, scene, rtol, turns
+):
     run = cb.prepare(scene, method, rtol=rtol, save_at=[cb.SCENES[scene].t_end], carry=())
-    return evaluations_spread(run, run().counts.evaluations)
-
-
-@pytest.mark.parametrize("method", few_slow(["cvode-adams", "cvode-bdf", "heyoka-taylor"], "cvode-adams"))
-def test_a_short_run_costs_the_same_whatever_the_last_digit_of_its_initial_data(method):
-    assert spread(method, "particle", 1e-4) == 0
-
-
-def test_a_long_run_of_cvode_at_a_tight_tolerance_turns_on_roundings():
-    """Why its counts are not compared to a tenth: 31 to 49 thousand evaluations were met."""
-    assert spread("cvode-adams", "particle_long", 1e-12) > 0.1
+    spread = evaluations_spread(run, run().counts.evaluations)
+    assert spread > 0.1 if turns else spread == 0
 
 
 FIXED = [method.name for method in cb.METHODS.values() if method.control == "step"]
@@ -83,9 +83,8 @@ def test_bad_ends_at_loose_tolerances_and_spent_budgets_are_avoided():
         return 0.0 if rtol > 1e-4 else math.inf if rtol < 1e-9 else smooth(rtol)
 
     assert smooth(tolerance_at(cost, 300.0, RANGE)) == pytest.approx(300.0, rel=0.03)
-    assert cost(tolerance_at(cost, 15.0, RANGE)) == pytest.approx(
-        smooth(1e-4), rel=0.05
-    )  # the cheapest there is
+    cheapest = smooth(1e-4)
+    assert cost(tolerance_at(cost, 15.0, RANGE)) == pytest.approx(cheapest, rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["contact-strang", "contact-rkn8", "contact-o8", "rk4", "scipy-dop853"])

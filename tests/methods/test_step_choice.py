@@ -42,9 +42,8 @@ def test_other_initial_data_get_a_step_of_their_own():
 
 @pytest.mark.parametrize("engine", ["jax", "python"])
 def test_a_tolerance_out_of_reach_ends_as_budget(engine):
-    solution = cb.solve(
-        "particle", "contact-printed", rtol=1e-9, save_at=[20.0], max_steps=2000, engine=engine
-    )
+    options = {"rtol": 1e-9, "save_at": [20.0], "max_steps": 2000}
+    solution = cb.solve("particle", "contact-printed", engine=engine, **options)
     assert solution.status is cb.Status.budget
     assert "rtol = 1e-09" in solution.message
     assert np.isnan(solution.y).all()

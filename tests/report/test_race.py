@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -17,14 +18,19 @@ def frame():
     return cb.compare("oscillator", ["contact-strang", "rk4", "contact-exact"], (1e-2, 1e-4), budget=60.0)
 
 
-def test_text_and_page_have_every_time_with_its_setting_and_the_figure_every_kind(frame):
+def test_text_and_page_have_every_time_and_law_and_the_plot_every_kind(frame):
     text, page = race.text(frame), race.html(frame)
     for row in frame[frame["status"] == "ok"].itertuples():
         assert row.method in page
         assert f"{row.setting}, {row.error_reached:.1e}" in text
     assert "contact-exact: unsupported" in text
-    assert re.findall(r'src="([^,"]*)', page) == ["data:image/svg+xml;base64"]  # one file, nothing to fetch
-    assert [panel.title for panel in race.figure(frame).panels] == ["Compiled", "Evaluations"]
+    assert "who is cheapest?" in page
+    data = json.loads(re.search(r'id="data">(.*)</script>', page)[1])
+    (panels,) = data["live"]["panels"].values()
+    assert [*panels] == ["Compiled", "Evaluations"]
+    laws = data["views"]["race_laws"]
+    assert "contact drift" in [label for label, *_ in laws["heads"]]
+    assert len(laws["rows"]) == int((frame["status"] == "ok").sum())
 
 
 def test_a_law_there_was_no_time_for_is_not_called_broken(frame):

@@ -139,9 +139,8 @@ def test_a_pair_takes_the_spread_of_its_noisier_engine():
 
 @pytest.mark.parametrize("halves", [2.0, math.nan])
 def test_a_cell_too_noisy_to_judge_is_undecided_and_still_beats_what_is_far_off(halves):
-    rows = found(
-        ladder("contact-a", time_halves_ratio=halves), ladder("rk4", 1.1), ladder("cvode-bdf", 100.0)
-    )
+    noisy = ladder("contact-a", time_halves_ratio=halves)
+    rows = found(noisy, ladder("rk4", 1.1), ladder("cvode-bdf", 100.0))
     assert set(contests(rows)["winner"]) == {"undecided"}
     verdicts = standings(rows).groupby("method")["verdict"].first()
     assert verdicts["rk4"] == "undecided"

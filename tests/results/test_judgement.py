@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contactbench.measure.round_off import decide
+from contactbench.measure.law import judge
 from contactbench.results.judgement import bound, law_rows
 from frames import frames, row, table
 
@@ -62,4 +62,4 @@ def test_round_off_grows_with_the_map_and_where_that_is_unknown_with_the_motion(
     ],
 )
 def test_a_bound_above_a_millionth_decides_nothing(value, limit, judgement):
-    assert decide(value, limit) == judgement
+    assert judge(value, limit) == judgement

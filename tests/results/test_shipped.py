@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from cases import REPOSITORY
-from contactbench.results import shipped
+from contactbench.results import tables
 from contactbench.results.schema import TABLES
 from made_up import ROWS, folder
 
@@ -16,7 +16,7 @@ from made_up import ROWS, folder
 @pytest.mark.parametrize("name", ROWS)
 def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tmp_path, monkeypatch):
     made = folder(tmp_path / "tables")
-    monkeypatch.setattr(shipped, "shipped_folder", lambda: made)
+    monkeypatch.setattr(tables, "shipped_folder", lambda: made)
     frame, columns = cb.results(name), TABLES[name].every_column
     assert len(frame) == len(ROWS[name])
     assert set(frame.attrs["columns"]) == set(frame.columns) == set(columns)
@@ -28,13 +28,12 @@ def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tmp_path
 
 def test_tables_lie_inside_an_installed_package_or_beside_the_sources(tmp_path, monkeypatch):
     """As the wheel lays them out (the project's file says that it does), and as a clone has them."""
-    wheel = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"][
-        "wheel"
-    ]
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
+    wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert "/results/*.csv" in wheel["include"]
     assert wheel["sources"]["results"] == "contactbench/_results"
     package = tmp_path / "src" / "contactbench"
-    monkeypatch.setattr(shipped, "__file__", str(package / "results" / "shipped.py"))
+    monkeypatch.setattr(tables, "__file__", str(package / "results" / "tables.py"))
     with pytest.raises(cb.BadInput, match="no result tables in this installation"):
         cb.results("claims")
     folder(package / "_results")

@@ -24,10 +24,10 @@ from contactbench.claims.geometry import (
     pullback,
 )
 from contactbench.claims.ledger import CORRECTED, Evidence, at_least, at_most, claim
+from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import fit_order
 from contactbench.measure.pullback import growth
-from contactbench.measure.round_off import round_off_bound
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
 from contactbench.methods.fixed_step_run import trajectory

@@ -212,9 +212,7 @@ def on_devices(
         yield tuple(np.asarray(a)[..., : part.stop - part.start] for a in out)  # type: ignore[misc]
 
 
-def share_of(
-    run: FixedStepRun, names: tuple[str, ...], places: tuple[int, ...], tile: int
-) -> Callable[..., Any]:
+def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], tile: int) -> Callable[..., Any]:
     """Return the function of one device: its part of a chunk, tile by tile."""
     from contactbench.xla import jnp, lax
 
@@ -246,9 +244,7 @@ def share_of(
 
 
 # -- by an executor ------------------------------------------------------------------------------------
-def spread(
-    executor: Executor, task: Any, y0: np.ndarray, own: Own, size: int
-) -> Iterator[tuple[int, Result]]:
+def spread(executor: Executor, task: Any, y0: Any, own: Own, size: int) -> Iterator[tuple[int, Result]]:
     """Yield (first trajectory, result) of chunks; one that its worker lost is given again.
 
     A chunk is given to `ATTEMPTS` workers in all; a process pool of which one has died takes none any more.

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.results import provenance
 from contactbench.results.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
 from contactbench.results.store import read

@@ -13,7 +13,7 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -48,19 +48,8 @@ class Part:
     span: float
 
     def marginal(self, visits: Sequence[Visit]) -> float:
-        """Return the cost of one more unit of the span."""
         short = min(min(visit.part) for visit in visits)
         return float((least(visits) - short) / ((1 - self.share) * self.span))
-
-
-class Timed(Protocol):
-    """What a race visits."""
-
-    def warm_up(self) -> float:
-        """Return the seconds of one round."""
-
-    def visit(self, rounds: int = ROUNDS) -> Visit:
-        """Time some rounds."""
 
 
 class Call:
@@ -82,12 +71,13 @@ class Call:
     def visit(self, rounds: int = ROUNDS) -> Visit:
         """Time some rounds, no garbage collected; how many calls fill one follows from the fastest so far."""
         calls = [calls_a_round(once) for once in self.once]
-        if self.once[0] > LONG:
-            rounds = 1
         collects = gc.isenabled()
         gc.disable()
         try:
-            turns = [[seconds(*each) for each in zip(self.runs, calls, strict=True)] for _ in range(rounds)]
+            turns = [
+                [seconds(*each) for each in zip(self.runs, calls, strict=True)]
+                for _ in range(1 if self.once[0] > LONG else rounds)
+            ]
         finally:
             if collects:
                 gc.enable()
@@ -110,10 +100,10 @@ def seconds(run: Callable[[], Any], iterations: int) -> float:
 class Race:
     """Calls timed side by side: every sweep visits each of them once, in an order of its own.
 
-    visits : of each call, as far as they have been made.
+    calls : each a `Call`, or what has its `warm_up` and `visit`.  visits : of each, as far as they have been made.
     """
 
-    def __init__(self, calls: Sequence[Timed]) -> None:
+    def __init__(self, calls: Sequence[Any]) -> None:
         self.calls = list(calls)
         self.visits: list[list[Visit]] = [[] for _ in self.calls]
         self.shuffle = random.Random(SEED)
@@ -164,7 +154,6 @@ def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
 def process_columns(
     visits: Sequence[Visit], again: Sequence[Visit], part: Part | None = None
 ) -> dict[str, float]:
-    """Return the columns of a call that a second process has timed too: what it says over what the first said."""
     columns = ratio_column("time_process_ratio", least, visits, again)
     if part is not None and all(visit.part for visit in again):
         columns |= ratio_column("marginal_process_ratio", part.marginal, visits, again)

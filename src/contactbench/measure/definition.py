@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable
 from typing import Any
 
 from contactbench.measure.order import DIGITS, march
@@ -26,10 +25,6 @@ STEPPED, STEP = ("particle", "quadratic_damping", "rigid_body", "rigid_body_anis
 OFFSETS = (0, 1, -2)
 #: what says nothing of what a scene or a method does
 WORDS = ("about", "hard", "experiments")
-
-
-def digest(parts: Iterable[str]) -> str:
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
 def digits_of(value: Any, context: Any) -> str:
@@ -60,7 +55,6 @@ def scene_lines(scene: Scene) -> list[str]:
 
 
 def method_lines(method: Any) -> list[str]:
-    """What the method declares, and where one and two of its steps lead, where it has steps."""
     lines = declarations(method)
     if not hasattr(method, "advance"):
         return lines
@@ -74,9 +68,10 @@ def method_lines(method: Any) -> list[str]:
 
 def row(item: Any) -> dict[str, str]:
     is_scene = isinstance(item, Scene)
+    lines = scene_lines(item) if is_scene else method_lines(item)
     return {
         "scene": item.name if is_scene else "",
         "method": "" if is_scene else item.name,
         "declared": "; ".join(line for line in declarations(item) if not line.endswith("=None")),
-        "digest": digest(scene_lines(item) if is_scene else method_lines(item)),
+        "digest": hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16],
     }

@@ -57,12 +57,10 @@ def save_times(scene: Scene) -> np.ndarray:
 
 
 def stepping(method: Any) -> str:
-    """How a method gets from one time to another: by fixed steps, by adaptive ones, or exact: without any."""
     return "exact" if method.exact else "adaptive" if method.adaptive else "fixed"
 
 
 def fields(scene: Scene, method: Method, carry: tuple[str, ...]) -> list[str]:
-    """What a method integrates on a scene, field by field."""
     kept = (name for name, part in scene.initial(carry)._asdict().items() if part is not None)
     return [name for name in kept if not (name == "t" and method.own_time)]
 

@@ -42,8 +42,7 @@ from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import Element, Function, Operation, Store
-from contactbench.trace.python import execute
+from contactbench.trace.form import Element, Function, Operation, Store, execute
 from contactbench.trace.recording import RecordedNumbers, Tape, attempt, operand_of
 from contactbench.xla import jnp, lax
 
@@ -220,10 +219,8 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         time, density, steps, *last = facts
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        taken, curvatures = (
-            int(steps) + reached,
-            int(steps) + 1,
-        )  # a shortened step to every saved time reached
+        curvatures = int(steps) + 1
+        taken = int(steps) + reached  # a shortened step to every saved time reached
         evaluations = taken * self.per_step + curvatures * self.by_gradients
         counts = Counts(taken, evaluations, 0 if self.by_gradients else curvatures, 0, "gradient")
         if reached == len(y):
@@ -330,9 +327,6 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         super().__post_init__()
         numbers = self.request.scene.numbers()
         self.compile(self.flat(self._solve), self.together(numbers, self.options, self.times()))
-
-    def key(self) -> tuple[Any, ...]:
-        return (self.method, self.capacity)
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]

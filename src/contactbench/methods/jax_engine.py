@@ -33,9 +33,9 @@ class CompiledRun(Prepared):
     #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
     fixed: Any
 
-    @abstractmethod
     def key(self) -> tuple[Any, ...]:
         """What the program depends on besides the identity and the fields carried."""
+        return (self.method, self.capacity)
 
     @property
     def identity(self) -> Hashable | None:
@@ -107,8 +107,6 @@ class CompiledRun(Prepared):
         return self.derivative(y0, self.states, "steps")
 
     def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
-        """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
-
         def push(y0: Any, v: Any, fixed: Any) -> Any:
             return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 

@@ -140,10 +140,6 @@ class Prepared(ABC):
             *(out.steps or self.steps_taken),
         )
 
-    @property
-    def atol(self) -> float | None:
-        return self.request.atol
-
     @abstractmethod
     def integrate(self, y0: np.ndarray) -> Outcome:
         """Run from a packed initial state."""
@@ -153,7 +149,6 @@ class Prepared(ABC):
         return self.integrate(y0).y[-1]
 
     def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the saved states, of those at `later` times: the initial one before them where it is saved."""
         return np.concatenate([y0[None], y]) if self.saves_start else y
 
     # -- the time, which some solvers have of their own ------------------------------------------------
@@ -311,8 +306,6 @@ def prepare_again(method: str, request: Request) -> Prepared:
 
 
 class Refused(Prepared):
-    """A prepared 'no': every call gives a solution with status `unsupported`."""
-
     def __init__(self, method: str, request: Request, why: str) -> None:
         super().__init__(method, request)
         self.why = why

@@ -23,7 +23,6 @@ from contactbench.solution import Counts, Status
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
-    """The scene's equations as heyoka expressions, its numbers as constants."""
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]

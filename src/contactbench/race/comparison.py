@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import accumulate
 from time import perf_counter
 from typing import Any
@@ -18,9 +19,8 @@ from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import ENDS, carry_of, tolerances, work_ladder
 from contactbench.measure.laws import laws_of, observables, row
 from contactbench.measure.statistics import PROCESSES
-from contactbench.methods.base import ENGINES, METHODS
-from contactbench.methods.entry import lookup, prepare
-from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.base import ENGINES, METHODS, lookup, prepare
+from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
@@ -118,20 +118,15 @@ def compare(
     for name in given:
         METHODS[name]  # an unknown one raises
     asked = items_of("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
-    wanted = tuple(sorted({_error(error) for error in asked}, reverse=True))
+    wanted = tuple(sorted({finite("error", error) for error in asked}, reverse=True))
     if not wanted:
         raise BadInput("errors: at least one, as in errors=[1e-3, 1e-6]")
+    for error in wanted:
+        if not 0 < error < 1:
+            size = "must be between 0 and 1, relative to the size of the motion"
+            raise BadInput(f"error = {excerpt(error)}: {size}")
     switch("progress", progress)
     return Comparison(scene, list(dict.fromkeys(given)), wanted, positive("budget", budget), progress).frame()
-
-
-def _error(value: Any) -> float:
-    error = finite("error", value)
-    if not 0 < error < 1:
-        raise BadInput(
-            f"error = {excerpt(value)}: must be between 0 and 1, relative to the size of the motion"
-        )
-    return error
 
 
 # -- one method ------------------------------------------------------------------------------------
@@ -139,17 +134,12 @@ def _error(value: Any) -> float:
 # interpolation between steps, of lower order than some methods, plays no part in it.
 @dataclass(frozen=True)
 class Question:
-    """What is asked of every method: a scene, its truth at five times, the errors, and the time there is."""
+    """What is asked of every method: a scene, its truth at five times, the errors, and seconds for a single run."""
 
     scene: Scene
     truth: Reference
     errors: tuple[float, ...]
-    budget: float
-
-    @property
-    def floor(self) -> float:
-        """What the reference itself may be off by, relative to the largest state: no error below is claimed."""
-        return max(10.0**-self.truth.digits, float(np.finfo(float).eps))
+    longest: float
 
     def error(self, solutions: Sequence[Solution]) -> float:
         scene, carry = self.scene, carry_of(self.scene)
@@ -176,7 +166,7 @@ class Attempt:
     seconds: float
     error: float = math.nan
     counts: Counts = field(default_factory=Counts)
-    run: Prepared | None = None
+    run: Any = None
 
     @property
     def ok(self) -> bool:
@@ -190,19 +180,9 @@ class Attempt:
 
     def reached(self, floor: float) -> dict[str, Any]:
         """Return the columns of its setting; no error below the floor is claimed."""
-        work = self.counts.rhs_equivalents
-        error = max(self.error, floor)
-        return {
-            "setting": self.setting,
-            "error_reached": error,
-            "evaluations": math.nan if work is None else work,
-        }
-
-    def bare(self) -> Callable[[], Any]:
-        run = self.run
-        assert run is not None
-        start = run.start
-        return lambda: run.bare(start)
+        counted = self.counts.rhs_equivalents is not None
+        columns = {"setting": self.setting, "error_reached": max(self.error, floor)}
+        return columns | {"evaluations": self.work if counted else math.nan}
 
 
 class Unsupported(Exception):
@@ -232,9 +212,8 @@ class Scout:
         return min(self.attempts, key=lambda a: a.value, default=None)
 
     def best(self, error: float) -> Attempt | None:
-        return min(
-            (a for a in self.attempts if a.ok and a.error <= error), key=lambda a: a.work, default=None
-        )
+        reached = (a for a in self.attempts if a.ok and a.error <= error)
+        return min(reached, key=lambda a: a.work, default=None)
 
     def turns(self) -> Iterator[None]:
         """Try settings until the smallest error is reached or the range ends, one a turn."""
@@ -244,7 +223,7 @@ class Scout:
                 if attempt.ok and attempt.error <= min(self.question.errors):
                     break
                 if attempt.status is Status.budget:
-                    most = f"more than a run may take here, {self.longest:.2g} s"
+                    most = f"more than a run may take here, {self.question.longest:.2g} s"
                     self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
                     break
             for error in self.question.errors:
@@ -282,18 +261,13 @@ class Scout:
         before = next((a for a in reversed(others) if a.value >= apart * last.value), others[-1])
         return before.ok and last.ok and not last.error < STILL_BETTER * before.error
 
-    @property
-    def longest(self) -> float:
-        return RUN_SHARE * self.question.budget
-
     def most_steps(self) -> int:
         """Return how many steps a run may take; always the same of JAX, which compiles for each number anew."""
         if self.engine == "jax" or not self.a_step > 0:
             return FIRST_STEPS[self.kind]
-        return max(FEWEST_STEPS, int(self.longest / self.a_step))
+        return max(FEWEST_STEPS, int(self.question.longest / self.a_step))
 
     def attempt(self, value: float) -> Attempt:
-        """Make five runs at one setting, the longest first."""
         scene, name, first = self.question.scene, self.method.name, not self.attempts
         options: dict[str, Any] = {**keywords(self.method.control, value), "carry": carry_of(scene)}
         *earlier, end = ends(scene).tolist()
@@ -315,7 +289,8 @@ class Scout:
             options |= {"max_steps": run.request.max_steps, "engine": self.engine}
             runs = [prepare(scene, name, save_at=[t], **options)() for t in earlier] + [solution]
             worst = next((each for each in runs if not each.ok), solution)
-            error = self.question.error(runs) if worst.ok else math.nan
+            if worst.ok:
+                error = self.question.error(runs)
         ended = worst.status, worst.message, seconds, error, solution.counts, run
         self.attempts.append(Attempt(value, run.request.setting, *ended))
         return self.attempts[-1]
@@ -355,7 +330,9 @@ class Comparison:
         self.interrupted = False
         self.bar.set_description("reference")
         truth = reference(scene, ends(scene), seconds=max(self.left(REFERENCE), LEAST_REFERENCE))
-        self.question = Question(scene, truth, errors, budget)
+        self.question = Question(scene, truth, errors, RUN_SHARE * budget)
+        #: what the reference itself may be off by, relative to the largest state: no error below is claimed
+        self.floor = max(10.0**-truth.digits, float(np.finfo(float).eps))
         self.confirmed = confirmed(truth, self.left(CHECK))
         self.bar.update()
         self.scouts = [Scout(self.question, name) for name in methods]
@@ -379,7 +356,7 @@ class Comparison:
                 if self.interrupted:  # a second time: at once
                     break
                 self.interrupted = True
-                self.stop("interrupted", "interrupted before it was tried", "interrupted after")
+                self.stop("interrupted", "interrupted before it was tried", "interrupted after", self.scouts)
             self.bar.update()
         self.bar.close()
         question, truth = self.question, self.question.truth
@@ -389,7 +366,7 @@ class Comparison:
         known = {"source": truth.source, "digits": truth.digits, "confirmed": self.confirmed}
         frame.attrs = {
             "runs": tuple(run for each in self.scouts for run in each.runs()),
-            "reference": known | {"error": question.floor},
+            "reference": known | {"error": self.floor},
             "unrefined": self.unrefined,
             "interrupted": self.interrupted,
             "seconds": perf_counter() - self.begun,
@@ -406,9 +383,11 @@ class Comparison:
         turns = {each: each.turns() for each in self.scouts if each.why is None}
         self.bar.update(len(self.scouts) - len(turns))
         while turns and (left := self.left(SCOUTING)) > 0:
-            each = min(turns, key=self.waited)
+            slow = {each for each in turns if each.engine in COMPILING and not each.attempts}
+            # the others go first
+            each = min(turns, key=lambda one: PATIENCE * self.budget if one in slow else one.spent)
             self.bar.set_description(each.method.name)
-            expected = 0.0 if each.attempts else COMPILING.get(each.engine, 0.0)
+            expected = COMPILING[each.engine] if each in slow else 0.0
             if expected > left:
                 each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
                 del turns[each]
@@ -418,19 +397,12 @@ class Comparison:
                 del turns[each]
                 self.bar.update()
             each.spent += perf_counter() - begun - (each.compile_s - compiled)
-        self.stop("budget", "no time was left to begin it", "no time was left after", set(turns))
+        self.stop("budget", "no time was left to begin it", "no time was left after", turns)
 
-    def waited(self, each: Scout) -> float:
-        """Return the seconds a method has had; what compiles slowly lets the others go first."""
-        begun = each.attempts or each.engine not in COMPILING
-        return each.spent if begun else PATIENCE * self.budget
-
-    def stop(self, status: str, before: str, after: str, some: set[Scout] | None = None) -> None:
+    def stop(self, status: str, before: str, after: str, some: Iterable[Scout]) -> None:
         """Note of the methods that were not done how far they got."""
-        for each in self.scouts if some is None else some:
+        for each in (each for each in some if each.why is None):
             last = each.finest
-            if each.why is not None:
-                continue
             if last is None:
                 each.why = (status, before)
             elif each.best(min(self.question.errors)) is None:
@@ -440,7 +412,7 @@ class Comparison:
 
     def chosen(self, each: Scout, error: float) -> Attempt | None:
         """Return the cheapest setting of a method that reaches an error; None below what the reference can tell."""
-        return each.best(error) if error >= self.question.floor else None
+        return each.best(error) if error >= self.floor else None
 
     # -- laws and times --------------------------------------------------------------------------------
     def measure_laws(self) -> None:
@@ -481,7 +453,7 @@ class Comparison:
             attempts = sorted(runs[kind].values(), key=lambda attempt: attempt.seconds)
             spent = accumulate(FEWEST_CALLS * attempt.seconds for attempt in attempts)
             timed = [attempt for attempt, seconds in zip(attempts, spent, strict=True) if seconds <= given]
-            race = Race([Call(attempt.bare()) for attempt in timed])
+            race = Race([Call(partial(attempt.run.bare, attempt.run.start)) for attempt in timed])
             try:
                 race.go(0.0 if self.interrupted else given)
             finally:
@@ -498,7 +470,7 @@ class Comparison:
         if (attempt := self.soonest(each, error)) is not None:
             times, laws = self.times.get(id(attempt), {}), self.laws.get(id(attempt), {})
             reason = "" if times else "too slow for the time that was left"
-            known = attempt.reached(self.question.floor) | {"status": "ok", "reason": reason}
+            known = attempt.reached(self.floor) | {"status": "ok", "reason": reason}
         cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not times)
         last = attempt or each.finest
         at_least = (last.seconds / ONCE if last else 0.0) if cut else math.nan
@@ -517,13 +489,11 @@ class Comparison:
         return min(reach, key=lambda a: self.times.get(id(a), {}).get("time_median_s", math.inf))
 
     def unreached(self, each: Scout, error: float) -> dict[str, Any]:
-        best = min((a for a in each.attempts if a.ok), key=lambda a: a.error, default=None)
-        known = (
-            {"setting": "", "error_reached": math.nan} if best is None else best.reached(self.question.floor)
-        )
+        best, floor = min((a for a in each.attempts if a.ok), key=lambda a: a.error, default=None), self.floor
+        known = {"setting": "", "error_reached": math.nan} if best is None else best.reached(floor)
         last = each.finest
-        if error < self.question.floor:
-            why = ("unresolved", f"the reference is known to {self.question.floor:.1e} only")
+        if error < floor:
+            why = ("unresolved", f"the reference is known to {floor:.1e} only")
         elif each.why is not None:
             why = each.why
         elif last is not None and not last.ok:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
 from contactbench.report.look import look
@@ -48,7 +48,8 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
     for method, line in rows.groupby("method", sort=False):
         family = str(line["family"].iloc[0]) if "family" in line else ""
         points = floats(line[x]), above(line[y], scale)
-        curves.append(Curve(*points, str(method), str(method), family=family))
+        settings = tuple(line["setting"]) if "setting" in line else ()
+        curves.append(Curve(*points, str(method), str(method), family=family, settings=settings))
     return tuple(curves)
 
 
@@ -58,32 +59,23 @@ def decade(value: float, end: Callable[[float], int]) -> str:
 
 
 # -- which curves are in colour --------------------------------------------------------------------
-def family(curve: Curve) -> Hashable:
-    return look(curve.method, curve.family).family
-
-
-def family_and_order(curve: Curve) -> Hashable:
-    own = look(curve.method, curve.family)
-    return own.family, own.order
-
-
-def best_of_each(
-    curves: Iterable[Curve], score: Score, group: Callable[[Curve], Hashable] = family
-) -> tuple[Curve, ...]:
+def best_of_each(curves: Iterable[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
     """Return the curves, all but the best of each group muted; those come first, to be drawn below.
 
+    by_order : a group is the methods of one family and order, not of one family.
     Of more than MOST groups those seen first are in colour.  Curves of no method stay as they are.
     """
     curves = list(curves)
-    groups: dict[Hashable, list[Curve]] = {}
+    groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
         if curve.method:
-            groups.setdefault(group(curve), []).append(curve)
+            own = look(curve.method, curve.family)
+            groups.setdefault((own.family, own.order if by_order else None), []).append(curve)
     chosen = []
-    for own in groups.values():
-        scores = [score(curve, own) for curve in own]
+    for group in groups.values():
+        scores = [score(curve, group) for curve in group]
         if not np.isnan(scores).all():
-            chosen.append(own[int(np.nanargmax(scores))].method)
+            chosen.append(group[int(np.nanargmax(scores))].method)
     names = {*chosen[:MOST], ""}
     muted = [c if c.method in names else replace(c, muted=True) for c in curves]
     return tuple(sorted(muted, key=lambda c: not c.muted))

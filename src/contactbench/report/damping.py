@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import ALIKE, COUNTED, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.numbers import DASH, count, names, scientific

@@ -15,8 +15,6 @@ from contactbench.report.work_precision import ERROR, LEGEND, cost_cell, error_l
 from contactbench.results.contest import COMPILED, CONTACT, LIMIT, MARGINAL, Kind, costs, standings
 
 SOURCE = "ensemble.csv"
-#: whether trajectories that are integrated together share the steps that a solver chooses
-STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "own steps"}
 #: time of a whole call per trajectory
 WHOLE_CALLS = replace(COMPILED, cost="each")
 
@@ -90,7 +88,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     if not len(rows):
         return None
     curves = [
-        replace(curve, label=", ".join(filter(None, [curve.label, STEPS.get(str(variant), "")])))
+        replace(curve, label=", ".join(filter(None, [curve.label, str(variant)])))
         for (_, _, variant), own in rows.groupby(["method", "engine", "variant"], sort=False, dropna=False)
         for curve in by_method(own, "solution_error", "each", 1e6)
     ]

@@ -17,18 +17,18 @@ from contactbench.results.schema import TABLES
 Registries = Mapping[str, Mapping[str, Any]]
 
 
-def methods_view(methods: Mapping[str, Any]) -> View:
-    rows = [
+def glossary(registries: Registries) -> tuple[Part, ...]:
+    methods = [
         (name, m.family, str(m.order or "variable"), stepping(m), ", ".join(m.engines), m.about)
-        for name, m in methods.items()
+        for name, m in registries["methods"].items()
     ]
     labels = ["method", "family", "order", "steps", "engines", "what it is"]
-    return View("methods", "Methods", frame_of(rows, labels))
-
-
-def scenes_view(scenes: Mapping[str, Any]) -> View:
-    rows = [(name, scene.about) for name, scene in scenes.items()]
-    return View("scenes", "Scenes", frame_of(rows, ["name", "what it is"]))
+    scenes = [(name, scene.about) for name, scene in registries["scenes"].items()]
+    return (
+        View("methods", "Methods", frame_of(methods, labels)),
+        View("scenes", "Scenes", frame_of(scenes, ["name", "what it is"])),
+        Section("Columns", tuple(columns_view(name) for name in TABLES)),
+    )
 
 
 def columns_view(name: str) -> View:
@@ -36,15 +36,6 @@ def columns_view(name: str) -> View:
     rows = [(f"`{label}`", column.type, column.meaning) for label, column in table.columns.items()]
     about = f"{table.about[:1].upper()}{table.about[1:]}."
     return View(f"columns_{name}", f"{name}.csv", frame_of(rows, ["column", "type", "meaning"]), about)
-
-
-REGISTERED = {"methods": methods_view, "scenes": scenes_view}
-
-
-def glossary(registries: Registries) -> tuple[Part, ...]:
-    """Return methods, scenes and columns."""
-    known = [view(registries[name]) for name, view in REGISTERED.items() if name in registries]
-    return *known, Section("Columns", tuple(columns_view(name) for name in TABLES))
 
 
 # -- the chapter of definitions ----------------------------------------------------------------------

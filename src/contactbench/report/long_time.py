@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import RUNG, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.curves import ROUND_OFF, by_method, decade
@@ -71,7 +71,6 @@ def cost_text(cost: pd.Series) -> str:
 
 
 def pairing(frame: pd.DataFrame) -> pd.Series:
-    """Return the largest pairing defect of each method."""
     worst = of(frame, SUM).groupby("method")["pairing_defect"].max()
     return worst.reindex([m for m in dict.fromkeys(frame["method"]) if m in worst.index])
 
@@ -106,10 +105,8 @@ def costs_view(frame: pd.DataFrame) -> View:
         return Cell(cost_text(cost), float(cost["cost"]), mark if cost["first"] else None)
 
     allowed = names([f"{100 * part:g} % ({quantity})" for quantity, part in ALLOWED.items()])
-    true = frame[frame["reference"]]
-    reference = f" ({true['method'].iloc[0]}, {true['setting'].iloc[0]})" if len(true) else ""
     legend = (
-        f"Evaluations per unit of time from which on an average stays within {allowed} of the reference{reference}; "
+        f"Evaluations per unit of time from which on an average stays within {allowed} of the reference; "
         f"{SURE:g} error bars included; ≤: at its cheapest setting. A factor {RUNG:g} is a tie. "
         f"{DASH}: wrong at every setting, or not measured. [How to read it](../docs/reading.md#long-chaotic-runs)."
     )

@@ -9,7 +9,7 @@ import pandas as pd
 
 from contactbench.report.chapters import Contents, Part, Section, Text
 from contactbench.report.drawing import Figure
-from contactbench.report.views import Cell, Head, Mark, View
+from contactbench.report.views import Cell, Mark, View
 
 #: how a mark is written
 WRITTEN = {Mark.best: "**{}**", Mark.kept: "**{}**", Mark.tie: "*{}*", Mark.exception: "{} !"}
@@ -53,13 +53,10 @@ def cell(item: Cell) -> str:
     return WRITTEN[item.mark].format(text) if text and item.mark in WRITTEN else text
 
 
-def label(head: Head) -> str:
-    return escaped(f"{head.group}: {head.label}" if head.group else head.label)
-
-
 def table(item: View) -> str:
     words = [head.words for head in item.columns]
-    return grid(map(label, item.columns), [map(cell, row) for row in item.rows], words)
+    labels = [escaped(f"{head.group}: {head.label}" if head.group else head.label) for head in item.columns]
+    return grid(labels, [map(cell, row) for row in item.rows], words)
 
 
 def view(item: View, depth: int) -> str:

@@ -52,12 +52,10 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
 
 
 def with_mathtext(label: str) -> str:
-    """Return a label with powers and H0 as mathtext."""
     return re.sub(r"\bH0\b", "$H_0$", re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", label))
 
 
 def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, **more: Any) -> Panel:
-    """Return a panel of the table as it is."""
     return Panel(title, x, y, tuple(curves(rows, panel)), **more)
 
 
@@ -86,17 +84,26 @@ def angles(rows: pd.DataFrame) -> Panel:
         size = np.linalg.norm(M, axis=1)
         cosine = np.clip(M[:, int(str(name)[-1]) - 1] / size, -1, 1)
         found.append(Curve(floats(size / size[0]), floats(np.degrees(np.arccos(cosine))), str(name)))
-    x = Axis("‖M‖ / ‖M(0)‖ = exp(−γt)", inverted=True, limits=(0.0, 1.0))
-    y = Axis("angle of M with its first axis, degrees", limits=(0.0, 185.0))
+    x = Axis("‖M‖ / ‖M(0)‖ = exp(−γt)", inverted=True)
+    y = Axis("angle of M with its first axis, degrees")
     return Panel("", x, y, tuple(found))
 
 
 def oblique(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return points of space as seen from between axes 1 and 2, a little from above."""
+    """Return the front of the sphere as seen from between axes 1 and 2, a little from above."""
     around, up = np.radians((52, 22))
     towards = rows["x"] * np.cos(around) + rows["y"] * np.sin(around)
     right = rows["y"] * np.cos(around) - rows["x"] * np.sin(around)
-    return rows.assign(x=right, y=rows["z"] * np.cos(up) - towards * np.sin(up))
+    front = towards * np.cos(up) + rows["z"] * np.sin(up) > 0
+    return rows.assign(x=right.where(front), y=rows["z"] * np.cos(up) - towards * np.sin(up))
+
+
+def sphere(rows: pd.DataFrame) -> Panel:
+    """Return the directions of figure 5 inside the outline of the sphere."""
+    panel = flat(oblique(rows), "sphere", "", Axis(""), Axis("axis 3, upwards"), equal=True)
+    around = np.linspace(0, 2 * np.pi, 181)
+    outline = Curve(floats(np.cos(around)), floats(np.sin(around)), role="guide", markers=False)
+    return replace(panel, curves=(outline, *panel.curves))
 
 
 def growth(rows: pd.DataFrame) -> Iterator[Panel]:
@@ -119,10 +126,8 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
 
 
 # -- the figures -----------------------------------------------------------------------------------
-#: a figure: its title, how its panels are made from its rows, and its caption
-type Plan = tuple[str, Callable[[pd.DataFrame], Iterable[Panel]], str]
-
-PLANS: dict[str, Plan] = {
+#: of each figure: its title, how its panels are made from its rows, and its caption
+PLANS: dict[str, tuple[str, Callable[[pd.DataFrame], Iterable[Panel]], str]] = {
     "paper_2": (
         "Oscillator: closed orbits without damping, spirals with it (figure 2)",
         lambda rows: [flat(rows, "phase", "", Axis("q"), Axis("p"), equal=True)],
@@ -143,8 +148,8 @@ PLANS: dict[str, Plan] = {
     ),
     "paper_5": (
         "Directions u = M/‖M‖: relative equilibria, axis 2 unstable (figure 5, corrected)",
-        lambda rows: [flat(oblique(rows), "sphere", "", Axis(""), Axis("axis 3, upwards"), equal=True)],
-        "The sphere seen from between axes 1 and 2. Relative equilibria, no equilibria: on every axis ‖M'‖ = γ‖M‖.",
+        lambda rows: [sphere(rows)],
+        "The front of the sphere, seen from between axes 1 and 2. Relative, no equilibria: on every axis ‖M'‖ = γ‖M‖.",
     ),
     "paper_7": (
         "2-DOF particle, γ = 0.1: H₀ does not decay exponentially (figure 7, corrected)",

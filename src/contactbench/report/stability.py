@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
-from contactbench.report.curves import best_of_each, by_method, family_and_order, highest
+from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label, with_bounds
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
@@ -118,7 +118,6 @@ CHAPTERS.add(Chapter("stability", TITLE, QUESTION, 50, ("stability",), parts, an
 
 # -- the chapter of limits ---------------------------------------------------------------------------
 def limit_cell(rows: pd.DataFrame) -> Cell:
-    """Return one limit with theory in parentheses, marked where larger steps are stable again."""
     row = rows.iloc[0]
     cell, theory = (as_cell(row[name], "{:.4g}".format) for name in ("limit", "theory"))
     text = cell.text if theory.value is None else f"{cell.text} ({theory.text})"
@@ -148,14 +147,13 @@ def stability_map(frame: pd.DataFrame) -> Figure:
     rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
     rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
     rows = rows.assign(scaled=rows["per_evaluation"] * rows["omega"])
-    curves = best_of_each(by_method(rows, "ratio", "scaled"), highest, family_and_order)
+    curves = best_of_each(by_method(rows, "ratio", "scaled"), highest, by_order=True)
     last = rows[rows["ratio"] == rows["ratio"].max()].set_index("method")["scaled"]
     title = "First loss of stability"
     if len(finite := last[np.isfinite(last)]):
-        free = ", ".join(last.index[np.isinf(last)])
         title = (
             f"At γ = {rows['ratio'].max():g} ω {finite.idxmax()} is stable to {finite.max():.3g}/ω an evaluation, the "
-            f"median method to {last.median():.2g}/ω" + (f"; {free} at any step" if free else "")
+            f"median method to {last.median():.2g}/ω"
         )
     panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), curves)
     caption = (

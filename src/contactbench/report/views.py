@@ -81,7 +81,6 @@ class View:
 
     @cached_property
     def rows(self) -> tuple[tuple[Cell, ...], ...]:
-        """The entries as cells."""
         shows = [self.show.get(label, self.show.get("", readable)) for _, label in self.labels]
         return tuple(
             tuple(as_cell(value, show) for value, show in zip(row, shows, strict=True))

@@ -13,7 +13,7 @@ import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
 from contactbench.report.views import Cell, Mark, View, matrix
 from contactbench.results import contest as judge
@@ -83,7 +83,6 @@ def cost_text(row: Any, show: Callable[[float], str]) -> str:
 
 
 def cost_cell(rows: pd.DataFrame, show: Callable[[float], str] = duration) -> Cell:
-    """Return the cost of one method, with its mark."""
     row = next(rows.itertuples())
     return Cell(cost_text(row, show), None if math.isnan(row.cost) else row.cost, MARKS.get(row.verdict))
 
@@ -159,15 +158,22 @@ def parts(frames: Frames) -> list[Part]:
 #: beyond an error of two there is nothing left of the motion, below round-off nothing is known
 ERROR = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=(1e-16, 2.0))
 #: the axis of each cost, and its scale
-AXES = {EVALUATIONS: ("evaluations", 1.0), COMPILED: ("time of a solve, ms", 1e3)}
+AXES = {
+    "rhs_equivalents": ("evaluations", 1.0),
+    "time_min_s": ("time of a solve, ms", 1e3),
+    "marginal_s": ("time per unit of simulated time, ms", 1e3),
+}
+IN_COLOUR = (
+    "Cheaper below. In colour: the cheapest method of each family at most errors; thin and grey: the others."
+)
 
 
-def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
+def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
     """Return error on x, cost on y; the axis of cost ends where the contest ends.
 
     named : methods to be in colour, whatever others of their families cost.
     """
-    label, size = AXES[kind]
+    label, size = AXES[kind.cost]
     curves = by_method(rows, "solution_error", kind.cost, size)
 
     def score(curve: Curve, own: Sequence[Curve]) -> float:
@@ -190,16 +196,12 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     title, named = message(work, scene)
     found = {kind: compared(work, scene, kind) for kind in (COMPILED, EVALUATIONS)}
     panels = tuple(panel(rows, kind, named) for kind, rows in found.items() if len(rows))
-    caption = (
-        "Cheaper below. In colour: the method of each family that is cheapest at most errors; thin and grey: the "
-        "others. Costs beyond 30 times the least of the contest are outside the panels."
-    )
+    caption = f"{IN_COLOUR} Costs beyond 30 times the least of the contest are outside the panels."
     return Figure(f"work_precision_{scene}", title, panels, caption) if panels else None
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    """Return the title and the methods it names: the best contact method beside the best other, compiled, at the
-    middle of the errors that both reach."""
+    """Return the title, and the methods it names: of each kind the best at the middle of the errors both reach."""
     rows = contestants(work)
     table = judge.contests(judge.costs(rows[rows["scene"] == scene], COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
@@ -212,6 +214,20 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     if row["winner"] == OTHER:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {1 / ratio:.0%} of the time of {both[1]} {at}", both
+
+
+def live(frames: Frames) -> Live | None:
+    """Return every scene and kind of cost, the hard scenes in evaluations, to choose from."""
+    compared_in = {"work_precision": KINDS, "stability": (EVALUATIONS,)}
+    panels = {
+        (str(scene), kind.title): panel(rows, kind)
+        for table, kinds in compared_in.items()
+        for scene in dict.fromkeys(frames[table]["scene"])
+        for kind in kinds
+        if len(rows := compared(frames[table], scene, kind))
+    }
+    caption = f"{IN_COLOUR} Click a family to hide it; of one or two families every method is in colour."
+    return Live("Cost against error", panels, caption) if panels else None
 
 
 TITLE, QUESTION = "Cost at equal error", "What does an error cost?"

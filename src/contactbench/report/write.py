@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from contactbench.errors import BadInput
-from contactbench.report import draw, headline, markdown, page
+from contactbench.report import draw, headline, markdown, page, work_precision
 from contactbench.report.chapters import Frames, Tables, chapters, every
 from contactbench.report.drawing import Figure
 from contactbench.report.glossary import Registries, glossary
@@ -28,7 +28,6 @@ NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def tables(results: Path) -> Tables:
-    """Return every table of a folder; those without a file have no rows."""
     return Tables({name: read(table, results) for name, table in TABLES.items()})
 
 
@@ -44,25 +43,20 @@ def documents(
     words = glossary(registries)
     texts = {one.chapter.file: markdown.document(one) for one in found}
     texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(words)}\n"
-    texts["report.html"] = page.page(found, recorded, words, page.LINKS)
+    texts["report.html"] = page.page(found, recorded, words, page.LINKS, work_precision.live(frames))
     texts |= {f"figures/{figure.name}.svg": draw.svg(figure) for figure in drawn}
     paths = {results / name: text for name, text in texts.items()}
     return paths | ({readme: with_answers(readme, frames)} if readme else {}), drawn
 
 
-def parts_beside(readme: Path) -> tuple[str, str]:
-    """Return a README's text before its computed part and after it.  Raises `BadInput` without its marks."""
+def with_answers(readme: Path, frames: Frames) -> str:
+    """Return a README's text with its computed part as the tables have it.  Raises `BadInput` without its marks."""
     text = readme.read_text(encoding="utf-8")
     begin, end = README_PART
     if text.count(begin) != 1 or text.count(end) != 1:
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    return text.partition(begin)[0], text.partition(end)[2]
-
-
-def with_answers(readme: Path, frames: Frames) -> str:
-    """Return a README's text with its computed part as the tables have it."""
-    (before, after), (begin, end) = parts_beside(readme), README_PART
-    return f"{before}{begin}\n{markdown.answers(headline.answers(frames))}\n\n{end}{after}"
+    answers = markdown.answers(headline.answers(frames))
+    return f"{text.partition(begin)[0]}{begin}\n{answers}\n\n{end}{text.partition(end)[2]}"
 
 
 def report(

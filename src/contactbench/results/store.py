@@ -52,7 +52,6 @@ def read(table: Table, results: Path) -> pd.DataFrame:
 
 
 def read_file(table: Table, path: Path, names: Sequence[str]) -> pd.DataFrame:
-    """Return the rows of one of the table's files, typed, with those of the columns that it has."""
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
@@ -182,7 +181,6 @@ def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[tuple[Any, ...
 
 
 def index(frame: pd.DataFrame, names: list[str]) -> pd.Index:
-    """The rows by some of their columns, as plain tuples."""
     return pd.Index(list(frame[names].astype(object).itertuples(index=False, name=None)), tupleize_cols=False)
 
 
@@ -233,7 +231,6 @@ def as_text(values: pd.Series, column: Column) -> list[str]:
 
 
 def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """The frame with the digits that are written: no more than say something."""
     for name in frame:
         column = table.every_column[name]
         if column.type == "number" and not column.exact and frame[name].notna().any():

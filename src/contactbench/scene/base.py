@@ -70,11 +70,7 @@ class Cache[Made]:
         self.size = size
         self.items: dict[Hashable, Made] = {}
 
-    def __len__(self) -> int:
-        return len(self.items)
-
     def get(self, key: Hashable | None, make: Callable[[], Made]) -> Made:
-        """Return the object of a key, made if it is not there."""
         if key is None:
             return make()
         made = self.items.get(key)
@@ -198,11 +194,8 @@ class System(ABC):
         base = next(each for each in type(self).__mro__ if is_ours(each))
         names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
         anew = [name for name in names if getattr(type(self), name, None) is not getattr(base, name, None)]
-        if not anew:
-            return None
-        return (
-            f"its flows are those of {self.kind}, and {type(self).__name__} has {', '.join(anew)} of its own"
-        )
+        own = f"{type(self).__name__} has {', '.join(anew)} of its own"
+        return f"its flows are those of {self.kind}, and {own}" if anew else None
 
     def recorded(self) -> Self:
         """Return the scene with its user's functions as formulas: what they compute now.
@@ -352,13 +345,12 @@ class Scene(System):
 
     def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
+        wanted = f"must have a name of its own, none of {', '.join(sorted(taken))}"
         for name, check in self.checks.items():
             self._fix(name, check(name, getattr(self, name)))
         for name in getattr(self, "parameters", {}):
             if name in taken:
-                raise BadInput(
-                    f"parameter {name!r}: must have a name of its own, none of {', '.join(sorted(taken))}"
-                )
+                raise BadInput(f"parameter {name!r}: {wanted}")
         for name, kept in self.reciprocals.items():
             value = getattr(self, name)
             self._fix(kept, reciprocal(value))
@@ -412,9 +404,8 @@ class Scene(System):
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         """Return the names of the fields of its states that are integrated."""
-        return [
-            name for name in self.initial_fields if name in carry or name not in self.state._field_defaults
-        ]
+        defaults = self.state._field_defaults
+        return [name for name in self.initial_fields if name in carry or name not in defaults]
 
     def labels(self, carry: Sequence[str]) -> list[str]:
         found: list[str] = []

@@ -40,10 +40,7 @@ _verified: Cache[bool] = Cache(1024)
 
 
 def verify(scene: Scene) -> None:
-    """Raise `BadInput` unless a scene's functions fit each other near its start; once per definition.
-
-    The functions of this package have tests of their own.
-    """
+    """Raise `BadInput` unless a user's functions fit each other near the start; once per definition."""
     _once(scene, "near the start", _verify)
 
 
@@ -88,7 +85,6 @@ def _within_the_domain() -> Iterator[None]:
         return
 
 
-# -- states ----------------------------------------------------------------------------------------
 def _verify(scene: Mechanical) -> None:
     """Compare near the start, the Hessian too; what is wrong with the scene's own data is reported."""
     carry, n, rng = scene.carry(("s",)), len(scene.q), np.random.default_rng(1)
@@ -106,9 +102,7 @@ def _motion(scene: Mechanical) -> np.ndarray:
 
     carry = scene.carry(("s",))
 
-    def slope(t: float, y: np.ndarray) -> list[float]:
-        return scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))
-
+    slope = lambda t, y: scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))  # noqa: E731
     start = scene.pack(scene.initial(carry))
     path = [np.empty((0, len(start)))]
     with _within_the_domain():  # the motion ends there
@@ -136,9 +130,7 @@ class Claim(NamedTuple):
     where: str
 
 
-def _check(
-    scene: Mechanical, states: np.ndarray, claims: Callable[[Mechanical, np.ndarray], Iterator[Claim]]
-) -> None:
+def _check(scene: Mechanical, states: np.ndarray, claims: Callable[..., Iterator[Claim]]) -> None:
     some = states[:: max(1, len(states) // SOME)]
     for y in some:
         with _within_the_domain():
@@ -148,7 +140,6 @@ def _check(
         _symmetry(scene, some[:, : len(scene.q)])
 
 
-# -- what is claimed -------------------------------------------------------------------------------
 def _is_given(function: Any) -> bool:
     return function is not None and not (isinstance(function, Formula) and function.live is None)
 
@@ -160,9 +151,8 @@ def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
     value = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
-        raise BadInput(
-            f"scene {scene.name!r}: its potential is {excerpt(value)} at q = {_at(q)}: must be a number"
-        )
+        there = f"{excerpt(value)} at q = {_at(q)}"
+        raise BadInput(f"scene {scene.name!r}: its potential is {there}: must be a number")
     return float(value)
 
 
@@ -174,10 +164,8 @@ def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
     q, time, h = y[: len(scene.q)], _time(scene, y), LATER * scene.t_end
     if _is_given(scene.gradient):
         says = "its gradient is not the potential's: component {j} is"
-        force = [_force(scene, q, time)]
-        yield Claim(
-            lambda q: [_potential(scene, q, time)], q, force, _size(q), says, "potential", f"q = {_at(q)}"
-        )
+        force, potential = [_force(scene, q, time)], lambda q: [_potential(scene, q, time)]
+        yield Claim(potential, q, force, _size(q), says, "potential", f"q = {_at(q)}")
     if isinstance(scene, GeneralDamping):
         s, flow, where = float(y[-1]), scene.damping_flow, f"s = {y[-1]:.6g}"
         says = "damping_slope is not the damping's: it is"
@@ -215,9 +203,8 @@ def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
     except (TypeError, ValueError):
         given = np.empty(0)
     if given.shape != (n, n) or given.dtype.kind not in "fiub":
-        raise BadInput(
-            f"scene {scene.name!r}: its Hessian is {excerpt(rows)}: must be {n} rows of {n} real numbers"
-        )
+        wanted = f"must be {n} rows of {n} real numbers"
+        raise BadInput(f"scene {scene.name!r}: its Hessian is {excerpt(rows)}: {wanted}")
     says = "its Hessian is not the gradient's derivative: entry ({i}, {j}) is"
     yield Claim(lambda q: _force(scene, q, []), q, given, _size(q), says, "gradient", f"q = {_at(q)}")
 
@@ -241,9 +228,7 @@ def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
 
 # -- derivatives -----------------------------------------------------------------------------------
 def _compare(scene: Mechanical, claim: Claim) -> None:
-    def f(x: np.ndarray) -> np.ndarray:
-        return np.array(claim.f(x), dtype=float)
-
+    f = lambda x: np.array(claim.f(x), dtype=float)  # noqa: E731
     x, given, size = (np.array(part, dtype=float) for part in (claim.x, claim.given, claim.size))
     rng = np.random.default_rng(1)
     direction = size * rng.uniform(0.5, 1, len(x)) * rng.choice([-1, 1], len(x))
@@ -262,9 +247,7 @@ def _compare(scene: Mechanical, claim: Claim) -> None:
     )
 
 
-def difference(
-    f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray
-) -> tuple[np.ndarray, float]:
+def difference(f: Callable[[Any], Any], q: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the derivative of f along a direction by central differences of order 4, and about its error.
 
     Two estimates may agree by luck where rounding leaves f but a few values: it adds ε |f| over the step.

@@ -29,8 +29,6 @@ from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
 LARGEST_HESSIAN = 32
-
-
 #: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
 derived_gradient = lru_cache(256)(Formula.gradient)
 derived_hessian = lru_cache(256)(Formula.hessian)
@@ -82,9 +80,7 @@ class Mechanical(Scene):
     kappa_sign: int = field(init=False, repr=False, default=0)
 
     kind: ClassVar[str] = "mechanical"
-    functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
-        ("potential", "gradient", "hessian"), ("q", "**")
-    )
+    functions: ClassVar[Any] = dict.fromkeys(("potential", "gradient", "hessian"), ("q", "**"))
     state: ClassVar[Any] = State
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     coefficients: ClassVar[tuple[str, ...]] = ("gamma", "kappa", "mass")
@@ -112,9 +108,8 @@ class Mechanical(Scene):
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
             force = self.dV(self.q)
         if not isinstance(force, tuple | list | np.ndarray):
-            raise BadInput(
-                f"gradient: must return {len(self.q)} numbers, a tuple; it returns {excerpt(force)}"
-            )
+            wanted = f"must return {len(self.q)} numbers, a tuple"
+            raise BadInput(f"gradient: {wanted}; it returns {excerpt(force)}")
         vector(f"q = {excerpt(self.q)}, where gradient", force, len(self.q))
 
     @property
@@ -144,9 +139,8 @@ class Mechanical(Scene):
                     potential = formula(potential, sizes, tuple(self.parameters))
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
-                raise BadInput(
-                    f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
-                ) from why
+                missing = "its gradient is missing, and the potential cannot be differentiated"
+                raise BadInput(f"scene {self.name!r}: {missing}: {why}") from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
@@ -208,7 +202,7 @@ class Mechanical(Scene):
         rows = [[0.0] * n + [self.inverse_mass if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
             damping = [-rate if i == j else 0.0 for j in range(n)]
-            column = [] if x.s is None else [-self.kappa * x.p[i] if self.nonlinear_damping else 0.0]
+            column = [-self.kappa * x.p[i]] if x.s is not None and self.nonlinear_damping else tail
             rows.append([-hess[i][j] for j in range(n)] + damping + column)
         if x.s is not None:
             rows.append([-g for g in self.dV(x.q)] + [p * self.inverse_mass for p in x.p] + [-rate])

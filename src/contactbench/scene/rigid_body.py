@@ -140,7 +140,6 @@ class RigidBody(Scene):
     def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return self.by_inertia
 
-    # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:
         return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
 
@@ -186,12 +185,9 @@ class RigidBody(Scene):
             for i in range(3):
                 rows[i][j] = other[i] + gyroscopic[i] - damped[i]
         if x.R is not None:
-            columns = [
-                quaternion_product(x.R, (0.0, *(inv[j] * c / 2 for c in e))) for j, e in enumerate(UNIT)
-            ]
-            half = (0.0, *(w / 2 for w in omega))
-            for j in range(4):
-                columns.append(quaternion_product(tuple(1.0 if i == j else 0.0 for i in range(4)), half))
+            R, half = x.R, (0.0, *(w / 2 for w in omega))
+            columns = [quaternion_product(R, (0.0, *(inv[j] * c / 2 for c in e))) for j, e in enumerate(UNIT)]
+            columns += [quaternion_product(tuple(unit), half) for unit in np.eye(4).tolist()]
             for i in range(4):
                 rows[3 + i][:7] = [column[i] for column in columns]
         if x.s is not None:

@@ -170,8 +170,7 @@ def advance(
     """
     if by_the_clock(composition, scene):
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
-    flows = flows_of(scene)
-    steps = plan(composition, scene)
+    flows, steps = flows_of(scene), plan(composition, scene)
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
     constants = stage_constants((*opening, *inner, *closing, *joint), scene, h, xp)
     rolled = repeat.over_stages
@@ -190,9 +189,8 @@ def advance(
 
         if period == len(stages):
             return round_of(0, x)
-        return repeat(
-            len(stages) // period, lambda carried: (round_of(carried[1], carried[0]), carried[1] + 1), (x, 0)
-        )[0]
+        another = lambda carried: (round_of(carried[1], carried[0]), carried[1] + 1)  # noqa: E731
+        return repeat(len(stages) // period, another, (x, 0))[0]
 
     x = run(opening, x)
     if not joint:

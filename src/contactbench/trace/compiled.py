@@ -137,7 +137,6 @@ class Lowering:
 
     # -- elements of arrays ------------------------------------------------------------------------
     def place(self, element: form.Element) -> Any:
-        """The pointer to an element, in tiles to those of all states of the tile."""
         array, add, mul = self.arrays[element.array], self.builder.add, self.builder.mul
         *rows, last = map(self.value, element.indices)
         offset = last if element.shift == 0 else add(last, self.value(element.shift))
@@ -176,7 +175,6 @@ class Lowering:
         return self.builder.sitofp(value, self.double) if value.type == self.whole else value
 
     def spread(self, value: Any) -> Any:
-        """A number as a vector of it."""
         value = self.floating(value)
         if value.type != self.double or self.lanes == 1:
             return value

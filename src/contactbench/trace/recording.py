@@ -42,8 +42,6 @@ class Block:
 
 
 class Tape:
-    """A recording: names of values, and the block that is being written."""
-
     def __init__(self) -> None:
         self.root = self.block = Block()
         self.count = 0
@@ -53,7 +51,6 @@ class Tape:
         return f"{kind}{self.count}"
 
     def assign(self, value: Operation | Element, kind: str, block: Block) -> Recorded:
-        """A value, assigned in a block unless it has been."""
         # by text, since -0.0 == 0.0 and 1 == 1.0
         key = (value.function, *map(text, value.operands)) if isinstance(value, Operation) else value
         if key not in block.known:
@@ -84,7 +81,6 @@ class Tape:
         return self._loop(x, body, lambda inner: form.Loop("_", self.read(n, self.block, "i"), tuple(inner)))
 
     def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
-        """Application as long as a condition holds, recorded as a loop."""
         tests: list[Any] = []
 
         def turn(x: Any) -> Any:
@@ -99,7 +95,6 @@ class Tape:
         return self._loop(x, turn, loop)
 
     def _loop(self, x: Any, body: Callable[[Any], Any], make: Callable[[list[Any]], Any]) -> Any:
-        """Record the body in a block of its own, of which `make` is to make a statement."""
         outer, start = self.block, leaves(x)
         kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
         inner, names = Block(outer), tuple(map(self.name, kinds))

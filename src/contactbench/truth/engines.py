@@ -98,9 +98,8 @@ class BlowUp(BadInput):
     """The trajectory reaches infinity at `time`, an mpmath number."""
 
     def __init__(self, scene: Scene, time: Any) -> None:
-        super().__init__(
-            f"no reference for scene {scene.name!r}: the trajectory blows up at t = {float(time):.6g}"
-        )
+        at = f"the trajectory blows up at t = {float(time):.6g}"
+        super().__init__(f"no reference for scene {scene.name!r}: {at}")
         self.time = time
 
 
@@ -116,8 +115,7 @@ class Stopwatch:
 
     def is_over(self, t: float) -> bool:
         """Return whether the deadline has passed, or, seen from t, will pass long before the end."""
-        now = perf_counter()
-        spent = now - self.begun
+        spent = (now := perf_counter()) - self.begun
         hopeless = spent * self.span > HOPELESS * (self.deadline - self.begun) * t
         return now > self.deadline or (spent > FORESEEN and hopeless)
 
@@ -161,9 +159,8 @@ def taylor(
 
     system, own = taylor_system(scene, carry, bits)
     origin_state = own if start is None else [heyoka.real(x, bits) for x in start]
-    integrator = heyoka.taylor_adaptive(
-        system, np.array(origin_state), fp_type=heyoka.real, prec=bits, compact_mode=True
-    )
+    kind = {"fp_type": heyoka.real, "prec": bits, "compact_mode": True}
+    integrator = heyoka.taylor_adaptive(system, np.array(origin_state), **kind)
     origin = [] if float(times[0]) == 0 else ["0.0"]
     grid = np.array([heyoka.real(t, bits) for t in [*origin, *times]])
     end = float(times[-1])
@@ -180,9 +177,8 @@ def taylor(
     if outcome != heyoka.taylor_outcome.time_limit:
         watch.check(float(integrator.time))
         if math.isnan(float(integrator.time)):
-            raise BadInput(
-                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; {NO_SERIES}"
-            )
+            why = f"its Taylor series is not finite at the start; {NO_SERIES}"
+            raise BadInput(f"no reference for scene {scene.name!r}: {why}")
         raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
 

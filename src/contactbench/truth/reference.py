@@ -114,9 +114,8 @@ def reference(
     verify_along(scene)
 
     def make() -> Reference:
-        found = closed_form(scene, t, carry) or frozen(scene, t, carry)
-        found = found or live(scene, t, carry, perf_counter() + seconds)
-        decimals, digits, source = found
+        stored = closed_form(scene, t, carry) or frozen(scene, t, carry)
+        decimals, digits, source = stored or live(scene, t, carry, perf_counter() + seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
         y.setflags(write=False)  # shared by every caller through the cache
@@ -256,9 +255,8 @@ def computations(
         raise
     except Exception as error:
         says = plain_function(error) or f"{type(error).__name__}: {one_line(error, 150)}"
-        raise BadInput(
-            f"no reference for scene {scene.name!r}: its equations fail in high precision{place_of(error)}: {says}"
-        ) from error
+        why = f"its equations fail in high precision{place_of(error)}: {says}"
+        raise BadInput(f"no reference for scene {scene.name!r}: {why}") from error
 
 
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:

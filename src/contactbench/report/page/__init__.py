@@ -1,22 +1,27 @@
 """``report.html``: all chapters on one page that needs no network.
 
 A renderer: it knows no question, no table and no method.  Figures are the SVG files beside the page; tables are
-embedded as JSON and drawn when they are opened.
+embedded as JSON and drawn when they are opened; one plot is live (`drawing.Live`).
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jinja2
+import numpy as np
 from markupsafe import Markup, escape
+from matplotlib.markers import MarkerStyle
+from matplotlib.transforms import Affine2D
 
-from contactbench.report.chapters import Contents, Part, Section, Text, every
-from contactbench.report.drawing import Figure
+from contactbench.report.chapters import Contents, Part, every
+from contactbench.report.drawing import Curve, Figure, Live
+from contactbench.report.look import DASHES, look
 from contactbench.report.views import Cell, View
 
 #: where readers go from here: documents beside the page, and the source above it
@@ -26,7 +31,6 @@ LINKS = {
     "glossary": "glossary.md",
     "source": "../README.md",
 }
-KINDS: dict[type, str] = {Text: "text", View: "view", Figure: "figure", Section: "section"}
 
 # -- inline Markdown and simple mathtext as HTML; everything else is escaped -----------------------
 INLINE = re.compile(
@@ -103,22 +107,57 @@ def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
+# -- the live plot as JSON -------------------------------------------------------------------------
+def live_look(curve: Curve) -> dict[str, Any]:
+    """Return how a method is drawn: its marker is an SVG path a hundred units wide."""
+    own = look(curve.method, curve.family)
+    style = MarkerStyle(own.marker)
+    path = style.get_path().transformed(style.get_transform() + Affine2D().scale(100, -100))
+    lines = map(np.asarray, path.to_polygons(closed_only=False))
+    outline = "".join("M" + "L".join(f"{x:.0f} {y:.0f}" for x, y in line) for line in lines)
+    dash, filled = " ".join(f"{1.5 * part:g}" for part in DASHES.get(own.order, ())), own.family == "contact"
+    return {"family": own.family, "color": own.color, "outline": outline, "filled": filled, "dash": dash}
+
+
+def live_points(curve: Curve) -> list[tuple[float, float, str]]:
+    """Return error, cost and setting of each point that both axes can show."""
+    points = zip(curve.x, curve.y, curve.settings, strict=True)
+    known = [point for point in points if 0 < point[0] < math.inf and 0 < point[1] < math.inf]
+    return [(float(f"{x:.3g}"), float(f"{y:.3g}"), setting) for x, y, setting in known]
+
+
+def live_plot(live: Live) -> dict[str, Any]:
+    """Return the panels by scene and cost, and the looks of their methods."""
+    panels: dict[str, dict[str, Any]] = {}
+    looks: dict[str, dict[str, Any]] = {}
+    for (scene, cost), panel in live.panels.items():
+        curves = [{"name": c.method, "muted": c.muted, "points": live_points(c)} for c in panel.curves]
+        axes = {"x": panel.x.label, "y": panel.y.label, "ends": (*panel.x.within, panel.y.within[1])}
+        panels.setdefault(scene, {})[cost] = {**axes, "curves": curves}
+        looks |= {curve.method: live_look(curve) for curve in panel.curves}
+    return {"panels": panels, "looks": looks}
+
+
 # -- the page --------------------------------------------------------------------------------------
 def page(
     contents: Sequence[Contents],
     recorded: Sequence[Mapping[str, Any]] = (),
     glossary: Sequence[Part] = (),
     links: Mapping[str, str] | None = None,
-    picture: Callable[[Figure], str] = lambda figure: f"figures/{figure.name}.svg",
+    live: Live | None = None,
 ) -> str:
     """Return the HTML text.
 
     recorded : the runs that made the tables.  glossary : parts of a last section.  links : name → address.
-    picture : the address of a figure.
+    live : stands for the figures of the first chapter.
     """
+    if live:
+        first = tuple(part for part in contents[0].parts if not isinstance(part, Figure))
+        contents = [replace(contents[0], parts=first), *contents[1:]]
     addresses = {one.chapter.file: f"#{one.chapter.name}" for one in contents}
     shown = [*(part for one in contents for part in one.parts), *glossary]
-    data = {view.name: table(view, addresses) for view in every(View, shown)}
+    views = {view.name: table(view, addresses) for view in every(View, shown)}
+    data = {"views": views, "live": live and live_plot(live)}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("contactbench.report", "page"),
         autoescape=True,
@@ -127,19 +166,13 @@ def page(
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["inline"] = lambda text: inline(text, addresses)
-    environment.filters["picture"] = picture
-    environment.filters["kind"] = lambda part: KINDS[type(part)]
+    environment.filters["kind"] = lambda part: type(part).__name__
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return environment.get_template("page.html").render(
-        css=source("page.css"),
-        script=source("tables.js"),
         data=text.replace("<", "\\u003c"),  # it stands inside a script element
         contents=contents,
+        live=live,
         runs=recorded,
         glossary=glossary,
         links=links or {},
     )
-
-
-def source(name: str) -> str:
-    return files("contactbench.report.page").joinpath(name).read_text(encoding="utf-8")
