@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.optimize import brentq
+import scipy  # its parts are loaded when first used
 
 from contactbench.methods import METHODS
 from contactbench.numbers.protocol import Numbers
@@ -219,7 +218,7 @@ def root(f: Callable[[float], float], scale: float) -> float:
     k = next((k for k, h in enumerate(grid.tolist()) if f(h) > 1e-12), None)
     if k is None:
         return math.inf
-    return float(grid[0]) if k == 0 else float(brentq(f, grid[k - 1], grid[k], xtol=1e-13))
+    return float(grid[0]) if k == 0 else float(scipy.optimize.brentq(f, grid[k - 1], grid[k], xtol=1e-13))
 
 
 #: the limit a method has by theory, by name; the kick-drift-kick palindrome has 2/ω whatever damps between
@@ -240,7 +239,7 @@ def propagation_error(method: Any, gamma: float, h: float, every_step: bool = Fa
     every_step : whether every step is saved, which is another map for a processed method.  inf where M overflows.
     """
     n = max(1, round(1 / slow_rate(gamma) / h))
-    exact = expm(np.array([[0.0, 1.0], [-1.0, -gamma]]) * (n * h))
+    exact = scipy.linalg.expm(np.array([[0.0, 1.0], [-1.0, -gamma]]) * (n * h))
     with np.errstate(all="ignore"):
         run = run_matrix(method, gamma, h, n, every_step)
         if not np.isfinite(run).all():
