@@ -8,6 +8,7 @@ from typing import Any
 from zlib import crc32
 
 from contactbench.methods import METHODS
+from contactbench.methods.prepared import IMPLICIT
 from contactbench.plugins import OWN
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
@@ -135,7 +136,8 @@ DIGITS, RESOLUTION = 3, 2e-3
 def right_hand_sides(solution) -> float:
     """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
     if solution.ok:
-        return solution.counts.rhs_equivalents
+        known = solution.counts.rhs_equivalents
+        return IMPLICIT * solution.counts.steps if known is None else known
     return math.inf if solution.status is Status.budget else 0.0
 
 

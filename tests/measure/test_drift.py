@@ -16,10 +16,9 @@ from cases import pairs as of_methods
 from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import row
 from contactbench.measure.pullback import pairs, pullback
-from contactbench.methods import differences as by_differences
+from contactbench.methods import prepared
 from contactbench.methods.contact import contact_method
-from contactbench.methods.differences import differences
-from contactbench.methods.prepared import Outcome
+from contactbench.methods.prepared import Outcome, differences
 from contactbench.solution import SAFETY, Counts, Differential, Status
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -28,7 +27,7 @@ from contactbench.splitting.tables import COMPOSITIONS
 def unlimited(monkeypatch):
     """Derivatives by differences whatever they cost."""
     for name in ("BUDGET", "CALLBACK_BUDGET"):
-        monkeypatch.setattr(by_differences, name, 10**9)
+        monkeypatch.setattr(prepared, name, 10**9)
 
 
 CENTRAL = cb.SCENES["central"]
@@ -175,7 +174,7 @@ def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
     cost = 60 * solution.counts.evaluations
     found = []
     for budget in (cost - 1, cost):
-        monkeypatch.setattr(by_differences, "CALLBACK_BUDGET", budget)
+        monkeypatch.setattr(prepared, "CALLBACK_BUDGET", budget)
         found.append(row(cb.solve(CENTRAL, "scipy-dop853", rtol=1e-4, save_at=[20.0])))
     assert math.isnan(found[0]["contact_drift"])
     assert "contact_drift_uncertainty" not in found[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from cases import few_slow
 from contactbench.methods import jax_engine
 from contactbench.methods.base import tolerance
 from contactbench.methods.fixed_step_run import steps_in
-from contactbench.peers import diffrax
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 from contactbench.xla import jax
@@ -149,18 +147,20 @@ def test_the_calls_that_difference_a_jacobian_count(method):
     assert run().counts.evaluations == calls[0]
 
 
-@pytest.mark.parametrize("name", ["diffrax-tsit5", "diffrax-dopri8", "diffrax-kvaerno5"])
+@pytest.mark.parametrize("name", ["diffrax-tsit5", "diffrax-dopri8"])
 @pytest.mark.quick(name="diffrax-tsit5")
 def test_diffrax_counts_what_it_evaluates(name, monkeypatch):
-    """Of explicit methods by a formula, of the implicit one by the transformed program: every Newton iteration."""
-    calls = []
-    monkeypatch.setattr(diffrax, "mark", lambda: calls.append(1))
+    calls, slopes = [], cb.Mechanical.slopes
+
+    def counting(*arguments):
+        jax.debug.callback(lambda: calls.append(1))
+        return slopes(*arguments)
+
     run = cb.prepare(PARTICLE, name, rtol=1e-8, save_at=[4.0])
-    jax.block_until_ready(jax.jit(partial(run._solve, marked=True))(run.start, run.fixed))
+    monkeypatch.setattr(cb.Mechanical, "slopes", counting)
+    jax.block_until_ready(jax.jit(run._solve)(run.start, run.fixed))
     jax.effects_barrier()
-    counts = run().counts
-    assert counts.evaluations == len(calls)
-    assert counts.evaluations > run.method_.stages * counts.steps
+    assert run().counts.evaluations == len(calls) > run.method_.stages
 
 
 def test_diffrax_spends_a_budget_of_attempts_and_the_last_one_may_reach_the_end():
@@ -181,6 +181,7 @@ def test_kvaerno_takes_the_steps_its_error_control_wants():
     """With diffrax's default root finder half the steps are rejected at this tolerance."""
     counts = cb.solve("particle", "diffrax-kvaerno5", rtol=1e-10, save_at=[20.0]).counts
     assert counts.rejected < 0.1 * counts.steps
+    assert counts.evaluations is None  # diffrax does not say how many Newton iterations there were
 
 
 @pytest.mark.parametrize("method", few_slow(ADAPTIVE, *LONG), ids=lambda m: m.name)

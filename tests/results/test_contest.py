@@ -89,6 +89,12 @@ def test_one_integrator_of_two_makers_is_one_contestant_where_engines_do_not_mat
     assert set(found(*shapes, kind=CALLED_BACK)["method"]) == {"scipy-dop853"}
 
 
+def test_a_solver_that_does_not_count_takes_no_part_in_a_contest_in_evaluations():
+    silent = [r | {"rhs_equivalents": None} for r in ladder("diffrax-kvaerno5")]
+    assert set(found(ladder("rk4"), silent, kind=EVALUATIONS)["method"]) == {"rk4"}
+    assert set(found(ladder("rk4"), silent)["method"]) == {"rk4", "diffrax-kvaerno5"}
+
+
 def test_a_marginal_time_needs_halves_and_no_closed_form():
     timed = [r | {"marginal_s": 1e-6, "marginal_halves_ratio": 1.0} for r in ladder("rk4")]
     exact = [r | {"control": "exact"} for r in timed]

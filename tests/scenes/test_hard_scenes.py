@@ -95,16 +95,16 @@ def test_the_clock_decides_nothing(monkeypatch):
 
 def test_a_derivative_is_taken_or_not_by_evaluations(monkeypatch):
     """Differences of the solver repeat its run for every tangent (3), increment, and side."""
-    from contactbench.methods import differences
+    from contactbench.methods import prepared
 
     def solution():
         scene = cb.SCENES["critical"]
         return cb.solve(scene, "cvode-adams", engine="c+python", rtol=1e-6, save_at=[scene.t_end])
 
-    cost = 2 * 3 * len(differences.INCREMENTS) * solution().counts.rhs_equivalents
-    monkeypatch.setattr(differences, "CALLBACK_BUDGET", cost - 1)
+    cost = 2 * 3 * len(prepared.INCREMENTS) * solution().counts.rhs_equivalents
+    monkeypatch.setattr(prepared, "CALLBACK_BUDGET", cost - 1)
     assert not solution().differential.taken
-    monkeypatch.setattr(differences, "CALLBACK_BUDGET", cost)
+    monkeypatch.setattr(prepared, "CALLBACK_BUDGET", cost)
     assert solution().differential.taken
 
 

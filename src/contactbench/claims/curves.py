@@ -24,7 +24,6 @@ IN_THE_PLANE = itertools.repeat(math.nan)
 
 
 def rows(name: str) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table of a figure, points numbered along each curve."""
     count: Counter[tuple[str, str]] = Counter()
     for panel, curve, kind, x, y, z in FIGURES[name]():
         place = {"point": count[panel, curve], "x": float(x), "y": float(y), "z": float(z)}

@@ -30,7 +30,6 @@ IDENTITY = ROUND_OFF, "round-off of automatic differentiation on numbers of size
 
 
 def points(dimension: int, count: int = 64, seed: int = SEED) -> np.ndarray:
-    """Return random points of R^dimension, standard normal, shape (count, dimension)."""
     return np.random.default_rng(seed).normal(size=(count, dimension))
 
 
@@ -39,12 +38,10 @@ def everywhere(function: Field, at: np.ndarray) -> np.ndarray:
 
 
 def largest(function: Field, at: np.ndarray) -> float:
-    """Return max |function| over points and components."""
     return float(np.abs(everywhere(function, at)).max())
 
 
 def canonical(y: Any) -> State:
-    """Return the coordinates (q, p, s) as a state."""
     n = (len(y) - 1) // 2
     return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n])
 
@@ -66,12 +63,10 @@ def exterior(form: Field, y: Any) -> Any:
 
 
 def pullback(map_: Field, form: Field, y: Any) -> Any:
-    """Return (Φ*α)(y) = α(Φ(y))·DΦ(y)."""
     return form(map_(y)) @ jax.jacfwd(map_)(y)
 
 
 def lie_derivative(field: Field, form: Field, y: Any) -> Any:
-    """Return L_X α, in components X^i ∂_i α_j + α_i ∂_j X^i."""
     return jax.jacfwd(form)(y) @ field(y) + form(y) @ jax.jacfwd(field)(y)
 
 
@@ -120,17 +115,14 @@ CUBIC = 100 * ROUND_OFF, "round-off of cubic polynomials with 400 terms of size 
 
 
 def quadratically_damped(gamma=0.1):
-    """Return the particle with Γ(s) = γ s + ½ κ s² in place of γ s."""
     return SCENES["particle"].with_(name="particle, κ = 0.3", gamma=gamma, kappa=0.3)
 
 
 def points_by_degree(seed):
-    """Return random points of T*Rⁿ × R for n = 1, 2, 3."""
     return [points(2 * n + 1, seed=seed) for n in (1, 2, 3)]
 
 
 def random_polynomial(dimension, seed):
-    """Return a random cubic polynomial of y, all its coefficients of size one."""
     rng = np.random.default_rng(seed)
     constant, linear, quadratic, cubic = (jnp.asarray(rng.normal(size=(dimension,) * k)) for k in range(4))
     return lambda y: constant + linear @ y + y @ quadratic @ y + jnp.einsum("ijk,i,j,k", cubic, y, y, y)
@@ -197,7 +189,6 @@ def hamiltonian_evolution(seed: int = SEED) -> Evidence:
     at = points(5, seed=seed) / 2
 
     def relative(law):
-        """Return max |H' + law| / max |law|."""
         return largest(lambda y: rate(y) + law(y), at) / largest(law, at)
 
     yield at_most("max |H' + R(H)| / max |R(H)|", relative(dissipation), *CUBIC)
@@ -262,7 +253,6 @@ def energy_balance(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 @claim("C07")
 def monotone_energy(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     def rate(scene):
-        """Return H0' where Γ'(s) ≥ 0."""
         change = lambda y: along(vector_field(scene), function_of(scene.energy), y)  # noqa: E731
         return lambda y: jnp.where(scene.dissipation_rate(y[4]) >= 0, change(y), -jnp.inf)
 
@@ -288,7 +278,6 @@ def oscillator_portrait(
         return np.count_nonzero(np.diff(np.sign(q)))
 
     def ratios(scene):
-        """Return ‖y‖ after each of ten turns over ‖y‖ before it."""
         sizes = np.linalg.norm(orbit(scene, period * np.arange(1, 11)), axis=1)
         return sizes[1:] / sizes[:-1]
 
@@ -402,7 +391,6 @@ def commuting_derivatives(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     form = lambda y: jnp.sin(y[::-1]) + y * y[0]  # noqa: E731  # neither flow leaves it alone
 
     def both(field, form):
-        """Return L_X L_ξ and L_ξ L_X of a one-form."""
         along_X, along_ξ = partial(lie_derivative, field), partial(lie_derivative, generator)
         return partial(along_X, partial(along_ξ, form)), partial(along_ξ, partial(along_X, form))
 

@@ -97,7 +97,6 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
         return s
 
     def symplectic_defect(y):
-        """Return DΦᵀ Ω DΦ − Ω of the (q, p) part without damping."""
         derivative = jax.jacfwd(one_step(method, scene.with_(gamma=0.0), h))(y)[:4, :4]
         omega = jnp.kron(jnp.array([[0.0, 1.0], [-1.0, 0.0]]), jnp.eye(2))
         return derivative.T @ omega @ derivative - omega
@@ -174,7 +173,6 @@ def printed_composition(**changes: Any) -> Evidence:
     """changes : of the particle, e.g. ``gamma``."""
 
     def asymmetry(name: str) -> float:
-        """Return |Φ_{−h} Φ_h x − x| in 50 digits for one step of h = 1/10."""
         context, twin = exact_scene(changes)
         x, h = twin.initial(("s",)), context.mpf(1) / 10
         forth = METHODS[name].advance(twin, x, h, 1, context)
@@ -258,7 +256,6 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
 @claim("C28")
 def verlet_limit(h: float = PAPER_STEP, steps: int = 2000) -> Evidence:
     def difference(gamma: float) -> float:
-        """Return max |(q, p) − Verlet's| over the steps."""
         scene = PARTICLE.with_(gamma=gamma)
         q, p = (np.array(v) for v in (scene.q, scene.p))
         most = 0.0
@@ -528,7 +525,6 @@ def conservative_limit(**changes: Any) -> Evidence:
     early, late = off[:20_000].max(), off[20_000:].max()
 
     def distance(scene, **changes):
-        """Return `nearest_return` of a scene without damping over T = 100."""
         scene = scene.with_(gamma=0.0, **changes)
         t = np.arange(0, 10001) * PAPER_STEP
         return nearest_return(solve(scene, PRINTED, step=PAPER_STEP, save_at=t, carry=(), engine="python").y)

@@ -30,7 +30,6 @@ def chart(y: Any) -> Any:
 
 
 def momentum_rate(scene: RigidBody) -> Any:
-    """Return M' as a function of M, by the scene's right-hand side."""
     return lambda M: pack(scene.rhs(BodyState(tuple(M))))
 
 
@@ -104,7 +103,6 @@ SLOW = 2  #: of these, in which nothing is on an axis: M falls as t^{−1/2}
 
 
 def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Any) -> np.ndarray:
-    """Return a random D of `DAMPINGS`."""
     rates, a = rng.uniform(0.5, 1, 3), 1 / np.asarray(inertia)
     if kind == 3:
         normal = np.sqrt([a[0] - a[1], 0.0, a[1] - a[2]]) * [1, 1, rng.choice([-1, 1])]
@@ -276,7 +274,6 @@ SLOWEST = 0.15, "t^{−1/2}: 0.1, and half as much again for the transient"
 
 
 def body(D: Any, inertia: Sequence[float] = INERTIA) -> RigidBody:
-    """Return the body damped by D: three rates about the principal axes, or a symmetric 3×3 matrix ≥ 0."""
     damping = tuple(map(tuple, D)) if np.ndim(D) == 2 else tuple(D)
     return SCENES["rigid_body_anisotropic"].with_(damping=damping, inertia=tuple(inertia))
 

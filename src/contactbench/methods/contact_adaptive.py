@@ -271,49 +271,47 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
 
 
 class AdaptivePythonLoop(AdaptiveContactRun):
-    """Plain Python floats, in the recorded loop where there is one."""
+    """Plain Python floats: the recorded loop, or as it is written where that cannot be had or has no number."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        r, elapsed, self.loop = self.request, stopwatch(), None
+        r, elapsed, self.loops = self.request, stopwatch(), [self.as_written]
         with suppress(CannotRecord):
-            self.loop = execute(attempt(lambda: record_loop(r.scene, r.carry)))
+            self.loops.insert(0, execute(attempt(lambda: record_loop(r.scene, r.carry))))
             self.compile_s = elapsed()
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         return AdaptiveNumbaLoop(self.method, replace(self.request, engine="numba")).sensitivity(y0, frozen)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        if self.loop is not None:
-            r = self.request
-            y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0] * (3 + len(y0))
-            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                self.loop(y0.tolist(), r.scene.numbers(), self.options.tolist(), r.save_at.tolist(), y, facts)
-                return self.outcome(y0, np.array(y), facts)
-        return self.as_written(y0)
+        r = self.request
+        given = y0.tolist(), r.scene.numbers(), self.options.tolist(), r.save_at.tolist()
+        for loop in self.loops:
+            y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0, math.nan, 0.0, *given[0]]
+            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken; what was reached before counts
+                loop(*given, y, facts)
+                break
+        return self.outcome(y0, np.array(y), facts)
 
-    def as_written(self, y0: np.ndarray) -> Outcome:
-        r, rows = self.request, np.full((self._saves, len(y0)), math.nan)
-        x = r.scene.unpack(y0.tolist(), r.carry)
-        last = x, 0.0, math.nan, 0.0
+    def as_written(self, start: Any, numbers: Any, options: Any, times: Any, y: Any, facts: Any) -> None:
+        scene = self.request.scene
+
+        def keep(carried: Any) -> Any:
+            x, *known = carried
+            facts[:] = [*known, *scene.pack(x)]
+            return carried
 
         def repeat_while(condition: Any, body: Any, x: Any) -> Any:
-            nonlocal last
             while condition(x):
-                last = x = body(x)
+                x = keep(body(x))
             return x
 
         def over(times: list[float], body: Any, x: Any) -> None:
-            nonlocal last
-            last = x
             for k, time in enumerate(times):
-                x, rows[k] = body(x, time)
+                x, y[k] = body(keep(x), time)
 
-        with suppress(*NO_NUMBER):  # what was reached before counts
-            options = self.options.tolist(), r.save_at.tolist()
-            solve(r.scene, x, *options, math, lambda x: x, repeat_while, over)
-        x, *facts = last
-        return self.outcome(y0, rows, (*facts, *r.scene.pack(x)))
+        x = scene.unpack(start, self.request.carry)
+        solve(scene, x, options, times, math, lambda x: x, repeat_while, over)
 
 
 class ScalarNumbers(XlaNumbers):

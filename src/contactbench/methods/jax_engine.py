@@ -127,8 +127,6 @@ rolled = Repeat(compiled_loop, over_stages=True)
 
 
 class JaxLoop(FixedStepRun, CompiledRun):
-    """The compiled steps: a loop inside a scan over the saved times."""
-
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:

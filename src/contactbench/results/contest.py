@@ -142,6 +142,8 @@ def costs(
     spreads = {str(engine): kind.process_spread(part, engine) for engine in part["engine"].unique()}
     if not kind.timed:
         part = part.assign(method=part["method"].replace(SAME_INTEGRATOR))
+        said = part.groupby(list(keys))[kind.cost].transform("count")  # by some solvers never
+        part = part[said > 0]
     found: list[dict[str, Any]] = []
     for key, own in part.groupby(list(keys), sort=False):
         engines = [one for _, one in own.groupby("engine", sort=False)] if kind.timed else [own]

@@ -59,7 +59,6 @@ def named_numbers(name: str, value: Any) -> dict[str, float]:
 
 
 def reciprocal(value: Any) -> Any:
-    """Return 1/value, of each number in a tuple."""
     return rebuild(value, [1 / number for number in leaves(value)])
 
 
@@ -403,7 +402,6 @@ class Scene(System):
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
-        """Return the names of the fields of its states that are integrated."""
         defaults = self.state._field_defaults
         return [name for name in self.initial_fields if name in carry or name not in defaults]
 

@@ -1,5 +1,5 @@
-"""Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's parts
-fit each other, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
+"""Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's slope
+is right, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
 
 Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, since a
 user's functions may be ones that these cannot pass through.
@@ -17,7 +17,6 @@ import numpy as np
 
 from contactbench.errors import BadInput, excerpt, is_number, their_code
 from contactbench.scene.base import Cache, Scene, key
-from contactbench.scene.driven import Driven
 from contactbench.scene.mechanical import GeneralDamping, Mechanical
 from contactbench.trace.formula import Formula
 
@@ -33,8 +32,8 @@ UNSURE = 1e-3
 
 #: evaluations that a motion is followed for, and places on every step of it
 FOLLOWED, BETWEEN = 3000, 4
-#: states of a motion at which is compared what is called state by state, and the step of its flows in parts of t_end
-SOME, LATER = 32, 1e-2
+#: states of a motion at which is compared what is called state by state
+SOME = 32
 
 _verified: Cache[bool] = Cache(1024)
 
@@ -161,35 +160,16 @@ def _force(scene: Mechanical, q: np.ndarray, time: list[float]) -> np.ndarray:
 
 
 def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
-    q, time, h = y[: len(scene.q)], _time(scene, y), LATER * scene.t_end
+    q, time = y[: len(scene.q)], _time(scene, y)
     if _is_given(scene.gradient):
         says = "its gradient is not the potential's: component {j} is"
         force, potential = [_force(scene, q, time)], lambda q: [_potential(scene, q, time)]
         yield Claim(potential, q, force, _size(q), says, "potential", f"q = {_at(q)}")
     if isinstance(scene, GeneralDamping):
-        s, flow, where = float(y[-1]), scene.damping_flow, f"s = {y[-1]:.6g}"
+        s, where = float(y[-1]), f"s = {y[-1]:.6g}"
         says = "damping_slope is not the damping's: it is"
         slope = [[scene.damping_slope(s)]]
         yield Claim(lambda s: [scene.damping(float(s[0]))], [s], slope, [1.0], says, "damping", where)
-        if flow is not None:
-            rate = -scene.damping(flow(s, h, math))
-            yield _flow(scene, "damping_flow", lambda h: flow(s, float(h[0]), math), s, h, rate, where)
-    if isinstance(scene, Driven) and scene.span is not None:
-        (t,), spent, where = time, scene.spent, f"t = {time[0]:.6g}"
-        rates = scene.rate_at(t + h), math.exp(-spent(t, h, math)[0])
-        yield _flow(scene, "span[0]", lambda h: spent(t, float(h[0]), math)[0], 0.0, h, rates[0], where)
-        yield _flow(scene, "span[1]", lambda h: spent(t, float(h[0]), math)[1], 0.0, h, rates[1], where)
-
-
-def _flow(
-    scene: Mechanical, name: str, f: Callable[[Any], Any], start: float, h: float, rate: float, where: str
-) -> Claim:
-    """Return the claim that f has the slope `rate` at h; raise `BadInput` unless it begins with `start`."""
-    begun = f([0.0])
-    if abs(begun - start) > TOLERANCE * max(abs(start), abs(f([h]))):
-        raise BadInput(f"scene {scene.name!r}: {name} is {begun:.6g} at {where}, h = 0: must be {start:.6g}")
-    says = f"{name} has not the slope of its definition: this is"
-    return Claim(lambda h: [f(h)], [h], [[rate]], [h / 2], says, "function by h", f"{where}, h = {h:.6g}")
 
 
 def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:

@@ -13,6 +13,5 @@ for _scene in (*STANDARD, *DRIVEN, *HARD):
 
 
 def scenes_of(experiment: str) -> list[Scene]:
-    """Return the registered scenes that an experiment runs."""
     hard, scenes = experiment == "stability", SCENES.values()
     return [s for s in scenes if experiment in s.experiments or (not s.experiments and s.hard == hard)]

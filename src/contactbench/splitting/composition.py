@@ -101,7 +101,6 @@ def number(coefficient: Fraction, xp: Any) -> Any:
 
 # -- a composition on a scene ----------------------------------------------------------------------
 def refusal(composition: Composition, scene: Scene) -> str | None:
-    """Return why the composition does not have its order on this scene, or None."""
     if composition.nystrom and "drift_damp" not in flows_of(scene):
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
     return scene.own_equations

@@ -99,7 +99,6 @@ def lift(x: Any, direction: Any) -> tuple[Dual, ...]:
 
 
 def has_modified_hamiltonian(composition: Composition) -> bool:
-    """Return whether n steps are the flow of one H̃."""
     return composition.two_part and composition.palindromic and not composition.processor
 
 

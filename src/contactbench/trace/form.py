@@ -52,8 +52,6 @@ class Assign(NamedTuple):
 
 
 class Update(NamedTuple):
-    """Variables set to new values, all at once."""
-
     variables: tuple[str, ...]
     values: tuple[Operand, ...]
 

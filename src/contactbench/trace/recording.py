@@ -68,7 +68,6 @@ class Tape:
         return self.assign(Operation(function, tuple(self.read(x, block, of) for x in operands)), kind, block)
 
     def read(self, x: Any, block: Block, kind: str = "f") -> Operand:
-        """A number as an operand, where it is used in a block."""
         if isinstance(x, Recorded) and not block.within(x.block):
             raise CannotRecord("vectors of different origin are combined")
         return operand_of(x, kind)
@@ -298,7 +297,6 @@ def attempt(function: Callable[[], Any]) -> Any:
 
 
 def reason_of(error: BaseException) -> CannotRecord:
-    """The reason, and what to write instead where that is known."""
     if (advice := plain_function(error)) is not None:
         return CannotRecord(f"{place(error)[2:]}: {advice}")
     if isinstance(error, CannotRecord):

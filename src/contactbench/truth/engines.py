@@ -42,7 +42,6 @@ def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
 
 
 def matching_digits(error: Any, at_most: int) -> int:
-    """Return the whole decimal digits that a relative error leaves."""
     import mpmath
 
     return at_most if error == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(error)))))
@@ -120,7 +119,6 @@ class Stopwatch:
         return now > self.deadline or (spent > FORESEEN and hopeless)
 
     def check(self, t: float) -> None:
-        """Raise `OutOfTime` if it is over."""
         if self.is_over(t):
             faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
             raise OutOfTime(

@@ -73,7 +73,6 @@ def table(path: Path, sha256: str) -> tuple[list[str], list[list[str]]]:
 
 
 def entries(scene: Scene) -> Iterator[dict[str, Any]]:
-    """Yield the manifest's entries of this very scene, whatever its name and end."""
     folder, wanted = frozen_folder(), digest(scene)
     for entry in manifest(folder).values() if folder else ():
         if entry["scene_digest"] == wanted:
@@ -81,7 +80,6 @@ def entries(scene: Scene) -> Iterator[dict[str, Any]]:
 
 
 def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
-    """Return decimals, digits and source from the frozen file of this very scene, if it has these times."""
     for entry in entries(scene):
         header, rows = table(frozen_folder() / entry["file"], entry["sha256"])  # type: ignore[operator]
         grid = np.array([float(row[0]) for row in rows])
