@@ -124,17 +124,6 @@ def test_every_rule_has_a_method_that_breaks_it():
 ENGINES = ("numba", "jax", "python")
 
 
-@pytest.mark.parametrize("engines", [["python"], ["numba"], ["python", "numba"]], ids=str)
-@pytest.mark.parametrize(
-    ("rule", "wrong"),
-    [(6, {"order": 5}), (6, {"order": 3}), (8, {"evaluations": 3}), (10, {"symmetric": True})],
-)
-def test_no_rule_is_left_out_with_an_engine(engines, rule, wrong):
-    with pytest.raises(Violation) as caught:
-        check_method(Broken(engines=ENGINES, **wrong), engines=engines, scenes=CASES[:1])
-    assert caught.value.rule == rule
-
-
 @pytest.mark.parametrize(("engine", "other"), [("python", "numba"), ("numba", "python")])
 def test_one_engine_alone_is_compared_with_another(engine, other):
     with pytest.raises(Violation, match=f"rule 9: .* {engine}: off {other}"):

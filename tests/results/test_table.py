@@ -1,20 +1,22 @@
-"""Tables survive the round trip, partial runs, kills, and refuse what is not theirs."""
+"""Tables survive the round trip, partial runs, kills, refuse what is not theirs, and come with the package."""
 
 from __future__ import annotations
 
 import math
 import os
 import random
+import tomllib
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import contactbench as cb
+from cases import REPOSITORY
 from cells import controlled
 from contactbench.measure.law import STRUCTURE
-from contactbench.results import provenance
-from contactbench.results.schema import Rule
+from contactbench.results import provenance, tables
+from contactbench.results.schema import TABLES, Rule
 from contactbench.results.store import OldTable, merge, read, replacing
 from contactbench.results.tables import (
     CONVERGENCE,
@@ -24,6 +26,7 @@ from contactbench.results.tables import (
     STRONG_DAMPING,
     WORK_PRECISION,
 )
+from made_up import ROWS, folder
 
 
 def row(method="rk4", step=0.1, error=1e-3, **more):
@@ -66,10 +69,10 @@ def test_numbers_have_six_digits_round_off_one_inputs_all_and_times_three(tmp_pa
 
 def test_what_a_clock_says_is_in_a_file_of_its_own(tmp_path):
     folders = [tmp_path / "first", tmp_path / "second"]
-    for seconds, folder in enumerate(folders, start=1):
+    for seconds, place in enumerate(folders, start=1):
         rows = [timed(seconds=seconds), timed("contact-abc", seconds=math.nan, rounds=None)]
-        merge(WORK_PRECISION, rows, folder)
-    first, second = (WORK_PRECISION.path(folder).read_bytes() for folder in folders)
+        merge(WORK_PRECISION, rows, place)
+    first, second = (WORK_PRECISION.path(place).read_bytes() for place in folders)
     assert first == second
     times = pd.read_csv(folders[1] / "work_precision_times.csv")
     assert set(times.columns) == {*WORK_PRECISION.key, *WORK_PRECISION.timed, "schema"}
@@ -208,3 +211,33 @@ def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_pat
             r: {*t.split()} for r, t in listed.items()
         }
         assert set(found[name].values()) == {"whole" if whole else "part"}
+
+
+# -- The tables that come with the package.  Those that are looked at here are made u --------------
+@pytest.mark.parametrize("name", ROWS)
+def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tmp_path, monkeypatch):
+    made = folder(tmp_path / "tables")
+    monkeypatch.setattr(tables, "shipped_folder", lambda: made)
+    frame, columns = cb.results(name), TABLES[name].every_column
+    assert len(frame) == len(ROWS[name])
+    assert set(frame.attrs["columns"]) == set(frame.columns) == set(columns)
+    kinds = {"number": "f", "whole": "i", "flag": "b", "answer": "b"}
+    for column in frame:
+        assert frame[column].dtype.kind == kinds.get(columns[column].type, frame[column].dtype.kind), column
+    assert name != "work_precision" or frame["time_median_s"].notna().sum() == 2  # times come along
+
+
+def test_tables_lie_inside_an_installed_package_or_beside_the_sources(tmp_path, monkeypatch):
+    """As the wheel lays them out (the project's file says that it does), and as a clone has them."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
+    wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert "/results/*.csv" in wheel["include"]
+    assert wheel["sources"]["results"] == "contactbench/_results"
+    package = tmp_path / "src" / "contactbench"
+    monkeypatch.setattr(tables, "__file__", str(package / "results" / "tables.py"))
+    with pytest.raises(cb.BadInput, match="no result tables in this installation"):
+        cb.results("claims")
+    folder(package / "_results")
+    assert cb.results("claims")["id"].tolist() == ["C01"]
+    folder(tmp_path / "results", lambda which, row: {**row, "id": "C02"} if "id" in row else row)
+    assert cb.results("claims")["id"].tolist() == ["C02"]

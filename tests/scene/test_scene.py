@@ -34,29 +34,6 @@ def test_attitude_may_be_given_as_a_matrix_or_a_quaternion():
     np.testing.assert_allclose(rotation_matrix(body.with_(R=(half, 0, 0, half)).R), quarter_turn, atol=AD)
 
 
-BODY, ANISOTROPIC = "rigid_body", "rigid_body_anisotropic"
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "says"),
-    [
-        ("particle", {"q": (1.0,)}, "q has 1 components and p 2"),
-        ("particle", {"q": (1.0, 2.0, 3.0), "p": (0.0, 0.0, 0.0)}, "q = (1.0, 2.0, 3.0)"),
-        ("particle", {"gama": 0.1}, "did you mean 'gamma'?"),
-        (BODY, {"inertia": (1.0, -2.0, 3.0)}, "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
-        (BODY, {"R": ((1, 0, 0), (0, 1, 0), (0, 0, -1))}, "rotation matrix"),
-        (BODY, {"gamma": 0.1, "damping": (1.0, 1.0, 1.0)}, "exactly one of gamma"),
-        (ANISOTROPIC, {"damping": ((1, 2, 0), (0, 1, 0), (0, 0, 1))}, "symmetric positive semi-definite"),
-        (ANISOTROPIC, {"damping": (1.0, 1.0, -0.1)}, "symmetric positive semi-definite"),
-    ],
-)
-def test_bad_parameters_give_one_clear_line(name, changes, says):
-    with pytest.raises(cb.BadInput) as caught:
-        cb.SCENES[name].with_(**changes)
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 def springs(gradient, size=1):
     given = {"name": "springs", "q": (1.0,) * size, "p": (0.0,) * size, "t_end": 1.0}
     return cb.Mechanical(potential=lambda q: sum(x * x for x in q) / 2, gradient=gradient, **given)

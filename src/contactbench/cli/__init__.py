@@ -57,7 +57,6 @@ PEERS = ("scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "numba", 
 
 
 def versions() -> str:
-    """Return this package's version, and on a second line those of the solvers it is raced with."""
     import contactbench
 
     installed = {name: next(iter(metadata.distributions(name=name)), None) for name in PEERS}

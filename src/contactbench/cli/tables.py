@@ -51,9 +51,7 @@ def report(arguments: argparse.Namespace) -> int:
     return 0
 
 
-REPORT = (
-    "Nothing is solved: every number is read from the tables.  report.html is one page that needs no network."
-)
+REPORT = "Nothing is solved: every number is from the tables.  report.html is one page that needs no network."
 
 
 def gate(arguments: argparse.Namespace) -> int:

@@ -41,8 +41,6 @@ class Visit:
 
 @dataclass(frozen=True)
 class Part:
-    """The same run over a share of its span: what it takes tells fixed from marginal cost."""
-
     run: Callable[[], Any]
     share: float
     span: float
@@ -53,8 +51,6 @@ class Part:
 
 
 class Call:
-    """A function without arguments that is timed in this process, and its part."""
-
     def __init__(self, run: Callable[[], Any], part: Part | None = None) -> None:
         self.part = part
         self.runs = [run] if part is None else [run, part.run]
@@ -69,7 +65,6 @@ class Call:
         return sum(max(ROUND_SECONDS, once) for once in self.once)
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
-        """Time some rounds, no garbage collected; how many calls fill one follows from the fastest so far."""
         calls = [calls_a_round(once) for once in self.once]
         collects = gc.isenabled()
         gc.disable()
@@ -98,10 +93,7 @@ def seconds(run: Callable[[], Any], iterations: int) -> float:
 
 
 class Race:
-    """Calls timed side by side: every sweep visits each of them once, in an order of its own.
-
-    calls : each a `Call`, or what has its `warm_up` and `visit`.  visits : of each, as far as they have been made.
-    """
+    """Calls timed side by side: every sweep visits each of them once, in an order of its own."""
 
     def __init__(self, calls: Sequence[Any]) -> None:
         self.calls = list(calls)
@@ -114,10 +106,7 @@ class Race:
             yield i
 
     def go(self, budget: float) -> None:
-        """Make `VISITS` visits, and more of them within so many seconds.
-
-        Where time is short a call has fewer rounds a visit, not fewer visits.
-        """
+        """Make `VISITS` visits, and more within so many seconds; where time is short a visit has fewer rounds."""
         start = perf_counter()
         lengths = [call.warm_up() for call in self.calls]
         share = max(0.0, start + budget - perf_counter()) / VISITS / max(1, len(lengths))
@@ -141,11 +130,7 @@ def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
 
 
 def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
-    """Return fixed and marginal cost: time = fixed + marginal · T, from the least rounds of both lengths.
-
-    The part of a run whose steps grow costs more than its share, which counts as fixed; where they shrink
-    fixed_s may be negative.
-    """
+    """Return fixed and marginal cost: time = fixed + marginal · T; where steps shrink fixed_s may be negative."""
     slope = part.marginal(visits)
     columns = {"fixed_s": least(visits) - slope * part.span, "marginal_s": slope}
     return columns | ratio_column("marginal_halves_ratio", part.marginal, visits[::2], visits[1::2])
@@ -163,7 +148,6 @@ def process_columns(
 def ratio_column(
     name: str, cost: Callable[[Sequence[Visit]], float], first: Sequence[Visit], second: Sequence[Visit]
 ) -> dict[str, float]:
-    """Return the ratio of the costs of some visits, the second over the first; nothing where it has no meaning."""
     if not second or min(cost(first), cost(second)) <= 0:
         return {}
     return {name: cost(second) / cost(first)}

@@ -34,7 +34,6 @@ def digits_of(value: Any, context: Any) -> str:
 
 
 def declarations(item: Any) -> list[str]:
-    """The fields of a scene or method that are data, as NAME=VALUE."""
     data = bool | int | float | str | tuple | dict | None
     named = {field.name: getattr(item, field.name) for field in dataclasses.fields(item) if field.init}
     return [f"{n}={value!r}" for n, value in named.items() if n not in WORDS and isinstance(value, data)]

@@ -30,10 +30,7 @@ class Died(Exception):
 
 
 class Worker(AbstractContextManager):
-    """A process that makes calls, on some cores (by default those of this one); it starts with the first of them.
-
-    Close it, or use it as a context manager: no process is left behind.
-    """
+    """A process that makes calls, on some cores; it starts with the first and ends with `close`, or its block."""
 
     def __init__(self, cores: Iterable[int] = ()) -> None:
         self.cores = list(cores)

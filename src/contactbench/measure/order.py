@@ -111,10 +111,7 @@ DIGITS = 50
 def march(
     method: Any, scene: Scene, step: Any, n: int, context: Any, start: list[Any] | None = None
 ) -> list[Any]:
-    """The packed state, every optional field carried, after n steps of a size that is a string or mpmath number.
-
-    start : packed initial state, by default the scene's own.
-    """
+    """The packed state, every optional field carried, after n steps from the scene's or another packed start."""
     twin = with_decimals(scene, context.mpf)
     x = twin.initial(scene.carry()) if start is None else twin.unpack(start, scene.carry())
     return twin.pack(method.advance(twin, x, context.mpf(step), n, context))

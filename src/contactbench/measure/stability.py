@@ -53,7 +53,6 @@ def fixed_step_methods() -> list[Any]:
 
 
 def is_processed(method: Any) -> bool:
-    """Whether a run is π χⁿ π*."""
     return bool(getattr(getattr(method, "composition", None), "processor", ()))
 
 
@@ -74,7 +73,6 @@ def step_matrix(method: Any, gamma: float, omega: float, h: Any) -> np.ndarray:
 
 
 def spectral_radius(method: Any, gamma: float, omega: float, h: Any) -> Any:
-    """Largest |eigenvalue| of one step; inf where it is not finite."""
     matrix = step_matrix(method, gamma, omega, h)
     with np.errstate(all="ignore"):
         half = np.abs(matrix[..., 0, 0] + matrix[..., 1, 1]) / 2
@@ -234,10 +232,7 @@ THEORY: dict[str, Callable[[float, float], float]] = {
 
 # -- strong damping --------------------------------------------------------------------------------
 def propagation_error(method: Any, gamma: float, h: float, every_step: bool = False) -> float:
-    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T as near as can be to the time in which a motion falls by e.
-
-    every_step : whether every step is saved, which is another map for a processed method.  inf where M overflows.
-    """
+    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T, the time in which a motion falls by e; inf where M overflows."""
     n = max(1, round(1 / slow_rate(gamma) / h))
     exact = scipy.linalg.expm(np.array([[0.0, 1.0], [-1.0, -gamma]]) * (n * h))
     with np.errstate(all="ignore"):

@@ -134,8 +134,6 @@ def compare(
 # interpolation between steps, of lower order than some methods, plays no part in it.
 @dataclass(frozen=True)
 class Question:
-    """What is asked of every method: a scene, its truth at five times, the errors, and seconds for a single run."""
-
     scene: Scene
     truth: Reference
     errors: tuple[float, ...]
@@ -157,8 +155,6 @@ def ends(scene: Scene) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One setting of a method: how it ended, its error and counts, and the solver, ready to be timed."""
-
     value: float
     setting: str
     status: Status
@@ -174,7 +170,6 @@ class Attempt:
 
     @property
     def work(self) -> float:
-        """Evaluations on the scale of a right-hand side; seconds where the solver does not count."""
         work = self.counts.rhs_equivalents
         return self.seconds if work is None else work
 
@@ -216,7 +211,6 @@ class Scout:
         return min(reached, key=lambda a: a.work, default=None)
 
     def turns(self) -> Iterator[None]:
-        """Try settings until the smallest error is reached or the range ends, one a turn."""
         try:
             for attempt in self.ladder():
                 yield
@@ -242,7 +236,6 @@ class Scout:
             yield known | ended | a.reached(0.0)
 
     def ladder(self) -> Iterator[Attempt]:
-        """Try the settings of the benchmark, and smaller steps than those as long as they bring something."""
         if self.method.exact:  # nothing to be set
             yield self.attempt(0.0)
             return
@@ -255,7 +248,6 @@ class Scout:
             yield self.attempt(self.attempts[-1].value / 2)
 
     def stagnates(self) -> bool:
-        """Return whether the last setting was hardly more accurate than one before: what is left is round-off."""
         *others, last = self.attempts
         apart = APART if self.method.adaptive else 1.0
         before = next((a for a in reversed(others) if a.value >= apart * last.value), others[-1])
@@ -308,8 +300,7 @@ class Scout:
             yield
 
     def between(self, coarse: float, fine: float) -> float | None:
-        """Return the setting half-way in the logarithm, None where there is no room; a step divides the intervals
-        between the five times."""
+        """Return the setting half-way in the logarithm, None without room; a step divides the time between two ends."""
         middle = math.sqrt(coarse * fine)
         if self.method.adaptive:
             return float(f"{middle:.3g}") if fine < middle < coarse else None
@@ -375,8 +366,7 @@ class Comparison:
 
     # -- scouting --------------------------------------------------------------------------------------
     def scout(self) -> None:
-        """Give the next turn to the method that has had the least time, so that what a cheap one leaves goes to the
-        others."""
+        """Give the next turn to the method that has had the least time: what a cheap one leaves goes to the others."""
         for each in self.scouts:
             if (why := each.method.refuses(self.question.scene)) is not None:
                 each.why = ("unsupported", why)
@@ -400,7 +390,6 @@ class Comparison:
         self.stop("budget", "no time was left to begin it", "no time was left after", turns)
 
     def stop(self, status: str, before: str, after: str, some: Iterable[Scout]) -> None:
-        """Note of the methods that were not done how far they got."""
         for each in (each for each in some if each.why is None):
             last = each.finest
             if last is None:
@@ -411,12 +400,10 @@ class Comparison:
                 self.unrefined.append(each.method.name)
 
     def chosen(self, each: Scout, error: float) -> Attempt | None:
-        """Return the cheapest setting of a method that reaches an error; None below what the reference can tell."""
         return each.best(error) if error >= self.floor else None
 
     # -- laws and times --------------------------------------------------------------------------------
     def measure_laws(self) -> None:
-        """Measure the laws, at the largest error first, so that there is something of every method; slow runs last."""
         self.bar.set_description("laws")
         for error in self.question.errors:
             pairs = [(each, a) for each in self.scouts if (a := self.chosen(each, error)) is not None]
@@ -425,10 +412,7 @@ class Comparison:
                     self.laws[id(attempt)] = self.laws_at(each, attempt)
 
     def laws_at(self, each: Scout, attempt: Attempt) -> dict[str, Any]:
-        """Return how far a run that carries every field is from the laws at the five times, and which it keeps.
-
-        What is expected to take longer than there is time is left out.
-        """
+        """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
         scene, left = self.question.scene, self.left(LAWS)
         if left < (each.compile_s if each.engine == "jax" else 0.0):  # another field is another program
             return {}
@@ -437,10 +421,7 @@ class Comparison:
         return row(solution, "" if differentiation_time(each, attempt) <= left else "no time was left")
 
     def time(self) -> None:
-        """Time the chosen settings, each kind of engine by itself; the compiled first, which is soon over.
-
-        The slowest are left out where the fewest rounds of all would take longer than there is.
-        """
+        """Time each kind of engine by itself, the compiled first; the slowest are left out where time is short."""
         self.bar.set_description("timing")
         runs: dict[str, dict[int, Attempt]] = {kind: {} for kind in KINDS}
         for each in self.scouts:
@@ -462,10 +443,7 @@ class Comparison:
 
     # -- rows ------------------------------------------------------------------------------------------
     def row(self, each: Scout, error: float) -> dict[str, Any]:
-        """Return the row of a method at an error.
-
-        at_least : seconds that it takes anyway, where it was cut off or left untimed; nan of another one.
-        """
+        """Return a row; at_least : seconds that it takes anyway, where it was cut off or left untimed, else nan."""
         known, times, laws = self.unreached(each, error), {}, {}
         if (attempt := self.soonest(each, error)) is not None:
             times, laws = self.times.get(id(attempt), {}), self.laws.get(id(attempt), {})

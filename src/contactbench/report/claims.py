@@ -59,7 +59,6 @@ def claims_view(frame: pd.DataFrame) -> View:
 
 
 def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
-    """Return one claim: where, evidence, correction, command, figures; a figure once, where it is first needed."""
     title = f"{row['id']} · {row['verdict'] or row['status']}"
     parts: list[Part] = [Text(f"**Claim** ({row['where']}). {row['claim']}")]
     if row["status"] != "ok":

@@ -64,7 +64,6 @@ def parts(frames: Frames) -> list[Part | None]:
 
 # -- the figure ------------------------------------------------------------------------------------
 def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:
-    """Yield a line of the claimed slope below one curve of each order."""
     part = rows[rows["method"].isin(methods) & (rows["solution_error"] > ROUNDING)]
     for order, own in part.groupby("order_nominal"):
         line = own[own["method"] == own["method"].iloc[0]].sort_values("step")

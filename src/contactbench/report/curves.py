@@ -32,13 +32,11 @@ type Score = Callable[[Curve, Sequence[Curve]], float]
 
 
 def floats(values: Iterable[Any]) -> tuple[float, ...]:
-    """Return values as floats; nan where there is none."""
     series = pd.to_numeric(pd.Series(values), errors="coerce")
     return tuple(series.to_numpy(dtype=float, na_value=np.nan).tolist())
 
 
 def above(values: pd.Series, scale: float = 1.0) -> tuple[float, ...]:
-    """Return values for a logarithmic axis, none below FLOOR; nan stays nan."""
     return tuple(np.maximum(np.array(floats(values)) * scale, FLOOR).tolist())
 
 
@@ -54,17 +52,12 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
 
 
 def decade(value: float, end: Callable[[float], int]) -> str:
-    """Return the power of ten at the upper (`math.ceil`) or lower (`math.floor`) end of a value's decade."""
     return power(10.0 ** end(math.log10(value))) if value > 0 else "0"
 
 
 # -- which curves are in colour --------------------------------------------------------------------
 def best_of_each(curves: Iterable[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
-    """Return the curves, all but the best of each group muted; those come first, to be drawn below.
-
-    by_order : a group is the methods of one family and order, not of one family.
-    Of more than MOST groups those seen first are in colour.  Curves of no method stay as they are.
-    """
+    """Return the curves, of each family (and order) all but the best muted and first; MOST groups have one."""
     curves = list(curves)
     groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
@@ -100,7 +93,6 @@ def highest(curve: Curve, own: Sequence[Curve]) -> float:
 
 
 def contest_end(axis: Axis, curves: Sequence[Curve], times: float = BEYOND) -> Axis:
-    """Return the axis of cost, ended where the contest ends."""
     table = np.array([costs_to_reach(c.x, c.y, TARGETS) for c in curves]).reshape(-1, len(TARGETS))
     reached = np.isfinite(table).sum(axis=0) >= max(1, min(CONTEST, len(table)))
     if not reached.any():

@@ -30,7 +30,7 @@ WIDTHS, HEIGHT = {1: 8.0, 2: 9.6, 3: 11.0}, 4.2
 #: inches of a character of the title, between names in the margin, and of a line of title or legend
 LETTER, APART, LINE = 0.1, 0.2, 0.24
 #: a curve of more points than this has markers at some of them; of so many more it is drawn as a picture
-MARKED, MANY = 16, 5000
+MARKED, MANY = 16, 800
 OTHERS = "other methods"
 #: the mark of a file that was made here
 MADE_HERE = '<style id="contactbench">'
@@ -80,14 +80,12 @@ def properties(curve: Curve) -> dict[str, Any]:
 
 
 def entries(curves: Iterable[Curve]) -> dict[str, Line2D]:
-    """Return a line for the legend for each label, in the order met; the muted ones share one."""
     ordered = sorted(curves, key=lambda curve: curve.muted)
     named = {OTHERS if curve.muted else curve.label: curve for curve in ordered}
     return {label: Line2D([], [], **properties(curve)) for label, curve in named.items() if label}
 
 
 def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
-    """Write the name of each curve right of the axes, beside its last point where there is room."""
     ends = []
     for curve in curves:
         points = np.column_stack([curve.x, curve.y])
@@ -194,7 +192,6 @@ def render(figure: Figure) -> Drawing:
 
 
 def svg(figure: Figure) -> str:
-    """Return a figure as SVG text without dates, comments and digits that nobody sees."""
     drawing, file = render(figure), io.StringIO()
     with plt.rc_context(RC):
         drawing.savefig(file, format="svg", metadata={"Date": None})
@@ -212,7 +209,6 @@ def svg(figure: Figure) -> str:
 
 
 def save_png(figure: Figure, folder: Path) -> Path:
-    """Write FOLDER/NAME.png; return the path."""
     path = folder / f"{figure.name}.png"
     drawing = render(figure)
     drawing.savefig(path, dpi=110, metadata={"Software": None})

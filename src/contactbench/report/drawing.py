@@ -8,10 +8,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a panel.
-
-    within : where the axis ends at the latest, though curves go on; None for no end.
-    """
+    """One axis of a panel.  within : where it ends at the latest, though curves go on; None for no end."""
 
     label: str
     scale: Literal["linear", "log"] = "linear"
@@ -83,8 +80,6 @@ class Figure:
 
 @dataclass(frozen=True)
 class Live:
-    """Panels of which a page shows one, by scene and kind of cost; both axes are logarithmic."""
-
     title: str
     panels: dict[tuple[str, str], Panel]
     caption: str = ""

@@ -71,7 +71,6 @@ def rows_of(frame: pd.DataFrame) -> list[tuple[str, str, str]]:
 
 # -- results/README.md -----------------------------------------------------------------------------
 def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of the cost that most methods can meet; of equals the largest."""
     met = frame[frame["status"] == "ok"].groupby("cost").size()
     return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
 
@@ -142,9 +141,7 @@ def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
         f"commit `{str(run.get('commit', ''))[:12] or 'unknown'}`{' with local changes' if run.get('dirty') else ''}"
         for run in runs
     )
-    return Text(
-        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units: as in the paper."
-    )
+    return Text(f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units.")
 
 
 TABLES = ("laws", "decay_laws", "work_precision", "convergence", "claims")

@@ -32,13 +32,11 @@ LEGEND = (
 
 @lru_cache(2)
 def structural_rows(frames: Frames) -> pd.DataFrame:
-    """Return the runs of every structural law, judged or not, with its name and label in columns."""
     rows = [law_rows(frames, law).assign(law=law, label=law_label(law)) for law in structural_laws()]
     return pd.concat(rows, ignore_index=True)
 
 
 def kept_of(rows: pd.DataFrame) -> tuple[int, int]:
-    """Return in how many runs a law is kept, and how many decide."""
     return int(rows["kept"].sum()), int((rows["judged"] & ~rows["undecided"]).sum())
 
 
@@ -70,8 +68,6 @@ def with_bounds(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def drift_cell(row: Any, law: str) -> Cell:
-    """Return one deviation of a row that is `with_bounds`, with its error bar where that is a tenth of it or more."""
-
     def number(name: str) -> float:
         value = row.get(name)
         return 0.0 if value is None or pd.isna(value) else float(value)
@@ -89,7 +85,6 @@ def drift_cell(row: Any, law: str) -> Cell:
 
 
 def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
-    """Return the smallest and the largest value of some rows of a law; only this where all judged are kept."""
     low, high, judged = rows["value"].min(), rows["value"].max(), rows[rows["judged"]]
     kept = len(judged) > 0 and bool(judged["kept"].all())
     text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
@@ -98,7 +93,6 @@ def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
 
 
 def cost_cells(frames: Frames, row: Any, laws: Sequence[str]) -> list[Cell]:
-    """Return what one run at equal cost came to: evaluations, order, laws; or only how it ended."""
     if row["status"] != "ok":
         return [Cell(str(row["status"]), mark=Mark.none), *[Cell(DASH)] * (len(laws) + 1)]
     spent = as_cell(row["rhs_equivalents"], count)

@@ -25,16 +25,12 @@ SURE = 2.0
 
 
 def of(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the rows of a quantity that have a number, cheap to dear."""
     rows = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
     return rows.sort_values("evaluations_per_time", kind="stable")
 
 
 def deviations(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the rows of an average that are not the reference, cheap to dear.
-
-    off, bar : the difference from the reference and its error bar, in parts of what is allowed.
-    """
+    """Return the rows of an average; off, bar : from the reference, and error bar, in parts of what is allowed."""
     part = of(frame, quantity)
     reference, own = part[part["reference"]], part[~part["reference"]]
     if not len(reference):

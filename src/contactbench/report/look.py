@@ -86,7 +86,6 @@ SPARE = ("p", "8", "s", "D", "^", "v")
 
 
 def look(method: str, family: str = "") -> Look:
-    """Return the look of a method; of one unknown here it follows from its name and the family it declares."""
     known = METHODS.get(method)
     spare = SPARE[hashlib.sha256(method.encode()).digest()[0] % len(SPARE)]
     return known or Look(family if family in FAMILIES else "other", spare)

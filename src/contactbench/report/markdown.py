@@ -23,15 +23,11 @@ def without_html(text: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return inline Markdown that stays in its cell: one line, no column ends in it, no HTML."""
     return " ".join(without_html(text).replace("|", "\\|").split())
 
 
 def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterable[bool]) -> str:
-    """Return a GitHub table; the first column and columns of words left, the others right aligned.
-
-    Columns are padded to line up in the source unless a cell is longer than PADDED.
-    """
+    """Return a GitHub table, its columns padded to line up in the source unless a cell is longer than PADDED."""
     lines = [list(header), *([str(cell) for cell in row] for row in rows)]
     left = [True, *list(words)[1:]]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -46,7 +42,6 @@ def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterabl
 
 
 def cell(item: Cell) -> str:
-    """Return the text as its mark says: bold what is best or kept, slanted a tie, ! an exception."""
     text = escaped(item.text)
     if item.link:
         text = f"[{text}]({item.link})"

@@ -18,17 +18,14 @@ NEAR_AXIS = (1, 4, 3)
 
 
 def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
-    """Yield the curves of a panel.
-
-    A method has its own look, an ordered set (λ = …) its shades, the others that of their kind.  A method beside the
-    laws of a set ("λ = 0.1, contact-strang") is points on its law.
-    """
+    """Yield the curves of a panel; a method beside laws of a set ("λ = 0.1, contact-strang") is points on its law."""
     part = rows[rows["panel"] == panel].sort_values("point", kind="stable")
     kinds = part.drop_duplicates("curve").set_index("curve")["kind"]
     ordered = [str(name) for name, kind in kinds.items() if kind == "law" and str(name).startswith("λ")]
     alone = set(kinds) == {"method"}  # nothing else for the points to lie on
     for name, points in part.groupby("curve", sort=False):
-        kind, label, method = str(kinds[name]), with_mathtext(str(name)), ""
+        kind, method = str(kinds[name]), ""
+        label = re.sub(r"\bH0\b", "$H_0$", re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", str(name)))
         role, own = kind, label
         if kind == "method":
             own, _, method = label.rpartition(", ")
@@ -51,24 +48,18 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
         )
 
 
-def with_mathtext(label: str) -> str:
-    return re.sub(r"\bH0\b", "$H_0$", re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", label))
-
-
 def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, **more: Any) -> Panel:
     return Panel(title, x, y, tuple(curves(rows, panel)), **more)
 
 
 # -- panels of single figures ----------------------------------------------------------------------
 def orders(rows: pd.DataFrame) -> Panel:
-    """Return the convergence of figure 7, its fitted orders (the third coordinate) in the title."""
     x, y = Axis("step size h", "log"), Axis(r"max $|H_0 - H_0^\ast|$ over [0, T]", "log")
     fitted = sorted({f"{order:.2f}" for order in rows[rows["panel"] == "convergence"]["z"]})
     return flat(rows, "convergence", f"orders {', '.join(fitted)}", x, y)
 
 
 def by_axis(panel: Panel) -> Panel:
-    """Return the motions of figure 4 in the shades of their first axes."""
     shaded = (
         replace(curve, label=f"near axis {n + 1}", role=f"shade {NEAR_AXIS[n]}", markers=False)
         for n, curve in enumerate(panel.curves)
@@ -77,7 +68,6 @@ def by_axis(panel: Panel) -> Panel:
 
 
 def angles(rows: pd.DataFrame) -> Panel:
-    """Return the angle of M with the axis it started near, against ‖M‖, which falls as exp(−γt)."""
     found = []
     for name, points in rows[rows["panel"] == "momentum"].groupby("curve", sort=False):
         M = points.sort_values("point")[["x", "y", "z"]].to_numpy(dtype=float)
@@ -99,7 +89,6 @@ def oblique(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def sphere(rows: pd.DataFrame) -> Panel:
-    """Return the directions of figure 5 inside the outline of the sphere."""
     panel = flat(oblique(rows), "sphere", "", Axis(""), Axis("axis 3, upwards"), equal=True)
     around = np.linspace(0, 2 * np.pi, 181)
     outline = Curve(floats(np.cos(around)), floats(np.sin(around)), role="guide", markers=False)
@@ -107,10 +96,6 @@ def sphere(rows: pd.DataFrame) -> Panel:
 
 
 def growth(rows: pd.DataFrame) -> Iterator[Panel]:
-    """Yield where rotations are stable over two entries of D, with the criterion where the table has one.
-
-    Panels are called "axis i, diagonal" and "axis i, full" for the two slices of D.
-    """
     by_kind = rows.assign(curve=rows["kind"])
     for panel in rows["panel"].unique():
         axis, _, cut = panel.partition(", ")

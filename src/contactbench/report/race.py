@@ -36,7 +36,6 @@ def answers(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def notes(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield how the reference is known, how ties are told, and what was not compared, and why."""
     reference = frame.attrs["reference"]
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
@@ -61,7 +60,6 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def cuts(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield which methods have no time at which errors, and why; those with one and the same reason together."""
     found: dict[tuple[str, str, str], list[str]] = {}
     missing = frame[frame["reason"] != ""]
     for (method, status, reason), rows in missing.groupby(["method", "status", "reason"], sort=False):
@@ -119,9 +117,7 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
     labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]
     table = frame_of(rows, [*labels, ("", "at round-off")])
-    legend = (
-        "Least time of a bare call at the coarsest setting found to reach the error; ×: over the cheapest."
-    )
+    legend = "Least time of a bare call at the coarsest setting that reaches the error; ×: over the cheapest."
     return View(f"race_{kind}", TITLES[kind], table, legend, show={"": count})
 
 
@@ -170,10 +166,7 @@ def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
 
 
 def front(tried: pd.DataFrame) -> pd.DataFrame:
-    """Return of each method the runs that no cheaper one is as accurate as, from coarse to fine.
-
-    Settings too coarse for the order to show are accurate by chance, or not; joined by lines they tell nothing.
-    """
+    """Return of each method the runs that no cheaper one is as accurate as: too coarse ones are accurate by chance."""
     ordered = tried.sort_values(["cost", "error"], kind="stable")
     least = ordered.groupby("method")["error"].transform(
         lambda errors: errors.cummin().shift(fill_value=np.inf)

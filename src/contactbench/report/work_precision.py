@@ -36,8 +36,6 @@ MARKS = {"win": Mark.best, CONTACT: Mark.best, "tie": Mark.tie, "undecided": Mar
 
 @dataclass(frozen=True)
 class Contest:
-    """All costs of one kind, with their standings and the contests between contact methods and others."""
-
     kind: Kind
     standings: pd.DataFrame
     contests: pd.DataFrame
@@ -54,7 +52,6 @@ def all_contests(frames: Frames) -> dict[str, Contest]:
 
 
 def tally(won: pd.DataFrame) -> tuple[str, str]:
-    """Return how often a contact method wins, and the counts: wins, ties, and who wins the rest."""
     judged = won[won["winner"] != ""]
     counted = judged["winner"].value_counts()
     others = judged[judged["winner"] == OTHER]["other"].value_counts()
@@ -76,7 +73,6 @@ def error_label(error: float) -> str:
 
 
 def cost_text(row: Any, show: Callable[[float], str]) -> str:
-    """Return a cost of `standings`; its reason where the error is not reached."""
     if math.isnan(row.cost):
         return row.reason or DASH
     return f"{'≤ ' if row.bound else ''}{show(row.cost)}{' °' if row.fixed > 0.5 else ''}"
@@ -108,10 +104,6 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
 
 
 def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
-    """Return at how many errors of each scene another method wins, by kind of cost, and by how much at most.
-
-    won : the contests by title of their kind.
-    """
 
     def cell(own: pd.DataFrame) -> Cell:
         lost, judged = own[own["winner"] == OTHER], own[own["winner"] != ""]
@@ -163,16 +155,10 @@ AXES = {
     "time_min_s": ("time of a solve, ms", 1e3),
     "marginal_s": ("time per unit of simulated time, ms", 1e3),
 }
-IN_COLOUR = (
-    "Cheaper below. In colour: the cheapest method of each family at most errors; thin and grey: the others."
-)
+IN_COLOUR = "Cheaper below. In colour: the cheapest of each family at most errors; thin and grey: the others."
 
 
 def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
-    """Return error on x, cost on y; the axis of cost ends where the contest ends.
-
-    named : methods to be in colour, whatever others of their families cost.
-    """
     label, size = AXES[kind.cost]
     curves = by_method(rows, "solution_error", kind.cost, size)
 
@@ -183,7 +169,6 @@ def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
 
 
 def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
-    """Return the rows of a scene that compete in a kind of cost, each method on its fastest engine."""
     rows = contestants(work)
     rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
     rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
@@ -201,7 +186,6 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    """Return the title, and the methods it names: of each kind the best at the middle of the errors both reach."""
     rows = contestants(work)
     table = judge.contests(judge.costs(rows[rows["scene"] == scene], COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
@@ -217,7 +201,6 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
 
 
 def live(frames: Frames) -> Live | None:
-    """Return every scene and kind of cost, the hard scenes in evaluations, to choose from."""
     compared_in = {"work_precision": KINDS, "stability": (EVALUATIONS,)}
     panels = {
         (str(scene), kind.title): panel(rows, kind)

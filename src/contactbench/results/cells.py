@@ -117,7 +117,6 @@ class Cells:
                     entry.path.unlink()
 
     def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
-        """Return the rows of tables whose experiments are all done, by table; every table is made by one file."""
         done = self.done() if expected else {}
         done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
         unfinished = {file for file, name in expected if (file, name) not in done}

@@ -186,10 +186,7 @@ def _costs_on(
 
 
 def cut_off(rows: pd.DataFrame) -> str:
-    """Return the status of a finer setting that our own limit ended, or "": no finer one would be more accurate.
-
-    rows : of one method on one scene.
-    """
+    """Return the status of a finer setting that our own limit ended, or "": no finer one would be more accurate."""
     done = rows[rows["status"] == "ok"].sort_values(["solution_error", "value"])
     best = done["value"].iloc[0] if len(done) else math.inf
     ended = rows[rows["status"].isin(CUT) & (rows["value"] < best)].sort_values(["value", "status"])
@@ -251,7 +248,6 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _contest(ours: Any, theirs: Any) -> dict[str, Any]:
-    """Return the columns of `contests` for the best of either, None where nobody reaches the error."""
     row = {"contact": ours.method, "contact_cost": ours.cost} if ours else {"contact": ""}
     row |= {"other": theirs.method, "other_cost": theirs.cost} if theirs else {"other": ""}
     if ours is None or theirs is None:

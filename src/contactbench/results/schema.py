@@ -40,9 +40,7 @@ class Rule(Enum):
     slope = "the slope of an error, compared in its asymptotic range (column in_fit)"
     order = "a fitted order: within 0.05"
     value = "a quantity that is no error: within a hundredth"
-    measured = (
-        "what a claim measured: by a factor of two, or a hundredth, above round-off and far from its bound"
-    )
+    measured = "what a claim measured: a factor of two or a hundredth, above round-off and far from its bound"
     point = "a coordinate of a curve: within a hundredth of the largest along the curve, above round-off"
     end = "how far a run got: exact where it ended well, else within a tenth"
     profile = "may be of a smaller profile, never only of a larger one"
@@ -74,9 +72,7 @@ class Column:
 
 
 PROVENANCE = {
-    "schema": Column(
-        "version of this table's columns", "whole", ungated="a file of another version is refused"
-    ),
+    "schema": Column("version of the columns", "whole", ungated="a file of another version is refused"),
     "profile": Column(
         "smallest profile that makes the row: a run of it, or of a larger one, must have it",
         rule=Rule.profile,
@@ -140,7 +136,6 @@ TABLES = Registry("table", Table)
 
 # -- round-off -------------------------------------------------------------------------------------
 def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
-    """Return a column as floats, `default` where it is blank or missing."""
     import pandas as pd  # takes long to load, and `import contactbench` needs the tables' names alone
 
     if column not in rows:

@@ -32,7 +32,6 @@ COMMON = GROUPS["+common"]
 
 
 def law_columns() -> dict[str, Column]:
-    """Return a column for each law that is registered by now, and of the structural ones the judgement."""
     columns = {}
     for name, law in LAWS.items():
         kind: Any = "whole" if law.gate.value == "count" else "number"
@@ -111,9 +110,7 @@ def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
     table = TABLES[name]
     where = shipped_folder() if folder is None else Path(folder)
     if where is None:
-        raise BadInput(
-            "no result tables in this installation; give the folder of a run, results(name, folder)"
-        )
+        raise BadInput("no result tables in this installation; give that of a run, results(name, folder)")
     if not table.path(where).is_file():
         raise BadInput(f"folder = {str(where)!r}: has no table {name!r}")
     frame = read(table, where)

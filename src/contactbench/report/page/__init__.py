@@ -44,10 +44,7 @@ SHIFTED = re.compile(r"(?P<sign>[\^_])(?:\{(?P<group>[^}]*)\}|(?P<letter>.))")
 
 
 def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
-    """Return inline Markdown (see views.py) as HTML.
-
-    addresses : where documents are on this page (file name → anchor); other files are linked beside it.
-    """
+    """Return inline Markdown (see views.py) as HTML; addresses : file name → anchor of what is on this page."""
 
     def mark(found: re.Match[str]) -> Markup:
         kind = str(found.lastgroup)
@@ -66,7 +63,6 @@ def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
 
 
 def mathematics(text: str) -> Markup:
-    """Return simple mathtext with its superscripts and subscripts as HTML."""
     for sign, symbol in SYMBOLS.items():
         text = text.replace(sign, symbol)
 
@@ -78,7 +74,6 @@ def mathematics(text: str) -> Markup:
 
 
 def substitute(pattern: re.Pattern[str], text: str, mark: Callable[[re.Match[str]], Markup]) -> Markup:
-    """Return the text with what a pattern finds marked, and all else escaped."""
     out, last = Markup(), 0
     for found in pattern.finditer(text):
         out += escape(text[last : found.start()]) + mark(found)
@@ -88,7 +83,6 @@ def substitute(pattern: re.Pattern[str], text: str, mark: Callable[[re.Match[str
 
 # -- tables as JSON --------------------------------------------------------------------------------
 def cell(of: Cell, addresses: Mapping[str, str]) -> str | list[Any]:
-    """Return the HTML of an entry; with what it is sorted by, its mark and its address, where it has any."""
     value = None if of.value is None else float(f"{of.value:.6g}")
     more: list[Any] = [str(inline(of.text, addresses)), value, of.mark or "", addresses.get(of.link, of.link)]
     while not more[-1] and len(more) > 1:
@@ -109,7 +103,6 @@ def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
 
 # -- the live plot as JSON -------------------------------------------------------------------------
 def live_look(curve: Curve) -> dict[str, Any]:
-    """Return how a method is drawn: its marker is an SVG path a hundred units wide."""
     own = look(curve.method, curve.family)
     style = MarkerStyle(own.marker)
     path = style.get_path().transformed(style.get_transform() + Affine2D().scale(100, -100))
@@ -120,14 +113,12 @@ def live_look(curve: Curve) -> dict[str, Any]:
 
 
 def live_points(curve: Curve) -> list[tuple[float, float, str]]:
-    """Return error, cost and setting of each point that both axes can show."""
     points = zip(curve.x, curve.y, curve.settings, strict=True)
     known = [point for point in points if 0 < point[0] < math.inf and 0 < point[1] < math.inf]
     return [(float(f"{x:.3g}"), float(f"{y:.3g}"), setting) for x, y, setting in known]
 
 
 def live_plot(live: Live) -> dict[str, Any]:
-    """Return the panels by scene and cost, and the looks of their methods."""
     panels: dict[str, dict[str, Any]] = {}
     looks: dict[str, dict[str, Any]] = {}
     for (scene, cost), panel in live.panels.items():
@@ -146,11 +137,7 @@ def page(
     links: Mapping[str, str] | None = None,
     live: Live | None = None,
 ) -> str:
-    """Return the HTML text.
-
-    recorded : the runs that made the tables.  glossary : parts of a last section.  links : name → address.
-    live : stands for the figures of the first chapter.
-    """
+    """Return the HTML; recorded : runs behind the tables; live : stands for the figures of the first chapter."""
     if live:
         first = tuple(part for part in contents[0].parts if not isinstance(part, Figure))
         contents = [replace(contents[0], parts=first), *contents[1:]]
