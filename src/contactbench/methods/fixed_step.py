@@ -10,6 +10,7 @@ from contactbench.errors import NAME, BadInput, excerpt, function, switch, text,
 from contactbench.methods.base import FAMILIES, METHODS, Request
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.jax_engine import JaxLoop
+from contactbench.methods.many import MANY_ENGINES
 from contactbench.methods.numba_engine import NumbaLoop
 from contactbench.methods.prepared import Prepared
 from contactbench.methods.python_engine import PythonLoop
@@ -24,7 +25,7 @@ class FixedStep(StepMap):
     """A step map on the engines; see `StepMap` for what it declares."""
 
     def prepare(self, request: Request) -> Prepared:
-        run = ENGINES[request.engine]
+        run = (MANY_ENGINES if request.scene.kind == "many" else ENGINES)[request.engine]
         if request.step is not None:
             return run(self.name, request, self)
         return ChosenStep(self.name, request, self, run)

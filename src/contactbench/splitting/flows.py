@@ -243,6 +243,18 @@ def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
     return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
 
+def many_drift_damp(scene: Any, x: State, constants: Any, xp: Any) -> State:
+    """AC on many sites, whose masses may differ."""
+    phi, keep, lose = constants
+    return drift_damp(scene, x, (phi * scene.inverse_mass, phi, keep, lose), xp)
+
+
+def _many_constants(scene: Any, h: Any, xp: Any) -> Any:
+    return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
+
+
+MANY = MECHANICAL | {"drift_damp": Flow(_many_constants, many_drift_damp, {}, drift_damp_log_factor)}
+
 #: no merged flow is known, hence three parts
 GENERAL = {
     "kick": MECHANICAL["kick"],
@@ -375,6 +387,7 @@ FLOWS = {
     "mechanical": MECHANICAL,
     "driven": DRIVEN,
     "general damping": GENERAL,
+    "many": MANY,
     "isotropic body": ISOTROPIC,
     "body": BODY,
 }

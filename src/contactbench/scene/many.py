@@ -1,0 +1,636 @@
+"""Scenes of many sites: chains, rings, bodies.  A component of their state is an array, of one number a site."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from inspect import Parameter, signature
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from contactbench.boundary import their_code
+from contactbench.errors import BadInput, array, excerpt, finite, function, positive, text, whole
+from contactbench.numbers.functions import namespace
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
+from contactbench.scene.algebra import State, Vector, cross, dot
+from contactbench.scene.base import Scene
+from contactbench.scene.mechanical import Mechanical
+from contactbench.trace.formula import Formula, formula
+
+#: sites at most: an array of so many numbers has 8 GB
+MOST_SITES = 10**9
+#: tangents of a larger state are a few at random, from this seed, instead of all
+ALL_TANGENTS, SOME_TANGENTS, SEED = 65, 4, 2026
+
+
+@lru_cache(256)
+def derivative(potential: Formula) -> Formula:
+    """Return the derivative by the first argument.  Raises `BadInput` where it is not known."""
+    try:
+        return potential.gradient()
+    except CannotRecord as why:
+        raise BadInput(f"a potential cannot be differentiated: {why}") from why
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Many(Scene):
+    """What `Lattice` and `Particles` share: H = Σ ‖p_i‖²/2m_i + V(q) + γ s."""
+
+    q: Any
+    p: Any
+    gamma: float = 0.0
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    inverse_mass: Any = field(init=False, repr=False, default=1.0)
+    #: whether all masses are one number
+    uniform: bool = field(init=False, repr=False, default=True)
+
+    kind: ClassVar[str] = "many"
+    initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
+    canonical: ClassVar[bool] = True
+    #: the parameter that masses are given by
+    weights: ClassVar[str] = "mass"
+
+    # -- what a kind of them says ----------------------------------------------------------------
+    @property
+    @abstractmethod
+    def sites(self) -> int:
+        """How many there are."""
+
+    @property
+    def dimensions(self) -> int:
+        """How many coordinates a site has."""
+        return 1
+
+    @property
+    def weight(self) -> Any:
+        """The mass: one number, or an array with one for every site."""
+        return getattr(self, self.weights)
+
+    @property
+    def constants(self) -> dict[str, np.ndarray]:
+        """The arrays of one number a site that the equations read, by the attribute they are."""
+        return {} if self.uniform else {"inverse_mass": self.inverse_mass}
+
+    @abstractmethod
+    def unrolled(self) -> Mechanical:
+        """Return the same scene component by component, for solvers that know no arrays."""
+
+    def _settle(self) -> None:
+        """Check and fix what both have."""
+        self._check_kinds()
+        fix = object.__setattr__
+        for name in self.functions:
+            if getattr(self, name) is not None:
+                function(name, getattr(self, name))
+        names = self.parameters if isinstance(self.parameters, Mapping) else [None]
+        if not all(isinstance(name, str) and name.isidentifier() for name in names):
+            raise BadInput(f"parameters = {excerpt(self.parameters)}: must be a dict of numbers by name")
+        self._check_names(self.parameters)
+        fix(self, "parameters", {k: finite(k, v) for k, v in self.parameters.items()})
+        fix(self, "gamma", finite("gamma", self.gamma))
+        fix(self, "s", finite("s", self.s))
+        fix(self, "t_end", positive("t_end", self.t_end))
+        fix(self, "_given", {name: given for name in ("q", "p") if callable(given := getattr(self, name))})
+        for name in ("q", "p"):
+            fix(self, name, self._field(name, getattr(self, name)))
+        masses = self.weight
+        if np.ndim(masses) == 0:
+            masses = positive(self.weights, masses)
+        else:
+            masses = frozen(array(self.weights, masses, f"one number, or {self.sites}"))
+            if masses.shape != (self.sites,):
+                raise BadInput(
+                    f"{self.weights} = {excerpt(masses.tolist())}: must be one number, or {self.sites}"
+                )
+            if not (np.isfinite(masses).all() and (masses > 0).all()):
+                raise BadInput(f"{self.weights}: all must be > 0; the least is {masses.min()!r}")
+        fix(self, self.weights, masses)
+        fix(self, "uniform", np.ndim(masses) == 0)
+        with np.errstate(divide="ignore", over="ignore"):
+            inverse = 1 / masses
+        if not np.all(np.isfinite(inverse)):
+            raise BadInput(f"{self.weights}: 1/{self.weights} must be finite")
+        fix(self, "inverse_mass", inverse if np.ndim(inverse) == 0 else frozen(inverse))
+        self._check_force()
+
+    def _field(self, name: str, given: Any) -> np.ndarray:
+        """Return initial data as an array of one number for every degree of freedom."""
+        size = self.sites * self.dimensions
+        if callable(given):
+            index = np.arange(self.sites)
+            with their_code(f"scene {self.name!r}"):
+                try:
+                    values = np.asarray(given(index), dtype=float)
+                except (TypeError, ValueError):
+                    values = None
+                if values is None or values.shape[:1] != (self.sites,):
+                    values = np.array([given(int(i)) for i in index], dtype=float)
+            given = values
+        shape = f"{self.sites} × {self.dimensions} numbers" if self.dimensions > 1 else f"{size} numbers"
+        values = array(name, given, f"{shape}, or a function of the index")
+        if values.size != size or values.shape not in ((size,), (self.sites, self.dimensions)):
+            raise BadInput(f"{name} has shape {values.shape}: must be {shape}, or a function of the index")
+        if not np.isfinite(values).all():
+            raise BadInput(f"{name}: must be finite; entry {int(np.argmin(np.isfinite(values.ravel())))} is not")
+        return frozen(values.reshape(size))
+
+    def _check_force(self) -> None:
+        with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
+            x = self.initial(())
+            force, energy = np.array(self.gradient_at(x)), self.potential_at(x)
+        if not (np.isfinite(force).all() and np.isfinite(energy)):
+            raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
+
+    def with_(self, **changes: Any) -> Self:
+        """Return a copy with some parameters changed; q and p given as functions of the index follow their number."""
+        if changes.keys() & {"n", "q", "p", *([self.weights] if self.dimensions > 1 else [])}:
+            changes = dict(self._given) | changes  # type: ignore[attr-defined]
+        return super().with_(**changes)
+
+    # -- packing -----------------------------------------------------------------------------------
+    def size(self, carry: Sequence[str]) -> int:
+        """Return how many numbers a packed state has."""
+        return self.motion + ("s" in carry)
+
+    @property
+    def motion(self) -> int:
+        return 2 * self.sites * self.dimensions
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        half = self.motion // 2
+        return [f"{f}{i + 1}" for f in "qp" for i in range(half)] + [c for c in self.optional if c in carry]
+
+    def initial(self, carry: Sequence[str], **data: Any) -> State:
+        values = {f: getattr(self, f) for f in self.initial_fields} | data
+        s = values["s"] if "s" in carry else None
+        return State(self._columns(values["q"]), self._columns(values["p"]), s)
+
+    def _columns(self, block: Any) -> Vector:
+        block = block.reshape(self.sites, self.dimensions, *block.shape[1:])
+        return tuple(block[:, j] for j in range(self.dimensions))
+
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
+        """Return a packed state, its components along the first axis, as a state of arrays."""
+        block: Any = y if hasattr(y, "reshape") else np.array(y)
+        half = self.motion // 2
+        s = block[2 * half] if "s" in carry else None
+        return State(self._columns(block[:half]), self._columns(block[half : 2 * half]), s)
+
+    def pack(self, state: Any) -> Any:  # type: ignore[override]
+        """Return a state as one array."""
+        xp = namespace(state.q[0])
+        rest = xp.shape(state.q[0])[1:]
+        flat = [
+            part[0] if len(part) == 1 else xp.stack(part, axis=1).reshape(-1, *rest) for part in state[:2]
+        ]
+        if state.s is not None:
+            flat.append(xp.broadcast_to(xp.asarray(state.s), rest)[None])
+        return xp.concatenate(flat)
+
+    # -- numbers -----------------------------------------------------------------------------------
+
+    def numbers(self) -> list[float]:
+        return [self.gamma, *([self.weight] if self.uniform else []), *self.parameters.values()]
+
+    def number_names(self) -> list[str]:
+        return ["gamma", *([self.weights] if self.uniform else []), *self.parameters]
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        gamma, *rest = numbers
+        own: dict[str, Any] = {"gamma": gamma}
+        if self.uniform:
+            own |= {self.weights: rest[0], "inverse_mass": 1 / rest[0]}
+        values = rest[self.uniform :]
+        return self._replaced(**own, parameters=dict(zip(self.parameters, values, strict=True)))
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        """Everything but the numbers; programs for arrays of one length serve no other."""
+        return (*self.equations, self.sites, *(value.tobytes() for value in self.constants.values()))
+
+    @property
+    def equations(self) -> tuple[Any, ...]:
+        """What is computed at a site, however many there are."""
+        functions = tuple(getattr(self, name) for name in self.functions)
+        return (type(self), *functions, self.dimensions, tuple(self.parameters), self.uniform)
+
+    def named(self, name: str) -> dict[str, Any]:
+        """Return the parameters that one of the scalar functions takes."""
+        given = getattr(self, name)
+        if isinstance(given, Formula):
+            return {key: self.parameters[key] for key in given.names}
+        taken = signature(given).parameters
+        if any(p.kind is Parameter.VAR_KEYWORD for p in taken.values()):
+            return dict(self.parameters)
+        return {key: value for key, value in self.parameters.items() if key in taken}
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Return what one of the scalar functions gives."""
+        return getattr(self, name)(*arguments, **self.named(name))
+
+    def slope(self, name: str, *arguments: Any) -> Any:
+        """Return its derivative by the first argument."""
+        given = getattr(self, name)
+        made = given if isinstance(given, Formula) else self.recording(name)
+        return derivative(made)(*arguments, **self.named(name))[0]
+
+    def recording(self, name: str) -> Formula:
+        """Return one of the functions as a formula; `BadInput` where it cannot be recorded."""
+        made = getattr(self, name)
+        if not isinstance(made, Formula):
+            made = self._formula(name)
+        if made is None:
+            raise BadInput(f"scene {self.name!r}: its {name} must be a function that can be recorded")
+        return made
+
+    def _formula(self, name: str) -> Formula | None:
+        given = getattr(self, name)
+        if given is None or isinstance(given, Formula):
+            return None
+        with their_code(f"scene {self.name!r}"), suppress(CannotRecord):
+            return formula(given, (0,) * (len(self.functions[name]) - 1), tuple(self.named(name)))
+        return None
+
+    # -- physics -------------------------------------------------------------------------------------
+    def kinetic(self, p: Vector) -> Any:
+        """Return T(p) = Σ ‖p_i‖²/2m_i."""
+        square = p[0] * p[0]
+        for c in p[1:]:
+            square = square + c * c
+        if self.uniform:
+            return total(square) * self.inverse_mass / 2
+        return total(square * like(self.inverse_mass, square)) / 2
+
+    @abstractmethod
+    def potential_at(self, x: State) -> Any:
+        """Return V at a state."""
+
+    @abstractmethod
+    def gradient_at(self, x: State) -> Vector:
+        """Return ∇V at a state, field by field."""
+
+    def energy(self, x: State) -> Any:
+        """Return H0 = T + V."""
+        return self.kinetic(x.p) + self.potential_at(x)
+
+    @property
+    def nonlinear_damping(self) -> bool:
+        return False
+
+    def dissipation(self, s: Any) -> Any:
+        """Return Γ(s) = γ s."""
+        return self.gamma * s
+
+    def dissipation_rate(self, s: Any) -> Any:
+        return self.gamma
+
+    def hamiltonian(self, x: State) -> Any:
+        """Return H = H0 + γ s; needs s."""
+        return self.energy(x) + self.dissipation(x.s)
+
+    def rhs(self, x: State) -> State:
+        velocity = tuple(p * like(self.inverse_mass, p) for p in x.p)
+        force = tuple(-g - self.gamma * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
+        if x.s is None:
+            return State(velocity, force)
+        return State(velocity, force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s))
+
+    @property
+    def has_jacobian(self) -> bool:
+        return False
+
+    def jacobian(self, x: State) -> None:
+        return None
+
+    @property
+    def may_gain_energy(self) -> bool:
+        return self.gamma <= 0
+
+    @property
+    def bounds_energy(self) -> bool:
+        return self.gamma >= 0
+
+    def energy_terms(self, x: State) -> Any:
+        """Return T + |V|."""
+        return self.kinetic(x.p) + abs(self.potential_at(x))
+
+    def hamiltonian_terms(self, x: State) -> Any:
+        """Return |T| + |V + Γ|."""
+        return self.kinetic(x.p) + abs(self.potential_at(x) + self.dissipation(x.s))
+
+    def contact_form(self, x: State, dx: State) -> Any:
+        """Return η(dx) = ds − p·dq at x."""
+        products = [like(p, dq) * dq for p, dq in zip(x.p, dx.q, strict=True)]
+        return dx.s - sum(total(product) for product in products)
+
+    def contact_terms(self, x: State, dx: State) -> Any:
+        """Return |ds| + ‖p‖‖dq‖."""
+        sizes = [sum(total(c * c) for c in part) ** 0.5 for part in (x.p, dx.q)]
+        return abs(dx.s) + sizes[0] * sizes[1]
+
+    def tangents(self, x: State) -> list[State]:
+        """Return the coordinate basis of the tangent space; of a large one a few unit vectors at random."""
+        carry = ("s",) if x.s is not None else ()
+        size = self.size(carry)
+        if size <= ALL_TANGENTS:
+            return [self.unpack(row, carry) for row in np.eye(size)]
+        some = np.random.default_rng(SEED).normal(size=(SOME_TANGENTS, size))
+        return [self.unpack(row / np.linalg.norm(row), carry) for row in some]
+
+    @property
+    def conformal_rate(self) -> Any:
+        return self.gamma
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lattice(Many):
+    """A chain or ring of n sites: V = Σ onsite(q_i) + Σ bond(q_{i+1} − q_i).
+
+    Parameters
+    ----------
+    n
+        Sites, ≥ 2.
+    boundary
+        "ring"; "fixed", between two more sites that stay at 0; "free".
+    onsite, bond
+        ``onsite(q, **parameters)`` and ``bond(r, **parameters)``, potentials of one number, at least one of them;
+        their derivatives are found by recording them.
+    mass
+        One number > 0, or one for every site.
+    gamma
+        Linear damping.
+    q, p
+        n numbers each, or functions of the index 0 … n − 1.
+    parameters
+        Numbers by name that the potentials take.
+
+    Raises
+    ------
+    BadInput
+        For n < 2, lengths that differ, a mass ≤ 0, a bond that is not finite at rest.
+    """
+
+    n: int
+    boundary: str = "ring"
+    onsite: Callable[..., Any] | None = None
+    bond: Callable[..., Any] | None = None
+    mass: Any = 1.0
+
+    functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(("onsite", "bond"), ("probe", "**"))
+    #: where the potentials are tried
+    probe: ClassVar[float] = 0.25
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "n", whole("n", self.n, MOST_SITES))
+        if self.n < 2:
+            raise BadInput(f"n = {self.n}: a lattice has 2 sites or more")
+        text("boundary", self.boundary)
+        if self.boundary not in BOUNDARIES:
+            raise BadInput(f"boundary = {excerpt(self.boundary)}: must be one of {', '.join(BOUNDARIES)}")
+        if self.onsite is None and self.bond is None:
+            raise BadInput(f"scene {self.name!r}: needs an onsite potential, a bond, or both")
+        self._settle()
+        if self.bond is not None:
+            with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
+                at_rest = self.call("bond", np.zeros(1)), self.slope("bond", np.zeros(1))
+            if not np.isfinite(at_rest).all():
+                raise BadInput(f"bond: must be finite at rest, r = 0, with its derivative: {at_rest[0] + 0.0}")
+
+    @property
+    def sites(self) -> int:
+        return self.n
+
+    @property
+    def equations(self) -> tuple[Any, ...]:
+        return (*super().equations, self.boundary)
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """1 where there is a bond to the site before, else 0."""
+        return frozen(np.array([0.0 if self.boundary == "free" else 1.0] + [1.0] * (self.n - 1)))
+
+    @cached_property
+    def last(self) -> np.ndarray:
+        """1 where there is a bond to the next site, else 0."""
+        return frozen(self.first[::-1].copy())
+
+    @cached_property
+    def end(self) -> np.ndarray:
+        """1 at the last site, else 0."""
+        return frozen(np.array([0.0] * (self.n - 1) + [1.0]))
+
+    @property
+    def constants(self) -> dict[str, np.ndarray]:
+        names = {"ring": (), "fixed": ("end",), "free": ("first", "last")}[self.boundary]
+        return super().constants | {name: getattr(self, name) for name in names if self.bond is not None}
+
+    def potential_at(self, x: State) -> Any:
+        (q,) = x.q
+        V: Any = 0.0
+        if self.onsite is not None:
+            V = total(self.call("onsite", q))
+        if self.bond is None:
+            return V
+        before = self.call("bond", q - neighbour(q, -1, self.boundary))
+        if self.boundary == "ring":
+            return V + total(before)
+        if self.boundary == "free":
+            return V + total(before * like(self.first, before))
+        after = self.call("bond", neighbour(q, 1, self.boundary) - q)  # of the last site, to the wall
+        return V + total(before + after * like(self.end, after))
+
+    def gradient_at(self, x: State) -> Vector:
+        (q,) = x.q
+        force: Any = 0.0 if self.onsite is None else self.slope("onsite", q)
+        if self.bond is None:
+            return (force,)
+        before = self.slope("bond", q - neighbour(q, -1, self.boundary))
+        after = self.slope("bond", neighbour(q, 1, self.boundary) - q)
+        if self.boundary == "free":
+            before, after = before * like(self.first, before), after * like(self.last, after)
+        return (force + (before - after) if self.onsite is not None else before - after,)
+
+    @property
+    def has_momentum_law(self) -> bool:
+        """ΣP decays as e^{−γt} where nothing holds the chain."""
+        return self.onsite is None and self.boundary != "fixed"
+
+    def momentum(self, x: State) -> Vector | None:
+        """Return the total momentum."""
+        return (total(x.p[0]),)
+
+    def momentum_terms(self, x: State) -> Any:
+        """Return Σ|p_i|."""
+        return total(abs(x.p[0]))
+
+    def unrolled(self) -> Mechanical:
+        onsite, bond = (getattr(self, name) and self.recording(name) for name in ("onsite", "bond"))
+        return unrolled(self, Chain(onsite, bond, self.boundary))
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The potential of a chain as a function of its components."""
+
+    onsite: Formula | None
+    bond: Formula | None
+    boundary: str
+
+    def __call__(self, q: Vector, **parameters: Any) -> Any:
+        V: Any = 0.0
+        if self.onsite is not None:
+            for c in q:
+                V = V + self.onsite(c, **taken(self.onsite, parameters))
+        if self.bond is None:
+            return V
+        ends = {"ring": (*q, q[0]), "fixed": (0.0, *q, 0.0), "free": q}[self.boundary]
+        for a, b in zip(ends, ends[1:], strict=False):
+            V = V + self.bond(b - a, **taken(self.bond, parameters))
+        return V
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Particles(Many):
+    """N bodies in a plane or in space, each acting on each: V = Σ_{a<b} pair(‖x_a − x_b‖², m_a, m_b).
+
+    Parameters
+    ----------
+    masses
+        N numbers > 0, N ≥ 2.
+    dimensions
+        Of a position: 1, 2 or 3.
+    pair
+        ``pair(r2, a, b, **parameters)``, the potential of two bodies of masses a and b at the squared distance r2.
+    gamma
+        Linear damping.
+    q, p
+        N × dimensions numbers, flat or body by body, or functions of the index.
+    parameters
+        Numbers by name that the potential takes.
+
+    Raises
+    ------
+    BadInput
+        For one body, lengths that differ, a mass ≤ 0, two bodies at one place.
+    """
+
+    masses: Any
+    dimensions: int = 3  # type: ignore[assignment]
+    pair: Callable[..., Any]
+
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
+    weights: ClassVar[str] = "masses"
+    #: where the potential is tried
+    probe: ClassVar[float] = 1.25
+
+    def __post_init__(self) -> None:
+        if self.dimensions not in (1, 2, 3):
+            raise BadInput(f"dimensions = {excerpt(self.dimensions)}: must be 1, 2 or 3")
+        if np.ndim(array("masses", self.masses, "a sequence of numbers")) != 1 or len(self.masses) < 2:
+            raise BadInput(f"masses = {excerpt(self.masses)}: must be 2 numbers or more")
+        self._settle()
+        places = self.q.reshape(self.sites, self.dimensions)
+        if len(np.unique(places, axis=0)) < self.sites:
+            raise BadInput("q: two bodies are at one place")
+
+    @property
+    def sites(self) -> int:
+        return len(self.masses)
+
+    @property
+    def constants(self) -> dict[str, np.ndarray]:
+        return super().constants | {"masses": self.masses}
+
+    def potential_at(self, x: State) -> Any:
+        def potential(apart: Vector, a: Any, b: Any) -> Vector:
+            return (self.call("pair", dot(apart, apart), a, b),)
+
+        return total(pairs(potential, x.q, self.masses)[0]) / 2
+
+    def gradient_at(self, x: State) -> Vector:
+        def force(apart: Vector, a: Any, b: Any) -> Vector:
+            slope = 2 * self.slope("pair", dot(apart, apart), a, b)
+            return tuple(slope * c for c in apart)
+
+        return pairs(force, x.q, self.masses)
+
+    @property
+    def has_momentum_law(self) -> bool:
+        return True
+
+    def momentum(self, x: State) -> Vector:
+        """Return the angular momentum (one component in the plane, three in space); on a line ΣP."""
+        if self.dimensions == 1:
+            return (total(x.p[0]),)
+        if self.dimensions == 2:
+            return (total(x.q[0] * x.p[1] - x.q[1] * x.p[0]),)
+        return tuple(map(total, cross(x.q, x.p)))
+
+    def momentum_terms(self, x: State) -> Any:
+        """Return Σ‖q_i‖‖p_i‖, on a line Σ|p_i|."""
+        if self.dimensions == 1:
+            return total(abs(x.p[0]))
+        return total((dot(x.q, x.q) * dot(x.p, x.p)) ** 0.5)
+
+    def unrolled(self) -> Mechanical:
+        return unrolled(self, Bodies(self.recording("pair"), tuple(self.masses.tolist()), self.dimensions))
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The potential of bodies as a function of their components."""
+
+    pair: Formula
+    masses: tuple[float, ...]
+    dimensions: int
+
+    def __call__(self, q: Vector, **parameters: Any) -> Any:
+        d, V = self.dimensions, 0.0
+        for i, a in enumerate(self.masses):
+            for j, b in enumerate(self.masses[:i]):
+                apart = tuple(q[d * i + k] - q[d * j + k] for k in range(d))
+                V = V + self.pair(dot(apart, apart), a, b, **taken(self.pair, parameters))
+        return V
+
+
+def unrolled(scene: Many, potential: Callable[..., Any]) -> Mechanical:
+    """Return a scene of many sites component by component."""
+    masses: Any = scene.weight
+    if not scene.uniform:
+        masses = tuple(np.repeat(masses, scene.dimensions).tolist())
+    return Mechanical(
+        name=scene.name,
+        potential=potential,
+        q=tuple(scene.q.tolist()),
+        p=tuple(scene.p.tolist()),
+        s=scene.s,
+        gamma=scene.gamma,
+        mass=masses,
+        parameters=scene.parameters,
+        t_end=scene.t_end,
+        about=scene.about,
+    )
+
+
+def taken(function: Formula, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those parameters that a formula takes."""
+    return {name: parameters[name] for name in function.names}
+
+
+def like(f: Any, other: Any) -> Any:
+    """Return a field with axes of length one, as many as another has more."""
+    if not isinstance(f, np.ndarray) or f.ndim == 0 or f.ndim >= np.ndim(other):
+        return f
+    return f.reshape(f.shape[0], *(1,) * (np.ndim(other) - f.ndim), *f.shape[1:])
+
+
+def frozen(values: np.ndarray) -> np.ndarray:
+    """Return an array of our own that nobody can write to."""
+    values = np.array(values, dtype=float)
+    values.flags.writeable = False
+    return values
