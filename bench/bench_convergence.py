@@ -10,10 +10,10 @@ import math
 
 import contactbench as cb
 from cells import cells, controlled, outcome, pairs
-from contactbench.measure.ladder import save_times, setting, steps
-from contactbench.measure.order import fit_order
-from contactbench.measure.precision import error_at
+from contactbench.measure.ladder import save_times, steps
+from contactbench.measure.order import error_at, fit_order
 from contactbench.results.tables import CONVERGENCE
+from contactbench.solution import keywords
 
 POINTS = 9
 #: below this, relative to the solution, an error is round-off
@@ -29,7 +29,9 @@ def ladder(profile):
 def in_double_precision(scene, method):
     """(row, step, error) for each step size."""
     for h in steps(scene, POINTS):
-        solution = cb.solve(scene, method.name, save_at=save_times(scene), carry=(), **setting(method, h))
+        solution = cb.solve(
+            scene, method.name, save_at=save_times(scene), carry=(), **keywords(method.control, h)
+        )
         yield outcome(solution), h, cb.LAWS["solution_error"](solution)
 
 

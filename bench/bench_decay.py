@@ -12,11 +12,10 @@ import numpy as np
 
 import contactbench as cb
 from cells import cells, contestants, outcome, small, step_budget
-from contactbench.measure.ladder import setting
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT
+from contactbench.solution import EXACT, keywords
 from equal_cost import right_hand_sides, step_at, tolerance_at
 
 #: of the scenes of every experiment
@@ -52,7 +51,7 @@ def to_the_end(scene, method, value, budget):
     the laws then serves here too.
     """
     saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
-    return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **setting(method, value))
+    return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **keywords(method.control, value))
 
 
 def evaluations(scene, method, value, budget=None):
@@ -74,7 +73,7 @@ def value_at(scene, method, target, budget=None):
 def laws_row(scene, method, value, budget):
     """The laws at the saved times, and how the derivative for the contact drift was obtained."""
     solution = cb.solve(
-        scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)
+        scene, method.name, save_at=save_times(scene), max_steps=budget, **keywords(method.control, value)
     )
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}

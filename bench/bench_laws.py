@@ -6,9 +6,10 @@ import numpy as np
 
 import contactbench as cb
 from cells import cells, outcome, pairs, step_budget
-from contactbench.measure.ladder import save_times, setting, steps
+from contactbench.measure.ladder import save_times, steps
 from contactbench.measure.laws import LAWS, energies, row
 from contactbench.results.tables import COMMON, LAWS_TABLE, LAWS_TIME
+from contactbench.solution import keywords
 
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
@@ -25,7 +26,7 @@ def test_laws(cell, profile, record, record_all):
     for value in values:
         budget = step_budget(profile, scene, method, method.engines[0])
         solution = cb.solve(
-            scene, method.name, save_at=save_times(scene), max_steps=budget, **setting(method, value)
+            scene, method.name, save_at=save_times(scene), max_steps=budget, **keywords(method.control, value)
         )
         record(LAWS_TABLE, **outcome(solution), saved_times=len(solution.t), **row(solution))
         if value in shown and solution.ok:

@@ -14,8 +14,8 @@ import numpy as np
 
 import contactbench as cb
 from cells import cells, controlled
-from contactbench.measure.averages import Average, blocks, jackknife
-from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
+from contactbench.measure.statistics import Average, blocks, jackknife
+from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
 from contactbench.solution import keywords
 
 SCENE = cb.SCENES["duffing"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from contactbench.measure.precision import DIGITS, march
+from contactbench.measure.order import DIGITS, march
 from contactbench.scene import Scene
 from contactbench.truth import decimal_context, with_decimals
 

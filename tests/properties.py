@@ -14,7 +14,7 @@ from mpmath import mp
 
 import contactbench as cb
 from cases import TILTED, in_mp, random_state
-from contactbench.measure.precision import local_order, order_at
+from contactbench.measure.order import local_order, order_at
 from contactbench.numbers.protocol import Numbers, abilities
 from contactbench.scene import cross, dot, quaternion_product
 from contactbench.splitting import elliptic, flows

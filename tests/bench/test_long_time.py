@@ -7,7 +7,7 @@ import pytest
 
 import bench_long_time as bench
 import contactbench as cb
-from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
+from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
 
 
 @pytest.fixture

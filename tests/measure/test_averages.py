@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contactbench.measure.averages import blocks, jackknife
+from contactbench.measure.statistics import blocks, jackknife
 
 
 def test_the_jackknife_of_a_mean_is_the_standard_deviation_over_the_root_of_the_number():

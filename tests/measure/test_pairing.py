@@ -12,7 +12,7 @@ import contactbench as cb
 from cases import CONTACT_SCENES, saved
 from cases import pairs as of_methods
 from contactbench.measure.laws import row
-from contactbench.measure.pairing import pairs
+from contactbench.measure.pullback import pairs
 from contactbench.measure.round_off import round_off_bound
 from contactbench.methods.contact import contact_method
 from contactbench.solution import SAFETY, Differential

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import importlib.util
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_state
-from contactbench.peers import c_functions
-from contactbench.peers.abi import cvode, cyrk
+from contactbench.peers import abi, c_functions, sundials
+from contactbench.peers.variational import derivative
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 
@@ -45,7 +48,7 @@ def test_c_functions_are_the_scene(scene, fields):
         slopes, matrix, calls = called(scene, x, carry)
         expected = np.array(scene.without_clock(scene.pack(scene.rhs(x))))
         np.testing.assert_allclose(slopes, expected, rtol=1e-13, atol=1e-14 * np.abs(expected).max())
-        rows = c_functions.derivative(scene, x, carry)
+        rows = derivative(scene, x, carry)
         rows = np.array([scene.without_clock(row) for row in scene.without_clock(rows)])
         np.testing.assert_allclose(matrix, rows, rtol=1e-13, atol=1e-14 * np.abs(rows).max())
         assert calls == [1.0, 1.0]
@@ -118,13 +121,13 @@ def test_a_compiled_loop_gives_the_single_calls(method, scene):
 def test_cvode_counts_as_many_calls_as_the_c_functions(method):
     run = cb.prepare(PARTICLE, method, rtol=1e-9, engine="c", save_at=[4.0])
     counts = run().counts
-    lib, number = cvode.library(), ctypes.c_long()
+    lib, number = sys.modules["contactbench.peers.abi.cvode"].library, ctypes.c_long()
     for name, found in (
         ("NumRhsEvals", counts.evaluations),
         ("NumJacEvals", counts.jacobians),
         ("NumSteps", counts.steps),
     ):
-        getattr(lib, f"CVodeGet{name}")(run.memory.memory, ctypes.byref(number))
+        getattr(lib, f"CVodeGet{name}")(ctypes.c_void_p(run.memory.memory), ctypes.byref(number))
         assert number.value == found > 0
 
 
@@ -191,34 +194,33 @@ def test_a_force_that_branches_is_unsupported_where_it_is_compiled(method, engin
 
 
 @pytest.fixture
-def searched_anew():
-    """The libraries are looked for once in a process; here again, and once more afterwards."""
-    for lookup in (cvode.library, cyrk.why_not):
-        lookup.cache_clear()
-    yield
-    for lookup in (cvode.library, cyrk.why_not):
-        lookup.cache_clear()
+def load_anew(monkeypatch):
+    """The libraries are loaded once in a process; here again."""
+    for name in ("cvode", "cyrk"):
+        monkeypatch.delitem(sys.modules, f"contactbench.peers.abi.{name}", raising=False)
+        monkeypatch.delattr(abi, name, raising=False)
 
 
-@pytest.mark.usefixtures("searched_anew")
+@pytest.mark.usefixtures("load_anew")
 @pytest.mark.parametrize(
-    ("name", "value", "reason"),
+    ("place", "name", "value", "reason"),
     [
-        ("MAJOR", 99, "its C interface is known for version 99 only"),
-        ("find_spec", lambda name: None, "scikit-sundae is not installed"),
-        ("PATTERNS", ("no such library",), "CVODE library is not in"),
+        (sundials, "MAJOR", 99, "its C interface is known for version 99 only"),
+        (importlib.util, "find_spec", lambda name: None, "scikit-sundae is not installed"),
+        (Path, "glob", lambda self, pattern: [], "CVODE library is not in"),
     ],
     ids=["another version", "not installed", "no library"],
 )
-def test_without_its_library_cvode_in_c_is_unsupported(monkeypatch, name, value, reason):
-    monkeypatch.setattr(cvode, name, value)
+def test_without_its_library_cvode_in_c_is_unsupported(monkeypatch, place, name, value, reason):
+    monkeypatch.setattr(place, name, value)
     solution = cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c")
     assert solution.status is Status.unsupported
     assert reason in solution.message
+    monkeypatch.undo()
     assert cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c+python").ok
 
 
-@pytest.mark.usefixtures("searched_anew")
+@pytest.mark.usefixtures("load_anew")
 def test_a_cyrk_with_another_interface_is_unsupported(monkeypatch):
     from CyRK.nb import numba_solver
 

@@ -6,7 +6,7 @@ import pytest
 
 import contactbench as cb
 from cases import by_name, pairs
-from contactbench.measure.precision import error_at, order_at
+from contactbench.measure.order import error_at, order_at
 from decimals import contact_defect, momentum_defect
 
 METHODS = [m for m in cb.METHODS.values() if m.control == "step" and (m.contact or m.factor)]

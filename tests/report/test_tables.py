@@ -9,7 +9,7 @@ from contactbench.report import damping, ensemble, long_time, stability, work_pr
 from contactbench.report.equal_cost import equal_cost_view, mission_view, most_met_cost
 from contactbench.report.views import Mark
 from contactbench.results.contest import COMPILED
-from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
+from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM
 from frames import frames, row, table
 
 

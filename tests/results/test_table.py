@@ -12,8 +12,8 @@ import pytest
 
 import contactbench as cb
 from cells import controlled
+from contactbench.measure.round_off import STRUCTURE
 from contactbench.results import provenance
-from contactbench.results.round_off import STRUCTURE
 from contactbench.results.schema import TABLES, Rule
 from contactbench.results.store import OldTable, merge, read, replacing
 from contactbench.results.tables import (

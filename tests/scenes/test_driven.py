@@ -10,7 +10,7 @@ import pytest
 import contactbench as cb
 from cases import by_name, pairs, saved
 from contactbench.measure.laws import laws_of, row
-from contactbench.measure.precision import error_at, order_at
+from contactbench.measure.order import error_at, order_at
 from contactbench.numbers import quadrature
 from contactbench.scene import Driven
 from contactbench.scenes.driven import (

@@ -11,7 +11,7 @@ import pytest
 import contactbench as cb
 import decimals
 from cases import random_state
-from contactbench.measure import precision
+from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
 from contactbench.splitting import composition
 from contactbench.truth import decimal_context, with_decimals

@@ -19,15 +19,14 @@ from contactbench.ensembles.cores import LANES
 from contactbench.ensembles.measures import furthest, within
 from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, whole
-from contactbench.measure.averages import Average, blocks, jackknife
+from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.entry import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun
 from contactbench.methods.numba_engine import loop_of
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.abi import FACTS, KNOWN
-from contactbench.peers.abi.cyrk import SUCCESS
-from contactbench.peers.cyrk import CyrkRun
+from contactbench.peers.compiled import FACTS, KNOWN
+from contactbench.peers.cyrk import SUCCESS, CyrkRun
 from contactbench.scene import Scene
 from contactbench.trace.compiled import compile_function
 
@@ -101,7 +100,7 @@ def lyapunov(
 ) -> Lyapunov:
     """Return the Lyapunov spectrum of a scene under a method, with its error bar.
 
-    The error bar is that of sampling, from independent trajectories or blocks of a few (see `measure.averages`).  It
+    The error bar is that of sampling, from independent trajectories or blocks of a few (see `measure.statistics`).  It
     does not contain the bias of a finite time, which is all there is where motion is not chaotic: 1/T where tangents
     turn or are sheared on the way.  The exponents are those of R: they come in pairs in the limit only.
     Where every trajectory leaves the scene's scale all is nan.

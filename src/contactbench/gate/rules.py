@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
-from contactbench.results.round_off import STRUCTURE, floor
-from contactbench.results.schema import PROFILES, SPREAD, Rule
+from contactbench.measure.round_off import STRUCTURE
+from contactbench.results.schema import PROFILES, SPREAD, Rule, floor
 
 #: by what factor an error may move, above its floor
 FACTOR = 2.0

@@ -13,7 +13,7 @@ import hashlib
 from collections.abc import Iterable
 from typing import Any
 
-from contactbench.measure.precision import DIGITS, march
+from contactbench.measure.order import DIGITS, march
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
 from contactbench.truth import decimal_context, with_decimals

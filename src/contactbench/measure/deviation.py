@@ -36,24 +36,10 @@ class Deviation(NamedTuple):
     clamped: np.ndarray | None = None
 
 
-def scale_up(values: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
-    """values · e^{γt}, in two halves so that neither factor overflows before the product would."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
-        half = half[..., None] if values.ndim > half.ndim else half
-        return values * half * half
-
-
 def log_true_size(start: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
     """log(e^{−γt} ‖start‖); of e^{−γt} where the start is zero."""
     norm = xp.linalg.norm(start, axis=-1)
     return xp.log(xp.where(norm > 0, norm, 1.0)) - gamma * t
-
-
-def is_clamped(start: Any, t: Any, gamma: Any, terms: Any, xp: Any = np) -> Any:
-    """Where `conformal_deviation` is taken against `ATTAINABLE` of the terms."""
-    with np.errstate(divide="ignore"):
-        return xp.log(ATTAINABLE * terms) > log_true_size(start, t, gamma, xp)
 
 
 def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any = 0.0, xp: Any = np) -> Any:
@@ -68,36 +54,31 @@ def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any 
     norm = xp.where(norm > 0, norm, 1.0)
     true_log = log_true_size(start, t, gamma, xp)
     attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
-    unresolved = is_clamped(start, t, gamma, attainable / ATTAINABLE, xp)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        # where the true size rules, values are scaled up rather than the start down: it may underflow
-        against_true = xp.linalg.norm(scale_up(values, t, gamma, xp) - start, axis=-1) / norm
+        clamped = xp.log(attainable) > true_log
+        # where the true size rules, values are scaled up rather than the start down, which may underflow; in two
+        # halves, so that neither factor overflows before the product would
+        half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
+        half = half[..., None] if values.ndim > half.ndim else half
+        against_true = xp.linalg.norm(values * half * half - start, axis=-1) / norm
         true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
         against_terms = xp.linalg.norm(values - true, axis=-1) / attainable
         excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
-    meaningful = xp.where(unresolved, attainable > MEANINGFUL, true_log > math.log(MEANINGFUL))
-    return xp.where(meaningful, xp.where(unresolved, against_terms, against_true), excess)
-
-
-def relative(amounts: np.ndarray, start: np.ndarray, t: Any, gamma: Any, terms: np.ndarray) -> np.ndarray:
-    """Amounts (k,) over the denominator of `conformal_deviation`, taken no smaller than is meaningful."""
-    with np.errstate(divide="ignore", over="ignore"):
-        floor = np.log(np.maximum(ATTAINABLE * terms, MEANINGFUL))
-        return np.exp(np.log(amounts) - np.maximum(log_true_size(start, t, gamma), floor))
+    meaningful = xp.where(clamped, attainable > MEANINGFUL, true_log > math.log(MEANINGFUL))
+    return xp.where(meaningful, xp.where(clamped, against_terms, against_true), excess)
 
 
 def conformal(
-    values: np.ndarray,
-    start: np.ndarray,
-    t: Any,
-    rate: Any,
-    terms: np.ndarray,
-    error: np.ndarray | None = None,
+    values: np.ndarray, start: np.ndarray, t: Any, rate: Any, terms: np.ndarray, error: Any = None
 ) -> Deviation:
-    """`conformal_deviation` with its error bar, `error` being that of the values, and where it was clamped."""
-    bar = None if error is None else relative(error, start, t, rate, terms)
-    size = conformal_deviation(values, start, t, rate, terms)
-    return Deviation(size, bar, is_clamped(start, t, rate, terms) & (t > 0))
+    """`conformal_deviation` with its error bar, `error` (k,) being that of the values, and where it was clamped."""
+    true_log, bar = log_true_size(start, t, rate), None
+    with np.errstate(divide="ignore", over="ignore"):
+        if error is not None:
+            floor = np.log(np.maximum(ATTAINABLE * terms, MEANINGFUL))
+            bar = np.exp(np.log(error) - np.maximum(true_log, floor))
+        clamped = (np.log(ATTAINABLE * terms) > true_log) & (t > 0)
+    return Deviation(conformal_deviation(values, start, t, rate, terms), bar, clamped)
 
 
 def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:

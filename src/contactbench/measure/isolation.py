@@ -1,19 +1,18 @@
-"""Calls in a worker process, each with a time limit: a call that hangs or dies costs its own result only.
+"""Calls in a process of its own: one that hangs or dies costs its own result only.
 
-The worker runs many calls one after another, so that what it has compiled stays warm; it is killed and
-replaced when a call exceeds its time or takes the process down.
+The process makes many calls one after another, so that what it has compiled stays warm; it is killed, and a new one
+started, when a call exceeds its time or takes the process down.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import pickle
 import signal
 import threading
-import traceback
-from collections.abc import Callable
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -30,46 +29,48 @@ class Died(Exception):
 
 
 class Worker:
-    """A process that makes calls; it starts with the first of them.
+    """A process that makes calls, on some cores (by default those of this one); it starts with the first of them.
 
     Close it, or use it as a context manager: no process is left behind.
     """
 
-    def __init__(self) -> None:
-        self.running: tuple[BaseProcess, Connection] | None = None
+    def __init__(self, cores: Iterable[int] = ()) -> None:
+        self.cores = list(cores)
+        self.running: tuple[ProcessPoolExecutor, BaseProcess] | None = None
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future:
+        """Begin a call after those before it; function, arguments and what comes of it must be picklable."""
+        if self.running is None:
+            spawn = multiprocessing.get_context("spawn")
+            pool = ProcessPoolExecutor(1, spawn, initializer=begin, initargs=(self.cores,))
+            pid = pool.submit(os.getpid).result(STARTUP)
+            self.running = pool, next(p for p in multiprocessing.active_children() if p.pid == pid)
+        return self.running[0].submit(function, *arguments)
 
     def call(self, limit: float, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a function returns, and raise what it raises; both, and the arguments, must be picklable.
-
-        Raises `TimedOut` after so many seconds, and `Died`.
-        """
-        if self.running is None:
-            self.running = start()
-        process, pipe = self.running
+        """Return what a function returns, and raise what it raises; `TimedOut` after so many seconds, and `Died`."""
+        call = self.submit(function, *arguments)
         try:
-            pipe.send((function, arguments))
-            fine, value = receive(pipe, limit)
-        except (EOFError, ConnectionError):
-            process.join(5)
-            code = process.exitcode
-            self.close()
-            by = f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
-            raise Died(f"the solver took its process down ({by})") from None
-        except BaseException:  # the next call gets a new process
-            self.close()
+            return call.result(limit)
+        except BrokenProcessPool:
+            raise Died(f"the solver took its process down ({self.close()})") from None
+        except BaseException as error:
+            if call.done():
+                raise
+            self.close()  # it still computes: the next call gets a new process
+            if isinstance(error, TimeoutError):
+                raise TimedOut(f"no result after {limit:g} s") from None
             raise
-        if not fine:
-            raise value
-        return value
 
-    def close(self) -> None:
-        """End the process."""
-        if self.running is not None:
-            process, pipe = self.running
-            process.kill()
-            process.join()
-            pipe.close()
-            self.running = None
+    def close(self) -> str:
+        """End the process; return how it has ended."""
+        if self.running is None:
+            return ""
+        (pool, process), self.running = self.running, None
+        process.kill()
+        pool.shutdown()
+        code = process.exitcode or 0
+        return f"signal {-code}" if code < 0 else f"exit status {code}"
 
     def __enter__(self) -> Worker:
         return self
@@ -78,56 +79,16 @@ class Worker:
         self.close()
 
 
-def start() -> tuple[BaseProcess, Connection]:
-    """Return a process that is ready for calls, and the pipe to it."""
-    context = multiprocessing.get_context("spawn")
-    near, far = context.Pipe()
-    process = context.Process(target=serve, args=(far,), daemon=True)
-    process.start()
-    far.close()
-    receive(near, STARTUP)
-    return process, near
-
-
-def receive(pipe: Connection, limit: float) -> Any:
-    if not pipe.poll(limit):
-        raise TimedOut(f"no result after {limit:g} s")
-    return pipe.recv()
-
-
-# -- in the process --------------------------------------------------------------------------------
-def serve(pipe: Connection) -> None:
-    """Receive calls, and send back the result or the exception of each."""
+def begin(cores: list[int]) -> None:
+    """Prepare the process: it leaves Ctrl-C to the one that asks, and ends with it, however that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=follow_parent, daemon=True).start()
-    pipe.send("ready")
-    while True:
-        try:
-            function, arguments = pipe.recv()
-        except EOFError:
-            return
-        try:
-            answer = (True, function(*arguments))
-        except BaseException as error:
-            answer = (False, portable(error))
-        pipe.send(answer)
+    if cores:
+        os.sched_setaffinity(0, cores)
 
 
 def follow_parent() -> None:
-    """End with the process that asks, however it ends: nobody waits for the answer any more."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def portable(error: BaseException) -> Exception:
-    """Return the exception with its traceback as a note; a RuntimeError that names it where it cannot be pickled."""
-    where = "".join(traceback.format_exception(error))
-    try:
-        same = pickle.loads(pickle.dumps(error))
-        assert isinstance(same, Exception)
-    except Exception:
-        same = RuntimeError(f"{type(error).__name__}: {error}")
-    same.add_note(f"in the worker process:\n{where}")
-    return same

@@ -8,7 +8,6 @@ import numpy as np
 
 from contactbench.methods.base import Method
 from contactbench.scene import Scene
-from contactbench.solution import keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -55,11 +54,6 @@ def tolerances(method: Any) -> list[float]:
 def save_times(scene: Scene) -> np.ndarray:
     """The 25 times every ladder has in common, on the grid of the frozen references."""
     return scene.t_end * np.arange(1, SAVES + 1) / SAVES
-
-
-def setting(method: Any, value: float) -> dict[str, float]:
-    """The keyword of `prepare` that sets a method: its tolerance or its step; none of an exact one."""
-    return keywords(method.control, value)
 
 
 def stepping(method: Any) -> str:

@@ -1,4 +1,4 @@
-"""What a law is: a measure with all that those who show or compare it must know."""
+"""What a law is."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ second as `…_frozen`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +21,10 @@ import numpy as np
 from contactbench.errors import BadInput, Registry
 from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, conformal, relative_deviation
 from contactbench.measure.law import Gate, Law, Measured, Undefined
-from contactbench.measure.pairing import pairing_deviation
-from contactbench.measure.pullback import Pullback, growth, pullback
+from contactbench.measure.pullback import growth, pairs, pullback
 from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, judge, structural_bound
 from contactbench.methods.base import METHODS
-from contactbench.scene import Scene, rotation_matrix
+from contactbench.scene import Mechanical, Scene, rotation_matrix
 from contactbench.scene.definition import verify_along
 from contactbench.solution import Differential, Solution
 from contactbench.truth import condition_number, reference
@@ -97,23 +96,21 @@ def solution_error(solution: Solution) -> float:
     return float(error.max() / size)
 
 
-def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray, float]:
-    """H0 along the run, along the truth, and at the start."""
+def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """H0 along the run, and along the truth."""
     scene = solution.scene
-    exact = truth(solution).states()
-    return scene.energy(solution.states()), scene.energy(exact), float(scene.energy(solution.start()))
+    return scene.energy(solution.states()), scene.energy(truth(solution).states())
 
 
 @law("max |H0(y) − H0(y*)| / |H0(y₀)|", "H0 law", shown=BOTH)
 def energy_law(solution: Solution) -> float:
-    numerical, exact, start = energies(solution)
-    return float(np.abs(numerical - exact).max() / abs(start))
+    numerical, exact = energies(solution)
+    return float(np.abs(numerical - exact).max() / abs(float(solution.scene.energy(solution.start()))))
 
 
 @law("max |H0(y) / H0(y*) − 1|", "H0 law, relative")
 def energy_law_relative(solution: Solution) -> Deviation:
-    numerical, exact, _ = energies(solution)
-    return Deviation(relative_deviation(numerical, exact))
+    return Deviation(relative_deviation(*energies(solution)))
 
 
 #: what ∫Γ' means in the definitions of the laws
@@ -186,12 +183,13 @@ def is_of_contact_flows(solution: Solution) -> bool:
 
 def knows_factor(solution: Solution) -> bool:
     """Whether ∫Γ' is known without the motion: where Γ' follows s, a run has the factor of its own s."""
-    return solution.scene.damped_by(solution.start(), solution.t, np) is not None
+    known = solution.scene.damped_by(solution.start(), solution.t, np) is not None
+    return is_of_contact_flows(solution) and known
 
 
 def is_contact_map(solution: Solution) -> bool:
     """Whether the method declares its runs to be contact maps with the factor of the exact flow, and it is known."""
-    return is_of_contact_flows(solution) and METHODS[solution.method].contact and knows_factor(solution)
+    return knows_factor(solution) and METHODS[solution.method].contact
 
 
 def is_composed(solution: Solution) -> bool:
@@ -206,7 +204,7 @@ def is_composed(solution: Solution) -> bool:
     applies=lambda scene: scene.is_contact and scene.has_momentum_law,
     gate=Gate.structure,
     shown=BOTH,
-    claimed=lambda solution: is_of_contact_flows(solution) and knows_factor(solution),
+    claimed=knows_factor,
 )
 def momentum_law(solution: Solution) -> Deviation:
     scene, states = solution.scene, solution.states()
@@ -237,27 +235,39 @@ CONTACT["applies"] = lambda scene: scene.is_contact
 FROZEN = "the steps taken held fixed"
 
 
-def contact_deviation(solution: Solution, pulled: Pullback | None) -> Deviation | float:
+def contact_deviation(solution: Solution, differential: Differential) -> Deviation | float:
     """That of Φ*η from e^{−∫Γ'} η."""
+    pulled = pullback(solution, differential)
     if pulled is None:
         return math.nan
     values, form, terms, error = pulled
     return conformal(values, form, solution.t, decay_rate(solution), terms, error)
 
 
-def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
+def distribution_deviation(solution: Solution, differential: Differential) -> Deviation | float:
     """The part of Φ*η across η, over the whole."""
+    pulled = pullback(solution, differential)
     if pulled is None:
         return math.nan
     unit = pulled.form / np.linalg.norm(pulled.form)
     whole, attainable = np.linalg.norm(pulled.values, axis=1), ATTAINABLE * pulled.terms
     length = np.maximum(whole, attainable)
-    meaningful = length > MEANINGFUL
-    length = np.where(meaningful, length, math.inf)
+    length = np.where(length > MEANINGFUL, length, math.inf)
     values = pulled.values / length[:, None]
     across = np.linalg.norm(values - (values @ unit)[:, None] * unit, axis=1)
     error = None if pulled.uncertainty is None else pulled.uncertainty / length
     return Deviation(across, error, attainable > whole)
+
+
+def pairing_deviation(solution: Solution, differential: Differential) -> Deviation | float:
+    """That of the pairs of singular values from e^{−∫γ}."""
+    scene = solution.scene
+    assert isinstance(scene, Mechanical)
+    found = pairs(differential, len(scene.q))
+    if found is None:
+        return math.nan
+    values, terms, error = found
+    return conformal(values, np.ones(len(scene.q)), solution.t, decay_rate(solution), terms, error)
 
 
 @law(
@@ -268,22 +278,22 @@ def distribution_deviation(pulled: Pullback | None) -> Deviation | float:
     **CONTACT,
 )
 def contact_drift(solution: Solution) -> Deviation | float:
-    return contact_deviation(solution, pullback(solution, solution.differential))
+    return contact_deviation(solution, solution.differential)
 
 
 @law("sine of the angle between Φ*η and η", "ker η drift", claimed=is_composed, **CONTACT)
 def distribution_drift(solution: Solution) -> Deviation | float:
-    return distribution_deviation(pullback(solution, solution.differential))
+    return distribution_deviation(solution, solution.differential)
 
 
 @law(f"contact_drift with {FROZEN}", "contact drift, steps frozen", **CONTACT)
 def contact_drift_frozen(solution: Solution) -> Deviation | float:
-    return contact_deviation(solution, pullback(solution, solution.frozen_differential))
+    return contact_deviation(solution, solution.frozen_differential)
 
 
 @law(f"distribution_drift with {FROZEN}", "ker η drift, steps frozen", **CONTACT)
 def distribution_drift_frozen(solution: Solution) -> Deviation | float:
-    return distribution_deviation(pullback(solution, solution.frozen_differential))
+    return distribution_deviation(solution, solution.frozen_differential)
 
 
 @law(
@@ -315,12 +325,12 @@ PAIRS: dict[str, Any] = {"applies": has_linear_damping, "gate": Gate.structure, 
     **PAIRS,
 )
 def pairing_drift(solution: Solution) -> Deviation | float:
-    return pairing_deviation(solution, solution.differential, decay_rate(solution))
+    return pairing_deviation(solution, solution.differential)
 
 
 @law(f"pairing_drift with {FROZEN}", "pairing drift, steps frozen", **PAIRS)
 def pairing_drift_frozen(solution: Solution) -> Deviation | float:
-    return pairing_deviation(solution, solution.frozen_differential, decay_rate(solution))
+    return pairing_deviation(solution, solution.frozen_differential)
 
 
 @law(
@@ -395,65 +405,58 @@ DRIFT_COLUMNS = {
 
 
 def row(solution: Solution, without: str = "") -> dict[str, Any]:
-    """Every law the scene has, and `DRIFT_COLUMNS`, of one run; blank (left out) where not defined.
+    """Every law the scene has, its judgement, and `DRIFT_COLUMNS`, of one run; blank (left out) where not defined.
 
     without : why no derivative of the map is to be taken, for the table; "" to take it.
     """
     if not solution.ok:
         return {}
     scene = solution.scene
-    wanted = [item for item in laws_of(scene) if not (without and item.differentiates)]
     found = {}
-    for item in wanted:
-        with suppress(Undefined):
-            found[item.name] = item.measured(solution)
+    for item in laws_of(scene):
+        if not (without and item.differentiates):
+            with suppress(Undefined):
+                found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
     for name, measured in found.items():
-        if measured.clamped is not None and f"{name}_clamped" in DRIFT_COLUMNS:
-            columns[f"{name}_clamped"] = measured.clamped
-        if measured.uncertainty is not None and f"{name}_uncertainty" in DRIFT_COLUMNS:
-            columns[f"{name}_uncertainty"] = measured.uncertainty
+        more = {f"{name}_clamped": measured.clamped, f"{name}_uncertainty": measured.uncertainty}
+        columns |= {key: value for key, value in more.items() if key in DRIFT_COLUMNS and value is not None}
     if scene.is_contact and without:
         columns["derivative"] = f"not taken: {without}"
     elif scene.is_contact:
         if solution.differential.taken:
             columns["map_growth"] = growth(solution.differential)
         bounds = [name for name, measured in found.items() if measured.bound]
-        columns["derivative"] = describe(solution.differential, solution.frozen_differential, bounds)
-    return columns | judgements(solution, found, columns)
-
-
-def judgements(
-    solution: Solution, found: Mapping[str, Measured], columns: Mapping[str, Any]
-) -> dict[str, Any]:
-    """`JUDGEMENT` of every structural law that was measured, by its name; no bound where a run is not judged."""
-    row: dict[str, Any] = {}
-    of_map = columns.get("map_growth") or condition_number(solution.scene) or 1.0
+        columns["derivative"] = source(solution, bounds)
+    of_map = columns.get("map_growth") or condition_number(scene) or 1.0
     for name, measured in found.items():
-        if not LAWS[name].structural or math.isnan(measured.value):
-            continue
-        growth = 1.0 if name in OF_THE_STATE else of_map
-        bound = float(structural_bound(growth, solution.counts.evaluations or 0))
-        judged, kept, undecided = judge(
-            measured.value,
-            bound,
-            measured.uncertainty or 0.0,
-            measured.clamped is not None and measured.clamped >= len(solution.t),
-            columns["solution_error"],
-        )
-        answers = (
-            (None if undecided else bool(kept), bool(undecided), bound) if judged else (None, None, math.nan)
-        )
-        values = LAWS[name].claimed(solution), *answers
-        row |= {f"{name}_{what}": value for what, value in zip(JUDGEMENT, values, strict=True)}
-    return row
+        if LAWS[name].structural and not math.isnan(measured.value):
+            judged = judgement(solution, LAWS[name], measured, of_map, columns["solution_error"])
+            columns |= {f"{name}_{what}": value for what, value in zip(JUDGEMENT, judged, strict=True)}
+    return columns
 
 
-def describe(true: Differential, frozen: Differential, bounds: list[str]) -> str:
+def source(solution: Solution, bounds: list[str]) -> str:
     """How the derivatives were obtained, in words."""
+    true, frozen = solution.differential, solution.frozen_differential
     parts = [true.source]
     if frozen.taken and frozen.source != true.source:
         parts.append(f"steps frozen: {frozen.source}")
     if bounds:
         parts.append(f"upper bounds: {', '.join(bounds)}")
     return "; ".join(parts)
+
+
+def judgement(
+    solution: Solution, law: Law, measured: Measured, of_map: float, error: float
+) -> tuple[Any, ...]:
+    """The values of `JUDGEMENT` of a structural law that was measured; no bound where a run is not judged."""
+    claimed = law.claimed(solution)
+    bound = float(
+        structural_bound(1.0 if law.name in OF_THE_STATE else of_map, solution.counts.evaluations or 0)
+    )
+    faded = measured.clamped is not None and measured.clamped >= len(solution.t)
+    judged, kept, undecided = judge(measured.value, bound, measured.uncertainty or 0.0, faded, error)
+    if not judged:
+        return claimed, None, None, math.nan
+    return claimed, None if undecided else bool(kept), bool(undecided), bound

@@ -8,7 +8,7 @@ from itertools import zip_longest
 from typing import Any
 
 from contactbench.errors import BadInput, excerpt, items_of, switch, text, whole
-from contactbench.measure.precision import local_order
+from contactbench.measure.order import local_order
 from contactbench.methods.base import METHODS
 from contactbench.methods.contact import ContactMethod, contact_method
 from contactbench.methods.fixed_step import MOST

@@ -33,7 +33,6 @@ ISLAND = 0.01
 PARTS, ZOOMS, CLOSE = 8, 11, 17
 
 
-#: plain elementwise functions: a vector of step sizes is then a scalar like any other
 class Elementwise(Numbers):
     """NumPy's functions, without vectors of stages: the steps are the entries of arrays themselves."""
 
@@ -54,23 +53,16 @@ def fixed_step_methods() -> list[Any]:
     return [m for m in METHODS.values() if m.control == "step" and m.refuses(SCENES["oscillator"]) is None]
 
 
-def kernel(method: Any) -> Any:
-    """The method that is repeated between saved times: without the processor, where it has one."""
-    if not is_processed(method):
-        return method
-    return replace(method, composition=replace(method.composition, processor=()))
-
-
 def is_processed(method: Any) -> bool:
     """Whether a run is π χⁿ π*."""
     return bool(getattr(getattr(method, "composition", None), "processor", ()))
 
 
-def processor(method: Any) -> tuple[Any, Any]:
-    """π and π* of a processed method, each as a method whose one step it is."""
-    before = method.composition.processor
-    one = replace(method.composition, processor=(), stages=before)
-    return replace(method, composition=one), replace(method, composition=replace(one, stages=before[::-1]))
+def kernel(method: Any) -> Any:
+    """The method that is repeated between saved times: without the processor, where it has one."""
+    if not is_processed(method):
+        return method
+    return replace(method, composition=replace(method.composition, processor=()))
 
 
 def step_matrix(method: Any, gamma: float, omega: float, h: Any) -> np.ndarray:
@@ -83,30 +75,21 @@ def step_matrix(method: Any, gamma: float, omega: float, h: Any) -> np.ndarray:
     return np.moveaxis(np.array(entries), (0, 1), (-2, -1))
 
 
-def eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The two eigenvalues of 2×2 matrices (…, 2, 2), the larger in absolute value first."""
-    with np.errstate(all="ignore"):
-        half = (matrix[..., 0, 0] + matrix[..., 1, 1]) / 2
-        difference = (matrix[..., 0, 0] - matrix[..., 1, 1]) / 2
-        root = np.sqrt(difference**2 + matrix[..., 0, 1] * matrix[..., 1, 0] + 0j)
-        root = np.where((half.conj() * root).real < 0, -root, root)
-        large = half + root
-        det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-        # the smaller from the determinant where that is not cancelled away itself
-        small = np.where(np.abs(root.real) > 0, det / np.where(large != 0, large, 1), half - root)
-    return large, small
-
-
 def spectral_radius(method: Any, gamma: float, omega: float, h: Any) -> Any:
     """Largest |eigenvalue| of one step; inf where it is not finite."""
-    large, small = eigenvalues(step_matrix(method, gamma, omega, h))
-    radius = np.maximum(np.abs(large), np.abs(small))
+    matrix = step_matrix(method, gamma, omega, h)
+    with np.errstate(all="ignore"):
+        half = np.abs(matrix[..., 0, 0] + matrix[..., 1, 1]) / 2
+        difference = (matrix[..., 0, 0] - matrix[..., 1, 1]) / 2
+        square = difference**2 + matrix[..., 0, 1] * matrix[..., 1, 0]
+        root = np.sqrt(np.abs(square))
+        radius = np.where(square < 0, np.hypot(half, root), half + root)
     radius = np.where(np.isfinite(radius), radius, np.inf)
     return radius if radius.ndim else float(radius)
 
 
 def true_radius(gamma: float, omega: float, h: float) -> float:
-    """The same of the exact flow: e^{−γh/2}, or e^{−λh} with the slow rate λ where overdamped."""
+    """The spectral radius of the exact flow: e^{−γh/2}, or e^{−λh} with the slow rate λ where overdamped."""
     return math.exp(-slow_rate(gamma, omega) * h)
 
 
@@ -141,17 +124,22 @@ def stability(method: Any, gamma: float, omega: float) -> Stability:
     by less than 10⁻¹² is no window, such as a double root of s = ±1; an interval of stability of less than
     a per cent of the step does not end one.
     """
-    grid = np.geomspace(SHORTEST, LONGEST, SCANNED) / omega
 
     def invariants(h: np.ndarray) -> np.ndarray:
-        trace, det = trace_and_determinant(method, gamma, omega, h)
+        matrix = step_matrix(method, gamma, omega, h)
         with np.errstate(all="ignore"):
+            trace = matrix[..., 0, 0] + matrix[..., 1, 1]
+            det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
+            # that of a conformal contact map is its factor, without cancellation
+            factor = method.conformal_factor(oscillator(gamma, omega), h, ELEMENTWISE)
+            det = det if factor is None else factor
             return np.array([trace / (1 + det), det])
 
     def unstable(h: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
             return ~(np.abs(invariants(h)) <= 1 + SLACK).all(axis=0)  # nan: overflow
 
+    grid = np.geomspace(SHORTEST, LONGEST, SCANNED) / omega
     values = invariants(grid)
     turns = [turning_points(lambda h: invariants(h)[0], grid, values[0])]
     turns.append(turning_points(lambda h: invariants(h)[1], grid, values[1]))
@@ -167,18 +155,6 @@ def stability(method: Any, gamma: float, omega: float) -> Stability:
     stable = [(0.0, lost[0] if lost else math.inf), *usable]
     windows = tuple((end, start) for (_, end), (start, _) in itertools.pairwise(stable))
     return Stability(stable[0][1], windows, stable[-1][1])
-
-
-def trace_and_determinant(
-    method: Any, gamma: float, omega: float, h: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of one step; the determinant of a conformal contact map is its factor, without cancellation."""
-    matrix = step_matrix(method, gamma, omega, h)
-    with np.errstate(all="ignore"):
-        trace = matrix[..., 0, 0] + matrix[..., 1, 1]
-        det = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-        factor = method.conformal_factor(oscillator(gamma, omega), h, ELEMENTWISE)
-    return trace, det if factor is None else factor
 
 
 def turning_points(f: Callable[[np.ndarray], np.ndarray], grid: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -210,9 +186,6 @@ def bracket_changes(
 
 
 # -- theory ----------------------------------------------------------------------------------------
-Limit = Callable[[float, float], float]
-
-
 def merged_limit(gamma: float, omega: float) -> float:
     """B½ AC B½: an eigenvalue −1 where ω²h tanh(γh/2) = 2γ; 2/ω as γ → 0, 2γ/ω² as γ → ∞."""
     if gamma == 0:
@@ -257,7 +230,7 @@ def root(f: Callable[[float], float], scale: float) -> float:
 
 
 #: the limit a method has by theory, by name; the kick-drift-kick palindrome has 2/ω whatever damps between
-THEORY: dict[str, Limit] = {
+THEORY: dict[str, Callable[[float, float], float]] = {
     "contact-printed": printed_limit,
     "contact-abc": lambda gamma, omega: 2 / omega,
     "contact-strang": merged_limit,
@@ -294,7 +267,13 @@ def run_matrix(
     method: Any, gamma: float, omega: float, h: float, n: int, every_step: bool = False
 ) -> np.ndarray:
     """The map (q, p) → (q, p) of n steps of size h, of which the end or every step is saved."""
-    if every_step or not is_processed(method):
-        return np.linalg.matrix_power(step_matrix(method, gamma, omega, h), n)
-    before, after = (step_matrix(part, gamma, omega, h) for part in processor(method))
-    return after @ np.linalg.matrix_power(step_matrix(kernel(method), gamma, omega, h), n) @ before
+    own = method if every_step else kernel(method)
+    steps = np.linalg.matrix_power(step_matrix(own, gamma, omega, h), n)
+    if own is method:
+        return steps
+    stages = method.composition.processor
+    before, after = (
+        step_matrix(replace(own, composition=replace(own.composition, stages=part)), gamma, omega, h)
+        for part in (stages, stages[::-1])
+    )
+    return after @ steps @ before

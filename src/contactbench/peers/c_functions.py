@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.prepared import stopwatch
-from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.peers.variational import derivative
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.trace.compiled import back_end, import_source
@@ -65,11 +65,6 @@ class CFunctions:
 _compiled: Cache[CFunctions] = Cache(256)
 
 
-def clock_of(scene: Scene) -> int:
-    """Where the time is in a packed state, −1 for nowhere: as compiled code takes it."""
-    return -1 if scene.clock is None else scene.clock
-
-
 def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
     """The C functions of a scene, compiled once for its identity and the fields carried.
 
@@ -79,17 +74,15 @@ def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
     def make() -> CFunctions:
         elapsed = stopwatch()
         constants, found = functions(scene, carry)
-        code = {name: machine_code(function) for name, function in found.items()}
+        code = {}
+        for name, function in found.items():
+            source = C_FUNCTION.format(name=name, digest=digest(back_end(), function.digest))
+            lowered = {"lowered": intrinsic(function)}
+            code[name] = getattr(import_source(source, lambda given=lowered: given), name)
         jacobian = code["jacobian"].address if "jacobian" in code else 0
         return CFunctions(code["rhs"].address, jacobian, execute(constants), elapsed(), code)
 
     return _compiled.get(key(scene.identity, carry), make)
-
-
-def machine_code(function: Function) -> Any:
-    """A function compiled to the C interface above."""
-    source = C_FUNCTION.format(name=function.name, digest=digest(back_end(), function.digest))
-    return getattr(import_source(source, lambda: {"lowered": intrinsic(function)}), function.name)
 
 
 def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str, Function]]:
@@ -136,17 +129,3 @@ def _body(
     # CVODE has cleared the matrix
     stored = [(i, v) for i, v in enumerate(values) if name == "rhs" or not is_constant(v, 0)]
     return block.statements + [Store(Element("out", (i,)), operand_of(v)) for i, v in stored]
-
-
-def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
-    """Df at x: the scene's own Jacobian, or its right-hand side on dual numbers."""
-    with suppress(NotImplementedError):
-        rows = scene.jacobian(x)
-        if rows is not None:
-            return rows
-    y = scene.pack(x)
-    columns = []
-    for j in range(len(y)):
-        moved = [Dual(c, 1.0 if i == j else 0.0) for i, c in enumerate(y)]
-        columns.append([slope(c) for c in scene.pack(scene.rhs(scene.unpack(moved, carry)))])
-    return [list(row) for row in zip(*columns, strict=True)]

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from threading import Lock
-from typing import Any, Self
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
-from contactbench.peers.abi import KNOWN
-from contactbench.peers.c_functions import c_functions, clock_of, derivative
-from contactbench.peers.variational import SOURCE, run_variational, variational_request
+from contactbench.peers.base import PeerRun
+from contactbench.peers.c_functions import c_functions
 from contactbench.solution import Counts, Status
+
+#: what a compiled call returns of a run, followed by the packed state reached
+FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
+KNOWN = len(FACTS)
 
 
 @dataclass
-class CompiledPeer(Prepared):
+class CompiledPeer(PeerRun):
     """A run of a compiled solver; a library's own class connects it and reads how it ended."""
-
-    solver: str
-
-    sensitivity_source = SOURCE
-    #: the library's compiled calls, `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times
-    calls: Any = None
-    arguments: tuple[Any, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -34,14 +30,14 @@ class CompiledPeer(Prepared):
         self.functions = c_functions(scene, self.request.carry)
         self.compile_s = self.functions.compile_s
         self.data = self.functions.data(scene.numbers())
-        self.clock, self.end = clock_of(scene), float(self.request.save_at[-1])
+        self.clock, self.end = -1 if scene.clock is None else scene.clock, float(self.request.save_at[-1])
         self.final_only = len(self.later) == 1
         self.alone = Lock()  # memory may be shared by the calls: those from several threads take turns
-        self.connect()
+        self.calls, self.arguments = self.connect()
 
     @abstractmethod
-    def connect(self) -> None:
-        """Set `calls` and `arguments`."""
+    def connect(self) -> tuple[ModuleType, tuple[Any, ...]]:
+        """The library's compiled `to_end`, `at_times` and `in_a_loop`, and their arguments but states and times."""
 
     @abstractmethod
     def ending(self, flag: int) -> tuple[Status, str]:
@@ -54,7 +50,7 @@ class CompiledPeer(Prepared):
         return self.calls.to_end(y0, *self.arguments)[KNOWN:]
 
     def many(self, starts: np.ndarray) -> np.ndarray:
-        """Return `FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
+        """`FACTS` and final state, (n, KNOWN + d), of one start (n, d) after the other, in a compiled loop."""
         return self.calls.in_a_loop(np.ascontiguousarray(starts), *self.arguments)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
@@ -73,13 +69,3 @@ class CompiledPeer(Prepared):
             return self.finish(y0, rows, counts)
         stopped = reached, facts[KNOWN:]
         return self.finish(y0, rows, counts, status, f"{message} (t = {reached:.6g})", stopped)
-
-    def variational(self) -> Self:
-        """Return the same run of the scene together with its tangent vectors."""
-        carry = self.request.carry
-        return replace(
-            self, request=variational_request(self.request, lambda scene, x: derivative(scene, x, carry))
-        )
-
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return run_variational(self.variational(), y0)

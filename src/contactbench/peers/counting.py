@@ -10,9 +10,6 @@ from typing import Any
 
 from contactbench.xla import jax, jnp, lax
 
-#: a function of the parameters of an equation, its inputs and the number so far: its outputs and the number
-Rule = Callable[[dict[str, Any], Sequence[Any], Any], tuple[Sequence[Any], Any]]
-
 
 def count_callbacks(function: Callable[..., Any], *arguments: Any) -> tuple[Any, Any]:
     """What a traceable function returns, and how many `jax.debug.callback` it came by, which are not called.
@@ -20,64 +17,49 @@ def count_callbacks(function: Callable[..., Any], *arguments: Any) -> tuple[Any,
     Raises `NotImplementedError` where one, or any other effect, is in a construct of JAX that has no rule here.
     """
     program, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-    outputs, number = _closed(program, jax.tree.leaves(arguments), jnp.array(0))
+    outputs, number = evaluate(program, jax.tree.leaves(arguments), jnp.array(0))
     return jax.tree.unflatten(jax.tree.structure(shape), outputs), number
 
 
-def _closed(program: Any, inputs: Sequence[Any], number: Any) -> tuple[list[Any], Any]:
-    """A program evaluated equation by equation; of all that has effects only callbacks are known."""
+def evaluate(program: Any, inputs: Sequence[Any], number: Any) -> tuple[list[Any], Any]:
+    """The outputs of a program, equation by equation, and the number of callbacks, those so far included."""
     jaxpr = program.jaxpr
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *inputs], strict=True))
 
     def read(atom: Any) -> Any:
         return atom.val if hasattr(atom, "val") else values[atom]
 
-    found: Sequence[Any]
     for equation in jaxpr.eqns:
-        name, given = equation.primitive.name, list(map(read, equation.invars))
-        if name == "debug_callback":
-            number, found = number + 1, ()
-        elif not equation.effects:
+        given = list(map(read, equation.invars))
+        if equation.effects:
+            found, number = count(equation.primitive.name, equation.params, given, number)
+        else:
             parameters = equation.primitive.get_bind_params(equation.params)
             if isinstance(parameters, tuple):  # of older JAX: functions to be called, and the rest
-                functions, parameters = parameters
-                given = [*functions, *given]
+                given, parameters = [*parameters[0], *given], parameters[1]
             found = equation.primitive.bind(*given, **parameters)
             found = found if equation.primitive.multiple_results else [found]
-        elif name in RULES:
-            found, number = RULES[name](equation.params, given, number)
-        else:
-            raise NotImplementedError(f"a callback, or another effect, inside {name}")
         values |= zip(equation.outvars, found, strict=True)
     return list(map(read, jaxpr.outvars)), number
 
 
-def _while(parameters: dict[str, Any], given: Sequence[Any], number: Any) -> tuple[Sequence[Any], Any]:
-    if parameters["cond_jaxpr"].effects:
-        raise NotImplementedError("a callback inside the condition of a loop")
+def count(
+    name: str, parameters: dict[str, Any], given: Sequence[Any], number: Any
+) -> tuple[Sequence[Any], Any]:
+    """The outputs of an equation with callbacks in it, and their number."""
+    if name == "debug_callback":
+        return (), number + 1
+    if name in ("jit", "custom_jvp_call"):
+        return evaluate(parameters["jaxpr" if name == "jit" else "call_jaxpr"], given, number)
+    if name == "cond":
+        branches = [lambda n, *x, each=each: evaluate(each, x, n) for each in parameters["branches"]]
+        return lax.switch(given[0], branches, number, *given[1:])
+    if name != "while" or parameters["cond_jaxpr"].effects:
+        raise NotImplementedError(f"a callback, or another effect, inside {name}, or inside its condition")
     i = parameters["cond_nconsts"]
     j = i + parameters["body_nconsts"]
-
-    def body(state: Any) -> Any:
-        return _closed(parameters["body_jaxpr"], [*given[i:j], *state[0]], state[1])
-
-    def goes_on(state: Any) -> Any:
-        return _closed(parameters["cond_jaxpr"], [*given[:i], *state[0]], 0)[0][0]
-
-    return lax.while_loop(goes_on, body, (list(given[j:]), number))
-
-
-def _cond(parameters: dict[str, Any], given: Sequence[Any], number: Any) -> tuple[Sequence[Any], Any]:
-    def branch(program: Any) -> Callable[..., Any]:
-        return lambda number, *inputs: _closed(program, inputs, number)
-
-    return lax.switch(given[0], [branch(program) for program in parameters["branches"]], number, *given[1:])
-
-
-#: by the name of the primitive
-RULES: dict[str, Rule] = {
-    "jit": lambda parameters, given, number: _closed(parameters["jaxpr"], given, number),
-    "custom_jvp_call": lambda parameters, given, number: _closed(parameters["call_jaxpr"], given, number),
-    "while": _while,
-    "cond": _cond,
-}
+    return lax.while_loop(
+        lambda state: evaluate(parameters["cond_jaxpr"], [*given[:i], *state[0]], 0)[0][0],
+        lambda state: evaluate(parameters["body_jaxpr"], [*given[i:j], *state[0]], state[1]),
+        (list(given[j:]), number),
+    )

@@ -12,77 +12,48 @@ takes no Jacobian: Radau and LSODA difference the right-hand side, and the calls
 
 from __future__ import annotations
 
-import importlib.util
-from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
 
-from contactbench.methods.base import CLAMPED, METHODS, Adaptive, Request
-from contactbench.methods.prepared import Prepared, Refused
-from contactbench.peers.abi.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, why_not
+from contactbench.methods.base import CLAMPED, METHODS
+from contactbench.peers.base import Peer
 from contactbench.peers.compiled import CompiledPeer
-from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
+#: CyRK's status codes
+SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR = 1, -52, -53
 
 
-@dataclass
 class CyrkRun(CompiledPeer):
-    #: evaluations of an attempted step, whether accepted or not; None where that varies
-    stages: int | None = None
+    def connect(self) -> tuple[ModuleType, tuple[Any, ...]]:
+        from contactbench.peers.abi import cyrk
 
-    def connect(self) -> None:
-        from contactbench.peers.abi import cyrk_calls
-
-        r = self.request
-        self.calls, self.message = cyrk_calls, cyrk_calls.message
-        method = cyrk_calls.number(self.solver)
-        self.arguments = (
-            *(self.functions.rhs, method, self.data, self.clock, self.end),
-            *(r.rtol, r.atol, r.max_steps),
-        )
+        r, method = self.request, int(cyrk.find_ode_method_int(self.method_.solver))
+        where = self.functions.rhs, method, self.data, self.clock, self.end
+        return cyrk, (*where, r.rtol, r.atol, r.max_steps)
 
     def ending(self, flag: int) -> tuple[Status, str]:
         if flag == SUCCESS:
             return Status.ok, ""
         if flag in (TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR):
             return Status.budget, f"max_steps = {self.request.max_steps} spent"
-        return Status.failed, self.message(flag)
+        return Status.failed, str(self.calls.get_error_message(flag)).rstrip(".")
 
     def counts(self, steps: int, evaluations: int, jacobians: int, rejected: float) -> Counts:
         """Rejected steps follow from the evaluations, unless an interpolation asks for some of its own."""
-        if self.stages is None or not self.final_only:
+        if (stages := self.method_.stages) is None or not self.final_only:
             return Counts(steps, evaluations, 0, None)
-        return Counts(steps, evaluations, 0, (evaluations - BEFORE) // self.stages - steps)
+        return Counts(steps, evaluations, 0, (evaluations - BEFORE) // stages - steps)
 
 
-@dataclass(frozen=True)
-class CyrkMethod(Adaptive):
-    name: str
-    solver: str
-    order: int | None
-    about: str
-    stages: int | None = None
-    engines: tuple[str, ...] = ("c++",)
-    own_time: bool = True
-    rtol_range: tuple[float, float] = (CLAMPED, 1e-1)
-
-    def refuses(self, scene: Scene) -> str | None:
-        if importlib.util.find_spec("CyRK") is None:
-            return "CyRK is not installed (pip install contactbench[bench])"
-        return None
-
-    def prepare(self, request: Request) -> Prepared:
-        if why := why_not():
-            return Refused(self.name, request, why)
-        return CyrkRun(self.name, request, self.solver, stages=self.stages)
-
-
-for _method in (
-    CyrkMethod("cyrk-dop853", "DOP853", 8, "explicit Runge–Kutta 8(5,3), C++", stages=12),
-    CyrkMethod("cyrk-vern8", "Vern8", 8, "Verner's explicit Runge–Kutta 8(7), C++", stages=13),
-    CyrkMethod("cyrk-tsit5", "Tsit5", 5, "Tsitouras' explicit Runge–Kutta 5(4), C++", stages=6),
-    CyrkMethod("cyrk-lsoda", "LSODA", None, "Adams or BDF, chosen as it goes (ODEPACK), C++"),
-    CyrkMethod("cyrk-radau", "RADAU", 5, "implicit Radau IIA, Jacobian by differences, C++"),
+for _solver, _order, _stages, _about in (
+    ("DOP853", 8, 12, "explicit Runge–Kutta 8(5,3), C++"),
+    ("Vern8", 8, 13, "Verner's explicit Runge–Kutta 8(7), C++"),
+    ("Tsit5", 5, 6, "Tsitouras' explicit Runge–Kutta 5(4), C++"),
+    ("LSODA", None, None, "Adams or BDF, chosen as it goes (ODEPACK), C++"),
+    ("RADAU", 5, None, "implicit Radau IIA, Jacobian by differences, C++"),
 ):
-    METHODS.add(_method)
+    _name, _range = f"cyrk-{_solver.lower()}", (CLAMPED, 1e-1)
+    METHODS.add(Peer(_name, _about, CyrkRun, ("c++",), _range, _solver, "CyRK", _order, _stages))

@@ -1,7 +1,7 @@
 """diffrax's adaptive Runge–Kutta methods, compiled by JAX.
 
 Kidger, On Neural Differential Equations, Oxford 2021, arXiv:2202.02435.  64-bit; tolerances,
-parameters and the budget of steps are traced (one program for all of them), `throw=False` with the result code read.
+and parameters are traced (one program for all of them), `throw=False` with the result code read.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Adaptive, Request
+from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
 from contactbench.methods.compiled import CompiledRun
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
-from contactbench.scene import Scene
+from contactbench.peers.base import Peer
 from contactbench.solution import Counts, Status
 
 
@@ -26,7 +25,7 @@ def mark() -> None:
 
 @dataclass
 class DiffraxRun(CompiledRun):
-    method_: DiffraxMethod
+    method_: Peer
 
     sensitivity_source = "forward-mode AD, accepted steps frozen"
     #: one program for two saved times and for 1024: it takes up to 50 µs longer than one for 64 (measured), and
@@ -38,18 +37,14 @@ class DiffraxRun(CompiledRun):
 
         super().__post_init__()
         r = self.request
-        self.fixed = jax.device_put(self.arguments())
+        self.fixed = jax.device_put(self.together(r.scene.numbers(), [r.rtol, r.atol], self.times()))
         self.final_only = len(r.save_at) == 1
         self.program, self.compile_s = self.compiled(
             "run", self.flat(self._solve_and_count), self._own_start, self.fixed
         )
 
-    def arguments(self) -> np.ndarray:
-        r = self.request
-        return self.together(r.scene.numbers(), [r.rtol, r.atol, r.max_steps], self.times())
-
     def key(self) -> tuple[Any, ...]:
-        return (self.method_, self.capacity)
+        return (self.method_, self.capacity, self.request.max_steps)
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
@@ -60,7 +55,7 @@ class DiffraxRun(CompiledRun):
         diffrax does not report its Newton iterations.  To count them costs a program nothing: measured on
         eleven scenes, the same bits, in 0.78 to 1.01 of the time.
         """
-        if not self.method_.stiff:
+        if not self.method_.implicit:
             return self._solve(y0, fixed)
         from contactbench.peers.counting import count_callbacks
         from contactbench.xla import jnp
@@ -70,12 +65,12 @@ class DiffraxRun(CompiledRun):
 
     def _solve(self, y0: Any, fixed: Any, marked: bool = False) -> Any:
         import diffrax
+        import optimistix
 
-        from contactbench.peers.diffrax_budget import Budgeted
         from contactbench.xla import jax, jnp
 
-        numbers, (rtol, atol, max_steps), times = self.apart(fixed)
-        r = self.request
+        numbers, (rtol, atol), times = self.apart(fixed)
+        r, implicit = self.request, self.method_.implicit
         scene = r.scene.with_numbers(list(numbers))
 
         # Measured: one array through the linear algebra of the implicit methods (and it compiles in half the
@@ -83,7 +78,7 @@ class DiffraxRun(CompiledRun):
         # fast; a tuple of scalars for two components, 1.1 times as fast; equal for three.
         start = 0.0 if scene.clock is None else y0[scene.clock]
         y = scene.without_clock(list(y0))
-        as_array = self.method_.stiff or len(y) > 3
+        as_array = implicit or len(y) > 3
 
         def field(t: Any, x: Any, args: Any) -> Any:
             if marked:
@@ -94,17 +89,22 @@ class DiffraxRun(CompiledRun):
         # recorded once: diffrax calls it at a dozen places of an implicit step, and traces it anew at each
         term = diffrax.ODETerm(jax.jit(field, inline=True))
         grid = [diffrax.SubSaveAt(t1=True), diffrax.SubSaveAt(ts=times)]
-        pid = diffrax.PIDController(rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False)
+        # The default root finder, VeryChord, has one linearisation per step and a convergence criterion that
+        # tight tolerances rarely meet: half of all steps are rejected and each is four times too
+        # short.  Chord linearises at every stage and follows the error control.
+        finder: Any = {"root_finder": optimistix.Chord(rtol=rtol, atol=atol)} if implicit else {}
         solution = diffrax.diffeqsolve(
             term,
-            self.method_.solver(rtol, atol),
+            getattr(diffrax, self.method_.solver)(**finder),
             0.0,
             times[-1],
             None,
             jnp.stack(y) if as_array else tuple(y),
             saveat=diffrax.SaveAt(t1=True) if self.final_only else diffrax.SaveAt(subs=grid),
-            stepsize_controller=Budgeted(pid, max_steps, times[-1]),
-            max_steps=None,
+            stepsize_controller=diffrax.PIDController(
+                rtol=rtol, atol=atol, dtmin=SHORTEST * times[-1], force_dtmin=False
+            ),
+            max_steps=r.max_steps,
             adjoint=diffrax.ForwardMode(),
             throw=False,
         )
@@ -137,7 +137,8 @@ class DiffraxRun(CompiledRun):
         y, info, last = self.unflat(np.asarray(self.program(self.placed(y0), self.fixed)), len(y0))
         accepted, rejected, successful, exhausted, collapsed, time, *counted = info
         accepted, rejected = int(accepted), int(rejected)
-        evaluations = int(counted[0]) if counted else self.method_.evaluations(accepted, rejected)
+        # explicit methods are first-same-as-last: stages per attempt, and the very first slope
+        evaluations = int(counted[0]) if counted else (accepted + rejected) * (self.method_.stages or 0) + 1
         counts = Counts(accepted, evaluations, 0, rejected)
         if successful:
             return self.finish(y0, y, counts)
@@ -150,44 +151,19 @@ class DiffraxRun(CompiledRun):
         return self.finish(y0, y[:reached], counts, status, message, (time, np.array(last)))
 
 
-@dataclass(frozen=True)
-class DiffraxMethod(Adaptive):
-    """stages : right-hand sides per attempted step (all are first-same-as-last)."""
-
-    name: str
-    solver_name: str
-    order: int
-    stages: int
-    about: str
-    stiff: bool = False
-    engines: tuple[str, ...] = ("jax",)
-    own_time: bool = True
-    rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
-
-    def solver(self, rtol: Any, atol: Any) -> Any:
-        import diffrax
-        import optimistix
-
-        if not self.stiff:
-            return getattr(diffrax, self.solver_name)()
-        # The default, VeryChord, has one linearisation per step and a convergence criterion that
-        # tight tolerances rarely meet: half of all steps are rejected and each is four times too
-        # short.  Chord linearises at every stage and follows the error control.
-        finder: Any = optimistix.Chord(rtol=rtol, atol=atol)
-        return getattr(diffrax, self.solver_name)(root_finder=finder)
-
-    def evaluations(self, accepted: int, rejected: int) -> int:
-        """Right-hand sides of an explicit method: stages per attempt, and the very first slope."""
-        return (accepted + rejected) * self.stages + 1
-
-    def step_cost(self, scene: Scene, engine: str) -> float | None:
-        """An implicit step compiled by XLA takes about as long as two right-hand sides in Python."""
-        return 2 if self.stiff else None
-
-    def prepare(self, request: Request) -> Prepared:
-        return DiffraxRun(self.name, request, self)
-
-
-METHODS.add(DiffraxMethod("diffrax-tsit5", "Tsit5", 5, 6, "Tsitouras 5(4), explicit"))
-METHODS.add(DiffraxMethod("diffrax-dopri8", "Dopri8", 8, 13, "Dormand–Prince 8(7), explicit"))
-METHODS.add(DiffraxMethod("diffrax-kvaerno5", "Kvaerno5", 5, 6, "Kvaerno 5(4), implicit, Chord", stiff=True))
+for _solver, _order, _stages, _implicit, _about in (
+    ("Tsit5", 5, 6, False, "Tsitouras 5(4), explicit"),
+    ("Dopri8", 8, 13, False, "Dormand–Prince 8(7), explicit"),
+    ("Kvaerno5", 5, 6, True, "Kvaerno 5(4), implicit, Chord"),
+):
+    METHODS.add(
+        Peer(
+            f"diffrax-{_solver.lower()}",
+            *(_about, DiffraxRun, ("jax",), (ROUNDING, 1e-1), _solver),
+            order=_order,
+            stages=_stages,
+            implicit=_implicit,
+            # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
+            costs={"jax": 2} if _implicit else {},
+        )
+    )

@@ -8,19 +8,17 @@ tolerance and every set of numbers is a program of its own.
 
 from __future__ import annotations
 
-import importlib.util
 from copy import copy
-from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, ROUNDING, Adaptive, Request
+from contactbench.methods.base import METHODS, ROUNDING
 from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, stopwatch
-from contactbench.numbers.series import NO_SERIES, Series, SeriesNumbers, bare
-from contactbench.peers.variational import SOURCE, run_variational, variational_request
+from contactbench.methods.prepared import stopwatch
+from contactbench.numbers.series import NO_SERIES, Series, bare
+from contactbench.peers.base import Peer, PeerRun
 from contactbench.scene import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import Counts, Status
@@ -38,19 +36,6 @@ def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tup
     ]
 
 
-def symbolic_derivative(scene: Scene, x: Any) -> list[list[Any]]:
-    """Df on heyoka expressions: the scene's own Jacobian, or heyoka's derivatives of its right-hand side."""
-    if scene.has_jacobian:
-        return scene.jacobian(x)
-    variables = scene.pack(x)
-
-    def row(slope: Any) -> list[Any]:
-        """Tangents do not move the time: its derivative is not asked for."""
-        return [0.0 if i == scene.clock else SeriesNumbers().diff(slope, c) for i, c in enumerate(variables)]
-
-    return [row(slope) for slope in scene.pack(scene.rhs(x))]
-
-
 #: above this many equations heyoka's default, all formulas written out, takes seconds to compile
 UNROLLED = 20
 
@@ -59,10 +44,7 @@ UNROLLED = 20
 _integrators: Cache[tuple[Any, float]] = Cache(32)
 
 
-@dataclass
-class TaylorRun(Prepared):
-    sensitivity_source = SOURCE
-
+class TaylorRun(PeerRun):
     def __post_init__(self) -> None:
         import heyoka
 
@@ -80,85 +62,57 @@ class TaylorRun(Prepared):
         program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
-        size, clock = len(self._own_start), self._clock
-        self.motion: Any = slice(clock) if clock == size - 1 else [i for i in range(size) if i != clock]
+        self.motion: Any = slice(self._clock)
+        if self._clock is not None and self._clock < len(self._own_start) - 1:
+            self.motion = [i for i in range(len(self._own_start)) if i != self._clock]
         self.alone = Lock()  # one state: calls from several threads take turns
-        self.outcomes = heyoka.taylor_outcome
-        self.end, self.per_step = float(r.save_at[-1]), program.order + 1
+        self.outcomes, self.per_step = heyoka.taylor_outcome, program.order + 1
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         """The time in a packed state is set and read in place: `split_clock` takes a third of a short run."""
-        ta, c, steps = self.integrator, self._clock, self.request.max_steps
-        if c is None:
-            ta.time = 0.0
-            ta.state[:] = y0
-            ta.propagate_until(self.end, max_steps=steps)
-            return ta.state.copy()
-        y, state, start = y0.copy(), ta.state, y0.item(c)
-        ta.time = start
-        state[:] = y0[self.motion]
-        ta.propagate_until(start + self.end, max_steps=steps)
-        y[self.motion], y[c] = state, start + self.end
+        ta, clock, y = self.integrator, self._clock, y0.copy()
+        ta.time = start = 0.0 if clock is None else y0.item(clock)
+        ta.state[:] = y0[self.motion]
+        ta.propagate_until(start + self._end, max_steps=self.request.max_steps)
+        y[self.motion] = ta.state
+        if clock is not None:
+            y[clock] = start + self._end
         return y
 
     def integrate(self, y0: np.ndarray) -> Outcome:
+        r, ta, limit = self.request, self.integrator, self.outcomes
         with self.alone:
-            return self._integrate(y0)
-
-    def _integrate(self, y0: np.ndarray) -> Outcome:
-        r, ta = self.request, self.integrator
-        ta.time, ta.state[:] = self.split_clock(y0)
-        origin = ta.time
-        if len(r.save_at) == 1:
-            outcome, _, _, steps, *_ = ta.propagate_until(origin + self.end, max_steps=r.max_steps)
-            y = self.insert_clock(ta.state, origin, self.end).copy()
-            if outcome == self.outcomes.time_limit:
-                counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
-                return self.finish(y0, y[None], counts)
-            y = y[None][:0]
-        else:
-            start = r.save_at[0] == 0
-            grid = r.save_at if start else np.concatenate([[0.0], r.save_at])
-            outcome, _, _, steps, *_, y = ta.propagate_grid(origin + grid, max_steps=r.max_steps)
-            y = self.insert_clock(y, origin, grid[: len(y)])
-            y = y[: len(grid)] if start else y[1:]
+            ta.time, ta.state[:] = self.split_clock(y0)
+            origin = ta.time
+            if len(r.save_at) == 1:
+                outcome, _, _, steps, *_ = ta.propagate_until(origin + self._end, max_steps=r.max_steps)
+                y = ta.state[None][: outcome == limit.time_limit].copy()
+            else:
+                grid = origin + np.append(0.0, self.later)
+                outcome, _, _, steps, *_, y = ta.propagate_grid(grid, max_steps=r.max_steps)
+                y = y[1:]
+            time, state = float(ta.time) - origin, ta.state.copy()
+        y = self.from_start(y0, self.insert_clock(y, origin, self.later[: len(y)]))
         counts = Counts(steps, steps * self.per_step, 0, 0, "taylor")
         # of a grid that takes exactly so many steps heyoka says that they are spent
-        if outcome == self.outcomes.time_limit or len(y) == len(r.save_at):
+        if outcome == limit.time_limit or len(y) == len(r.save_at):
             return self.finish(y0, y, counts)
-        stopped = (float(ta.time) - origin, ta.state.copy())
-        if outcome == self.outcomes.step_limit:
-            return self.finish(y0, y, counts, Status.budget, f"max_steps = {r.max_steps} spent", stopped)
-        message = f"{outcome.name} at t = {stopped[0]:.6g}"
-        if not ta.time > origin:  # a function without a series at the start: no failure of the motion
-            message += f"; {NO_SERIES}"
-            return self.finish(y0, y[:0], counts, Status.failed, message)
-        status = Status.diverged if outcome == self.outcomes.err_nf_state else Status.failed
-        return self.finish(y0, y, counts, status, message, stopped)
-
-    def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return run_variational(
-            TaylorRun(self.method, variational_request(self.request, symbolic_derivative)), y0
-        )
+        if outcome == limit.step_limit:
+            message = f"max_steps = {r.max_steps} spent"
+            return self.finish(y0, y, counts, Status.budget, message, (time, state))
+        message = f"{outcome.name} at t = {time:.6g}"
+        if not time > 0:  # a function without a series at the start: no failure of the motion
+            return self.finish(y0, y[:0], counts, Status.failed, f"{message}; {NO_SERIES}")
+        status = Status.diverged if outcome == limit.err_nf_state else Status.failed
+        return self.finish(y0, y, counts, status, message, (time, state))
 
 
-@dataclass(frozen=True)
-class TaylorMethod(Adaptive):
-    name: str = "heyoka-taylor"
-    about: str = "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)"
-    order: int | None = None
-    engines: tuple[str, ...] = ("llvm",)
-    own_time: bool = True
-    rtol_range: tuple[float, float] = (ROUNDING, 1e-1)
-    takes_atol: bool = False
-
-    def refuses(self, scene: Scene) -> str | None:
-        if importlib.util.find_spec("heyoka") is None:
-            return "heyoka is not installed (pip install contactbench[bench])"
-        return None
-
-    def prepare(self, request: Request) -> Prepared:
-        return TaylorRun(self.name, request)
-
-
-METHODS.add(TaylorMethod())
+METHODS.add(
+    Peer(
+        "heyoka-taylor",
+        "adaptive Taylor series, LLVM-compiled; order grows with −log(rtol)",
+        *(TaylorRun, ("llvm",), (ROUNDING, 1e-1)),
+        package="heyoka",
+        takes_atol=False,
+    )
+)

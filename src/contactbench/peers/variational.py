@@ -14,21 +14,14 @@ Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
-import numpy as np
-
-from contactbench.methods.base import Request
-from contactbench.methods.prepared import Prepared
+from contactbench.numbers.dual import Dual, slope
 from contactbench.scene import Scene, System, dot
 from contactbench.scene.cache import key
-
-#: ``(scene, x) -> rows``: ∂(rhs)/∂(state) in packed order
-Derivative = Callable[[Scene, Any], Any]
-
-SOURCE = "variational equations, a run of its own"
 
 
 class Bundle(NamedTuple):
@@ -44,7 +37,6 @@ class Variational(System):
 
     base: Scene
     count: int
-    derivative: Derivative
 
     def labels(self, carry: Sequence[str]) -> list[str]:
         own = self.base.labels(carry)
@@ -88,12 +80,10 @@ class Variational(System):
         return key(self.base.identity, Variational, self.count)
 
     def rhs(self, z: Bundle) -> Bundle:
-        carry = tuple(name for name in self.base.optional if getattr(z.x, name) is not None)
-        rows = self.derivative(self.base, z.x)
-        pushed = (
-            self.base.unpack([dot(row, flat) for row in rows], carry) for flat in map(self.base.pack, z.v)
-        )
-        return Bundle(self.base.rhs(z.x), tuple(pushed))
+        base, carry = self.base, self.carried(z)
+        rows = derivative(base, z.x, carry)
+        v = (base.unpack([dot(row, flat) for row in rows], carry) for flat in map(base.pack, z.v))
+        return Bundle(base.rhs(z.x), tuple(v))
 
     def jacobian(self, z: Bundle) -> list[list[Any]]:
         """diag(Df, …, Df), for the implicit solvers.
@@ -102,44 +92,28 @@ class Variational(System):
         triangular: Newton's iteration converges all the same, the tangents one iteration after the
         state, and the convergence test of the solver sees both.
         """
-        base = self.base
-        rows = self.derivative(base, z.x)
-        moved = [base.without_clock(row) for row in base.without_clock(rows)]
+        rows = derivative(self.base, z.x, self.carried(z))
+        moved = [self.base.without_clock(row) for row in self.base.without_clock(rows)]
         blocks = [rows] + [moved] * self.count
-        size = sum(map(len, blocks))
-        found, before = [], 0
+        size, found = sum(map(len, blocks)), list[list[Any]]()
         for block in blocks:
-            after = size - before - len(block)
-            found += [[*[0.0] * before, *row, *[0.0] * after] for row in block]
-            before += len(block)
+            before = [0.0] * len(found)
+            found += [[*before, *row, *[0.0] * (size - len(before) - len(row))] for row in block]
         return found
 
-
-def variational_request(request: Request, derivative: Derivative) -> Request:
-    """The same question about the scene and its tangents."""
-    scene = request.scene
-    count = len(scene.tangents(scene.initial(request.carry)))
-    larger: Any = Variational(
-        name=f"variational equations of {scene.name}",
-        t_end=scene.t_end,
-        base=scene,
-        count=count,
-        derivative=derivative,
-    )
-    return replace(request, scene=larger)
+    def carried(self, z: Bundle) -> tuple[str, ...]:
+        return tuple(name for name in self.base.optional if getattr(z.x, name) is not None)
 
 
-def run_variational(run: Prepared, y0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """States (k, d) and tangents (k, d, m) at the saved times, from a run of a `variational_request`.
-
-    NaN where the run did not get.
-    """
-    scene: Any = run.request.scene
-    carry = run.request.carry
-    x = scene.base.unpack(tuple(y0.tolist()), carry)
-    start = np.array(scene.pack(Bundle(x, tuple(scene.base.tangents(x)))), dtype=float)
-    y, d = run.integrate(start).y, len(y0)
-    v = y[:, d:].reshape(len(y), scene.count, -1)
-    if scene.clock is not None:
-        v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
-    return y[:, :d], np.moveaxis(v, 1, 2)
+def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
+    """Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
+    with suppress(NotImplementedError):
+        rows = scene.jacobian(x)
+        if rows is not None:
+            return rows
+    y = scene.pack(x)
+    columns = []
+    for j in range(len(y)):
+        moved = [Dual(c, 1.0 if i == j else 0.0) for i, c in enumerate(y)]
+        columns.append([slope(c) for c in scene.pack(scene.rhs(scene.unpack(moved, carry)))])
+    return [list(row) for row in zip(*columns, strict=True)]

@@ -12,7 +12,6 @@ from tqdm import tqdm
 
 from contactbench.errors import BadInput, excerpt, finite, items_of, positive, switch
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
-from contactbench.measure.ladder import setting
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import METHODS
@@ -20,6 +19,7 @@ from contactbench.methods.entry import lookup, prepare
 from contactbench.race.scout import Attempt, Question, Scout, ends
 from contactbench.results.contest import standings
 from contactbench.scene import Scene
+from contactbench.solution import keywords
 from contactbench.truth import confirmed, reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)
@@ -237,7 +237,7 @@ class Comparison:
         scene, left = self.question.scene, self.left(LAWS)
         if left < (each.compile_s if each.engine == "jax" else 0.0):  # another field is another program
             return {}
-        options: dict[str, Any] = {**setting(each.method, attempt.value), "engine": each.engine}
+        options: dict[str, Any] = {**keywords(each.method.control, attempt.value), "engine": each.engine}
         solution = prepare(scene, each.method.name, save_at=ends(scene), **options)()
         return row(solution, "" if differentiation_time(each, attempt) <= left else "no time was left")
 

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import UserError
-from contactbench.measure.ladder import ENDS, carry_of, setting, tolerances, work_ladder
+from contactbench.measure.ladder import ENDS, carry_of, tolerances, work_ladder
 from contactbench.measure.laws import observables
 from contactbench.methods.base import ENGINES, METHODS
 from contactbench.methods.entry import prepare
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Solution, Status
+from contactbench.solution import Counts, Solution, Status, keywords
 from contactbench.truth import Reference
 
 #: bisections between the first setting that is accurate enough and the one before it
@@ -187,7 +187,7 @@ class Scout:
     def attempt(self, value: float) -> Attempt:
         """Make five runs at one setting, the longest first."""
         scene, name, first = self.question.scene, self.method.name, not self.attempts
-        options: dict[str, Any] = {**setting(self.method, value), "carry": carry_of(scene)}
+        options: dict[str, Any] = {**keywords(self.method.control, value), "carry": carry_of(scene)}
         *earlier, end = ends(scene).tolist()
         start = perf_counter()
         run = prepare(scene, name, save_at=[end], max_steps=self.most_steps(), **options)

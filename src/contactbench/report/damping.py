@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.round_off import STRUCTURE
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
-from contactbench.results.round_off import STRUCTURE
 
 SOURCE, STRONG = "damping_rates.csv", "strong_damping.csv"
 #: errors whose ratio is within this are as good as equal

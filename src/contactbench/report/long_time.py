@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from contactbench.measure.round_off import STRUCTURE
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.figures import long_time as figures
 from contactbench.report.numbers import DASH, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix, pick
-from contactbench.results.long_time import DIMENSION, ENERGY, EXPONENT, SUM
-from contactbench.results.round_off import STRUCTURE
+from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM
 
 SOURCE = "long_time.csv"
 #: how far an average may be off, as a part of it

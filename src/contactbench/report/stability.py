@@ -14,7 +14,7 @@ from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
 from contactbench.results.contest import EVALUATIONS
 from contactbench.results.judgement import laws_in
-from contactbench.results.round_off import numbers
+from contactbench.results.schema import numbers
 from contactbench.results.tables import STABILITY
 
 SOURCE = "stability.csv"

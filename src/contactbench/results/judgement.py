@@ -9,8 +9,7 @@ import pandas as pd
 
 from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, UNSURE, structural_bound
 from contactbench.results.contest import LIMIT
-from contactbench.results.round_off import numbers
-from contactbench.results.schema import Column, Rule, Table
+from contactbench.results.schema import Column, Rule, Table, numbers
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
 
 #: the same law with the steps held fixed

@@ -13,7 +13,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+import pandas as pd
+
 from contactbench.errors import BadInput, Registry
+from contactbench.measure.round_off import STRUCTURE
 
 #: how much is run, from little to much; each makes the rows of those before it, and more
 PROFILES = ("smoke", "standard", "full")
@@ -148,3 +152,26 @@ TABLES: dict[str, Table] = Registry("table", Table)
 def table(name: str, about: str, columns: Any, **options: Any) -> Table:
     """Register a table and return it."""
     return TABLES.add(Table(name, about, columns, **options))  # type: ignore[attr-defined]
+
+
+# -- round-off -------------------------------------------------------------------------------------
+def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
+    """Return a column as floats, `default` where it is blank or missing."""
+    if column not in rows:
+        return pd.Series(default, rows.index, dtype=float)
+    return pd.to_numeric(rows[column], errors="coerce").astype(float).fillna(default)
+
+
+def floor(rule: Rule | None, rows: pd.DataFrame) -> np.ndarray:
+    """Return below what an error with this rule says nothing, row by row: zero for what is no error.
+
+    The gate does not judge there, and the tables write one digit.  100 ε, and √n ε for n evaluations, whose rounding
+    errors walk at random; times the condition number of the motion, where the table has one.  The references' 40
+    digits are beyond that; they are the limit of rows at 50 digits, ten times their uncertainty.
+    """
+    if rule is None or not rule.decades:
+        return np.zeros(len(rows))
+    least = np.finfo(float).eps * np.maximum(100.0, np.sqrt(numbers(rows, "evaluations", 0.0)))
+    least *= np.maximum(1.0, numbers(rows, "condition_number", 1.0))
+    round_off = np.where(rows.get("engine", "") == "mpmath", 1e-39, least)
+    return np.maximum(round_off, STRUCTURE) if rule is Rule.structure else round_off

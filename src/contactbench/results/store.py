@@ -8,7 +8,6 @@ three), so that a rerun on the same machine gives the same file.  Files are repl
 from __future__ import annotations
 
 import contextlib
-import csv
 import logging
 import math
 import os
@@ -22,19 +21,13 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
-from contactbench.results.round_off import floor
-from contactbench.results.schema import Column, Table
+from contactbench.results.schema import Column, Table, floor
 
 DIGITS, TIME_DIGITS, ROUND_OFF_DIGITS = 6, 3, 1
 FLAGS = {"True": True, "False": False, True: True, False: False}
+#: types in a frame, and in a message
 DTYPES = {"text": "str", "number": "float64", "whole": "Int64", "flag": "bool", "answer": "boolean"}
-#: entries of a column, in a message
-WORDS = {
-    "number": "finite number",
-    "whole": "whole number",
-    "flag": "True or False",
-    "answer": "True or False",
-}
+WORDS = {"number": "finite number", "whole": "whole number", "flag": "truth value", "answer": "truth value"}
 LOG = logging.getLogger("contactbench")
 
 
@@ -49,72 +42,56 @@ def read(table: Table, results: Path) -> pd.DataFrame:
     Columns that the files lack are blank, columns that the table does not know are left out with a note.
     Raises `OldTable` for a file of another version and `BadInput` for one that is not this table.
     """
-    untimed, *times = table.files(results)
-    if not untimed.exists():
-        return no_rows(table)
-    frame = part(table, untimed)
-    for path in times:
-        if path.exists():
-            clock = part(table, path).drop(columns="schema")
-            frame = frame.drop(columns=[name for name in table.timed if name in frame])
-            frame = frame.merge(clock, how="left", on=list(table.key))
+    (untimed, names), *others = table.files(results).items()
+    frame = read_file(table, untimed, names) if untimed.exists() else pd.DataFrame()
+    for path, names in others:
+        if len(frame) and path.exists():
+            times = read_file(table, path, names).drop(columns="schema")
+            frame = frame.merge(times, "left", list(table.key))
     return set_types(frame.reindex(columns=[*table.every_column]), table)
 
 
-def no_rows(table: Table) -> pd.DataFrame:
-    """Return the table without rows."""
-    return set_types(pd.DataFrame(columns=[*table.every_column]), table)
-
-
-def part(table: Table, path: Path) -> pd.DataFrame:
-    """Return the rows of one of the table's files, typed."""
+def read_file(table: Table, path: Path, names: Sequence[str]) -> pd.DataFrame:
+    """Return the rows of one of the table's files, typed, with those of the columns that it has."""
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         why = " ".join(str(error).split())
         raise BadInput(f"{path}: not a readable CSV ({why}); move it away or restore it") from None
-    if "schema" not in frame or not set(table.key) & set(frame.columns):
-        raise BadInput(f"{path}: columns are not those of table {table.name!r}; move it away or restore it")
-    check(
-        path, frame, frame["schema"].isin(["", np.nan]), "cut short; restore the file"
+    foreign = f"{path}: columns are not those of table {table.name!r}; move it away or restore it"
+    if "schema" not in frame or not set(table.key) & set(frame):
+        raise BadInput(foreign)
+    require(
+        path, frame["schema"].isin(["", np.nan]), ": cut short; restore the file"
     )  # every row ends with it
     old = sorted(set(frame["schema"]) - {str(table.version)})
     if old:
         raise OldTable(
             f"{path}: schema {', '.join(old)}, this version reads {table.version}; run the benchmark (tox -e bench)"
         )
-    missing = [name for name in table.key if name not in frame]
-    if missing:
-        raise BadInput(
-            f"{path}: no key columns {missing} of table {table.name!r}; move it away or restore it"
-        )
-    unknown = [name for name in frame if name not in table.every_column]
+    if not set(table.key) <= set(frame):
+        raise BadInput(foreign)
+    unknown = [name for name in frame if name not in names]
     if unknown:
         note(f"{path}: columns {unknown} are not known to this version and left out")
     frame = frame.drop(columns=unknown)
-    for name in frame:
-        column = table.every_column[name]
-        damaged = ~fits(frame[name], column)
-        check(path, frame, damaged, f"is no {WORDS.get(column.type)}; restore the file", name)
-    frame = set_types(frame, table)
+    typed = {}
+    for name, values in frame.items():
+        column = table.every_column[str(name)]
+        typed[name] = parse(values, column)
+        if (wrong := lost(values, typed[name])).any():
+            value = repr(values[wrong].iloc[0])[:100]
+            require(path, wrong, f", column {name!r}: {value} is no {WORDS[column.type]}; restore the file")
+    frame = set_types(pd.DataFrame(typed), table)
     double = frame.duplicated(list(table.key))
-    check(path, frame, double, f"the key {table.key} of an earlier row; move it away or restore it")
+    require(path, double, f": the key {table.key} of an earlier row; move it away or restore it")
     return frame
 
 
-def check(path: Path, frame: pd.DataFrame, wrong: pd.Series, why: str, column: str = "") -> None:
+def require(path: Path, wrong: pd.Series, why: str) -> None:
     """Raise `BadInput` with the line of the first row that is wrong, if one is; the header is the first line."""
-    if not wrong.any():
-        return
-    row = int(np.flatnonzero(wrong)[0])
-    with path.open(encoding="utf-8", newline="") as file:
-        lines = csv.reader(file)
-        for _ in range(row + 2):
-            next(lines)
-        at = f"{path}, line {lines.line_num}"
-    if column:
-        raise BadInput(f"{f'{at}, column {column!r}: {frame[column].iloc[row]!r}'[:200]} {why}")
-    raise BadInput(f"{at}: {why}")
+    if wrong.any():
+        raise BadInput(f"{path}, line {int(np.flatnonzero(wrong)[0]) + 2}{why}")
 
 
 @cache
@@ -123,55 +100,42 @@ def note(message: str) -> None:
     LOG.warning(message)
 
 
-def fits(values: pd.Series, column: Column) -> pd.Series:
-    """Return which entries of a column that was read as text are of its type; blanks are of every type."""
-    blank = values == ""
-    if column.type == "text":
-        return blank | True
-    if column.type in ("flag", "answer"):
-        return blank | values.isin([*FLAGS])
-    numbers = pd.to_numeric(values, errors="coerce").astype(float)
-    if column.type == "whole":
-        return blank | ((numbers == numbers.round()) & (numbers.abs() <= 2**53))
-    return blank | np.isfinite(numbers) | (column.infinite & values.isin(["inf", "-inf"]))
-
-
 def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """Return the frame with its columns in the types of the table."""
-    try:
-        return pd.DataFrame({name: convert(frame[name], table.every_column[name]) for name in frame})
-    except (ValueError, TypeError) as error:
-        raise BadInput(f"table {table.name!r}, column {error}") from None
+    """Return the frame with its columns in the types of the table.
 
-
-def convert(values: pd.Series, column: Column) -> pd.Series:
-    """Return the values in the type of a column; blanks are missing, and missing text is empty.
-
-    No flag is not set, no answer is missing.  Infinity is blank as well, where it is no value of the column.
+    Blanks are missing; missing text is empty, a missing flag is not set.  Infinity is blank as well, where it is no
+    value of the column.
     """
-    if (
-        values.dtype == DTYPES[column.type]
-        and column.type != "number"
-        and not (column.type == "text" and values.hasnans)
-    ):
+    found = {}
+    for name, values in frame.items():
+        column = table.every_column[str(name)]
+        typed = parse(values, column)
+        wrong = lost(values, typed) & ~values.isin([math.inf, -math.inf])
+        if wrong.any():
+            value = repr(values[wrong].iloc[0])
+            raise BadInput(f"table {table.name!r}, column {name!r}: {value} is no {WORDS[column.type]}")
+        found[name] = typed.fillna(False).astype(bool) if column.type == "flag" else typed
+    return pd.DataFrame(found)
+
+
+def parse(values: pd.Series, column: Column) -> pd.Series:
+    """Return the values in the type of a column, a flag as an answer; what is not of that type is missing."""
+    if values.dtype == DTYPES[column.type] and column.type not in ("text", "number"):
         return values
     if column.type == "text":
         return values.astype(object).where(values.notna(), "").astype(str)
-    if values.dtype == object or values.dtype == "str":
-        values = values.mask(values == "")
     if column.type in ("flag", "answer"):
-        answers = values.map(FLAGS).astype("boolean")
-        if (answers.isna() & values.notna()).any():
-            raise ValueError(f"{values.name!r}: neither True nor False")
-        return answers.fillna(False).astype(bool) if column.type == "flag" else answers
-    numbers = pd.to_numeric(values)
+        return values.map(FLAGS).astype("boolean")
+    numbers = pd.to_numeric(values, errors="coerce").astype(float)
     if column.type == "whole":
-        try:
-            return numbers.astype("Int64")
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{values.name!r}: {error}") from None
-    numbers = numbers.astype(float)
+        return numbers.where((numbers == numbers.round()) & (numbers.abs() <= 2**53)).astype("Int64")
     return numbers if column.infinite else numbers.mask(np.isinf(numbers))
+
+
+def lost(values: pd.Series, typed: pd.Series) -> pd.Series:
+    """Return which entries are missing that were not."""
+    missing = typed.isna()
+    return missing & values.notna() & (values.astype(object) != "") if missing.any() else missing
 
 
 # -- writing ---------------------------------------------------------------------------------------
@@ -191,7 +155,7 @@ def merge(
         old = read(table, results)
     except OldTable as error:
         note(f"{error}; replaced")
-        old = no_rows(table)
+        old = set_types(pd.DataFrame(columns=[*table.every_column]), table)
     new = canonical(table, rows)
     replaced = list(table.whole or table.key)
     frame = pd.concat([old[~index(old, replaced).isin(index(new, replaced))], new], ignore_index=True)
@@ -262,22 +226,17 @@ def write(frame: pd.DataFrame, table: Table, results: Path) -> None:
 
 
 def as_text(values: pd.Series, column: Column) -> list[str]:
-    """A column as text; errors in scientific notation."""
-    if column.type != "number":
-        return ["" if pd.isna(value) else str(value) for value in values]
-    decades = column.rule is not None and column.rule.decades
-    return [number_text(value, column.exact, decades) for value in values.astype(float).tolist()]
+    """A column as text: numbers in full, scientific where they count in decades, or in six digits."""
 
+    def number_text(value: float) -> str:
+        if column.exact or math.isinf(value):
+            return repr(value)
+        if column.rule is not None and column.rule.decades:
+            return np.format_float_scientific(value, unique=True, trim="-")
+        return f"{value:.{DIGITS}g}"
 
-def number_text(value: float, exact: bool, decades: bool) -> str:
-    """Return a number as it is written: in full, scientific where it counts in decades, or in six digits."""
-    if math.isnan(value):
-        return ""
-    if exact or math.isinf(value):
-        return repr(value)
-    if decades:
-        return np.format_float_scientific(value, unique=True, trim="-")
-    return f"{value:.{DIGITS}g}"
+    write_one = number_text if column.type == "number" else str
+    return ["" if pd.isna(value) else write_one(value) for value in values.tolist()]
 
 
 def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:

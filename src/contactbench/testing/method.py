@@ -12,7 +12,7 @@ import numpy as np
 
 from contactbench.errors import NAME, BadInput, excerpt
 from contactbench.measure.laws import LAWS
-from contactbench.measure.precision import march, order_at
+from contactbench.measure.order import march, order_at
 from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method
 from contactbench.methods.entry import prepare
 from contactbench.methods.prepared import Prepared, Refused

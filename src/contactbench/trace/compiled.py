@@ -58,12 +58,6 @@ def back_end() -> str:
     return hashlib.sha256(Path(llvm.__file__).read_bytes()).hexdigest()
 
 
-def kind(array: str) -> str:
-    """What numba calls an array."""
-    dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
-    return f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]"
-
-
 @cache
 def compile_function(function: Function, lanes: int = 1, fused: bool = True) -> Any:
     """The function, compiled for the arrays that its arguments name.
@@ -72,9 +66,13 @@ def compile_function(function: Function, lanes: int = 1, fused: bool = True) -> 
     operation with one rounding, which Python's are not.
     Raises `CannotRecord` where numba is told not to compile.
     """
+    kinds = []
+    for array in function.arguments:
+        dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
+        kinds.append(f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]")
     source = FUNCTION.format(
         digest=digest(back_end(), function.digest, lanes, fused),
-        kinds=", ".join(map(kind, function.arguments)),
+        kinds=", ".join(kinds),
         name=function.name,
         arguments=", ".join(function.arguments),
     )

@@ -90,16 +90,13 @@ class Unpack(NamedTuple):
 
 
 class Digested:
-    """A thing that is compared and hashed by all that it computes."""
+    """A thing that is compared and hashed by all that it computes: `parts`."""
+
+    parts: Any
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all of it."""
         return digest(*self.parts())
-
-    def parts(self) -> tuple[Any, ...]:
-        """Return everything that decides what it computes."""
-        raise NotImplementedError
 
     def __eq__(self, other: object) -> bool:
         return self.digest == other.digest if isinstance(other, type(self)) else NotImplemented
@@ -141,16 +138,12 @@ def text(operand: Operand) -> str:
 
 
 def read_by(statement: Any) -> set[Operand]:
-    """The operands that a statement without a body reads."""
-    match statement:
-        case Assign(value=Operation(operands=operands)):
-            return {*operands}
-        case Assign(value=Element() as element):
-            return {*element.indices, element.shift}
-        case Store(element, value):
-            return {*element.indices, element.shift, value}
-        case _:
-            raise TypeError(statement)
+    """The operands that an assignment or a store reads."""
+    if isinstance(statement, Assign) and isinstance(statement.value, Operation):
+        return {*statement.value.operands}
+    element = statement.element if isinstance(statement, Store) else statement.value
+    value = {statement.value} if isinstance(statement, Store) else set()
+    return {*element.indices, element.shift, *value}
 
 
 def prune(statements: list[Any], result: Results) -> tuple[Any, ...]:

@@ -15,8 +15,9 @@ from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
+from contactbench.numbers.dual import DERIVATIVES
 from contactbench.numbers.nested import leaves, rebuild
-from contactbench.trace.adjoints import Adjoints
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace.form import (
     FUNCTIONS,
     Digested,
@@ -29,7 +30,7 @@ from contactbench.trace.form import (
     prune,
 )
 from contactbench.trace.python import FORMS, execute
-from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt
+from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt, operand_of
 
 NAMESPACE = "xp"
 
@@ -111,36 +112,124 @@ class Formula(Digested):
 
         Raises `CannotRecord` for a function whose derivative is not known.
         """
-        tape, result, adjoints = self.replay()
-        row = attempt(lambda: adjoints.along(result, self.components))
-        return make_formula(self.arguments, self.names, tape, row)
+        return self.derive(lambda tape, result, along: derivatives(tape, [result], along)[0])
 
     def jacobian(self, symmetric: bool = False) -> Formula:
         """The derivative of a tuple of results, a row for each; zeros are constants.
 
         symmetric : it is, so that half of it is enough.
         """
-        tape, results, adjoints = self.replay()
-        rows = [attempt(lambda out=out: adjoints.along(out, self.components)) for out in results]  # type: ignore[misc]
-        if symmetric:
-            for i in range(len(rows)):
-                rows[i][i + 1 :] = [rows[j][i] for j in range(i + 1, len(rows))]
-        return make_formula(self.arguments, self.names, tape, rows)
 
-    @property
-    def components(self) -> tuple[str, ...]:
-        """The components of the first argument."""
-        return argument_names(self.arguments[:1], ())
+        def rows(tape: Tape, results: Results, along: Sequence[str]) -> Any:
+            found = derivatives(tape, results, along)
+            if symmetric:
+                for i in range(len(found)):
+                    found[i][i + 1 :] = [found[j][i] for j in range(i + 1, len(found))]
+            return found
 
-    def replay(self) -> tuple[Tape, Results, Adjoints]:
-        """A tape with its operations, its results there, and their derivatives."""
+        return self.derive(rows)
+
+    def derive(self, derivative: Callable[[Tape, Results, Sequence[str]], Any]) -> Formula:
+        """The formula of what a function of a tape with these operations, their results and arguments records."""
         tape, moved = Tape(), dict[Operand, Operand]()
         for target, operation in self.body:
             there = Operation(operation.function, tuple(moved.get(x, x) for x in operation.operands))
             moved[target] = tape.assign(there, "f", tape.root).name
-        arguments = argument_names(self.arguments, self.names)
-        adjoints = Adjoints(tape, arguments, arguments[len(arguments) - len(self.names) :])
-        return tape, rebuild(self.results, [moved.get(x, x) for x in leaves(self.results)]), adjoints
+        results = rebuild(self.results, [moved.get(x, x) for x in leaves(self.results)])
+        along = argument_names(self.arguments[:1], ())
+        return make_formula(
+            self.arguments, self.names, tape, attempt(lambda: derivative(tape, results, along))
+        )
+
+
+# -- reverse mode ------------------------------------------------------------------------------------
+#: a constant times a number, which is 1 where there is none: constants are multiplied ahead of the run
+Amount = tuple[float, Any]
+
+
+def derivatives(tape: Tape, results: Sequence[Operand], along: Sequence[str]) -> list[list[Any]]:
+    """Derivatives of results on a tape along some of their arguments, the last operation first.
+
+    Griewank, Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, §3.2, doi:10.1137/1.9780898717761.
+    """
+    operations, rows = list(tape.root.statements), []
+    for result in results:
+        found: dict[Operand, Amount] = {result: (1.0, 1.0)}
+        for target, (function, operands) in reversed(operations):
+            adjoint = found.pop(target, None)
+            if adjoint is None:
+                continue
+            for operand, slope in zip(
+                operands, slopes(tape, function, operands, target, adjoint), strict=True
+            ):
+                if isinstance(operand, str) and slope[0]:
+                    share = slope if function == "where" else times(adjoint, slope)
+                    found[operand] = plus(found[operand], share) if operand in found else share
+        rows.append([number(found[name]) if name in found else 0.0 for name in along])
+    return rows
+
+
+def slopes(
+    tape: Tape, function: str, operands: Sequence[Operand], target: str, adjoint: Amount
+) -> Sequence[Amount]:
+    """Derivatives of an operation along its operands; of a choice, of the result."""
+    xp, y = RecordedNumbers(tape), Recorded(tape, target, "f", tape.root)
+    x: list[Any] = [Recorded(tape, o, "f", tape.root) if isinstance(o, str) else o for o in operands]
+    one = (1.0, 1.0)
+    match function:
+        case "add":
+            return one, one
+        case "sub":
+            return one, (-1.0, 1.0)
+        case "neg":
+            return [(-1.0, 1.0)]
+        case "mul":
+            return constant(x[1]), constant(x[0])
+        case "div" if isinstance(operands[1], str):
+            inverse = 1.0 / x[1]
+            return (1.0, inverse), (-1.0, y * inverse)
+        case "div":
+            return (1 / x[1], 1.0), one
+        case "sqrt":
+            return [(0.5, 1.0 / y)]
+        case "pow":
+            exponent, below = constant(x[1]), constant(x[0] ** (x[1] - 1))
+            known = not isinstance(operands[1], str)
+            return times(exponent, below), one if known else (1.0, y * xp.log(x[0]))
+        case "atan2":
+            square = x[0] * x[0] + x[1] * x[1]
+            return (1.0, x[1] / square), (-1.0, x[0] / square)
+        case "hypot":
+            return (1.0, x[0] / y), (1.0, x[1] / y)
+        case "where":
+            amount = number(adjoint)
+            return (0.0, 1.0), (1.0, xp.where(x[0], amount, 0.0)), (1.0, xp.where(x[0], 0.0, amount))
+    if function not in DERIVATIVES:
+        raise CannotRecord(f"no derivative of {function} is known")
+    return [constant(DERIVATIVES[function](xp, x[0], y))]
+
+
+def constant(x: Any) -> Amount:
+    """A number as an amount."""
+    return (1.0, x) if isinstance(x, Recorded) else (float(x), 1.0)
+
+
+def times(a: Amount, b: Amount) -> Amount:
+    return a[0] * b[0], a[1] * b[1]
+
+
+def plus(a: Amount, b: Amount) -> Amount:
+    if operand_of(a[1]) == operand_of(b[1]):
+        return a[0] + b[0], a[1]
+    if abs(a[0]) == abs(b[0]):
+        return a[0], a[1] + b[1] if a[0] == b[0] else a[1] - b[1]
+    return 1.0, number(a) + number(b)
+
+
+def number(amount: Amount) -> Any:
+    """The value of an amount."""
+    coefficient, x = amount
+    return -x if coefficient == -1.0 else coefficient * x
 
 
 def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:

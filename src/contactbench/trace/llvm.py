@@ -55,7 +55,7 @@ class Lowering:
         self.first: Any = None
 
     def lower(self, function: form.Function) -> Any:
-        """Write the function; returns its result."""
+        """Write the function, and return its result."""
         from numba.core.cgutils import for_range
 
         if self.lanes == 1:
@@ -69,6 +69,8 @@ class Lowering:
 
     # -- statements --------------------------------------------------------------------------------
     def run(self, body: Sequence[Any]) -> None:
+        from numba.core.cgutils import for_range
+
         for statement in body:
             match statement:
                 case form.Assign(target, form.Element() as element):
@@ -80,26 +82,21 @@ class Lowering:
                 case form.Update(variables, values):
                     for name, value in zip(variables, list(map(self.value, values)), strict=True):
                         self.update(name, value)
-                case form.Loop():
-                    self.loop(statement)
+                case form.Loop(counter, times, inner):
+                    with for_range(self.builder, self.value(times)) as turn:
+                        self.values[counter] = turn.index
+                        self.run(inner)
                 case form.While():
                     self.repeat(statement)
 
     def update(self, name: str, value: Any) -> None:
-        if value.type == self.double:  # the state may be wide from the second turn of a loop on
-            value = self.spread(value)
+        if value.type == self.double:
+            value = self.spread(value)  # the state may be wide from the second turn of a loop on
         if name not in self.variables:
             with self.builder.goto_entry_block():
                 self.variables[name] = self.builder.alloca(value.type)
         slot = self.variables[name]
         self.builder.store(self.floating(value) if slot.type.pointee == self.double else value, slot)
-
-    def loop(self, loop: form.Loop) -> None:
-        from numba.core.cgutils import for_range
-
-        with for_range(self.builder, self.value(loop.times)) as turn:
-            self.values[loop.counter] = turn.index
-            self.run(loop.body)
 
     def repeat(self, loop: form.While) -> None:
         test, body, after = (self.builder.append_basic_block(name) for name in ("test", "body", "after"))
@@ -131,8 +128,11 @@ class Lowering:
         value = self.builder.load(self.place(element), align=8)
         if element.kind == "b":
             return self.builder.fcmp_unordered("!=", value, self.double(0.0))
-        whole = element.kind == "i" and value.type == self.double
-        return self.builder.fptosi(value, self.whole) if whole else value
+        return (
+            self.builder.fptosi(value, self.whole)
+            if element.kind == "i" and value.type == self.double
+            else value
+        )
 
     def store(self, element: form.Element, value: Any) -> None:
         if element.kind == "b":
@@ -174,10 +174,8 @@ class Lowering:
         whole = all(value.type == self.whole for value in x)
         if function == "where":
             return self.choose(*x)
-        if function in ("and", "or"):
+        if function in ("and", "or", "not"):
             return getattr(self.builder, f"{function}_")(*x)
-        if function == "not":
-            return self.builder.not_(*x)
         if function in COMPARISONS:
             sign = COMPARISONS[function]
             if whole:

@@ -118,12 +118,13 @@ class ProgramTape(Tape):
         if name not in column.stored:
             column.stored.append(name)
         at = column.stored.index(name)
-        return self.size((id(column), at, offset), lambda: self.start(column, at) + offset)
 
-    def start(self, column: Column, at: int) -> int:
-        before = self.columns[: self.columns.index(column)]
-        sizes = sum(len(other.data) * len(other.stored) for other in before)
-        return len(self.exported) + sizes + at * len(column.data)
+        def start() -> int:
+            before = self.columns[: self.columns.index(column)]
+            sizes = sum(len(other.data) * len(other.stored) for other in before)
+            return len(self.exported) + sizes + at * len(column.data) + offset
+
+        return self.size((id(column), at, offset), start)
 
     def read(self, x: Any, block: Block, kind: str = "f") -> Operand:
         operand = super().read(x, block, kind)
@@ -177,10 +178,13 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
         raise CannotRecord(f"a step from {d} components to {len(end)}")
     ends = tuple(tape.read(value, tape.main) for value in end)
     once = setup(tape)  # adds to the shape
+    head, last = watch(tape, d, bounded, factor)
     return Program(
         once,
-        run(tape, ends, bounded, factor),
-        many(tape, ends),
+        Function(
+            "run", ("start", "w", "shape", "after"), steps(tape, "start", ends, "after", head, last), "bad"
+        ),
+        Function("many", ("starts", "w", "shape", "ends", "part"), steps(tape, "starts", ends, "ends")),
         np.array([value for column in tape.columns for value in column.data], dtype=float),
         np.array([number() for number in tape.shape], dtype=np.int64),
         len(tape.exported) + sum(len(column.data) * len(column.stored) for column in tape.columns),
@@ -188,7 +192,6 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
 
 
 def setup(tape: ProgramTape) -> Function:
-    """What is computed once."""
     body = [*tape.root.statements]
     for slot, (name, kind) in enumerate(tape.exported.items()):
         body.append(Store(Element("w", ("u", slot), kind=kind), name))
@@ -205,53 +208,48 @@ def setup(tape: ProgramTape) -> Function:
     return Function("setup", arguments, (*tape.whole.statements, rows, Loop("u", "rows", tuple(body))))
 
 
-def intervals(tape: ProgramTape, ends: tuple[Operand, ...], after: str, last: Sequence[Any]) -> list[Any]:
-    """The loop over the intervals; last : what is done at the end of each."""
-    state, known = names(ends), len(tape.shape)
+def watch(tape: ProgramTape, d: int, bounded: int, factor: float) -> tuple[list[Any], list[Any]]:
+    """What `run` does before its loop and at the end of each interval, to find the first bad one."""
+    xp, head, last = RecordedNumbers(tape), Block(tape.root), Block(tape.main)
+    square: Any = 0.0
+    for i in range(bounded):
+        component = Recorded(tape, f"x{i}", "f", head)
+        square = component * component + square
+    size = xp.sqrt(square)
+    bound = Recorded(tape, (factor * xp.where(size != 0, size, 1.0)).name, "f", tape.whole)
+    state = [Recorded(tape, f"x{i}", "f", last) for i in range(d)]
+    healthy = reduce(
+        and_, (abs(x) <= (bound if i < bounded else sys.float_info.max) for i, x in enumerate(state))
+    )
+    first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
+    mark = Assign("first", Operation("where", (first.name, "j", "bad")))
+    return [*head.statements, Update(("bad",), (-1,))], [*last.statements, mark, Update(("bad",), ("first",))]
+
+
+def steps(
+    tape: ProgramTape,
+    start: str,
+    ends: tuple[Operand, ...],
+    after: str,
+    head: Sequence[Any] = (),
+    last: Sequence[Any] = (),
+) -> tuple[Any, ...]:
+    """The loop over the intervals from an array of states to another one.
+
+    ends : the state after an interval.  head, last : what is done before the loop and at the end of each interval.
+    """
+    state, known = tuple(f"x{i}" for i in range(len(ends))), len(tape.shape)
+    first = tuple(f"start{i}" for i in range(len(ends)))
+    given = [Assign(name, Element(start, (i,))) for i, name in enumerate(first)]
+    row = Assign("u", Element("shape", (known,), "j", "i"))
     loads = [
         Assign(name, Element("w", ("u", i), kind=kind))
         for i, (name, kind) in enumerate(tape.exported.items())
     ]
     stores = [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
-    row = Assign("u", Element("shape", (known,), "j", "i"))
-    return [
+    return (
+        *(*tape.whole.statements, *given, Update(state, first), *head),
         Assign("all", Operation("len", ("shape",))),
         Assign("intervals", Operation("sub", ("all", known))),
         Loop("j", "intervals", (row, *loads, *tape.main.statements, Update(state, ends), *stores, *last)),
-    ]
-
-
-def names(ends: tuple[Operand, ...]) -> tuple[str, ...]:
-    """The variables of the state."""
-    return tuple(f"x{i}" for i in range(len(ends)))
-
-
-def run(tape: ProgramTape, ends: tuple[Operand, ...], bounded: int, factor: float) -> Function:
-    """What is computed at every call."""
-    state, xp = names(ends), RecordedNumbers(tape)
-    head, last = Block(tape.root), Block(tape.main)
-    square: Any = 0.0
-    for x in state[:bounded]:
-        component = Recorded(tape, x, "f", head)
-        square = component * component + square
-    size = xp.sqrt(square)
-    bound = Recorded(tape, (factor * xp.where(size != 0, size, 1.0)).name, "f", tape.whole)
-    limits = [bound if i < bounded else sys.float_info.max for i in range(len(state))]
-    healthy = reduce(
-        and_, (abs(Recorded(tape, x, "f", last)) <= limit for x, limit in zip(state, limits, strict=True))
     )
-    first = ~healthy & (Recorded(tape, "bad", "i", last) < 0)
-    mark = Assign("first", Operation("where", (first.name, "j", "bad")))
-    loop = intervals(tape, ends, "after", (*last.statements, mark, Update(("bad",), ("first",))))
-    start = tuple(f"start{i}" for i in range(len(state)))
-    loads = [Assign(name, Element("start", (i,))) for i, name in enumerate(start)]
-    body = [*loads, Update(state, start), *head.statements, Update(("bad",), (-1,)), *loop]
-    return Function("run", ("start", "w", "shape", "after"), (*tape.whole.statements, *body), "bad")
-
-
-def many(tape: ProgramTape, ends: tuple[Operand, ...]) -> Function:
-    """The same for many states side by side; they are not looked at."""
-    start = tuple(f"start{i}" for i in range(len(ends)))
-    loads = [Assign(name, Element("starts", (i,))) for i, name in enumerate(start)]
-    body = [*tape.whole.statements, *loads, Update(names(ends), start), *intervals(tape, ends, "ends", ())]
-    return Function("many", ("starts", "w", "shape", "ends", "part"), tuple(body))

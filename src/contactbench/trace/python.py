@@ -26,14 +26,14 @@ READ = {"f": "{}", "i": "int({})", "b": "{} != 0.0"}
 def execute(
     function: form.Function, forms: Mapping[str, str] = FORMS, scope: Mapping[str, Any] = SCOPE
 ) -> Callable[..., Any]:
-    """Return the function, run by Python; forms : how operations are written, scope : what names stand for."""
+    """The function, run by Python; forms : how operations are written, scope : what names stand for."""
     names = dict(scope)
     exec(source(function, forms), names)
     return names[function.name]
 
 
 def source(function: form.Function, forms: Mapping[str, str] = FORMS) -> str:
-    """Return a function as Python source."""
+    """The function as Python source."""
     head = f"def {function.name}({', '.join(function.arguments)}):"
     return "\n".join([head, *lines(function.body, forms), f"    return {render(function.result)}", ""])
 
@@ -62,7 +62,6 @@ def value(expression: form.Operation | form.Element, forms: Mapping[str, str]) -
 
 
 def lines(body: Sequence[Any], forms: Mapping[str, str] = FORMS, indent: str = "    ") -> Iterator[str]:
-    """The statements as lines."""
     within = indent + "    "
     for statement in body:
         match statement:

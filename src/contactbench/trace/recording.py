@@ -22,17 +22,8 @@ from contactbench.boundary import place, plain_function
 from contactbench.numbers.dual import Dual
 from contactbench.numbers.nested import leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
-from contactbench.trace.form import (
-    FUNCTIONS,
-    Assign,
-    Element,
-    Loop,
-    Operand,
-    Operation,
-    Results,
-    Update,
-    text,
-)
+from contactbench.trace import form
+from contactbench.trace.form import Assign, Element, Operand, Operation, Results, Update, text
 
 
 class Block:
@@ -49,10 +40,7 @@ class Block:
 
     def within(self, other: Block) -> bool:
         """Whether it is the other block or a part of it."""
-        block: Block | None = self
-        while block is not None and block is not other:
-            block = block.parent
-        return block is other
+        return self is other or (self.parent is not None and self.parent.within(other))
 
 
 class Tape:
@@ -91,7 +79,7 @@ class Tape:
         return operand_of(x, kind)
 
     def results(self, numbers: Any) -> Results:
-        """Nested tuples or lists of numbers as nested tuples of operands."""
+        """Nested numbers as nested tuples of operands."""
         nested = isinstance(numbers, tuple | list)
         return tuple(map(self.results, numbers)) if nested else self.read(numbers, self.root)
 
@@ -99,7 +87,7 @@ class Tape:
         """n-fold application, recorded as a loop."""
         outer = self.block
         start = leaves(x)
-        kinds = ["i" if isinstance(v, int) else kind_of(v) for v in start]
+        kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
         inner = Block(outer)
         names = tuple(self.name(kind) for kind in kinds)
         carried = [Recorded(self, name, kind, inner) for name, kind in zip(names, kinds, strict=True)]
@@ -117,16 +105,11 @@ class Tape:
         inner.statements.append(Update(names, after))
         outer.statements += [
             Update(names, before),
-            Loop("_", self.read(n, outer, "i"), tuple(inner.statements)),
+            form.Loop("_", self.read(n, outer, "i"), tuple(inner.statements)),
         ]
         return rebuild(
             x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
         )
-
-
-def kind_of(x: Any) -> str:
-    """f for floating-point numbers, i for whole ones that are recorded, b for truth values."""
-    return x.kind if isinstance(x, Recorded) else "f"
 
 
 def operand_of(x: Any, kind: str = "f") -> Operand:
@@ -152,7 +135,7 @@ def _arithmetic(
         if neutral is not None and is_constant(other, neutral):
             return self
         a, b = (other, self) if reflected else (self, other)
-        if self.kind == "i" and (isinstance(other, int) or kind_of(other) == "i"):
+        if self.kind == "i" and (isinstance(other, int) or getattr(other, "kind", "f") == "i"):
             return self.tape.operation(function, "i", a, b)
         if commutes and text(operand_of(b)) < text(operand_of(a)):
             a, b = b, a
@@ -171,7 +154,10 @@ def _comparison(function: str) -> Callable[..., Any]:
 
 
 class Recorded(Unknown):
-    """A value of the recorded program, known by its name there."""
+    """A value of the recorded program, known by its name there.
+
+    kind : f for a floating-point number, i for a whole one, b for a truth value.
+    """
 
     __slots__ = ("block", "kind", "name", "tape")
 
@@ -242,13 +228,10 @@ class Recorded(Unknown):
 
 
 #: NumPy's names of what Python has operators for, and Python's
-NUMPY = (
-    *("add", "subtract", "multiply", "divide", "power", "float_power", "negative", "absolute"),
-    *("equal", "not_equal", "less", "less_equal", "greater", "greater_equal"),
-)
-PYTHON = ("add", "sub", "mul", "truediv", "pow", "pow", "neg", "abs", "eq", "ne", "lt", "le", "gt", "ge")
+NUMPY = "add subtract multiply divide power float_power negative equal not_equal less less_equal greater greater_equal"
+PYTHON = "add sub mul truediv pow pow neg eq ne lt le gt ge"
 OPERATORS: dict[str, Callable[..., Any]] = {
-    **{name: getattr(operator, of) for name, of in zip(NUMPY, PYTHON, strict=True)},
+    **{name: getattr(operator, of) for name, of in zip(NUMPY.split(), PYTHON.split(), strict=True)},
     "square": lambda x: x * x,
     "reciprocal": lambda x: 1 / x,
 }
@@ -284,19 +267,21 @@ class RecordedNumbers(ChoosingNumbers):
     """The number namespace of recorded numbers.  Plain numbers go through `math`."""
 
     inf, nan, pi, e = math.inf, math.nan, math.pi, math.e
+    abs = fabs = absolute = staticmethod(abs)
+    logical_and, logical_or = staticmethod(operator.and_), staticmethod(operator.or_)
 
     def __init__(self, tape: Tape) -> None:
         self.tape = tape
 
     def __getattr__(self, name: str) -> Any:
         known = ALIASES.get(name, name)
-        if known not in FUNCTIONS:
+        if known not in (*form.FUNCTIONS, "atan2", "hypot"):
             raise AttributeError(name)
 
-        def function(x: Any) -> Any:
-            if not isinstance(x, Recorded):
-                return getattr(math, known)(x)
-            return self.tape.operation(known, "f", x)
+        def function(*x: Any) -> Any:
+            if not any(isinstance(number, Recorded) for number in x):
+                return getattr(math, known)(*x)
+            return self.tape.operation(known, "f", *x)
 
         return function
 
@@ -304,25 +289,6 @@ class RecordedNumbers(ChoosingNumbers):
         if not isinstance(condition, Recorded):
             return a if condition else b
         return self.tape.operation("where", "f", condition, a, b)
-
-    def atan2(self, y: Any, x: Any) -> Any:
-        return self.tape.operation("atan2", "f", y, x)
-
-    arctan2 = atan2
-
-    def hypot(self, x: Any, y: Any) -> Any:
-        return self.tape.operation("hypot", "f", x, y)
-
-    def abs(self, x: Any) -> Any:
-        return abs(x)
-
-    fabs = absolute = abs
-
-    def logical_and(self, a: Any, b: Any) -> Any:
-        return a & b
-
-    def logical_or(self, a: Any, b: Any) -> Any:
-        return a | b
 
     def logical_not(self, a: Any) -> Any:
         return ~a if isinstance(a, Recorded) else not a

@@ -1,7 +1,7 @@
 """What is not public in the libraries of the peers: the symbols of CVODE, the C interface of CyRK.
 
 A C signature is written as a word, a letter for the result and one for every argument; ctypes and numba read the
-same word.
+same word.  Imported where a peer is first run, and only then: importing it loads numba.
 """
 
 from __future__ import annotations
@@ -9,25 +9,54 @@ from __future__ import annotations
 import ctypes
 from typing import Any
 
+import llvmlite.binding
+import numba
+from numba import types
+
+from contactbench.peers.c_functions import ORIGIN
+
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
-#: as ctypes has them, and as numba calls them
-LETTERS: dict[str, tuple[Any, str]] = {
-    "v": (None, "none"),
-    "p": (ctypes.c_void_p, "intp"),
-    "a": (ctypes.c_void_p, ""),
-    "d": (ctypes.c_double, "float64"),
-    "b": (ctypes.c_bool, "boolean"),
-    "i": (ctypes.c_int, "int32"),
-    "l": (ctypes.c_long, "long_"),
-    "q": (ctypes.c_int64, "int64"),
-    "z": (ctypes.c_size_t, "uintp"),
+#: as ctypes has them, and as numba does
+LETTERS: dict[str, tuple[Any, Any]] = {
+    "v": (None, types.none),
+    "p": (ctypes.c_void_p, types.intp),
+    "a": (ctypes.c_void_p, types.CPointer(types.float64)),
+    "d": (ctypes.c_double, types.float64),
+    "b": (ctypes.c_bool, types.boolean),
+    "i": (ctypes.c_int, types.int32),
+    "l": (ctypes.c_long, types.long_),
+    "q": (ctypes.c_int64, types.int64),
+    "z": (ctypes.c_size_t, types.uintp),
 }
-#: what a compiled call returns of a run, followed by the packed state reached
-FACTS = ("flag", "reached", "saved", "steps", "evaluations", "jacobians", "rejected")
-KNOWN = len(FACTS)
 
 
 def signature(word: str) -> tuple[Any, tuple[Any, ...]]:
-    """Return the result and the arguments of a C function, as ctypes has them."""
+    """The result and the arguments of a C function, as ctypes has them."""
     result, *arguments = (LETTERS[letter][0] for letter in word)
     return result, tuple(arguments)
+
+
+def external(name: str, address: int | None, word: str) -> Any:
+    """A C function that compiled code can call."""
+    llvmlite.binding.add_symbol(name, address)
+    result, *arguments = (LETTERS[letter][1] for letter in word)
+    return types.ExternalFunction(name, result(*arguments))
+
+
+# -- packed states without the time; number by number: numba takes seconds to compile the first assignment of a slice
+@numba.njit(cache=True)
+def split(state, y, data, clock):  # type: ignore[no-untyped-def]
+    """A packed state into a solver's vector, its time, where it has one (clock ≥ 0), into `data`."""
+    for i in range(len(y)):
+        y[i] = state[i + (0 <= clock <= i)]
+    if clock >= 0:
+        data[ORIGIN] = state[clock]
+
+
+@numba.njit(cache=True)
+def join(y, t, data, clock, state):  # type: ignore[no-untyped-def]
+    """The packed state of a solver's vector, t after it began."""
+    for i in range(len(state) - (clock >= 0)):
+        state[i + (0 <= clock <= i)] = y[i]
+    if clock >= 0:
+        state[clock] = data[ORIGIN] + t

@@ -1,120 +1,268 @@
-"""CVODE's own C library, the one that scikit-sundae's wheel ships: its functions.
+"""CVODE's C library, which scikit-sundae's wheel ships, and compiled code between it and a scene's C functions.
 
 Reference: the CVODE user guide, https://sundials.readthedocs.io/en/latest/cvode (C interface, version 7).
 Vectors are read through `N_VGetArrayPointer`, so that nothing depends on how SUNDIALS lays its structures out.
+Importing it loads the library, and raises `ImportError` where it cannot be used.
 """
 
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 import sys
+import weakref
 from ctypes import byref, c_int, c_void_p
-from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from contactbench.peers.abi import signature
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 
-#: the major version whose interface is written below
-MAJOR = 7
-ADAMS, BDF = 1, 2
-#: integration tasks
+from contactbench.peers.abi import external, join, signature, split
+from contactbench.peers.c_functions import JACOBIAN_CALLS, RHS_CALLS, CFunctions
+from contactbench.peers.compiled import KNOWN
+from contactbench.peers.sundials import MAJOR, TOO_MUCH_WORK
+
+#: linear multistep methods, and integration tasks
+METHODS = {"Adams": 1, "BDF": 2}
 NORMAL, ONE_STEP = 1, 2
-#: results of CVode
-TOO_MUCH_WORK = -1
 #: what the library's file may be called
 PATTERNS = ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.dylib")
-#: the functions used, as `abi.signature` reads them; n is the type SUNDIALS counts with
-FUNCTIONS = {
-    "SUNDIALSGetVersionNumber": "ippppi",
-    "SUNContext_Create": "iip",
-    "SUNContext_ClearErrHandlers": "ip",
-    "SUNContext_Free": "ip",
-    "N_VMake_Serial": "pnpp",
-    "N_VGetArrayPointer": "pp",
-    "N_VDestroy": "vp",
-    "SUNDenseMatrix": "pnnp",
-    "SUNDenseMatrix_Data": "pp",
-    "SUNMatDestroy": "vp",
-    "SUNLinSol_Dense": "pppp",
-    "SUNLinSolFree": "ip",
-    "CVodeCreate": "pip",
-    "CVodeInit": "ippdp",
-    "CVodeReInit": "ipdp",
-    "CVodeSStolerances": "ipdd",
-    "CVodeSetUserData": "ipp",
-    "CVodeSetLinearSolver": "ippp",
-    "CVodeSetJacFn": "ipp",
-    "CVodeSetMaxNumSteps": "ipl",
-    "CVodeSetMinStep": "ipd",
-    "CVodeSetMaxStep": "ipd",
-    "CVodeSetStopTime": "ipd",
-    "CVode": "ipdppi",
-    "CVodeGetDky": "ipdip",
-    "CVodeGetNumSteps": "ipp",
-    "CVodeGetNumRhsEvals": "ipp",
-    "CVodeGetNumJacEvals": "ipp",
-    "CVodeGetNumErrTestFails": "ipp",
-    "CVodeGetNumStepSolveFails": "ipp",
-    "CVodeFree": "vp",
+#: the functions used, by their signatures as `abi.signature` reads them; n is the type SUNDIALS counts with
+SIGNATURES = {
+    "iip": "SUNContext_Create",
+    "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree",
+    "vp": "N_VDestroy SUNMatDestroy CVodeFree",
+    "pp": "N_VGetArrayPointer SUNDenseMatrix_Data",
+    "pnpp": "N_VMake_Serial",
+    "pnnp": "SUNDenseMatrix",
+    "pppp": "SUNLinSol_Dense",
+    "pip": "CVodeCreate",
+    "ippdp": "CVodeInit",
+    "ipdp": "CVodeReInit",
+    "ipdd": "CVodeSStolerances",
+    "ipp": "CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails CVodeGetNumStepSolveFails",
+    "ippp": "CVodeSetLinearSolver",
+    "ipl": "CVodeSetMaxNumSteps",
+    "ipd": "CVodeSetMinStep CVodeSetMaxStep CVodeSetStopTime",
+    "ipdppi": "CVode",
+    "ipdip": "CVodeGetDky",
+    "ippppi": "SUNDIALSGetVersionNumber",
 }
+FUNCTIONS = {name: word for word, names in SIGNATURES.items() for name in names.split()}
 
 
-class Unavailable(Exception):
-    """Why the library cannot be used."""
-
-
-def _library_file() -> Path:
-    """Return where CVODE is: beside the package in a repaired wheel, or among the environment's libraries."""
-    package = find_spec("sksundae")
+def library_file() -> Path:
+    """Where CVODE is: beside the package in a repaired wheel, or among the environment's libraries."""
+    package = importlib.util.find_spec("sksundae")
     if package is None or package.origin is None:
-        raise Unavailable("scikit-sundae is not installed")
+        raise ImportError("scikit-sundae is not installed")
     folder = Path(package.origin).parent
     places = (folder.parent / "scikit_sundae.libs", folder / ".dylibs", Path(sys.prefix) / "lib")
     for place in places:
         for pattern in PATTERNS:
             for found in sorted(place.glob(pattern)):
                 return found
-    raise Unavailable(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
+    raise ImportError(f"scikit-sundae's CVODE library is not in {', '.join(map(str, places))}")
 
 
-class Library:
-    """The functions of the library, with their types, as attributes."""
+def load() -> Any:
+    """The library, its functions with their types."""
+    path = library_file()
+    from sksundae._cy_common import config  # how the library was built
 
-    def __init__(self) -> None:
-        path = _library_file()
-        from sksundae._cy_common import config  # how the library was built
-
-        if config["SUNDIALS_FLOAT_TYPE"] != "double":
-            raise Unavailable(f"SUNDIALS was built with {config['SUNDIALS_FLOAT_TYPE']} numbers")
-        index = "i" if config["SUNDIALS_INT_TYPE"] == "int" else "q"
-        try:
-            handle = ctypes.CDLL(str(path))
-            for name, word in FUNCTIONS.items():
-                function = getattr(handle, name)
-                function.restype, function.argtypes = signature(word.replace("n", index))
-                setattr(self, name, function)
-        except (OSError, AttributeError) as error:
-            raise Unavailable(f"{path.name}: {error}") from error
-        version, label = [c_int(), c_int(), c_int()], ctypes.create_string_buffer(16)
-        self.SUNDIALSGetVersionNumber(*map(byref, version), label, len(label))
-        if version[0].value != MAJOR:
-            found = ".".join(str(part.value) for part in version)
-            raise Unavailable(f"SUNDIALS {found}: its C interface is known for version {MAJOR} only")
-
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(name)  # the functions declared above; for the type checker
-
-    def address(self, name: str) -> int:
-        """Return where a function is."""
-        return ctypes.cast(getattr(self, name), c_void_p).value or 0
-
-
-@cache
-def library() -> Library | Unavailable:
-    """Return the library, or why there is none."""
+    if config["SUNDIALS_FLOAT_TYPE"] != "double":
+        raise ImportError(f"SUNDIALS was built with {config['SUNDIALS_FLOAT_TYPE']} numbers")
+    index = "i" if config["SUNDIALS_INT_TYPE"] == "int" else "q"
     try:
-        return Library()
-    except Unavailable as why:
-        return why
+        library = ctypes.CDLL(str(path))
+        for name, word in FUNCTIONS.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = signature(word.replace("n", index))
+    except (OSError, AttributeError) as error:
+        raise ImportError(f"{path.name}: {error}") from error
+    version, label = [c_int(), c_int(), c_int()], ctypes.create_string_buffer(16)
+    library.SUNDIALSGetVersionNumber(*map(byref, version), label, len(label))
+    if version[0].value != MAJOR:
+        found = ".".join(str(part.value) for part in version)
+        raise ImportError(f"SUNDIALS {found}: its C interface is known for version {MAJOR} only")
+    return library
+
+
+library = load()
+
+
+def function(name: str) -> Any:
+    """A function of the library that compiled code can call."""
+    return external(name, ctypes.cast(getattr(library, name), c_void_p).value, FUNCTIONS[name])
+
+
+array_of, entries_of = function("N_VGetArrayPointer"), function("SUNDenseMatrix_Data")
+reinitialise, set_stop_time = function("CVodeReInit"), function("CVodeSetStopTime")
+set_max_steps, advance, interpolate = (
+    function("CVodeSetMaxNumSteps"),
+    function("CVode"),
+    function("CVodeGetDky"),
+)
+steps_of, error_failures_of = function("CVodeGetNumSteps"), function("CVodeGetNumErrTestFails")
+newton_failures_of = function("CVodeGetNumStepSolveFails")
+pointer, integer, real = types.intp, types.int32, types.float64
+
+
+@intrinsic
+def _call(typing: Any, function: Any, out: Any, t: Any, y: Any, data: Any) -> Any:
+    """``function(out, t, y, data)`` of a C function known by its address, all pointers as integers."""
+    signature = types.void(pointer, pointer, real, pointer, pointer)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        function, out, t, y, data = arguments
+        place = ir.PointerType(ir.DoubleType())
+        kind = ir.FunctionType(ir.VoidType(), [place, ir.DoubleType(), place, place])
+        target = builder.inttoptr(function, ir.PointerType(kind))
+        out, y, data = (builder.inttoptr(p, place) for p in (out, y, data))
+        builder.call(target, [out, t, y, data])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+call: Any = _call  # compiled code calls it without the typing context
+_user = types.CPointer(types.intp)
+
+
+@numba.cfunc(integer(real, pointer, pointer, _user), cache=True)
+def _rhs(t, y, dy, user):  # type: ignore[no-untyped-def]
+    call(user[0], array_of(dy), t, array_of(y), user[2])
+    return np.int32(0)
+
+
+@numba.cfunc(integer(real, pointer, pointer, pointer, _user, pointer, pointer, pointer), cache=True)
+def _jacobian(t, y, dy, J, user, work1, work2, work3):  # type: ignore[no-untyped-def]
+    call(user[1], entries_of(J), t, array_of(y), user[2])
+    return np.int32(0)
+
+
+@numba.njit(cache=True)
+def restart(start, memory, vector, y, data, clock, end):  # type: ignore[no-untyped-def]
+    """Back to t = 0 and a state; the calls counted from zero."""
+    split(start, y, data, clock)
+    data[RHS_CALLS] = data[JACOBIAN_CALLS] = 0.0
+    reinitialise(memory, 0.0, vector)
+    set_stop_time(memory, end)
+
+
+@numba.njit(cache=True)
+def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state reached, in one vector: a call returns one array sooner than two."""
+    out = np.empty(KNOWN + len(y) + (clock >= 0))
+    count = np.zeros(3, np.int64)
+    place = count.ctypes.data
+    steps_of(memory, place)
+    error_failures_of(memory, place + 8)
+    newton_failures_of(memory, place + 16)
+    out[0], out[1], out[2], out[3] = flag, reached, saved, count[0]
+    out[4], out[5], out[6] = data[RHS_CALLS], data[JACOBIAN_CALLS], count[1] + count[2]
+    join(y, reached, data, clock, out[KNOWN:])
+    return out
+
+
+@numba.njit(cache=True)
+def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state at the end."""
+    restart(start, memory, vector, y, data, clock, end)
+    set_max_steps(memory, max_steps)
+    reached = np.zeros(1)
+    flag = advance(memory, end, vector, reached.ctypes.data, NORMAL)
+    return facts(memory, y, data, clock, flag, reached[0], flag >= 0)
+
+
+@numba.njit(cache=True)
+def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    """`to_end` for one start (n, d) after the other, a row each."""
+    out = np.empty((len(starts), KNOWN + starts.shape[1]))
+    for k in range(len(starts)):
+        row = to_end(starts[k], memory, vector, y, data, clock, end, max_steps)
+        for i in range(len(row)):
+            out[k, i] = row[i]
+    return out
+
+
+@numba.njit(cache=True)
+def at_times(start, times, out, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
+    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached.
+
+    One internal step at a time, so that the steps are those of `to_end`: in CVODE's other mode the first
+    step depends on the first time asked for.
+    """
+    restart(start, memory, vector, y, data, clock, end)
+    saved, flag, now = 0, np.int32(TOO_MUCH_WORK), np.zeros(1)
+    for _ in range(max_steps):
+        flag = advance(memory, end, vector, now.ctypes.data, ONE_STEP)
+        if flag < 0:
+            break
+        there = y.copy()
+        while saved < len(times) and times[saved] <= now[0]:
+            if times[saved] < now[0]:
+                interpolate(memory, times[saved], 0, vector)
+            join(y, times[saved], data, clock, out[saved])
+            for i in range(len(y)):
+                y[i] = there[i]
+            saved += 1
+        if saved == len(times):
+            break
+        flag = np.int32(TOO_MUCH_WORK)
+    return facts(memory, y, data, clock, flag, now[0], saved)
+
+
+class Memory:
+    """CVODE's memory for one scene, method and tolerance; freed with the object.
+
+    functions, data : the scene's C functions and their argument; size : of the state; bounds : on the step.
+    """
+
+    def __init__(
+        self,
+        method: str,
+        functions: CFunctions,
+        data: np.ndarray,
+        size: int,
+        tolerances: tuple[float, float],
+        bounds: tuple[float, float],
+    ) -> None:
+        self.y, self.data, self.functions = np.zeros(size), data, functions
+        self.user = np.array([functions.rhs, functions.jacobian, data.ctypes.data], dtype=np.intp)
+        context = c_void_p()
+        check("SUNContext_Create", 0, byref(context))
+        check("SUNContext_ClearErrHandlers", context)
+        self.vector = library.N_VMake_Serial(size, self.y.ctypes.data, context)
+        self.memory = memory = library.CVodeCreate(METHODS[method], context)
+        matrix = library.SUNDenseMatrix(size, size, context)
+        linear = library.SUNLinSol_Dense(self.vector, matrix, context)
+        if not (self.vector and memory and matrix and linear):
+            raise MemoryError("CVODE could not allocate its memory")
+        weakref.finalize(self, free, memory, linear, matrix, self.vector, context)
+        check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
+        check("CVodeSStolerances", memory, *tolerances)
+        check("CVodeSetUserData", memory, self.user.ctypes.data)
+        check("CVodeSetLinearSolver", memory, linear, matrix)
+        if functions.jacobian:
+            check("CVodeSetJacFn", memory, _jacobian.address)
+        check("CVodeSetMinStep", memory, bounds[0])
+        check("CVodeSetMaxStep", memory, bounds[1])
+
+
+def check(name: str, *arguments: Any) -> None:
+    """Call a function of the library that returns 0 where all is well."""
+    if flag := getattr(library, name)(*arguments):
+        raise RuntimeError(f"{name} returned {flag}")
+
+
+def free(memory: int, linear: int, matrix: int, vector: int, context: c_void_p) -> None:
+    library.CVodeFree(byref(c_void_p(memory)))
+    library.SUNLinSolFree(linear)
+    library.SUNMatDestroy(matrix)
+    library.N_VDestroy(vector)
+    library.SUNContext_Free(byref(context))

@@ -1,47 +1,135 @@
-"""The C interface of CyRK, and whether the installed one has it."""
+"""Compiled code between CyRK's C++ solvers and a scene's C functions, by the C interface of CyRK.
+
+Every call makes and frees a result of its own.
+"""
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
-from contactbench.peers.abi import signature
+import CyRK
+import numba
+import numpy as np
+from CyRK import get_error_message
+from CyRK.cy.pyhelpers import find_ode_method_int
+from CyRK.nb import numba_c_api, numba_solver
 
-#: the solver as its C entry, as `abi.signature` reads it
-SOLVE = "ppddpzizzpzzzbpzppzpzpzddb"
-#: getters of the result: ours → its name in `CyRK.nb.numba_c_api`, its type in `CyRK.nb.numba_solver`, its signature
-GETTERS = {
-    "status": ("get_status_func_ptr", "int_func_sig", "ip"),
-    "size": ("get_size_func_ptr", "size_func_sig", "zp"),
-    "steps": ("get_steps_taken_func_ptr", "size_func_sig", "zp"),
-    "states": ("get_y_func_ptr", "ptr_func_sig", "ap"),
-    "arguments": ("get_args_ptr_func_ptr", "char_ptr_sig", "ap"),
-    "time": ("get_t_now_func_ptr", "dbl_func_sig", "dp"),
-    "state": ("get_y_now_ptr_func_ptr", "ptr_func_sig", "ap"),
-    "free": ("get_free_func_ptr", "free_func_sig", "vp"),
-}
-#: CyRK's status codes
-SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR = 1, -52, -53
+from contactbench.peers.abi import external, join, signature, split
+from contactbench.peers.c_functions import RHS_CALLS
+from contactbench.peers.compiled import KNOWN
+from contactbench.peers.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
+
+__all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", "to_end"]
 
 
-@cache
-def why_not() -> str:
-    """Return why CyRK cannot be used, "" where it can."""
-    try:
-        import CyRK
-        from CyRK.nb import numba_c_api, numba_solver
-    except ImportError as error:  # also its own refusal of a processor without AVX2
-        return f"CyRK cannot be imported: {error}"
-    expected = [("get_solve_func_ptr", "solve_func_sig", SOLVE), *GETTERS.values()]
-    for name, kind, word in expected:
-        result, arguments = signature(word)
-        found: Any = getattr(numba_solver, kind, None)
-        alike = (
-            hasattr(numba_c_api, name)
-            and found is not None
-            and found._argtypes_ == arguments
-            and (word[0] == "a" or found._restype_ is result)
+def function(name: str, kind: str, word: str) -> Any:
+    """A C function, by its name in `CyRK.nb.numba_c_api`, its type in `CyRK.nb.numba_solver`, and its signature.
+
+    Raises `ImportError` where the type is another one.
+    """
+    result, arguments = signature(word)
+    address: Any = getattr(numba_c_api, name, None)
+    found: Any = getattr(numba_solver, kind, None)
+    known = address and found and found._argtypes_ == arguments
+    if not known or (word[0] != "a" and found._restype_ is not result):
+        raise ImportError(
+            f"CyRK {CyRK.__version__} has another C interface than 0.20, which this is written for"
         )
-        if not alike:
-            return f"CyRK {CyRK.__version__} has another C interface than 0.20, which this is written for"
-    return ""
+    return external(f"contactbench_cyrk_{name}", address(), word)
+
+
+integrate = function("get_solve_func_ptr", "solve_func_sig", "ppddpzizzpzzzbpzppzpzpzddb")
+status_of = function("get_status_func_ptr", "int_func_sig", "ip")
+size_of = function("get_size_func_ptr", "size_func_sig", "zp")
+steps_of = function("get_steps_taken_func_ptr", "size_func_sig", "zp")
+states_of = function("get_y_func_ptr", "ptr_func_sig", "ap")
+arguments_of = function("get_args_ptr_func_ptr", "char_ptr_sig", "ap")
+time_of = function("get_t_now_func_ptr", "dbl_func_sig", "dp")
+state_of = function("get_y_now_ptr_func_ptr", "ptr_func_sig", "ap")
+free = function("get_free_func_ptr", "free_func_sig", "vp")
+
+#: no limit on memory but the number of steps; megabytes
+UNLIMITED = 1_000_000
+#: what CyRK is not given: an expected size, extra outputs, a function before the right-hand side, events
+NOTHING = 0
+
+
+@numba.njit(cache=True)
+def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """CyRK's result; times : where states are wanted, none for every step."""
+    tolerances = np.array([rtol, atol])
+    place = tolerances.ctypes.data
+    problem = (
+        rhs,
+        0.0,
+        end,
+        start.ctypes.data,
+        len(start),
+        method,
+        NOTHING,
+        NOTHING,
+        data.ctypes.data,
+        data.size * 8,
+    )
+    saves = (max_steps, UNLIMITED, False, times.ctypes.data, times.size, NOTHING, NOTHING, NOTHING)
+    # no bound on the step, the first chosen by the solver, which is kept: it knows where it stopped
+    steps = (place, 1, place + 8, 1, np.inf, 0.0, True)
+    return integrate(*(problem + saves + steps))
+
+
+@numba.njit(cache=True)
+def facts(result, y, data, clock, saved):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state reached; frees the result.  CyRK counts a step that failed, and no rejected ones."""
+    out = np.empty(KNOWN + len(y) + (clock >= 0))
+    status = status_of(result)
+    failed = status != SUCCESS and status != TOO_MANY_STEPS and status != TOO_MANY_STEPS_SO_FAR
+    out[0], out[1], out[2], out[3] = status, time_of(result), saved, steps_of(result) - failed
+    out[4] = arguments_of(result)[RHS_CALLS]  # CyRK works on a copy of the data
+    out[5], out[6] = 0.0, np.nan
+    join(state_of(result), out[1], data, clock, out[KNOWN:])
+    free(result)
+    return out
+
+
+@numba.njit(cache=True)
+def separate(start, data, clock):  # type: ignore[no-untyped-def]
+    """What CyRK is given of a packed state: the vector less the time, and data of the run's own with it."""
+    y, own = np.empty(len(start) - (clock >= 0)), data.copy()
+    split(start, y, own, clock)
+    return y, own
+
+
+@numba.njit(cache=True)
+def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """`FACTS` and the state at the end."""
+    y, own = separate(start, data, clock)
+    result = solve(rhs, method, y, own, np.empty(0), end, rtol, atol, max_steps)
+    return facts(result, y, own, clock, status_of(result) == SUCCESS)
+
+
+@numba.njit(cache=True)
+def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """`to_end` for one start (n, d) after the other, a row each."""
+    out = np.empty((len(starts), KNOWN + starts.shape[1]))
+    for k in range(len(starts)):
+        row = to_end(starts[k], rhs, method, data, clock, end, rtol, atol, max_steps)
+        for i in range(len(row)):
+            out[k, i] = row[i]
+    return out
+
+
+@numba.njit(cache=True)
+def at_times(start, times, out, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
+    """States at increasing times > 0 into out (k, d), interpolated; returns `FACTS` and the state reached."""
+    y, own = separate(start, data, clock)
+    d, row = len(y), np.empty(len(y))
+    result = solve(rhs, method, y, own, times, end, rtol, atol, max_steps)
+    saved: Any = min(np.int64(size_of(result)), len(times))
+    states = states_of(result)
+    for k in range(saved):
+        for i in range(d):
+            row[i] = states[k * d + i]
+        join(row, times[k], own, clock, out[k])
+    if saved == len(times):  # the last time is the solver's own, no interpolation
+        join(state_of(result), times[-1], own, clock, out[saved - 1])
+    return facts(result, y, own, clock, saved)

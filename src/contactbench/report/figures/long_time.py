@@ -11,7 +11,7 @@ from contactbench.report.curves import ROUND_OFF, by_method
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.figures.laws import decade
 from contactbench.results.contest import CONTACT
-from contactbench.results.long_time import SUM
+from contactbench.results.tables import SUM
 
 
 def of(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
