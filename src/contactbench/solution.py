@@ -254,7 +254,7 @@ class Solution:
 
     def states(self) -> Any:
         """All saved states at once: a state whose components are arrays over the saved times."""
-        return self.scene.unpack(tuple(self.y.T), self.carry)
+        return self.scene.unpack(self.y.T, self.carry)
 
     def start(self) -> Any:
         """The initial state."""

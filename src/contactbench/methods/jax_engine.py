@@ -72,7 +72,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
             x = self.method_.advance(scene, x, h, n, xp, rolled)
             return x, jnp.stack(scene.pack(x))
 
-        return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n.astype(int)))[1]
+        return lax.scan(interval, scene.unpack(scene.entries(y0), r.carry), (h, n.astype(int)))[1]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         derivative = super().sensitivity(y0)[: len(self.n)]

@@ -153,7 +153,7 @@ class Saves:
         end = r.scene.energy(x)
         if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
             return out
-        energies = r.scene.energy(r.scene.unpack(tuple(out.y.T), r.carry))
+        energies = r.scene.energy(r.scene.unpack(out.y.T, r.carry))
         first = int(np.argmax(energies > most))
         y, time = out.y.copy(), float(r.save_at[first])
         y[first:] = math.nan

@@ -91,6 +91,10 @@ class System(ABC):
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
         """Return a packed state as a NamedTuple of components."""
 
+    def entries(self, y: Any) -> Any:
+        """Return the numbers of a traced packed state as `unpack` is to get them."""
+        return list(y)
+
     @staticmethod
     def pack(state: Any) -> list[Any]:
         """Return a state as a flat list, fields that are not carried left out."""

@@ -51,7 +51,6 @@ class Many(Scene):
 
     kind: ClassVar[str] = "many"
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
-    canonical: ClassVar[bool] = True
     #: the parameter that masses are given by
     weights: ClassVar[str] = "mass"
 
@@ -180,6 +179,9 @@ class Many(Scene):
         half = self.motion // 2
         s = block[2 * half] if "s" in carry else None
         return State(self._columns(block[:half]), self._columns(block[half : 2 * half]), s)
+
+    def entries(self, y: Any) -> Any:
+        return y
 
     def pack(self, state: Any) -> Any:  # type: ignore[override]
         """Return a state as one array."""

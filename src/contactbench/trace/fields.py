@@ -21,7 +21,7 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import parts
 from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, text
 from contactbench.trace.program import ProgramTape, RecordedArrays, setup
-from contactbench.trace.recording import Block, Recorded, attempt, kind_of
+from contactbench.trace.recording import Block, Recorded, attempt
 
 class Sites(NamedTuple):
     """A loop over the sites; stores : (row, value).  sums : (name, value), of all sites together."""
@@ -226,7 +226,7 @@ class FieldTape(ProgramTape):
                 self.taken.add(self.stored(v))
                 carried.append(Field(self, f"@{row}", inner, row))
             else:
-                kind = "i" if isinstance(v, int) else kind_of(v)
+                kind = "i" if isinstance(v, int) else getattr(v, "kind", "f")
                 carried.append(Recorded(self, self.name(kind), kind, inner))
                 before.append((carried[-1].name, self.read(v, outer, kind)))
         self.block = inner

@@ -103,7 +103,7 @@ class Reference:
 
     def states(self) -> Any:
         """Return the states as one NamedTuple of arrays over time."""
-        return self.scene.unpack(tuple(self.y.T), self.carry)
+        return self.scene.unpack(self.y.T, self.carry)
 
 
 def checked_times(times: Any) -> np.ndarray:
