@@ -26,7 +26,7 @@ from contactbench.measure.stability import (
     true_radius,
 )
 from contactbench.results.tables import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
-from contactbench.scenes import hard_scenes
+from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT
 from stability_rows import SolverError, overdamped_row, stability_row, weak_row
 
@@ -80,7 +80,7 @@ def settings(scene, method):
 def ladder(profile):
     return [
         (scene.name, method)
-        for scene in hard_scenes()
+        for scene in scenes_of("stability")
         for method in cb.METHODS
         if not brief(profile) or small(scene.name, method, SMOKE, EVERYWHERE)
     ]

@@ -13,7 +13,6 @@ import pytest
 from mpmath import mp
 
 import contactbench as cb
-from contactbench.scenes import standard_scenes
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -56,9 +55,11 @@ USER = user_scene()
 TILTED = cb.SCENES["rigid_body_anisotropic"].with_(
     name="tilted", damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))
 )
-#: every standard scene, the potentials only hard ones have, and the shapes the registry does not have
+#: the scenes that every experiment runs but that of stability
+STANDARD = [scene for scene in cb.SCENES.values() if not scene.hard and not scene.experiments]
+#: all of them, the potentials only hard ones have, and the shapes the registry does not have
 TWO_SCALES = cb.SCENES["stiff_spring"].with_(omega=3.0)  # not so stiff that round-off tests feel it
-ALL_SCENES = [*standard_scenes(), TWO_SCALES, cb.SCENES["kepler_drag"], USER, TILTED]
+ALL_SCENES = [*STANDARD, TWO_SCALES, cb.SCENES["kepler_drag"], USER, TILTED]
 #: tests that ask the C library what it has handed out
 counts_memory = pytest.mark.skipif(not handed_out(), reason="needs the C library of GNU")
 CONTACT_SCENES = [scene for scene in ALL_SCENES if scene.conformal_rate is not None]

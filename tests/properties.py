@@ -17,7 +17,7 @@ from cases import TILTED, in_mp, random_state
 from contactbench.measure.order import local_order, order_at
 from contactbench.numbers.protocol import Numbers, abilities
 from contactbench.scene import cross, dot, quaternion_product
-from contactbench.splitting import elliptic, flows
+from contactbench.splitting import flows, free_body
 from contactbench.splitting.free_body import free
 from decimals import contact_defect, momentum_defect
 
@@ -125,7 +125,7 @@ def jacobi_functions_are_right(complements=("1", "0.6", "1e-3", "1e-16")):
             m, K = 1 - m1, mp.ellipk(1 - m1)
             points = [K * mp.mpf(x) for x in ("0.4", "-1.3", "2.1", "5.7")]
             truth = [[mp.ellipfun(kind, u, m=m) for kind in ("sn", "cn", "dn")] for u in points]
-        mine = [elliptic.jacobi(u, 1 - m1, m1, mp) for u in points]
+        mine = [free_body.jacobi(u, 1 - m1, m1, mp) for u in points]
         return all(close(a, [*b, K], ROUND_OFF) for a, b in zip(mine, truth, strict=True))
 
     return all(map(is_right, map(mp.mpf, complements)))
@@ -146,7 +146,7 @@ class Fixed(Numbers):
 
 
 def carlson(x, y, p, xp=mp):
-    return elliptic.carlson(mp.sqrt(x), mp.sqrt(y), p, (p - x) * (p - y) * (p - 1), xp)
+    return free_body.carlson(mp.sqrt(x), mp.sqrt(y), p, (p - x) * (p - y) * (p - 1), xp)
 
 
 def carlsons_integral_is_right():
@@ -157,13 +157,13 @@ def carlsons_integral_is_right():
 
 def carlsons_series_is_of_its_order():
     """Each duplication divides its weight by 4 and what the series leaves out by 4⁸: no term of it is wrong."""
-    before, errors = elliptic.DUPLICATIONS, []
+    before, errors = free_body.DUPLICATIONS, []
     x, y, p = mp.mpf("0.2"), mp.mpf("0.5"), mp.mpf("1.7")
     try:
-        for elliptic.DUPLICATIONS in (6, 7):
+        for free_body.DUPLICATIONS in (6, 7):
             errors.append(abs(carlson(x, y, p, Fixed(mp)) - mp.elliprj(x, y, 1, p)))
     finally:
-        elliptic.DUPLICATIONS = before
+        free_body.DUPLICATIONS = before
     return abs(mp.log(errors[0] / errors[1], 4) - 9) < 0.02
 
 

@@ -198,19 +198,22 @@ def items_of(name: str, value: Any, wanted: str) -> list[Any]:
         raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}") from None
 
 
-def function(name: str, value: Any) -> None:
-    """Raise `BadInput` unless `value` can be called."""
+def function(name: str, value: Any) -> Any:
+    """`value`, or `BadInput` where it cannot be called."""
     if not callable(value):
         raise BadInput(f"{name} = {excerpt(value)}: must be a function")
+    return value
 
 
-def text(name: str, value: Any) -> None:
-    """Raise `BadInput` unless `value` is a string without line breaks and other control characters."""
+def text(name: str, value: Any) -> str:
+    """`value`, or `BadInput` where it is no string or has line breaks and other control characters."""
     if not isinstance(value, str) or CONTROL.search(value):
         raise BadInput(f"{name} = {excerpt(value)}: must be a string of one line, without control characters")
+    return value
 
 
-def switch(name: str, value: Any) -> None:
-    """Raise `BadInput` unless `value` is True or False."""
+def switch(name: str, value: Any) -> bool:
+    """`value`, or `BadInput` where it is neither True nor False."""
     if not isinstance(value, bool | np.bool_):
         raise BadInput(f"{name} = {excerpt(value)}: must be True or False")
+    return bool(value)

@@ -14,7 +14,7 @@ from conftest import PROFILES
 from contactbench.claims import CLAIMS
 from contactbench.claims.curves import FIGURES
 from contactbench.results.schema import PROFILES as NAMES
-from contactbench.scenes import hard_scenes
+from contactbench.scenes import scenes_of
 
 
 def visited(experiment, test, profile="smoke"):
@@ -30,7 +30,7 @@ def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_cl
     soon = {name for name, method in cb.METHODS.items() if method.engines[0] not in DEAR}
     assert {cell[1] for cell in visited("bench_laws", "test_laws")} == soon
     hard = {cell[0] for cell in visited("bench_stability", "test_stability")}
-    assert hard == {scene.name for scene in hard_scenes()}
+    assert hard == {scene.name for scene in scenes_of("stability")}
     assert set(LONG) < set(CLAIMS)
     assert {cell[0] for cell in visited("bench_claims", "test_claim")} == set(CLAIMS) - set(LONG)
     assert {cell[0] for cell in visited("bench_claims", "test_paper_figure")} == set(FIGURES)

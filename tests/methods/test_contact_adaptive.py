@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import USER, in_mp, random_state
+from cases import STANDARD, USER, in_mp, random_state
 from contactbench.methods.adaptive_program import frequency, next_density, squared_curvature
-from contactbench.scenes import hard_scenes, standard_scenes
+from contactbench.scenes import scenes_of
 from contactbench.splitting.tables import RKN6
 
 NAME = "contact-adaptive"
 KEPLER = cb.SCENES["kepler_drag"]
 MECHANICAL = [
     s
-    for s in (*standard_scenes(), *hard_scenes(), USER)
+    for s in (*STANDARD, *scenes_of("stability"), USER)
     if isinstance(s, cb.Mechanical) and s.name not in ("escape", "weak_damping", "weak_damping_particle")
 ]
 

@@ -10,10 +10,10 @@ import pytest
 import contactbench as cb
 from cases import saved
 from contactbench.measure.laws import laws_of
-from contactbench.scenes import hard_scenes
+from contactbench.scenes import scenes_of
 from contactbench.truth import blow_up_time, condition_number
 
-HARD = hard_scenes()
+HARD = scenes_of("stability")
 by_scene = pytest.mark.parametrize("scene", HARD, ids=lambda scene: scene.name)
 
 

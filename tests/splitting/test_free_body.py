@@ -12,10 +12,9 @@ import properties
 from contactbench.measure.pullback import growth
 from contactbench.scene import BodyState, dot, rotate, rotation_matrix
 from contactbench.solution import Status
-from contactbench.splitting import elliptic, free_body
-from contactbench.splitting.elliptic import carlson, jacobi
+from contactbench.splitting import free_body
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of, rotation
-from contactbench.splitting.free_body import FARTHEST, free
+from contactbench.splitting.free_body import FARTHEST, carlson, free, jacobi
 from contactbench.truth import decimal_context, reference, with_decimals
 from properties import Fixed
 
@@ -251,7 +250,7 @@ def test_contact_exact_has_an_end(engine):
 
 
 def test_fixed_loops_are_long_enough_at_the_smallest_complement():
-    m1 = elliptic.SMALLEST
+    m1 = free_body.SMALLEST
     K = jacobi(1.0, 1.0, m1, math)[3]
     for u in (0.5, 20.0, 300.0, K, 1.3 * K):
         plain, fixed = (jacobi(u, 1.0, m1, xp) for xp in (math, Fixed(math)))

@@ -11,7 +11,7 @@ from mpmath import mp
 import contactbench as cb
 from cases import in_mp
 from contactbench.measure import order as precision
-from contactbench.splitting.dissipation import decay
+from contactbench.splitting.flows import decay
 from contactbench.testing import check_scene
 from properties import GENERAL, cubic_flow
 

@@ -3,18 +3,8 @@
 Each module registers its own; the registry is in the order of the ids.
 """
 
-from contactbench.claims import (
-    beyond,
-    body_equilibria,
-    body_stability,
-    experiment,
-    geometry,
-    integrator,
-    rigid_body,
-    step_stability,
-    symmetry,
-)
-from contactbench.claims.ledger import CLAIMS, Claim, Correction, Evidence, Measurement, Verdict, verdict
+from contactbench.claims import beyond, body_stability, experiment, geometry, integrator, rigid_body, symmetry
+from contactbench.claims.ledger import CLAIMS, Claim, Correction, Measurement, Verdict, verdict
 
 for _name in sorted(CLAIMS):
     CLAIMS[_name] = CLAIMS.pop(_name)

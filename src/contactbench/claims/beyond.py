@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from contactbench.claims.integrator import ORDER, ORDER_MISS, PARTICLE, RK4, STRANG, slope
 from contactbench.claims.ledger import Evidence, at_least, at_most, claim
-from contactbench.claims.orders import ORDER, ORDER_MISS, PARTICLE, RK4, STRANG, slope
 from contactbench.measure.laws import LAWS
 from contactbench.measure.pullback import growth
 from contactbench.measure.round_off import round_off_bound
@@ -22,7 +22,7 @@ LADDER = tuple(BETWEEN / n for n in (2, 3, 4, 5, 6))
 
 def deviations(degree: int, **changes: Any) -> dict[float, float]:
     """Return max |H̃e^{γt}/H̃(y₀) − 1| of contact-strang against the step; H̃ has brackets of up to `degree` parts."""
-    scene, composition = SCENES[PARTICLE].with_(**changes), METHODS[STRANG].composition
+    scene, composition = PARTICLE.with_(**changes), METHODS[STRANG].composition
     found = {}
     for h in LADDER:
         run = solve(scene, STRANG, step=h, save_at=BETWEEN * np.arange(1, 51))
@@ -34,7 +34,7 @@ def deviations(degree: int, **changes: Any) -> dict[float, float]:
 
 def halves(method: str, law: str, gamma: float, steps: int) -> tuple[float, float]:
     """Return the largest deviation from a law in the first half of a run with h = 0.1, and in the second."""
-    scene = SCENES[PARTICLE].with_(gamma=gamma, t_end=0.1 * steps)
+    scene = PARTICLE.with_(gamma=gamma, t_end=0.1 * steps)
     run = solve(scene, method, step=0.1, save_at=scene.t_end * np.arange(1, 4001) / 4000)
     size = LAWS[law].along(run).size  # type: ignore[union-attr]
     return float(size[:2000].max()), float(size[2000:].max())
@@ -43,24 +43,21 @@ def halves(method: str, law: str, gamma: float, steps: int) -> tuple[float, floa
 @claim("X01")
 def near_conservation(gamma: float = 0.1, weak: float = 1e-5, steps: int = 1_000_000) -> Evidence:
     """gamma : of the orders.  weak, steps : damping and length of the long run."""
-    orders = []
     for what, degree, expected in (("H", 1, 2), ("H + h² H₂", 3, 4), ("H + h² H₂ + h⁴ H₄", 5, 6)):
         quantity = f"|order − {expected}| of the deviation of {what} from e^{{−γt}}, γ = {gamma:g}"
-        orders.append(at_most(quantity, abs(slope(deviations(degree, gamma=gamma)) - expected), *ORDER))
+        yield at_most(quantity, abs(slope(deviations(degree, gamma=gamma)) - expected), *ORDER)
     early, late = halves(STRANG, "modified_hamiltonian", weak, steps)
     plain, plain_late = halves(STRANG, "hamiltonian_law", weak, steps)
     drifting, drifted = halves(RK4, "hamiltonian_law", weak, steps)
     no_drift = 1.1, "a linear drift would double it"
     fourth_order = 1e-3, "h⁴ = 10⁻⁴ times a constant of ten"
     halves_of = f"deviation of H̃ up to h⁴ in the second half of {steps:.0e} steps over that in the first"
-    statement = [
-        *orders,
-        at_most(halves_of, late / early, *no_drift),
-        at_most("the same of H", plain_late / plain, *no_drift),
-        at_most("deviation of H̃ up to h⁴ over that of H", late / plain_late, *fourth_order),
-        at_least("the same halves of H under rk4", drifted / drifting, 1.5, "a drift, linear until it bends"),
-    ]
-    return Evidence(statement)
+    yield at_most(halves_of, late / early, *no_drift)
+    yield at_most("the same of H", plain_late / plain, *no_drift)
+    yield at_most("deviation of H̃ up to h⁴ over that of H", late / plain_late, *fourth_order)
+    yield at_least(
+        "the same halves of H under rk4", drifted / drifting, 1.5, "a drift, linear until it bends"
+    )
 
 
 STEPS, PEERS = (0.4, 0.2, 0.1, 0.05, 0.025), ("cyrk-dop853", "cyrk-vern8", "cyrk-tsit5")
@@ -86,11 +83,8 @@ def pairs_kept(rough: float = 1e-4, fine: float = 1e-8) -> Evidence:
     above = 1e-11, "a hundred times the round-off of the contact methods"
     ours = "pairing_drift over the bound of its round-off, the largest of the contact methods at all steps"
     smallest = "smallest pairing_drift at rtol = "
-    statement = [
-        at_most(ours, worst, *rounding),
-        at_most("|order of pairing_drift − 2|, herglotz2", abs(slope(herglotz) - 2), *own_factor),
-        at_least("pairing_drift of rk4 at its finest step", rk4[min(STEPS)], *above),
-        at_least(f"{smallest}{fine:g}, {', '.join(PEERS)}", min(peers[fine]), *above),
-        at_least(f"{smallest}{rough:g} over the largest at {fine:g}", ratio, 10, "it follows the tolerance"),
-    ]
-    return Evidence(statement)
+    yield at_most(ours, worst, *rounding)
+    yield at_most("|order of pairing_drift − 2|, herglotz2", abs(slope(herglotz) - 2), *own_factor)
+    yield at_least("pairing_drift of rk4 at its finest step", rk4[min(STEPS)], *above)
+    yield at_least(f"{smallest}{fine:g}, {', '.join(PEERS)}", min(peers[fine]), *above)
+    yield at_least(f"{smallest}{rough:g} over the largest at {fine:g}", ratio, 10, "it follows the tolerance")

@@ -6,34 +6,18 @@ figure to its function.  `kind` says what a curve or point is: truth, law, metho
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
-from contactbench.claims.body_equilibria import direction_growths
-from contactbench.claims.experiment import NOMINAL
-from contactbench.claims.linearisation import (
-    INERTIA,
-    SPECTRUM,
-    body,
-    border,
-    criterion,
-    growths,
-    momentum_rate,
-)
-from contactbench.claims.orders import (
-    ABC,
-    ENERGY_LADDER,
-    PAPER_STEP,
-    PARTICLE,
-    PRINTED,
-    RK4,
-    STRANG,
-    energy_errors,
-    slope,
-)
+from contactbench.claims.body_stability import criterion, growths
+from contactbench.claims.experiment import ENERGY_LADDER, NOMINAL, energy_errors
+from contactbench.claims.integrator import ABC, PAPER_STEP, PARTICLE, PRINTED, RK4, STRANG, slope
+from contactbench.claims.rigid_body import EIGENVALUES, INERTIA, direction_growths, momentum_rate
 from contactbench.methods import solve
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
@@ -50,19 +34,18 @@ def figure(draw: Callable[[], Iterator[Row]]) -> Callable[[], Iterator[Row]]:
 
 def rows(name: str) -> Iterator[dict[str, Any]]:
     """Yield the rows of the table of a figure, points numbered along each curve."""
-    count: dict[tuple[str, str], int] = {}
+    count: Counter[tuple[str, str]] = Counter()
     for panel, curve, kind, x, y, z in FIGURES[name]():
-        point = count[panel, curve] = count.get((panel, curve), -1) + 1
-        place = {"x": float(x), "y": float(y), "z": float(z)}
-        yield {"figure": name, "panel": panel, "curve": curve, "point": point, "kind": kind, **place}
+        place = {"point": count[panel, curve], "x": float(x), "y": float(y), "z": float(z)}
+        yield {"figure": name, "panel": panel, "curve": curve, "kind": kind, **place}
+        count[panel, curve] += 1
 
 
 def curve(
     panel: str, name: str, kind: str, x: Iterable[Any], y: Iterable[Any], z: Any = None
 ) -> Iterator[Row]:
     """Yield the rows of one curve."""
-    x, y = list(x), list(y)
-    for point in zip(x, y, [math.nan] * len(x) if z is None else z, strict=True):
+    for point in zip(x, y, itertools.repeat(math.nan) if z is None else z, strict=False):
         yield (panel, name, kind, *point)
 
 
@@ -138,7 +121,7 @@ def paper_5() -> Iterator[Row]:
 @figure
 def paper_7() -> Iterator[Row]:
     """Yield, left, H0 along time at h = 0.01.  Right, the error of H0 against the step, with fitted orders."""
-    scene = SCENES[PARTICLE]
+    scene = PARTICLE
     t = np.linspace(0, scene.t_end, 201)
     truth = scene.energy(reference(scene, t, ()).states())
 
@@ -156,14 +139,16 @@ def paper_7() -> Iterator[Row]:
     for name in NOMINAL:
         errors = energy_errors(name, scene, (4, 8, *ENERGY_LADDER))
         order = slope(errors)
-        yield from curve("convergence", name, "method", errors.keys(), errors.values(), [order] * len(errors))
+        yield from curve(
+            "convergence", name, "method", errors.keys(), errors.values(), itertools.repeat(order)
+        )
 
 
 @figure
 def paper_8() -> Iterator[Row]:
     """Yield the splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
-        scene = SCENES[PARTICLE].with_(gamma=gamma, t_end=60.0)
+        scene = PARTICLE.with_(gamma=gamma, t_end=60.0)
         run = numerical(scene, PRINTED, PAPER_STEP, 400)
         energy = scene.energy(run.states())
         label = f"γ = {gamma:g}"
@@ -182,30 +167,33 @@ def paper_stability() -> Iterator[Row]:
     """Yield the growth rate at M* = e_i in ker D, I = (1, 2, 3), over two slices of the symmetric D ≥ 0.
 
     Panel "axis i, diagonal": over the two rates of a diagonal D.  Panel "axis i, full": equal rates d on
-    the diagonal and −d ≤ d_jk ≤ d beside it.  The border is det = 0 of `linearisation.criterion`.
+    the diagonal and −d ≤ d_jk ≤ d beside it.  The border is det = 0 of `body_stability.criterion`.
     """
-    for axis in range(3):
-        e = np.eye(3)[axis]
+    a, unit, (zero, _) = 1 / np.asarray(INERTIA), np.eye(3), EIGENVALUES
+    for axis, reach in enumerate(REACH):
+        e = unit[axis]
         j, k = sorted({0, 1, 2} - {axis})
         sides = np.linspace(0, 0.6, 21)
-        pairs = [(a, b, np.diag(a * np.eye(3)[j] + b * np.eye(3)[k])) for a in sides for b in sides]
-        off = np.outer(np.eye(3)[j], np.eye(3)[k])
-        rates = np.linspace(0, REACH[axis], 41)
+        pairs = [(x, y, np.diag(x * unit[j] + y * unit[k])) for x in sides for y in sides]
+        off = np.outer(unit[j], unit[k])
         beside = [
             (d, c, np.diag(d * (1 - e)) + np.clip(c, -d, d) * (off + off.T))
-            for d in rates
-            for c in np.linspace(-REACH[axis], REACH[axis], 81)
+            for d in np.linspace(0, reach, 41)
+            for c in np.linspace(-reach, reach, 81)
             if abs(c) <= d * (1 + 1e-12)
         ]
         for panel, grid in ((f"axis {axis + 1}, diagonal", pairs), (f"axis {axis + 1}, full", beside)):
-            scenes = [body(D) for _, _, D in grid]
-            for (x, y, _), rate in zip(grid, growths(scenes, [e] * len(grid)), strict=True):
-                kind = "unstable" if rate > SPECTRUM else "stable" if rate < -SPECTRUM else "neutral"
+            rates = growths([(D, INERTIA, e) for _, _, D in grid])
+            for (x, y, _), rate in zip(grid, rates, strict=True):
+                kind = "unstable" if rate > zero else "stable" if rate < -zero else "neutral"
                 yield (panel, "growth rate", kind, x, y, rate)
-        d = np.linspace(0, REACH[axis], 601)
-        for name, c in zip(("lower", "upper"), border(INERTIA, axis, 1.0, d), strict=True):
+        d = np.linspace(0, reach, 601)
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        linear, constant = a[j] - a[k], d**2 + (a[axis] - a[j]) * (a[axis] - a[k])
+        root = np.sqrt(linear**2 / 4 + constant)
+        for name, c in (("lower", linear / 2 - root), ("upper", linear / 2 + root)):
             inside = np.abs(c) <= d
             yield from curve(f"axis {axis + 1}, full", f"det = 0, {name}", "criterion", d[inside], c[inside])
-    ab = -criterion(np.zeros((3, 3)), np.eye(3)[1])[1]  # det = d₁d₃ − ab there
+    ab = -criterion(np.zeros((3, 3)), unit[1])[1]  # det = d₁d₃ − ab there
     d = np.linspace(ab / 0.6, 0.6, 61)
     yield from curve("axis 2, diagonal", "det = 0", "criterion", d, ab / d)

@@ -1,17 +1,15 @@
 """The ledger: what a claim is, what counts as evidence, and how a verdict follows from numbers.
 
-A claim is a statement, in ``statements.toml``, and a function that measures it and returns `Evidence`.  The verdict
-follows from the numbers by `verdict`; whether a correction repairs or replaces a statement that fails is argued, in
-its `correction`.
+A claim is a statement, in ``statements.toml``, and a function that measures it.  The verdict follows from the
+numbers by `verdict`; whether a correction repairs or replaces a statement that fails is argued, in its `correction`.
 """
 
 from __future__ import annotations
 
-import inspect
 import math
 import operator
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -71,6 +69,11 @@ class Measurement:
         return f"{self.quantity}: {self.value:.3g} {self.relation} {self.bound:.3g}{mark} ({self.why})"
 
 
+#: stands in a claim's evidence between the measurements of the paper's statement and those of the corrected one
+CORRECTED = "corrected"
+Evidence = Iterable[Measurement | str]
+
+
 def at_most(quantity: str, value: Any, bound: float, why: str) -> Measurement:
     """Return a measurement that passes if the value does not exceed its bound."""
     return Measurement(quantity, float(value), "≤", float(bound), why)
@@ -81,24 +84,29 @@ def at_least(quantity: str, value: Any, bound: float, why: str) -> Measurement:
     return Measurement(quantity, float(value), "≥", float(bound), why)
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """The measurements of the paper's statement, and of the corrected one where there is one."""
+def split(evidence: Evidence) -> tuple[list[Measurement], list[Measurement]]:
+    """Return the measurements of the paper's statement and those of the corrected one."""
+    parts: tuple[list[Measurement], list[Measurement]] = [], []
+    which = 0
+    for m in evidence:
+        if isinstance(m, Measurement):
+            parts[which].append(m)
+        else:
+            which = 1
+    return parts
 
-    statement: Sequence[Measurement]
-    corrected: Sequence[Measurement] = ()
 
-
-def verdict(evidence: Evidence, correction: Correction | None) -> Verdict:
+def verdict(
+    statement: Sequence[Measurement], corrected: Sequence[Measurement], correction: Correction | None
+) -> Verdict:
     """Return the verdict that follows from the measurements.
 
     The statement holds if all its measurements pass, and so does a correction.  A statement that fails
     is `corrected` if a correction that repairs it passes, and otherwise `refuted`.  A statement that
     holds is `corrected` if a sharper one holds.
     """
-    holds = all(m.passes for m in evidence.statement)
-    mended = bool(evidence.corrected) and all(m.passes for m in evidence.corrected)
-    if holds:
+    mended = bool(corrected) and all(m.passes for m in corrected)
+    if all(m.passes for m in statement):
         return Verdict.corrected if correction is Correction.sharpens and mended else Verdict.holds
     return Verdict.corrected if correction is Correction.repairs and mended else Verdict.refuted
 
@@ -106,15 +114,14 @@ def verdict(evidence: Evidence, correction: Correction | None) -> Verdict:
 def columns(measurements: Sequence[Measurement], prefix: str = "") -> dict[str, Any]:
     """Return the columns of the measurement that a row shows: the first that fails, else the first."""
     m = next((m for m in measurements if not m.passes), measurements[0])
-    fields = {
-        "quantity": m.quantity,
-        "measured": m.value,
-        "relation": m.relation,
-        "bound": m.bound,
-        "bound_reason": m.why,
-        "evidence": SEPARATOR.join(map(str, measurements)),
+    return {
+        f"{prefix}quantity": m.quantity,
+        f"{prefix}measured": m.value,
+        f"{prefix}relation": m.relation,
+        f"{prefix}bound": m.bound,
+        f"{prefix}bound_reason": m.why,
+        f"{prefix}evidence": SEPARATOR.join(map(str, measurements)),
     }
-    return {prefix + name: field for name, field in fields.items()}
 
 
 @dataclass(frozen=True)
@@ -131,21 +138,16 @@ class Claim:
     where: str
     says: str
     scene: str
-    method: str
     measure: Callable[..., Evidence]
+    method: str = "none: the equations themselves"
     kind: Correction | None = None
     correction: str = ""
     figures: tuple[str, ...] = ()
 
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """The parameters that may be varied (seed, damping, inertia, …), with the values of the table."""
-        return {name: p.default for name, p in inspect.signature(self.measure).parameters.items()}
-
     def row(self, **parameters: Any) -> dict[str, Any]:
         """Measure the claim and return its row of the table; an exception becomes a row without a verdict.
 
-        parameters : values other than the defaults, see `parameters`.
+        parameters : of `measure`, values other than the defaults (seed, damping, inertia, …).
         """
         row: dict[str, Any] = {
             "id": self.name,
@@ -157,26 +159,26 @@ class Claim:
             "figures": " ".join(self.figures),
         }
         try:
-            evidence = self.measure(**parameters)
+            statement, corrected = split(self.measure(**parameters))
         except Exception as error:
             return {**row, "status": "failed", "message": f"{type(error).__name__}: {error}"}
-        broken = [m for m in (*evidence.statement, *evidence.corrected) if not math.isfinite(m.value)]
+        broken = [str(m) for m in (*statement, *corrected) if not math.isfinite(m.value)]
         if broken:
-            return {**row, "status": "failed", "message": f"not finite: {'; '.join(map(str, broken))}"}
-        row |= columns(evidence.statement) | {
-            "verdict": str(verdict(evidence, self.kind)),
+            return {**row, "status": "failed", "message": f"not finite: {'; '.join(broken)}"}
+        row |= columns(statement) | {
+            "verdict": str(verdict(statement, corrected, self.kind)),
             "correction_kind": str(self.kind or ""),
             "correction": self.correction,
             "status": "ok",
         }
-        return row | columns(evidence.corrected, "corrected_") if evidence.corrected else row
+        return row | columns(corrected, "corrected_") if corrected else row
 
 
 def claim(name: str) -> Callable[[Callable[..., Evidence]], Claim]:
     """Return a decorator that registers a measuring function for the statement `name`."""
-    fields: dict[str, Any] = {"method": "none: the equations themselves", **STATEMENTS[name]}
-    fields |= {field: " ".join(text.split()) for field, text in fields.items() if isinstance(text, str)}
-    fields["figures"] = tuple(fields.get("figures", ()))
+    fields: dict[str, Any] = {}
+    for field, given in STATEMENTS[name].items():
+        fields[field] = " ".join(given.split()) if isinstance(given, str) else tuple(given)
     if "kind" in fields:
         fields["kind"] = Correction(fields["kind"])
 

@@ -40,7 +40,7 @@ from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Mechanical, Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
-from contactbench.splitting.composition import advance, own_equations, plan
+from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
@@ -314,7 +314,7 @@ class AdaptiveContactMethod(Adaptive):
             return f"{self.name} has no step density for forces that change with time, as on scene {scene.name!r}"
         if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
-        return own_equations(scene)
+        return scene.own_equations
 
     def prepare(self, request: Request) -> Prepared:
         loops: dict[str, type[AdaptiveContactRun]] = {

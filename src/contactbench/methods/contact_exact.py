@@ -24,7 +24,6 @@ from contactbench.numbers.control import Repeat
 from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
-from contactbench.splitting.composition import own_equations
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
 
 
@@ -175,7 +174,7 @@ class ExactMethod(Method):
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "isotropic body":
-            return own_equations(scene)
+            return scene.own_equations
         return f"{self.name} solves rigid bodies with isotropic damping; scene {scene.name!r} is none"
 
     def step_cost(self, scene: Scene, engine: str) -> float | None:

@@ -44,7 +44,7 @@ def _one_of(allowed: tuple[str, ...]) -> Callable[[str, Any], None]:
 
 
 #: what a step map may declare, and the check of each
-CLAIMS: dict[str, Callable[[str, Any], None]] = {
+CLAIMS: dict[str, Callable[[str, Any], Any]] = {
     "kind": _one_of(("rhs", "gradient", "rotation")),
     "family": _one_of(FAMILIES),
     "contact": switch,

@@ -24,7 +24,6 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Mechanical, Scene, State
 from contactbench.splitting import flows
-from contactbench.splitting.composition import own_equations
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Herglotz(FixedStep):
             return f"{self.name} needs a configuration q in Rⁿ, which scene {scene.name!r} does not have"
         if scene.nonlinear_damping:
             return f"{self.name} is derived for Γ = γ s; scene {scene.name!r} has another Γ"
-        return own_equations(scene)
+        return scene.own_equations
 
 
 def explicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: Any) -> State:

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import copyreg
 import dataclasses
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, switch, text, unknown_name
-from contactbench.numbers.nested import leaves
+from contactbench.errors import (
+    BadInput,
+    excerpt,
+    finite,
+    function,
+    items_of,
+    positive,
+    switch,
+    text,
+    unknown_name,
+)
+from contactbench.numbers.nested import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
 from contactbench.trace.formula import Formula, formula
@@ -25,6 +36,32 @@ EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
 TRIED = 1e-3
+#: what returns the value of a field as it is kept, or raises `BadInput`; called with its name and the value given
+Check = Callable[[str, Any], Any]
+
+
+def optional(check: Check) -> Check:
+    """Return a check that lets None pass."""
+    return lambda name, value: None if value is None else check(name, value)
+
+
+def experiment_names(name: str, value: Any) -> tuple[str, ...]:
+    """Return names of experiments, or raise `BadInput`."""
+    if isinstance(value, tuple) and all(isinstance(e, str) and e in EXPERIMENTS for e in value):
+        return value
+    raise BadInput(f"{name} = {excerpt(value)}: must be a tuple of names among {', '.join(EXPERIMENTS)}")
+
+
+def named_numbers(name: str, value: Any) -> dict[str, float]:
+    """Return finite numbers by name, or raise `BadInput`."""
+    if isinstance(value, Mapping) and all(isinstance(key, str) and key.isidentifier() for key in value):
+        return {key: finite(key, number) for key, number in value.items()}
+    raise BadInput(f"{name} = {excerpt(value)}: must be a dict of numbers by name")
+
+
+def reciprocal(value: Any) -> Any:
+    """Return 1/value, of each number in a tuple."""
+    return rebuild(value, [1 / number for number in leaves(value)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,14 +84,12 @@ class System(ABC):
         """Return the optional fields to integrate, validated; None means all the scene has."""
         if names is None:
             return self.optional
-        given = (names,) if isinstance(names, str) else names
-        if not isinstance(given, Sequence | set | frozenset | dict) or not all(
-            isinstance(name, str) and name in self.optional for name in given
-        ):
-            what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
-            raise BadInput(f"carry = {excerpt(names)}: scene {self.name!r} can carry {what}")
-        names = tuple(given)
-        return tuple(name for name in self.optional if name in names or name in self.required)
+        what = ", ".join(self.optional) or "nothing: this scene has no optional fields"
+        wanted = f"names of fields; scene {self.name!r} can carry {what}"
+        given = [names] if isinstance(names, str) else items_of("carry", names, wanted)
+        if not all(isinstance(name, str) and name in self.optional for name in given):
+            raise BadInput(f"carry = {excerpt(names)}: must be {wanted}")
+        return tuple(name for name in self.optional if name in given or name in self.required)
 
     @property
     def required(self) -> tuple[str, ...]:
@@ -68,7 +103,7 @@ class System(ABC):
     @property
     def motion(self) -> int:
         """How many leading components of a packed state are (q, p) or M: what may not leave its scale."""
-        return len(self.labels(()))
+        return len(self.without_clock(self.labels(())))
 
     @abstractmethod
     def initial(self, carry: Sequence[str], **data: Any) -> Any:
@@ -133,15 +168,16 @@ class System(ABC):
         return self.structure if is_ours(type(self)) else self._equations()
 
     @property
-    def own_equations(self) -> list[str]:
-        """What a user's kind of scene writes anew of the equations of the kind of this package that it is based on.
-
-        The flows that contact methods are composed of know nothing of it.
-        """
-        kind = type(self)
-        base = next(each for each in kind.__mro__ if is_ours(each))
+    def own_equations(self) -> str | None:
+        """Why the flows of its kind do not solve a user's own kind, which writes equations anew; None where they do."""
+        base = next(each for each in type(self).__mro__ if is_ours(each))
         names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
-        return [name for name in names if getattr(kind, name, None) is not getattr(base, name, None)]
+        anew = [name for name in names if getattr(type(self), name, None) is not getattr(base, name, None)]
+        if not anew:
+            return None
+        return (
+            f"its flows are those of {self.kind}, and {type(self).__name__} has {', '.join(anew)} of its own"
+        )
 
     def _equations(self) -> Hashable | None:
         carry, names = self.optional, ("rhs", "jacobian", "energy", "hamiltonian", "momentum", "gradient_at")
@@ -178,15 +214,26 @@ class System(ABC):
                     f"scene {self.name!r}: its {name} {excerpt(function)} cannot be pickled: it must be a function "
                     "that can be recorded, or stand at the top of a module"
                 ) from error
-        return _unpickled, (type(self), scene.__dict__)
+        return copyreg.__newobj__, (type(self),), scene.__dict__  # type: ignore[attr-defined]
+
+    def _start(self, name: str) -> tuple[list[Any], dict[str, float]]:
+        """Return the arguments of a user's function at the start."""
+        given, wanted = {"xp": math, "h": TRIED * self.t_end}, self.functions[name]
+        plain = [given[each] if each in given else getattr(self, each) for each in wanted if each != "**"]
+        return plain, dict(getattr(self, "parameters", {})) if "**" in wanted else {}
+
+    def _value(self, name: str) -> Any:
+        """Return the value of a user's function at the start."""
+        plain, parameters = self._start(name)
+        with their_code(f"scene {self.name!r}"):
+            return getattr(self, name)(*plain, **parameters)
 
     def _formula(self, name: str) -> Formula | None:
-        function, wanted = getattr(self, name), self.functions[name]
+        """Return a user's function as a formula; None for what needs none or cannot be recorded."""
+        function = getattr(self, name)
         if function is None or isinstance(function, Formula) or is_ours(function):
             return None
-        parameters = dict(getattr(self, "parameters", {})) if "**" in wanted else {}
-        values = {"xp": math, "h": TRIED * self.t_end}
-        plain = [values[w] if w in values else getattr(self, w) for w in wanted if w != "**"]
+        plain, parameters = self._start(name)
         shape = tuple("xp" if v is math else len(v) if isinstance(v, tuple) else 0 for v in plain)
         with their_code(f"scene {self.name!r}"):
             try:
@@ -210,11 +257,10 @@ class System(ABC):
         twin.__dict__.update(self.__dict__ | attributes)
         return twin
 
-    def __copy__(self) -> Self:
+    def __deepcopy__(self, memo: object = None) -> Self:
         return self  # nothing of it changes
 
-    def __deepcopy__(self, memo: object) -> Self:
-        return self
+    __copy__ = __deepcopy__
 
     # -- equations -----------------------------------------------------------------------------
     @abstractmethod
@@ -233,12 +279,6 @@ class System(ABC):
     def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
-
-
-def _unpickled(kind: type[System], attributes: dict[str, Any]) -> System:
-    scene = object.__new__(kind)
-    scene.__dict__.update(attributes)
-    return scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,40 +315,45 @@ class Scene(System):
     #: the experiments that run it, where it is not all of them but that of stability
     experiments: tuple[str, ...] = ()
 
+    #: the NamedTuple of its states
+    state: ClassVar[Any] = None
+    #: the fields that are its initial data: those of its states
     initial_fields: ClassVar[tuple[str, ...]] = ()
+    #: the fields whose numbers are its parameters, in their order; those in `parameters` come last
+    coefficients: ClassVar[tuple[str, ...]] = ()
+    #: coefficients that are kept as reciprocals too, and under which name: compiled loops run up to twice as fast
+    #: where no division is left in the right-hand side
+    reciprocals: ClassVar[dict[str, str]] = {}
+    #: how its fields are validated
+    checks: ClassVar[dict[str, Check]] = {
+        "name": text,
+        "about": text,
+        "hard": switch,
+        "experiments": experiment_names,
+        "exact": optional(function),
+        "t_end": positive,
+        "s": finite,
+    }
     #: its state has coordinates q and p of the same number, and η = ds − p dq
     canonical: ClassVar[bool] = False
 
-    def _check_kinds(self) -> None:
-        """Raise `BadInput` for a field that is of another kind altogether."""
-        text("name", self.name)
-        text("about", self.about)
-        switch("hard", self.hard)
-        known = isinstance(self.experiments, tuple) and all(
-            isinstance(e, str) and e in EXPERIMENTS for e in self.experiments
-        )
-        if not known:
-            allowed = ", ".join(EXPERIMENTS)
-            raise BadInput(
-                f"experiments = {excerpt(self.experiments)}: must be a tuple of names among {allowed}"
-            )
-        if self.exact is not None:
-            function("exact", self.exact)
-
-    def _check_names(self, parameters: Iterable[str]) -> None:
-        """Raise `BadInput` for a parameter that would hide what bears its name already."""
+    def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
-        for name in parameters:
+        for name, check in self.checks.items():
+            self._fix(name, check(name, getattr(self, name)))
+        for name in getattr(self, "parameters", {}):
             if name in taken:
                 raise BadInput(
                     f"parameter {name!r}: must have a name of its own, none of {', '.join(sorted(taken))}"
                 )
+        for name, kept in self.reciprocals.items():
+            value = getattr(self, name)
+            self._fix(kept, reciprocal(value))
+            if not all(map(math.isfinite, leaves(getattr(self, kept)))):
+                raise BadInput(f"{name} = {excerpt(value)}: 1/{name} must be finite")
 
-    def is_in(self, experiment: str) -> bool:
-        """Return whether an experiment runs it."""
-        if self.experiments:
-            return experiment in self.experiments
-        return self.hard == (experiment == "stability")
+    def _fix(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
 
     def with_(self, **changes: Any) -> Self:
         """Return a copy with some parameters changed, any of them by keyword.
@@ -317,31 +362,70 @@ class Scene(System):
         """
         allowed = [f.name for f in dataclasses.fields(self) if f.init]
         extra = dict(getattr(self, "parameters", {}))
-        fields: dict[str, Any] = {}
-        for key, value in changes.items():
-            if key in extra:
-                extra[key] = finite(key, value)
-            elif key in allowed:
-                fields[key] = value
-            else:
-                raise unknown_name(f"parameter of scene {self.name!r}", key, [*extra, *allowed])
-        if extra and "parameters" not in fields:
-            fields["parameters"] = extra
-        return dataclasses.replace(self, **fields)
+        for name in changes:
+            if name not in extra and name not in allowed:
+                raise unknown_name(f"parameter of scene {self.name!r}", name, [*extra, *allowed])
+        named = {name: finite(name, changes.pop(name)) for name in extra if name in changes}
+        if extra:
+            changes = {"parameters": extra | named} | changes
+        return dataclasses.replace(self, **changes)
 
-    @abstractmethod
+    def numbers(self) -> list[float]:
+        own = leaves([getattr(self, name) for name in self.coefficients])
+        return [*own, *getattr(self, "parameters", {}).values()]
+
     def number_names(self) -> list[str]:
         """Return the names by which `with_` knows each of `numbers`; empty where it is part of a larger parameter."""
+        names: list[str] = []
+        for name in self.coefficients:
+            value = getattr(self, name)
+            names += [""] * len(leaves(value)) if isinstance(value, tuple) else [name]
+        return [*names, *getattr(self, "parameters", {})]
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        own = [getattr(self, name) for name in self.coefficients]
+        changed = dict(zip(self.coefficients, rebuild(own, numbers), strict=True))
+        changed |= {kept: reciprocal(changed[name]) for name, kept in self.reciprocals.items()}
+        if names := list(getattr(self, "parameters", {})):
+            changed["parameters"] = dict(zip(names, numbers[len(leaves(own)) :], strict=True))
+        return self._replaced(**changed)
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        functions = tuple(getattr(self, name) for name in self.functions)
+        return (self.kind, *functions, *self.labels(self.optional), *self.number_names(), *self.decided)
+
+    @property
+    def decided(self) -> tuple[Any, ...]:
+        """What its equations or flows choose by, computed once of the numbers it was made with."""
+        return ()
+
+    def fields_in(self, carry: Sequence[str]) -> list[str]:
+        """Return the names of the fields of its states that are integrated."""
+        return [
+            name for name in self.initial_fields if name in carry or name not in self.state._field_defaults
+        ]
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        found: list[str] = []
+        for name in self.fields_in(carry):
+            value = getattr(self, name)
+            found += [f"{name}{i + 1}" for i in range(len(value))] if isinstance(value, tuple) else [name]
+        return found
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Any:
+        values = {name: getattr(self, name) for name in self.initial_fields} | data
+        vectors = {name for name in values if isinstance(getattr(self, name), tuple)}
+        kept = self.fields_in(carry)
+        return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
 
     def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:
             if key not in self.initial_fields:
                 raise unknown_name(f"initial value of scene {self.name!r}", key, self.initial_fields)
-        if not data:
-            return {f: getattr(self, f) for f in self.initial_fields}
-        changed = self.with_(**data)
-        return {f: getattr(changed, f) for f in self.initial_fields}
+        changed = self.with_(**data) if data else self
+        return {name: getattr(changed, name) for name in self.initial_fields}
 
     # -- physics -------------------------------------------------------------------------------
     @abstractmethod
@@ -356,9 +440,12 @@ class Scene(System):
     def momentum(self, x: Any) -> Vector | None:
         """Return the momentum map J of the rotations, None where there is none."""
 
-    @abstractmethod
     def tangents(self, x: Any) -> list[Any]:
-        """Return a basis of the tangent space at x, as states."""
+        """Return a basis of the tangent space at x, as states: the coordinates', the time left out."""
+        size = len(self.pack(x))
+        carry = [name for name in self.optional if getattr(x, name) is not None]
+        units = ([1.0 if i == j else 0.0 for j in range(size)] for i in range(size) if i != self.clock)
+        return [self.unpack(unit, carry) for unit in units]
 
     def displaced(self, x: Any, v: Any, amount: float) -> Any:
         """Return the state at `amount` along a curve that leaves x with tangent v."""
@@ -371,6 +458,10 @@ class Scene(System):
     @abstractmethod
     def contact_terms(self, x: Any, dx: Any) -> Any:
         """Return the size of the terms that η(dx) is the difference of."""
+
+    def energy_terms(self, x: Any) -> Any:
+        """Return the size of the terms that H0 is the sum of."""
+        return abs(self.energy(x))
 
     @abstractmethod
     def hamiltonian_terms(self, x: Any) -> Any:
@@ -390,19 +481,24 @@ class Scene(System):
         return None if self.conformal_rate is None else self.conformal_rate * t
 
     @property
+    def is_contact(self) -> bool:
+        """The exact flow is a conformal contact map, with a rate that is constant or changes."""
+        return self.conformal_rate is not None or self.rate_changes
+
+    @property
     def has_hamiltonian_law(self) -> bool:
         """H' = −Γ'(s) H."""
         return self.is_contact
 
     @property
+    def bounds_energy(self) -> bool:
+        """H0 never exceeds what it was at the start."""
+        return not self.may_gain_energy
+
+    @property
     def rate_changes(self) -> bool:
         """φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant."""
         return False
-
-    @property
-    def is_contact(self) -> bool:
-        """The exact flow is a conformal contact map, with a rate that is constant or changes."""
-        return self.conformal_rate is not None or self.rate_changes
 
     @property
     def has_momentum_law(self) -> bool:
@@ -418,12 +514,3 @@ class Scene(System):
     def may_gain_energy(self) -> bool:
         """H0 need not decay: no damping, negative damping, or damping whose sign follows the motion."""
         return False
-
-    @property
-    def bounds_energy(self) -> bool:
-        """H0 never exceeds what it was at the start."""
-        return not self.may_gain_energy
-
-    def energy_terms(self, x: Any) -> Any:
-        """Return the size of the terms that H0 is the sum of."""
-        return abs(self.energy(x))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
-from contactbench.boundary import their_code
 from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
 from contactbench.numbers import quadrature
 from contactbench.scene.algebra import Vector
-from contactbench.scene.base import TRIED
+from contactbench.scene.base import Check, optional
 from contactbench.scene.mechanical import Mechanical
 
 
@@ -69,79 +67,45 @@ class Driven(Mechanical):
         "rate": ("t", "**"),
         "span": ("t", "h", "xp", "**"),
     }
+    state: ClassVar[Any] = DrivenState
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "t", "s")
+    checks: ClassVar[dict[str, Check]] = {
+        "t": finite,
+        **Mechanical.checks,
+        "rate": optional(function),
+        "span": optional(function),
+    }
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", finite("t", self.t))
         super().__post_init__()
         if self.kappa or self.hessian is not None or self.rotation_invariant:
             raise BadInput(
                 f"scene {self.name!r}: kappa, hessian and rotation_invariant are for scenes without time"
             )
-        self._check_rate()
-
-    def _check_rate(self) -> None:
-        """Raise `BadInput` unless rate and span give a number and a pair of them at the start."""
-        with their_code(f"scene {self.name!r}"):
-            rate = self.rate_at(self.t)
-            span = (0.0, 0.0) if self.span is None else self.spent(self.t, TRIED * self.t_end, math)
-        require_number("rate", rate)
-        if not (isinstance(span, tuple | list) and len(span) == 2 and all(map(is_number, span))):
-            raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(span)}")
-
-    def _check_kinds(self) -> None:
-        super()._check_kinds()
-        if self.span is not None:
-            function("span", self.span)
-            if self.rate is None:
-                raise BadInput("span: its rate is missing, the damping that it is the integral of")
         if self.rate is not None:
-            function("rate", self.rate)
             if self.gamma:
                 raise BadInput(f"gamma = {self.gamma!r}: the rate of damping has it in it")
+            require_number("rate", self._value("rate"))
+        if self.span is not None:
+            if self.rate is None:
+                raise BadInput("span: its rate is missing, the damping that it is the integral of")
+            pair = self._value("span")
+            if not (isinstance(pair, tuple | list) and len(pair) == 2 and all(map(is_number, pair))):
+                raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(pair)}")
 
     # -- state ---------------------------------------------------------------------------------
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        names = super().labels(())
-        return [*names, "t", *(c for c in self.optional if c in carry)]
-
     @property
     def clock(self) -> int:
         return 2 * len(self.q)
-
-    @property
-    def motion(self) -> int:
-        return 2 * len(self.q)
-
-    def initial(self, carry: Sequence[str], **data: Any) -> Any:
-        values = {f: getattr(self, f) for f in self.initial_fields} | data
-        s = values["s"] if "s" in carry else None
-        return DrivenState(tuple(values["q"]), tuple(values["p"]), values["t"], s)
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
         n = len(self.q)
         s = y[2 * n + 1] if "s" in carry else None
         return DrivenState(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n], s)
 
-    def numbers(self) -> list[float]:
-        return [*([] if self.rate else [self.gamma]), self.mass, *self.parameters.values()]
-
-    def number_names(self) -> list[str]:
-        return [*([] if self.rate else ["gamma"]), "mass", *self.parameters]
-
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        gamma, *rest = [0.0, *numbers] if self.rate else numbers
-        return super().with_numbers([gamma, 0.0, *rest])
-
     @property
-    def structure(self) -> tuple[Any, ...]:
-        return (Driven, *super().structure, self.rate, self.span)
-
-    def tangents(self, x: Any) -> list[Any]:
-        """Return the coordinate basis of (q, p, s); t is not moved."""
-        found = super().tangents(x)
-        n = 2 * len(x.q)
-        return found[:n] + found[n + 1 :]
+    def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("mass",) if self.rate else ("gamma", "mass")
 
     # -- physics -------------------------------------------------------------------------------
     def V(self, q: Vector, t: Any = None) -> Any:
@@ -171,16 +135,15 @@ class Driven(Mechanical):
         s = None if x.s is None else self.kinetic(x.p) - self.potential_at(x) - rate * x.s
         return DrivenState(velocity, force, 1.0 + 0 * x.t, s)
 
-    @property
-    def has_jacobian(self) -> bool:
-        return False
+    #: ∂∇V/∂t is not asked for: solvers difference
+    has_jacobian = False
+    has_torque = False
+    has_hamiltonian_law = False
+    may_gain_energy = True
+    bounds_energy = False
 
     def jacobian(self, x: Any) -> None:
-        """Return None, since ∂∇V/∂t is not asked for: solvers difference."""
-
-    @property
-    def has_torque(self) -> bool:
-        return False
+        """Return None."""
 
     @property
     def conformal_rate(self) -> Any:
@@ -189,18 +152,6 @@ class Driven(Mechanical):
     @property
     def rate_changes(self) -> bool:
         return self.rate is not None
-
-    @property
-    def has_hamiltonian_law(self) -> bool:
-        return False
-
-    @property
-    def may_gain_energy(self) -> bool:
-        return True
-
-    @property
-    def bounds_energy(self) -> bool:
-        return False
 
     def rate_at(self, t: Any) -> Any:
         """Return γ(t)."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
-from contactbench.boundary import their_code
 from contactbench.errors import BadInput, function, require_number
 from contactbench.scene.algebra import State
-from contactbench.scene.base import TRIED
+from contactbench.scene.base import Check, optional
 from contactbench.scene.mechanical import Mechanical
 
 
@@ -48,52 +46,34 @@ class GeneralDamping(Mechanical):
         "damping_flow": ("s", "h", "xp"),
     }
 
-    def _check_kinds(self) -> None:
-        super()._check_kinds()
-        function("damping", self.damping)
-        function("damping_slope", self.damping_slope)
-        if self.damping_flow is not None:
-            function("damping_flow", self.damping_flow)
+    coefficients: ClassVar[tuple[str, ...]] = ("mass",)
+    checks: ClassVar[dict[str, Check]] = {
+        **Mechanical.checks,
+        "damping": function,
+        "damping_slope": function,
+        "damping_flow": optional(function),
+    }
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.gamma or self.kappa:
             raise BadInput(f"gamma = {self.gamma!r}, kappa = {self.kappa!r}: Γ has them in it")
-        with their_code(f"scene {self.name!r}"):
-            found = {"damping": self.damping(self.s), "damping_slope": self.damping_slope(self.s)}
-            if self.damping_flow is not None:
-                found["damping_flow"] = self.damping_flow(self.s, TRIED * self.t_end, math)
-        for name, value in found.items():
-            require_number(name, value)
+        for name in ("damping", "damping_slope", "damping_flow"):
+            if getattr(self, name) is not None:
+                require_number(name, self._value(name))
 
-    @property
-    def required(self) -> tuple[str, ...]:
-        return ("s",)
+    required = ("s",)
 
-    @property
-    def nonlinear_damping(self) -> bool:
-        return True
-
-    def numbers(self) -> list[float]:
-        return [self.mass, *self.parameters.values()]
-
-    def number_names(self) -> list[str]:
-        return ["mass", *self.parameters]
-
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        return super().with_numbers([0.0, 0.0, *numbers])
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        return (*super().structure, GeneralDamping, self.damping, self.damping_slope, self.damping_flow)
+    nonlinear_damping = True
 
     def dissipation(self, s: Any) -> Any:
-        """Return Γ(s)."""
         return self.damping(s)
 
     def dissipation_rate(self, s: Any) -> Any:
-        """Return Γ'(s)."""
         return self.damping_slope(s)
 
+    #: Γ'' is not asked for: solvers difference
+    has_jacobian = False
+
     def jacobian(self, x: State) -> None:
-        """Return None, since Γ'' is not asked for: solvers difference."""
+        """Return None."""

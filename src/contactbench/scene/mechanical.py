@@ -6,35 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import isfinite
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import is_ours, user_error
-from contactbench.errors import BadInput, excerpt, finite, function, is_real, positive, switch, vector
+from contactbench.boundary import is_ours, their_code
+from contactbench.errors import BadInput, excerpt, finite, function, positive, switch, vector
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
-from contactbench.scene.base import Scene
+from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
 LARGEST_HESSIAN = 32
 
 
-@lru_cache(256)
-def derived_gradient(potential: Formula) -> Formula:
-    """Return ∇V from V.  Raises `BadInput` for a function whose derivative is not known."""
-    try:
-        return potential.gradient()
-    except CannotRecord as why:
-        raise BadInput(f"the gradient is missing, and cannot be derived from the potential: {why}") from why
-
-
-@lru_cache(256)
-def derived_hessian(gradient: Formula) -> Formula:
-    """Return the Hessian from ∇V.  Raises `CannotRecord`."""
-    return gradient.jacobian(symmetric=True)
+#: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
+derived_gradient = lru_cache(256)(Formula.gradient)
+derived_jacobian = lru_cache(256)(Formula.jacobian)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,105 +67,53 @@ class Mechanical(Scene):
     hessian: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
-    #: kept so that no division is left in the right-hand side: compiled loops run up to twice as fast
     inverse_mass: Any = field(init=False, repr=False, default=1.0)
+    #: 1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it
+    kappa_sign: int = field(init=False, repr=False, default=0)
 
     kind: ClassVar[str] = "mechanical"
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
         ("potential", "gradient", "hessian"), ("q", "**")
     )
+    state: ClassVar[Any] = State
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
+    coefficients: ClassVar[tuple[str, ...]] = ("gamma", "kappa", "mass")
+    reciprocals: ClassVar[dict[str, str]] = {"mass": "inverse_mass"}
+    checks: ClassVar[dict[str, Check]] = {
+        **Scene.checks,
+        "potential": function,
+        "gradient": optional(function),
+        "hessian": optional(function),
+        "q": vector,
+        "p": vector,
+        "gamma": finite,
+        "kappa": finite,
+        "mass": positive,
+        "rotation_invariant": switch,
+        "parameters": named_numbers,
+    }
     canonical: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        self._check_kinds()
-        fix = object.__setattr__
-        fix(self, "q", vector("q", self.q))
-        fix(self, "p", vector("p", self.p))
+        super().__post_init__()
+        self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
         if len(self.q) != len(self.p):
             raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
-        for name in ("gamma", "kappa", "s"):
-            fix(self, name, finite(name, getattr(self, name)))
-        fix(self, "mass", positive("mass", self.mass))
-        fix(self, "inverse_mass", finite(f"mass = {self.mass!r}: 1/mass", 1 / self.mass))
-        fix(self, "t_end", positive("t_end", self.t_end))
-        fix(self, "parameters", {k: finite(k, v) for k, v in self.parameters.items()})
-        self._check_force()
-
-    def _check_kinds(self) -> None:
-        super()._check_kinds()
-        function("potential", self.potential)
-        for name in ("gradient", "hessian"):
-            if getattr(self, name) is not None:
-                function(name, getattr(self, name))
-        switch("rotation_invariant", self.rotation_invariant)
-        names = self.parameters if isinstance(self.parameters, Mapping) else [None]
-        if not all(isinstance(name, str) and name.isidentifier() for name in names):
-            raise BadInput(f"parameters = {excerpt(self.parameters)}: must be a dict of numbers by name")
-        self._check_names(self.parameters)
-
-    def _check_force(self) -> None:
-        """Raise `BadInput` unless the gradient at the initial position is n finite numbers."""
-        try:
+        with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
             force = self.dV(self.q)
-        except (ZeroDivisionError, OverflowError):
-            raise BadInput(
-                f"q = {excerpt(self.q)}: the force of scene {self.name!r} is singular there"
-            ) from None
-        except (ValueError, IndexError, TypeError) as error:
-            raise BadInput(
-                f"q = {excerpt(self.q)}: wrong for scene {self.name!r}, whose gradient says: "
-                f"{user_error(type(error).__name__, error)}"
-            ) from error
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise user_error(f"scene {self.name!r}", error) from error
         if not isinstance(force, tuple | list | np.ndarray):
             raise BadInput(
                 f"gradient: must return {len(self.q)} numbers, a tuple; it returns {excerpt(force)}"
             )
-        if len(force) != len(self.q):
-            raise BadInput(f"q = {excerpt(self.q)}: scene {self.name!r} needs {len(force)} components")
-        if not all(is_real(f) and hasattr(f, "__float__") for f in force):
-            raise BadInput(f"gradient: must return real numbers; it returns {excerpt(force)}")
-        if not all(isfinite(f) for f in force):
-            raise BadInput(f"q = {excerpt(self.q)}: the force of scene {self.name!r} is not finite there")
+        vector(f"q = {excerpt(self.q)}, where gradient", force, len(self.q))
 
     @property
     def required(self) -> tuple[str, ...]:
         return ("s",) if self.kappa else ()
 
-    def labels(self, carry: Sequence[str]) -> list[str]:
-        n = len(self.q)
-        names = [f"q{i + 1}" for i in range(n)] + [f"p{i + 1}" for i in range(n)]
-        return names + [c for c in self.optional if c in carry]
-
-    def initial(self, carry: Sequence[str], **data: Any) -> State:
-        values = {f: getattr(self, f) for f in self.initial_fields} | data
-        return State(tuple(values["q"]), tuple(values["p"]), values["s"] if "s" in carry else None)
-
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
         n = len(self.q)
         return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
-
-    def numbers(self) -> list[float]:
-        return [self.gamma, self.kappa, self.mass, *self.parameters.values()]
-
-    def number_names(self) -> list[str]:
-        return ["gamma", "kappa", "mass", *self.parameters]
-
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        gamma, kappa, mass, *rest = numbers
-        parameters = dict(zip(self.parameters, rest, strict=True))
-        own = {"gamma": gamma, "kappa": kappa, "mass": mass, "inverse_mass": 1 / mass}
-        return self._replaced(**own, parameters=parameters, _kappa_sign=self.kappa_sign)
-
-    @property
-    def kappa_sign(self) -> int:
-        """1, 0 or −1, the sign of κ (decided by the original κ, not by a tracer): flows differ by it."""
-        known = self.__dict__.get("_kappa_sign")
-        return int(self.kappa > 0) - int(self.kappa < 0) if known is None else known
 
     @property
     def nonlinear_damping(self) -> bool:
@@ -184,33 +121,29 @@ class Mechanical(Scene):
         return self.kappa_sign != 0
 
     @property
-    def structure(self) -> tuple[Any, ...]:
-        functions = self.potential, self.gradient, self.hessian
-        return (Mechanical, *functions, len(self.q), tuple(self.parameters), self.kappa_sign)
+    def decided(self) -> tuple[Any, ...]:
+        return (self.kappa_sign,)
 
     def recorded(self) -> Self:
         """Return the scene recorded, with a gradient and a Hessian derived where they are left out."""
         scene = super().recorded()
         if scene.gradient is None:
-            scene = scene._replaced(gradient=derived_gradient(scene._potential_formula()))
+            sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
+            try:
+                potential = scene.potential
+                if not isinstance(potential, Formula):
+                    potential = formula(potential, sizes, tuple(self.parameters))
+                scene = scene._replaced(gradient=derived_gradient(potential))
+            except CannotRecord as why:
+                raise BadInput(
+                    f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
+                ) from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
             with suppress(CannotRecord):
-                scene = scene._replaced(hessian=derived_hessian(scene.gradient))
+                scene = scene._replaced(hessian=derived_jacobian(scene.gradient, symmetric=True))
         return scene
-
-    def _potential_formula(self) -> Formula:
-        """Return the potential as a formula; `BadInput` where it cannot be recorded."""
-        if isinstance(self.potential, Formula):
-            return self.potential
-        sizes = tuple(len(self.q) if name == "q" else 0 for name in self.functions["potential"][:-1])
-        try:
-            return formula(self.potential, sizes, tuple(self.parameters))
-        except CannotRecord as why:
-            raise BadInput(
-                f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
-            ) from why
 
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
@@ -224,11 +157,9 @@ class Mechanical(Scene):
         return (self.gradient or self.recorded().gradient)(q, **self.parameters)  # type: ignore[misc]
 
     def potential_at(self, x: Any) -> Any:
-        """Return V at a state."""
         return self.V(x.q)
 
     def gradient_at(self, x: Any) -> Vector:
-        """Return ∇V at a state."""
         return self.dV(x.q)
 
     def damping_at(self, x: Any) -> Any:
@@ -288,10 +219,6 @@ class Mechanical(Scene):
             return (q[0] * p[1] - q[1] * p[0],)
         return cross(q, p) if len(q) == 3 else None
 
-    def torque(self, x: State) -> Vector | None:
-        """Return −q × ∇V, the rate at which the potential changes the angular momentum."""
-        return self.momentum(State(x.q, tuple(-g for g in self.gradient_at(x))))
-
     @property
     def has_momentum_law(self) -> bool:
         return self.rotation_invariant and len(self.q) in (2, 3)
@@ -332,13 +259,6 @@ class Mechanical(Scene):
     def momentum_terms(self, x: State) -> Any:
         """Return ‖q‖‖p‖."""
         return norm(x.q) * norm(x.p)
-
-    def tangents(self, x: State) -> list[State]:
-        """Return the coordinate basis of the tangent space at x, in packed order."""
-        flat = self.pack(x)
-        carry = ("s",) if x.s is not None else ()
-        size = len(flat)
-        return [self.unpack([1.0 if i == j else 0.0 for j in range(size)], carry) for i in range(size)]
 
     @property
     def conformal_rate(self) -> Any:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.errors import BadInput, array, excerpt, finite, positive, vector
+from contactbench.errors import BadInput, array, excerpt, finite, vector
 from contactbench.scene.algebra import (
     BodyState,
     Vector,
@@ -20,7 +20,28 @@ from contactbench.scene.algebra import (
     quaternion_product,
     rotate,
 )
-from contactbench.scene.base import Scene
+from contactbench.scene.base import Check, Scene, optional
+
+UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def moments(name: str, value: Any) -> Vector:
+    """Return three numbers > 0, or raise `BadInput`."""
+    given = vector(name, value, 3)
+    if min(given) <= 0:
+        raise BadInput(f"{name} = {excerpt(given)}: all three moments must be > 0")
+    return given
+
+
+def damping_matrix(name: str, value: Any) -> tuple[Vector, ...]:
+    """Return a 3×3 matrix from three rates or a matrix; raise `BadInput` unless it is symmetric and ≥ 0."""
+    wanted = "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix"
+    given = array(name, value, wanted)
+    matrix = np.diag(given) if given.shape == (3,) else given
+    right = matrix.shape == (3, 3) and np.all(np.isfinite(matrix)) and np.array_equal(matrix, matrix.T)
+    if not right or np.linalg.eigvalsh(matrix).min() < -4 * math.ulp(1.0) * np.abs(matrix).max():
+        raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}")
+    return tuple(map(tuple, matrix.tolist()))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,36 +75,34 @@ class RigidBody(Scene):
     #: eigenvalues of an anisotropic D, and its eigenvectors as columns (None when D is diagonal)
     rates: Vector = field(init=False, repr=False, default=())
     axes: Any = field(init=False, repr=False, default=None)
-    #: kept so that no division is left in the right-hand side
     inverse_inertia: Vector = field(init=False, repr=False, default=())
     #: the axes of the smallest, intermediate and largest moment (decided by the original moments)
     by_inertia: tuple[int, ...] = field(init=False, repr=False, default=())
 
+    state: ClassVar[Any] = BodyState
     initial_fields: ClassVar[tuple[str, ...]] = ("M", "R", "s")
+    reciprocals: ClassVar[dict[str, str]] = {"inertia": "inverse_inertia"}
+    checks: ClassVar[dict[str, Check]] = {
+        **Scene.checks,
+        "inertia": moments,
+        "M": lambda name, value: vector(name, value, 3),
+        "R": lambda name, value: quaternion_of(value),
+        "gamma": optional(finite),
+        "damping": optional(damping_matrix),
+    }
 
     def __post_init__(self) -> None:
-        self._check_kinds()
-        fix = object.__setattr__
-        fix(self, "inertia", vector("inertia", self.inertia, 3))
-        if min(self.inertia) <= 0:
-            raise BadInput(f"inertia = {excerpt(self.inertia)}: all three moments must be > 0")
-        fix(self, "inverse_inertia", vector("1/inertia", (1 / i for i in self.inertia)))
-        fix(self, "by_inertia", tuple(sorted(range(3), key=lambda i: self.inertia[i])))
-        fix(self, "M", vector("M", self.M, 3))
-        fix(self, "R", quaternion_of(self.R))
-        fix(self, "s", finite("s", self.s))
-        fix(self, "t_end", positive("t_end", self.t_end))
+        super().__post_init__()
+        self._fix("by_inertia", tuple(sorted(range(3), key=lambda i: self.inertia[i])))
         if (self.gamma is None) == (self.damping is None):
             raise BadInput("give exactly one of gamma (isotropic) and damping (a matrix D)")
-        if self.gamma is not None:
-            fix(self, "gamma", finite("gamma", self.gamma))
+        if self.damping is None:
             return
-        matrix = damping_matrix(self.damping)
-        fix(self, "damping", tuple(map(tuple, matrix.tolist())))
+        matrix = np.array(self.damping)
         diagonal = not np.any(matrix - np.diag(np.diag(matrix)))
         rates, axes = (np.diag(matrix), None) if diagonal else np.linalg.eigh(matrix)
-        fix(self, "rates", tuple(np.maximum(rates, 0.0).tolist()))
-        fix(self, "axes", None if axes is None else tuple(map(tuple, axes.tolist())))
+        self._fix("rates", tuple(np.maximum(rates, 0.0).tolist()))
+        self._fix("axes", None if axes is None else tuple(map(tuple, axes.tolist())))
 
     def with_(self, **changes: Any) -> Self:
         if changes.get("gamma") is not None and "damping" not in changes:
@@ -105,39 +124,22 @@ class RigidBody(Scene):
         return ("R", "s") if self.isotropic else ("R",)
 
     def labels(self, carry: Sequence[str]) -> list[str]:
-        names = ["M1", "M2", "M3"]
-        names += ["R_w", "R_x", "R_y", "R_z"] if "R" in carry else []
-        return names + (["s"] if "s" in carry else [])
-
-    def initial(self, carry: Sequence[str], **data: Any) -> BodyState:
-        values = {f: getattr(self, f) for f in self.initial_fields} | data
-        R = tuple(values["R"]) if "R" in carry else None
-        return BodyState(tuple(values["M"]), R, values["s"] if "s" in carry else None)
+        quaternion = {"R1": "R_w", "R2": "R_x", "R3": "R_y", "R4": "R_z"}
+        return [quaternion.get(name, name) for name in super().labels(carry)]
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> BodyState:
         R = tuple(y[3:7]) if "R" in carry else None
         return BodyState(tuple(y[:3]), R, y[7 if R is not None else 3] if "s" in carry else None)
 
-    def numbers(self) -> list[float]:
-        if self.gamma is not None:
-            return [*self.inertia, self.gamma]
-        axes = [] if self.axes is None else [v for row in self.axes for v in row]
-        return [*self.inertia, *self.rates, *axes]
-
-    def number_names(self) -> list[str]:
-        return ["", "", "", "gamma"] if self.isotropic else [""] * len(self.numbers())
-
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        inertia, rest = tuple(numbers[:3]), tuple(numbers[3:])
-        moments = {"inertia": inertia, "inverse_inertia": tuple(1 / i for i in inertia)}
+    @property
+    def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
         if self.isotropic:
-            return self._replaced(**moments, gamma=rest[0])
-        axes = None if self.axes is None else (rest[3:6], rest[6:9], rest[9:12])
-        return self._replaced(**moments, rates=rest[:3], axes=axes)
+            return ("inertia", "gamma")
+        return ("inertia", "rates") if self.axes is None else ("inertia", "rates", "axes")
 
     @property
-    def structure(self) -> tuple[Any, ...]:
-        return (RigidBody, self.isotropic, self.isotropic or self.axes is None, self.by_inertia)
+    def decided(self) -> tuple[Any, ...]:
+        return self.by_inertia
 
     # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:
@@ -185,15 +187,14 @@ class RigidBody(Scene):
         omega = self.angular_velocity(x.M)
         width = 3 + (4 if x.R is not None else 0) + (1 if x.s is not None else 0)
         rows = [[0.0] * width for _ in range(width)]
-        unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-        for j, e in enumerate(unit):
+        for j, e in enumerate(UNIT):
             gyroscopic = cross(x.M, tuple(inv[k] * e[k] for k in range(3)))
             other = cross(e, omega)
             damped = self.damp_matrix_function(e, lambda rate: rate)
             for i in range(3):
                 rows[i][j] = other[i] + gyroscopic[i] - damped[i]
         if x.R is not None:
-            for j, e in enumerate(unit):
+            for j, e in enumerate(UNIT):
                 column = quaternion_product(x.R, (0.0, *(inv[j] * c / 2 for c in e)))
                 for i in range(4):
                     rows[3 + i][j] = column[i]
@@ -254,33 +255,14 @@ class RigidBody(Scene):
 
     def tangents(self, x: BodyState) -> list[BodyState]:
         """Return a basis of the tangent space: ∂/∂M_i, the body-frame rotations e_i (and ∂/∂s)."""
-        zero3, zero4 = (0.0,) * 3, (0.0,) * 4
-        s0 = 0.0 if x.s is not None else None
-        R0 = zero4 if x.R is not None else None
-        unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-        basis = [BodyState(e, R0, s0) for e in unit]
+        zero3, s0 = (0.0,) * 3, None if x.s is None else 0.0
+        R0 = None if x.R is None else (0.0,) * 4
+        basis = [BodyState(e, R0, s0) for e in UNIT]
         if x.R is not None:
-            for e in unit:
-                half = quaternion_product(x.R, (0.0, *(c / 2 for c in e)))
-                basis.append(BodyState(zero3, half, s0))
-        if x.s is not None:
-            basis.append(BodyState(zero3, R0, 1.0))
-        return basis
+            halves = ((0.0, *(c / 2 for c in e)) for e in UNIT)
+            basis += [BodyState(zero3, quaternion_product(x.R, half), s0) for half in halves]
+        return basis if x.s is None else [*basis, BodyState(zero3, R0, 1.0)]
 
     @property
     def conformal_rate(self) -> Any:
         return self.gamma
-
-
-def damping_matrix(value: Any) -> np.ndarray:
-    """Return D as a 3×3 array, from three rates or a matrix; `BadInput` unless symmetric and ≥ 0."""
-    wanted = "three rates ≥ 0 or a symmetric positive semi-definite 3×3 matrix"
-    message = f"damping = {excerpt(value)}: must be {wanted}"
-    given = array("damping", value, wanted)
-    matrix = np.diag(given) if given.shape == (3,) else given
-    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)) or not np.array_equal(matrix, matrix.T):
-        raise BadInput(message)
-    scale = np.abs(matrix).max()
-    if np.linalg.eigvalsh(matrix).min() < -4 * math.ulp(1.0) * scale:
-        raise BadInput(message)
-    return matrix

@@ -24,14 +24,7 @@ def scene_of(scene: object) -> Scene:
 
 def scenes_of(experiment: str) -> list[Scene]:
     """Return the registered scenes that an experiment runs."""
-    return [scene for scene in SCENES.values() if scene.is_in(experiment)]
-
-
-def standard_scenes() -> list[Scene]:
-    """Return the registered scenes that every experiment runs but that of stability."""
-    return [scene for scene in SCENES.values() if not scene.hard and not scene.experiments]
-
-
-def hard_scenes() -> list[Scene]:
-    """Return the registered scenes of the stability experiment."""
-    return scenes_of("stability")
+    hard = experiment == "stability"
+    return [
+        s for s in SCENES.values() if experiment in s.experiments or (not s.experiments and s.hard == hard)
+    ]

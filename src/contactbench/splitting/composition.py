@@ -16,12 +16,15 @@ order, which leaves it far fewer conditions, and it is the kernel that is paid f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import chain
+from itertools import repeat as repeated
 from typing import Any
 
 from contactbench.numbers.control import Repeat, repeat
+from contactbench.numbers.control import turns as unrolled
 from contactbench.numbers.protocol import abilities
 from contactbench.scene import BodyState, RigidBody, Scene
 from contactbench.splitting.flows import Flow, damped_time, flows_of, rotation, spin, top_rate, turn_rate
@@ -118,18 +121,11 @@ def number(coefficient: Fraction, xp: Any) -> Any:
 
 
 # -- a composition on a scene ----------------------------------------------------------------------
-def own_equations(scene: Scene) -> str | None:
-    """Return why flows of a kind of scene do not solve one that writes its equations anew, or None."""
-    if not (anew := scene.own_equations):
-        return None
-    return f"its flows are those of {scene.kind}, and {type(scene).__name__} has {', '.join(anew)} of its own"
-
-
 def refusal(composition: Composition, scene: Scene) -> str | None:
     """Return why the composition does not have its order on this scene, or None."""
     if composition.nystrom and "drift_damp" not in flows_of(scene):
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
-    return own_equations(scene)
+    return scene.own_equations
 
 
 #: the flows χ is made of, in their order, by kind of scene
@@ -235,23 +231,13 @@ def advance(
 
 def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Any) -> Any:
     """Return the log of the product of the conformal factors of all flows in n steps from x, each where it acts."""
-    flows, total = flows_of(scene), 0.0
-    for name, coefficient in run_on(composition, scene, n):
+    flows, steps, total = flows_of(scene), plan(composition, scene), 0.0
+    rounds = chain.from_iterable(repeated((*steps.inner, *steps.joint), n - 1))
+    for name, coefficient in chain(steps.opening, rounds, steps.inner, steps.closing):
         flow, span = flows[name], number(coefficient, xp) * h
         total = total + flow.log_factor(scene, x, span, xp)
         x = flow.apply(scene, x, flow.constants(scene, span, xp), xp)
     return total
-
-
-def run_on(composition: Composition, scene: Scene, n: int) -> Iterator[Stage]:
-    """Return the stages of n steps on a scene, one after another."""
-    steps = plan(composition, scene)
-    yield from steps.opening
-    for k in range(n):
-        yield from steps.inner
-        if k < n - 1:
-            yield from steps.joint
-    yield from steps.closing
 
 
 def shortest_period(names: list[str]) -> int:
@@ -300,8 +286,8 @@ def entry(constants: Any, i: Any) -> Any:
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
     """Return whether `advance_by_the_clock` applies."""
-    ends_as_it_begins = len(composition.stages) % 2 == 1  # and so do its turns
-    return composition.two_part and ends_as_it_begins and scene.kind == "isotropic body"
+    odd = len(composition.stages) % 2 == 1  # its turns end as they begin
+    return composition.two_part and odd and scene.kind == "isotropic body"
 
 
 def advance_by_the_clock(
@@ -322,23 +308,18 @@ def advance_by_the_clock(
     opening = scale([first], tau * turn_rate(scene), xp)[0]
     turned = scale(turns, tau * turn_rate(scene), xp)
     topped = scale((c for name, c in stages if name == "top"), tau * top_rate(scene), xp)
-    rounds = len(turns)
 
     def both(x: BodyState, about_largest: Any, about_smallest: Any) -> BodyState:
         return rotation(rotation(x, largest, about_largest, xp), smallest, about_smallest, xp)
 
     def first_rounds(x: BodyState, clock: Any) -> BodyState:
         """Advance by all rounds of a step but its last: written out, or a loop where short code matters more."""
-        if not repeat.over_stages:
-            for k in range(rounds - 1):
-                x = both(x, clock * topped[k], clock * turned[k])
-            return x
 
         def another(carried: tuple[BodyState, Any]) -> tuple[BodyState, Any]:
             x, k = carried
             return both(x, clock * topped[k], clock * turned[k]), k + 1
 
-        return repeat(rounds - 1, another, (x, 0))[0]
+        return (repeat if repeat.over_stages else unrolled)(len(turns) - 1, another, (x, 0))[0]
 
     joint = turned[-1] + decay * opening  # the next step starts on a slower clock
 

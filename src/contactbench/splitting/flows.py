@@ -18,9 +18,12 @@ bracket that Nyström order conditions leave out.  A cubic term in Γ would brea
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
-from contactbench.numbers.control import choose, settle
+import numpy as np
+
+from contactbench.numbers.control import choose, scan, settle
 from contactbench.numbers.protocol import abilities
 from contactbench.scene import (
     BodyState,
@@ -33,14 +36,19 @@ from contactbench.scene import (
     dot,
     quaternion_product,
 )
-from contactbench.splitting import driven
-from contactbench.splitting.dissipation import decay, survival
 from contactbench.splitting.free_body import free
 
 
+def plain(scene: Any, h: Any, xp: Any) -> Any:
+    return h
+
+
 def no_damping(scene: Any, x: Any, h: Any, xp: Any) -> Any:
-    """Return the log of the conformal factor of a flow whose Hamiltonian does not contain s."""
     return 0.0
+
+
+def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+    return -scene.gamma * h
 
 
 class Flow(NamedTuple):
@@ -85,10 +93,6 @@ def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
 
 
 # -- mechanical scenes ---------------------------------------------------------------------------
-def _plain(scene: Mechanical, h: Any, xp: Any) -> Any:
-    return h
-
-
 def kick(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     """B: p −= h ∇V(q), s −= h V(q)."""
     p = tuple(p - h * g for p, g in zip(x.p, scene.gradient_at(x), strict=True))
@@ -139,11 +143,6 @@ def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
     phi = damped_time(scene.gamma, h, xp)
     half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
     return phi * scene.inverse_mass, phi, *damping(scene.gamma, h, xp), *half_kappa
-
-
-def linear_log_factor(scene: Any, x: Any, h: Any, xp: Any) -> Any:
-    """Return −γh, of a flow whose Hamiltonian contains γs."""
-    return -scene.gamma * h
 
 
 def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
@@ -205,11 +204,28 @@ def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
 
 
 MECHANICAL = {
-    "kick": Flow(_plain, kick, {"gradient": 1}),
-    "drift": Flow(_plain, drift, {}),
+    "kick": Flow(plain, kick, {"gradient": 1}),
+    "drift": Flow(plain, drift, {}),
     "damp": Flow(_damp_constants, damp, {}, damp_log_factor),
     "drift_damp": Flow(_drift_damp_constants, drift_damp, {}, drift_damp_log_factor),
 }
+
+
+# -- scenes with time in them ----------------------------------------------------------------------
+# The damping advances the time, the kick uses the one it finds.  Autonomous in (q, p, t, s): A is T, B is V(q, t) at a
+# fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact however A, B and C alternate.
+# Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the clock depend on neither p
+# nor s: Nyström tables keep their order.
+def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
+    """Return −G."""
+    return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
+
+
+def driven_damp(scene: Driven, x: DrivenState, h: Any, xp: Any) -> DrivenState:
+    """C: p *= e^{−G}, s *= e^{−G}, t += h."""
+    decay = xp.exp(driven_log_factor(scene, x, h, xp))
+    s = None if x.s is None else decay * x.s
+    return DrivenState(x.q, tuple(decay * p for p in x.p), x.t + h, s)
 
 
 def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
@@ -220,15 +236,87 @@ def _driven_constants(scene: Driven, h: Any, xp: Any) -> Any:
 def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) -> DrivenState:
     """AC over (t, t + h), with φ and ∫γ of that time."""
     h, *constant = constants
-    return drift_damp(scene, x, constant or driven.damping(scene, x, h, xp), xp)._replace(t=x.t + h)
+    if not constant:
+        total, phi = scene.spent(x.t, h, xp)
+        constant = phi * scene.inverse_mass, phi, 1.0, -xp.expm1(-total)
+    return drift_damp(scene, x, constant, xp)._replace(t=x.t + h)
 
 
-DRIVEN = {
-    "kick": MECHANICAL["kick"],
-    "drift": MECHANICAL["drift"],
-    "damp": Flow(_plain, driven.damp, {}, driven.log_factor),
-    "drift_damp": Flow(_driven_constants, driven_drift_damp, {}, driven.log_factor),
+DRIVEN = MECHANICAL | {
+    "damp": Flow(plain, driven_damp, {}, driven_log_factor),
+    "drift_damp": Flow(_driven_constants, driven_drift_damp, {}, driven_log_factor),
 }
+
+
+# -- a damping of one's own ------------------------------------------------------------------------
+# With r = Γ' about half-way and the time τ in which linear damping of that rate would do the same,
+# s = s₀ − Γ(s₀) φ_r(τ), φ_r(τ) = (1 − e^{−rτ})/r, the separated equation ∫ ds/Γ = −h of s' = −Γ(s) becomes
+#
+#     ∫₀^{τ(h)} k(τ) dτ = h,   k(τ) = e^{−rτ} Γ(s₀)/Γ(s(τ)),
+#
+# whose integrand is positive, 1 where Γ is linear, and regular at the zeros of Γ.  Gauss's rule and Newton's method
+# from τ = h; the slope of the integral is k.  On doubles the rule has `NODES` nodes in each half of the step: enough
+# for round-off where Γ'h is below one (measured in the tests).
+NODES, ITERATIONS, PANELS = 16, 6, 2
+
+
+@cache
+def rule() -> tuple[list[float], list[float]]:
+    """Return points and weights of Gauss's rule on [0, 1]; computed when first used."""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    return ((1 + x) / 2).tolist(), (w / 2).tolist()
+
+
+def decay(scene: Any, s: Any, h: Any, xp: Any) -> Any:
+    """Return s(h) from s at 0; not finite where s reaches infinity before."""
+    if scene.damping_flow is not None:
+        return scene.damping_flow(s, h, xp)
+    for _ in range(PANELS):
+        s = by_quadrature(scene, s, h / PANELS, xp)
+    return s
+
+
+def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
+    """Return s(h) by quadrature in one panel."""
+    start = scene.dissipation(s)
+    r = scene.dissipation_rate(s - start * damped_time(scene.dissipation_rate(s), h / 2, xp))
+    resting = start == 0
+
+    def at(tau: Any) -> Any:
+        return s - start * damped_time(r, tau, xp)
+
+    def pace(tau: Any) -> Any:
+        """Return k."""
+        there = scene.dissipation(at(tau))
+        gone = there == 0
+        ratio = choose(resting, 1.0, start, xp) / choose(gone, 1.0, there, xp)
+        return choose(resting, 1.0, choose(gone, 1.0, xp.exp(-r * tau) * ratio, xp), xp)
+
+    def elapsed(tau: Any) -> Any:
+        """Return the integral of k up to tau."""
+        if abilities(xp).digits:
+            return xp.quad(pace, [0, tau])
+        return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
+
+    def nearer(tau: Any) -> Any:
+        return tau - (elapsed(tau) - h) / pace(tau)
+
+    if not abilities(xp).branch:
+        return at(scan(lambda tau: (nearer(tau), tau), h, ITERATIONS, lambda _: 0.0, xp)[0])
+    before, tau = 0 * h, h
+    for _ in range(ITERATIONS if not abilities(xp).digits else 2 * ITERATIONS):
+        before, tau = tau, nearer(tau)
+        if tau == before:
+            break
+    return at(tau)
+
+
+def survival(scene: Any, s: Any, after: Any, h: Any, xp: Any) -> Any:
+    """Return ∂s(h)/∂s = Γ(s(h))/Γ(s), the factor on p and on η; e^{−Γ'h} at the zeros of Γ."""
+    start = scene.dissipation(s)
+    resting = start == 0
+    ratio = scene.dissipation(after) / choose(resting, 1.0, start, xp)
+    return choose(resting, xp.exp(-scene.dissipation_rate(s) * h), ratio, xp)
 
 
 def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
@@ -256,11 +344,8 @@ def _many_constants(scene: Any, h: Any, xp: Any) -> Any:
 MANY = MECHANICAL | {"drift_damp": Flow(_many_constants, many_drift_damp, {}, drift_damp_log_factor)}
 
 #: no merged flow is known, hence three parts
-GENERAL = {
-    "kick": MECHANICAL["kick"],
-    "drift": MECHANICAL["drift"],
-    "damp": Flow(_plain, damp_generally, {}, general_log_factor),
-}
+GENERAL = {name: MECHANICAL[name] for name in ("kick", "drift")}
+GENERAL["damp"] = Flow(plain, damp_generally, {}, general_log_factor)
 
 
 # -- rigid body ------------------------------------------------------------------------------------
@@ -375,9 +460,9 @@ MOMENTUM_COST, FREE_COST = 23, 177
 FREE_COSTS = {"rotation": MOMENTUM_COST, "attitude": FREE_COST - MOMENTUM_COST}
 
 BODY = {
-    "turn": Flow(_plain, turn, {"rotation": 1}),
-    "top": Flow(_plain, top, {"rotation": 1}),
-    "free": Flow(_plain, free, FREE_COSTS),
+    "turn": Flow(plain, turn, {"rotation": 1}),
+    "top": Flow(plain, top, {"rotation": 1}),
+    "free": Flow(plain, free, FREE_COSTS),
     "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
 }
 ISOTROPIC = BODY | {"free_damp": Flow(_free_damp_constants, free_damp, FREE_COSTS, linear_log_factor)}
