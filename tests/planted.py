@@ -11,8 +11,7 @@ import numpy as np
 
 import contactbench as cb
 from contactbench.methods.base import METHODS, Adaptive
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
+from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.solution import Counts, Status
 
 

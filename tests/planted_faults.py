@@ -14,10 +14,9 @@ from typing import Any
 
 import contactbench as cb
 from contactbench.methods import METHODS
-from contactbench.methods.base import Request
 from contactbench.methods.contact import ContactMethod, contact_method
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.prepared import Prepared
+from contactbench.methods.prepared import Prepared, Request
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Scene
 from contactbench.splitting.composition import ONE, Composition

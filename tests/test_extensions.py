@@ -23,7 +23,7 @@ PLUGINS = [argument for file in FILES for argument in ("--plugin", str(file))]
 
 def contactbench(*arguments, code=0):
     done = subprocess.run(
-        [sys.executable, "-m", "contactbench.cli", *map(str, arguments), *PLUGINS],
+        [sys.executable, "-m", "contactbench", *map(str, arguments), *PLUGINS],
         cwd=REPOSITORY,
         capture_output=True,
         text=True,

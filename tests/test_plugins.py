@@ -91,7 +91,7 @@ def test_the_tests_take_it_in(example):
 def test_the_command_line_takes_it_anywhere_on_the_line(example):
     solve = ["solve", "double-well", "my-method", "--step", "0.01", "--json"]
     for command in (["--plugin", example, *solve], [*solve, "--plugin", example]):
-        done = run("contactbench.cli", *command)
+        done = run("contactbench", *command)
         assert done.returncode == 0, done.stderr
         out = json.loads(done.stdout)
         assert (out["scene"], out["method"], out["counts"]["evaluations"]) == (*MINE[::-1], 4000)
@@ -102,10 +102,13 @@ STEP = "import contactbench as cb\n@cb.fixed_step('bad', 1)\ndef step(scene, x, 
 SCENE = "import contactbench as cb\ncb.SCENES.add("
 ENDED = "ended after 1 s, the time it was given (--plugin-timeout"
 FAILURES = {
-    "syntax": ("x = (", "line 1: SyntaxError"),
-    "exception": ("import contactbench as cb\n\ncb.SCENES['partcle']", "line 3: UnknownName: unknown scene"),
+    "syntax": ("x = (", "SyntaxError: '(' was never closed (bad.py, line 1)"),
+    "exception": (
+        "import contactbench as cb\n\ncb.SCENES['partcle']",
+        "bad.py, line 3): UnknownName: unknown scene",
+    ),
     "nothing": ("x = 1", "registers nothing"),
-    "no scene": (f"{SCENE}3)", "line 2: BadInput: 3 cannot be registered"),
+    "no scene": (f"{SCENE}3)", "bad.py, line 2): BadInput: 3 cannot be registered"),
     "taken": (f"{SCENE}cb.SCENES['central'])", "'central' is already registered"),
     "name": (f"{SCENE}cb.SCENES['central'].with_(name='a/b'))", "scene name 'a/b': must be letters"),
     "exit at import": ("import sys\nsys.exit(0)", "bad.py, line 2): SystemExit: 0"),
@@ -131,7 +134,7 @@ def solve_with(registries, tmp_path, monkeypatch):
     return solve
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(60, method="thread")  # a timer of its own would be an outer limit
 @pytest.mark.parametrize(("text", "says"), FAILURES.values(), ids=FAILURES)
 def test_a_file_that_fails_or_leaves_is_one_line(text, says, solve_with, capsys):
     assert solve_with(text) == 2
@@ -224,7 +227,7 @@ def test_entry_points_are_loaded_and_a_broken_one_is_a_warning(tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.5\n")
     (info / "entry_points.txt").write_text(POINTS)
     gone = tmp_path / "gone.py"
-    done = run("contactbench.cli", "list", PYTHONPATH=search(tmp_path), **{plugins.VARIABLE: str(gone)})
+    done = run("contactbench", "list", PYTHONPATH=search(tmp_path), **{plugins.VARIABLE: str(gone)})
     assert done.returncode == 0, done.stderr
     assert {"decorated", "made", "first", "second", "object"} <= set(done.stdout.split())
     warned = [line for line in done.stderr.splitlines() if "is left out" in line]

@@ -3,9 +3,6 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from contactbench import start  # its exception hook comes before all else
-
-# isort: split
 from contactbench import peers
 from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
@@ -25,46 +22,17 @@ if TYPE_CHECKING:
     from contactbench.measure.own_composition import composition
     from contactbench.race.comparison import compare
 
-__all__ = [
-    "LAWS",
-    "METHODS",
-    "SCENES",
-    "BadInput",
-    "Counts",
-    "Driven",
-    "Ensemble",
-    "GeneralDamping",
-    "Lyapunov",
-    "Mechanical",
-    "RigidBody",
-    "Solution",
-    "Status",
-    "UnknownName",
-    "compare",
-    "composition",
-    "ensemble",
-    "fixed_step",
-    "lyapunov",
-    "math",
-    "prepare",
-    "reference",
-    "results",
-    "shifted",
-    "solve",
-    "step_map",
-]
+__all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
+__all__ += ["Lyapunov", "Mechanical", "RigidBody", "Solution", "Status", "UnknownName", "compare"]
+__all__ += ["composition", "ensemble", "fixed_step", "lyapunov", "math", "prepare", "reference", "results"]
+__all__ += ["shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
 
 #: what not every program needs, and where it is imported from when first asked for
-LATER = {
-    "Ensemble": "ensembles",
-    "ensemble": "ensembles",
-    "composition": "measure.own_composition",
-    "compare": "race.comparison",
-    "Lyapunov": "ensembles.lyapunov",
-    "lyapunov": "ensembles.lyapunov",
-}
+LATER = dict.fromkeys(("Ensemble", "ensemble"), "ensembles")
+LATER |= dict.fromkeys(("Lyapunov", "lyapunov"), "ensembles.lyapunov")
+LATER |= {"composition": "measure.own_composition", "compare": "race.comparison"}
 
 
 def __getattr__(name: str) -> Any:
@@ -75,7 +43,6 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names."""
     return sorted([*__all__, "__version__"])
 
 

@@ -12,24 +12,25 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from time import perf_counter
 from types import FunctionType
 from typing import Any
 
 from contactbench.errors import BadInput, one_line
-from contactbench.start import VARIABLE
 
+#: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time.  Where it
+#: is not set there is no limit, a timer needs a signal handler; the command line sets it
+VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
 #: characters of another's message that are repeated
 REPEATED = 120
 #: the functions of one number that `cb.math` has, by their names in `math`
 FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
 FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
-#: where no user's code is: this package, Python's library, installed packages, generated programs
+#: where no user's code is: this package, Python's library, installed packages
 _OURS = str(Path(__file__).parent) + os.sep
-_INSTALLED = tuple(
-    path + os.sep
-    for path in {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
-)
+_PATHS = [sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")]
+_NOT_USERS = (_OURS, *_PATHS, "<frozen")
+#: nor in generated programs
+_GENERATED = ("contactbench", "<contactbench", "program_")
 
 
 class UserError(BadInput):
@@ -43,34 +44,28 @@ class Overrun(BaseException):
 def is_ours(function: Any) -> bool:
     """Whether a function, or a class, was written in this package: it computes the same tomorrow.
 
-    A function that wraps another may carry its name; where it was written is told by its globals.
+    A function that wraps another may carry its name; where it was written is told by its globals.  What it has captured
+    must change no more than it does.
     """
-    if isinstance(function, FunctionType):
-        where = function.__globals__.get("__name__")
-        closed = function.__closure__ or ()
-        return _is_package(where) and all(_is_ours_too(cell.cell_contents) for cell in closed)
-    return isinstance(function, type) and _is_package(function.__module__)
-
-
-def _is_ours_too(captured: Any) -> bool:
-    """Whether what a function has captured changes no more than it does: a function or object of this package."""
-    return is_ours(captured) or is_ours(type(captured)) or isinstance(captured, int | float | str)
+    if not isinstance(function, FunctionType):
+        return isinstance(function, type) and _is_package(function.__module__)
+    captured = [cell.cell_contents for cell in function.__closure__ or ()]
+    return _is_package(function.__globals__.get("__name__")) and all(
+        is_ours(each) or is_ours(type(each)) or isinstance(each, int | float | str) for each in captured
+    )
 
 
 def _is_package(module: object) -> bool:
-    return isinstance(module, str) and (module == "contactbench" or module.startswith("contactbench."))
+    return str(module).partition(".")[0] == "contactbench"
 
 
 def frame_of(error: BaseException) -> traceback.FrameSummary | None:
     """The innermost frame of a user's own code on the way to an error, or None."""
-    frames = traceback.extract_tb(error.__traceback__)
     theirs = [
         frame
-        for frame in frames
-        if not frame.filename.startswith(_OURS)
-        and (not frame.filename.startswith(_INSTALLED))
-        and not frame.filename.startswith("<frozen")
-        and not os.path.basename(frame.filename).startswith(("contactbench", "<contactbench", "program_"))
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith(_NOT_USERS)
+        and not os.path.basename(frame.filename).startswith(_GENERATED)
         and (frame.filename, frame.name) != ("<string>", "__init__")  # what `dataclass` writes
     ]
     return theirs[-1] if theirs else None
@@ -82,12 +77,12 @@ def plain_function(error: BaseException) -> str | None:
     A scene runs on more numbers than floats: recorded and dual ones, JAX's, mpmath's, heyoka's.
     """
     frame = frame_of(error)
-    if frame is None or any(  # cb.math itself was called, and is not to blame
-        last.filename == os.path.join(_OURS, "numbers", "functions.py")
-        for last in traceback.extract_tb(error.__traceback__)
-    ):
+    math = os.path.join(_OURS, "numbers", "functions.py")  # cb.math itself was called, and is not to blame
+    if frame is None or any(last.filename == math for last in traceback.extract_tb(error.__traceback__)):
         return None
-    called = re.match(r"(?:(?:math|numpy|np)\.)?(\w+)\(", _failing(frame))
+    line = linecache.getline(frame.filename, frame.lineno or 0).encode()
+    failing = line[frame.colno : frame.end_colno].decode(errors="ignore")
+    called = re.match(r"(?:(?:math|numpy|np)\.)?(\w+)\(", failing)
     if called is None:
         return None
     written, name = called[0][:-1], called[1].replace("arc", "a", 1)  # NumPy's arcsin
@@ -96,13 +91,6 @@ def plain_function(error: BaseException) -> str | None:
     if written == name:
         return None
     return f"{written} takes plain numbers only: use cb.math, which has {', '.join(FUNCTIONS)}, atan2"
-
-
-def _failing(frame: traceback.FrameSummary) -> str:
-    """The source of the expression in a frame that raised; empty where it is not one line."""
-    if frame.lineno is None or frame.lineno != frame.end_lineno:
-        return ""
-    return linecache.getline(frame.filename, frame.lineno).encode()[frame.colno : frame.end_colno].decode()
 
 
 def user_error(what: str, error: BaseException) -> UserError:
@@ -119,9 +107,9 @@ def user_error(what: str, error: BaseException) -> UserError:
 def place(error: BaseException) -> str:
     """Where in a user's code an error happened: ", function (file, line n)"; empty where it did not."""
     frame = frame_of(error)
-    return (
-        "" if frame is None else f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
-    )
+    if frame is None:
+        return ""
+    return f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
 
 
 def blame(what: str, error: BaseException) -> BaseException:
@@ -157,20 +145,16 @@ def limit() -> float:
 def within(seconds: float) -> Iterator[None]:
     """Raise `Overrun` inside after so many seconds.
 
-    Only the main thread can be interrupted, and only where the system has timers; elsewhere there is no limit.
+    Only the main thread can be interrupted, where the system has timers and none is running: an outer limit goes on.
     """
     possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
-    if not seconds or not possible:
+    if not seconds or not possible or signal.getitimer(signal.ITIMER_REAL)[0]:
         yield
         return
 
     def over(*_: Any) -> None:
         raise Overrun
 
-    begun, (pending, interval) = perf_counter(), signal.getitimer(signal.ITIMER_REAL)
-    if pending and pending < seconds:  # an outer limit comes first
-        yield
-        return
     before = signal.signal(signal.SIGALRM, over)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
@@ -178,5 +162,3 @@ def within(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-        if pending:
-            signal.setitimer(signal.ITIMER_REAL, max(pending - (perf_counter() - begun), 1e-3), interval)

@@ -7,16 +7,12 @@ import re
 import reprlib
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
-#: characters of a message at most
-LONGEST = 300
-#: of those, the last ones that are kept of a longer message: what is allowed stands at the end
-KEPT = 120
-#: characters at most of a value that is shown in a message
-SHOWN = 80
+#: characters at most of a message, and of a value that is shown in it
+LONGEST, SHOWN = 300, 80
 
 
 class BadInput(ValueError):
@@ -35,12 +31,9 @@ class UnknownName(BadInput, KeyError):
 
 def one_line(message: object, longest: int = LONGEST) -> str:
     """Text without line breaks or control characters, its middle left out where it is longer."""
-    text = "".join(c if c.isprintable() else " " for c in str(message))
-    text = " ".join(text.split())
-    if len(text) <= longest:
-        return text
-    kept = KEPT * longest // LONGEST
-    return f"{text[: longest - kept - 3]} … {text[-kept:]}"
+    text = " ".join("".join(c if c.isprintable() else " " for c in str(message)).split())
+    end = 2 * longest // 5  # what is allowed stands there
+    return text if len(text) <= longest else f"{text[: longest - end - 3]} … {text[-end:]}"
 
 
 _SHORT = reprlib.Repr(maxlevel=3, maxtuple=8, maxlist=8, maxdict=4, maxset=4, maxstring=SHOWN, maxother=SHOWN)
@@ -83,22 +76,15 @@ class Registry(dict):
     def __init__(self, kind: str, of: type = object) -> None:
         super().__init__()
         self.every.append(self)
-        self.kind = kind
-        self.of: Any = of
+        self.kind, self.of = kind, of
 
     def __getitem__(self, name: Any) -> Any:
-        if not isinstance(name, str):  # perhaps something that cannot be a key at all
+        if not isinstance(name, str) or name not in self:  # perhaps something that cannot be a key at all
             raise unknown_name(self.kind, name, self)
         return super().__getitem__(name)
 
-    def __missing__(self, name: object) -> Any:
-        raise unknown_name(self.kind, name, self)
-
     def add(self, item: Any) -> Any:
-        """Register `item` under ``item.name`` and return it.
-
-        Raises `BadInput` for a name that is taken or not a word, and for what is no such item.
-        """
+        """Register `item` under its name and return it; raises `BadInput` for a taken or bad name, or no such item."""
         name = getattr(item, "name", None)
         if isinstance(name, str) and name in self:
             raise BadInput(f"{self.kind} {name!r} is already registered")
@@ -117,15 +103,17 @@ class Registry(dict):
         super().__setitem__(name, item)
 
 
+def refuse(name: str, value: Any, wanted: str) -> NoReturn:
+    raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}") from None
+
+
 def finite(name: str, value: Any) -> float:
     """`value` as a finite float, or `BadInput`: a real number, neither text nor an array."""
     number = math.nan
     if is_real(value):
         with suppress(TypeError, ValueError, OverflowError):
             number = float(value)
-    if not math.isfinite(number):
-        raise BadInput(f"{name} = {excerpt(value)}: must be a finite number")
-    return number
+    return number if math.isfinite(number) else refuse(name, value, "a finite number")
 
 
 def is_real(value: Any) -> bool:
@@ -136,29 +124,24 @@ def is_real(value: Any) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one real number that a float can be made of."""
     return is_real(value) and hasattr(value, "__float__")
 
 
 def require_number(name: str, value: Any) -> None:
-    """Raise `BadInput` unless what a user's function returned is a real number."""
     if not is_number(value):
         raise BadInput(f"{name}: must return a real number; it returns {excerpt(value)}")
 
 
 def positive(name: str, value: Any) -> float:
-    """`value` as a finite float > 0, or `BadInput`."""
     number = finite(name, value)
-    if number <= 0:
-        raise BadInput(f"{name} = {excerpt(value)}: must be > 0")
-    return number
+    return number if number > 0 else refuse(name, value, "> 0")
 
 
 def whole(name: str, value: Any, most: int) -> int:
     """`value` as an int from 1 to `most`, or `BadInput`."""
     number = 0.0 if isinstance(value, bool) else finite(name, value)
     if not 1 <= number <= most or number != int(number):
-        raise BadInput(f"{name} = {excerpt(value)}: must be a whole number ≥ 1, at most {most:.0e}")
+        refuse(name, value, f"a whole number ≥ 1, at most {most:.0e}")
     return int(number)
 
 
@@ -169,51 +152,41 @@ def array(name: str, value: Any, wanted: str) -> np.ndarray:
     """
     try:
         given = np.asarray(value)
-        if given.dtype.kind not in "fiubO" or (given.dtype.kind == "O" and not all(map(is_real, given.flat))):
-            raise TypeError
-        return given.astype(float, copy=False)
+        if given.dtype.kind in "fiubO" and (given.dtype.kind != "O" or all(map(is_real, given.flat))):
+            return given.astype(float, copy=False)
     except (TypeError, ValueError, OverflowError):
-        raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}") from None
+        pass
+    refuse(name, value, wanted)
 
 
 def vector(name: str, value: Any, length: int | None = None) -> tuple[float, ...]:
     """`value` as a tuple of finite floats (of the given length), or `BadInput`."""
     try:
-        items = tuple(value) if not isinstance(value, str | bytes | dict | set) else None
+        items = () if isinstance(value, str | bytes | dict | set) else tuple(value)
     except TypeError:
         items = (value,)
-    if items is None or (length is not None and len(items) != length) or not items:
-        wanted = f"{length} numbers" if length is not None else "a sequence of numbers"
-        raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}")
+    if not items or length not in (None, len(items)):
+        refuse(name, value, "a sequence of numbers" if length is None else f"{length} numbers")
     return tuple(finite(f"{name}[{i}]", item) for i, item in enumerate(items))
 
 
 def items_of(name: str, value: Any, wanted: str) -> list[Any]:
     """The items of `value`, or `BadInput`, which says what is `wanted`; a string is no list of letters."""
     try:
-        if isinstance(value, str | bytes):
-            raise TypeError
-        return list(value)
+        return refuse(name, value, wanted) if isinstance(value, str | bytes) else list(value)
     except TypeError:
-        raise BadInput(f"{name} = {excerpt(value)}: must be {wanted}") from None
+        refuse(name, value, wanted)
 
 
 def function(name: str, value: Any) -> Any:
-    """`value`, or `BadInput` where it cannot be called."""
-    if not callable(value):
-        raise BadInput(f"{name} = {excerpt(value)}: must be a function")
-    return value
+    return value if callable(value) else refuse(name, value, "a function")
 
 
 def text(name: str, value: Any) -> str:
-    """`value`, or `BadInput` where it is no string or has line breaks and other control characters."""
     if not isinstance(value, str) or CONTROL.search(value):
-        raise BadInput(f"{name} = {excerpt(value)}: must be a string of one line, without control characters")
+        refuse(name, value, "a string of one line, without control characters")
     return value
 
 
 def switch(name: str, value: Any) -> bool:
-    """`value`, or `BadInput` where it is neither True nor False."""
-    if not isinstance(value, bool | np.bool_):
-        raise BadInput(f"{name} = {excerpt(value)}: must be True or False")
-    return bool(value)
+    return bool(value) if isinstance(value, bool | np.bool_) else refuse(name, value, "True or False")

@@ -15,14 +15,14 @@ import os
 import sys
 import warnings
 from importlib.machinery import SourceFileLoader
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from contactbench.boundary import frame_of, limit, their_code, user_error, within
+from contactbench.boundary import limit, their_code, user_error, within
 from contactbench.errors import BadInput, Registry, one_line
 from contactbench.methods import METHODS
-from contactbench.methods.step_map import StepMap, try_step
+from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Scene, verify
 from contactbench.scenes import SCENES
 
@@ -48,32 +48,31 @@ def load_file(path: Path | str) -> None:
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"plug-in {path}: no such file")
-    if path.resolve() in _files:
+    file = path.resolve()
+    if file in _files:
         return
     before = _registered()
     try:
         with within(limit()):
-            _run(path.resolve())
+            _run(file)
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise _failure(path, error) from error
-    new = _registered() - before
+        raise user_error(f"plug-in {path}", error) from error
+    new = [item for key, item in _registered().items() if key not in before]
     if not new:
         raise BadInput(f"plug-in {path}: registers nothing (cb.fixed_step, cb.SCENES.add, …)")
-    for registry in GROUPS.values():
-        for name, item in registry.items():
-            if (name, id(item)) in new:
-                try_out(item)
-    _files.add(path.resolve())
+    for item in new:
+        try_out(item)
+    _files.add(file)
     named = list(filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
-    os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*named, str(path.resolve())]))
-    LOADED[path.name] = f"sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}"
+    os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*named, str(file)]))
+    LOADED[path.name] = f"sha256 {hashlib.sha256(file.read_bytes()).hexdigest()}"
 
 
-def _registered() -> set[tuple[str, int]]:
-    """What is registered at the moment: names, and the objects that bear them (a file may replace some)."""
-    return {(name, id(item)) for registry in Registry.every for name, item in registry.items()}
+def _registered() -> dict[tuple[str, int], Any]:
+    """What is registered at the moment, by names and identity: a file may replace some."""
+    return {(name, id(item)): item for registry in Registry.every for name, item in registry.items()}
 
 
 def _run(path: Path) -> None:
@@ -88,26 +87,15 @@ def _run(path: Path) -> None:
     loader.exec_module(sys.modules[name])
 
 
-def _failure(path: Path, error: BaseException) -> BadInput:
-    """The error of a file as one line."""
-    if isinstance(error, SyntaxError):
-        return BadInput(f"plug-in {path} line {error.lineno}: SyntaxError: {error.msg}")
-    if isinstance(error, Exception):
-        frame = frame_of(error)
-        line = f" line {frame.lineno}" if frame and frame.filename == str(path.resolve()) else ""
-        return BadInput(f"plug-in {path}{line}: {type(error).__name__}: {one_line(error, 200)}")
-    return user_error(f"plug-in {path}", error)
-
-
 def try_out(item: Any) -> None:
     """Evaluate a scene's functions, or a step map on a scene, once: raises `BadInput` where that fails."""
     if isinstance(item, Scene):
         verify(item)
-    elif isinstance(item, StepMap):
+    elif isinstance(item, FixedStep):
         with their_code(f"method {item.name!r}"):
             scene = next((scene for scene in SCENES.values() if item.refuses(scene) is None), None)
         if scene is not None:
-            try_step(item, scene, scene.carry(), None)
+            item.try_step(scene, scene.carry())
 
 
 def load_installed() -> None:
@@ -126,7 +114,8 @@ def load_installed() -> None:
             except BaseException as error:
                 _warn(f"entry point {point.name!r} of group {group!r} ({point.value})", error)
             else:
-                LOADED[f"{group}: {point.name}"] = _version(point)
+                made = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+                LOADED[f"{group}: {point.name}"] = made
     for path in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
         try:
             load_file(path)
@@ -137,10 +126,6 @@ def load_installed() -> None:
 def _warn(what: str, error: BaseException) -> None:
     message = f"{what} is left out: {type(error).__name__}: {one_line(error, 200)}"
     warnings.warn(message, RuntimeWarning, stacklevel=3)
-
-
-def _version(point: EntryPoint) -> str:
-    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
 
 
 def _register(registry: Registry, item: Any) -> None:

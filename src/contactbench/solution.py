@@ -113,6 +113,7 @@ class Solution:
     """Saved states of one run.
 
     t : saved times, shape (k,).  y : packed states, shape (k, d), NaN where the run did not get.
+    y0 : the initial state, packed.
     q, p : (k, n); s : (k,); M : (k, 3); R : (k, 3, 3); a field the run did not carry is None.
     end_time : how far the run got.
     step_chosen, step : of a method with fixed steps, the step that was asked for, or chosen from rtol, and the
@@ -127,15 +128,13 @@ class Solution:
     carry: tuple[str, ...]
     t: np.ndarray
     y: np.ndarray
+    y0: np.ndarray
     status: Status = Status.ok
     message: str = ""
     counts: Counts = field(default_factory=Counts)
     end_time: float = float("nan")
     #: measures a solution's laws; set by `contactbench.measure.laws`, which knows them
     judge: ClassVar[Callable[[Solution], pd.DataFrame]]
-
-    #: the initial state y was integrated from, packed
-    y0: np.ndarray | None = None
     #: the `Prepared` that made it, which can be differentiated
     run: Any = None
     #: what was set, "step" or "rtol", and its value
@@ -151,29 +150,19 @@ class Solution:
 
     def __repr__(self) -> str:
         """One line: what was run, how it ended, what it cost."""
-        kind, n = self.counts.kind, self.counts.evaluations
-        cost = "" if n is None else f", {n} evaluations ({kind})"
+        setting, n = self.setting, self.counts.evaluations
+        if self.run is not None and self.run.atol is not None:
+            setting += f", atol={self.run.atol:.6g}"
+        if self.control == "rtol" and not math.isnan(self.step):
+            setting += f": step={self.step_chosen:.6g}"
+        if self.step < self.step_chosen * (1 - 1e-9):
+            setting += f", {self.step:.6g} taken to meet the saved times"
         why = f": {self.message}" if self.message else ""
+        cost = "" if n is None else f", {n} evaluations ({self.counts.kind})"
         return (
-            f"<Solution of {self.scene.name} by {self.method} "
-            f"({self.engine}, {self.setting}{self._tolerance}{self._steps}): "
+            f"<Solution of {self.scene.name} by {self.method} ({self.engine}, {setting}): "
             f"{self.status}{why}, {len(self.t)} states to t = {self.end_time:g}{cost}>"
         )
-
-    @property
-    def _tolerance(self) -> str:
-        """The absolute tolerance, where the run had one."""
-        atol = None if self.run is None else self.run.atol
-        return "" if atol is None else f", atol={atol:.6g}"
-
-    @property
-    def _steps(self) -> str:
-        """The steps, where the setting does not tell them."""
-        if math.isnan(self.step):
-            return ""
-        shortened = self.step < self.step_chosen * (1 - 1e-9)
-        chosen = f": step={self.step_chosen:.6g}" if self.control == "rtol" else ""
-        return chosen + (f", {self.step:.6g} taken to meet the saved times" if shortened else "")
 
     def to_frame(self) -> pd.DataFrame:
         """The saved states, a row for each time: t, then the components by name (q1, …, p1, …, s)."""
@@ -188,25 +177,20 @@ class Solution:
     @cached_property
     def differential(self) -> Differential:
         """dΦ of the numerical map its user gets; where the state decides on the steps, this included."""
-        return self._differentiated(frozen=False)
+        if self.run is None:
+            raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
+        return self.run.differential(self.y0, self, frozen=False)
 
     @cached_property
     def frozen_differential(self) -> Differential:
         """dΦ with the steps held fixed, as AD with the choice of steps left out gives it."""
-        if self.run is not None and not self.run.steps_follow_state:
+        if self.run is None or not self.run.steps_follow_state:
             return self.differential
-        return self._differentiated(frozen=True)
-
-    def _differentiated(self, frozen: bool) -> Differential:
-        if self.run is None or self.y0 is None:
-            raise BadInput(f"{self.method} ({self.engine}): no derivative of the numerical map is available")
-        return self.run.differential(self.y0, self, frozen)
+        return self.run.differential(self.y0, self, frozen=True)
 
     def log_factor(self) -> np.ndarray | None:
         """Log of the product of the conformal factors of the contact maps applied, (k,); None: no such maps."""
-        if self.run is None or self.y0 is None:
-            return None
-        return self.run.log_factor(self.y0, self.y)
+        return None if self.run is None else self.run.log_factor(self.y0, self.y)
 
     @property
     def sensitivity(self) -> np.ndarray:
@@ -247,6 +231,7 @@ class Solution:
 
     @property
     def R(self) -> np.ndarray | None:
+        """The attitude as matrices."""
         quaternion = self.quaternion
         if quaternion is None:
             return None
@@ -258,8 +243,6 @@ class Solution:
 
     def start(self) -> Any:
         """The initial state."""
-        if self.y0 is None:
-            raise BadInput(f"{self.method}: this solution does not know its initial state")
         return self.scene.unpack(tuple(self.y0.tolist()), self.carry)
 
 

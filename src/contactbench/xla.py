@@ -19,8 +19,8 @@ from contactbench.errors import BadInput
 
 
 @cache
-def configured() -> Any:
-    """The module jax, its settings made."""
+def configure() -> None:
+    """Import JAX and make its settings."""
     # read when JAX makes its first device
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     import jax
@@ -35,11 +35,8 @@ def configured() -> Any:
     try:
         jax.devices()
     except Exception as error:  # an AssertionError too
-        asked = jax.config.jax_platforms
-        raise BadInput(
-            f"JAX_PLATFORMS = {asked}: must be what JAX can run on here, as cpu ({error!r})"
-        ) from error
-    return jax
+        must = f"must be what JAX can run on here, as cpu ({error!r})"
+        raise BadInput(f"JAX_PLATFORMS = {jax.config.jax_platforms}: {must}") from error
 
 
 class Deferred:
@@ -49,7 +46,7 @@ class Deferred:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        configured()
+        configure()
         return getattr(importlib.import_module(self._name), attribute)
 
 

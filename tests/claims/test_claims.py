@@ -19,7 +19,7 @@ from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.cli import main
-from contactbench.methods import METHODS, compiled, contact_adaptive, numba_engine
+from contactbench.methods import METHODS, contact_adaptive, fixed_step_run, jax_engine
 from contactbench.methods.contact import contact_method
 from contactbench.peers import c_functions
 from contactbench.report import claims as chapter
@@ -55,8 +55,8 @@ def measured(name):
 def fresh(monkeypatch):
     """No truth and no compiled program from before a mutation, and none left after it."""
     monkeypatch.setattr(import_module("contactbench.truth.reference"), "_cache", Cache(64))
-    monkeypatch.setattr(compiled, "_programs", Cache(64))
-    for module in (numba_engine, contact_adaptive):
+    monkeypatch.setattr(jax_engine, "_programs", Cache(64))
+    for module in (fixed_step_run, contact_adaptive):
         monkeypatch.setattr(module, "_loops", Cache(64))
     monkeypatch.setattr(c_functions, "_compiled", Cache(64))
 

@@ -17,7 +17,7 @@ RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", 
 @pytest.fixture(autouse=True)
 def cores(monkeypatch):
     """The tests keep their cores."""
-    monkeypatch.setattr("contactbench.cli.compare.one_core", lambda: None)
+    monkeypatch.setattr("contactbench.cli.runs.one_core", lambda: None)
 
 
 def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monkeypatch):

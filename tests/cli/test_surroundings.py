@@ -75,23 +75,3 @@ def test_where_numba_does_not_compile_python_computes():
         name: [engine, "ok", False] for name, engine in {**by_python, "cvode-adams": "c+python"}.items()
     }
     assert runs == solved | {name: [engine, "unsupported", True] for name, engine in compiled.items()}
-
-
-@pytest.fixture
-def interrupted(tmp_path):
-    """A folder to import from, whose numpy is interrupted while it is imported."""
-    (tmp_path / "numpy.py").write_text("raise KeyboardInterrupt\n")
-    return {"PYTHONPATH": os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))}
-
-
-@pytest.mark.parametrize("how", ["-m contactbench", "-m contactbench.cli", "script"])
-def test_an_interrupt_while_it_is_imported_is_one_line(how, interrupted, tmp_path):
-    script = tmp_path / "contactbench"
-    script.write_text("import sys\nfrom contactbench.cli import main\nsys.exit(main())\n")
-    done = run(sys.executable, *([script] if how == "script" else how.split()), "list", **interrupted)
-    assert (done.returncode, done.stderr) == (130, b"contactbench: interrupted\n")
-
-
-def test_whoever_imports_the_package_keeps_the_traceback(interrupted):
-    done = run(sys.executable, "-c", "import contactbench", **interrupted)
-    assert b"Traceback" in done.stderr

@@ -12,7 +12,6 @@ import pytest
 from contactbench.cli import main
 from contactbench.errors import BadInput
 from contactbench.gate import judge, revisions
-from contactbench.gate.judge import Question
 from contactbench.results.schema import TABLES
 from contactbench.results.store import merge
 from made_up import commit, folder, fresh, git, project, repository, same
@@ -30,7 +29,7 @@ def root(tmp_path, monkeypatch):
 
 def run_gate(root, tmp_path, change=same, changed=(), **more):
     run = fresh(root, tmp_path / "fresh", change, **more)
-    return judge.gate(Question(root, fresh=run, parts=("accuracy",), changed=changed))
+    return judge.gate(root, fresh=run, parts=("accuracy",), changed=changed)
 
 
 def red(found):
@@ -172,7 +171,7 @@ def test_a_table_that_is_made_and_not_committed_is_red(root, tmp_path):
     run = fresh(root, tmp_path / "fresh", tables={"one_step": "whole", **dict.fromkeys(TABLES, "part")})
     steps = {"method": "rk4", "gamma": 1.0, "step": 0.1, "radius": 0.9, "profile": "smoke"}
     merge(TABLES["one_step"], [steps], run)
-    found = judge.gate(Question(root, fresh=run, parts=("accuracy",))).moved
+    found = judge.gate(root, fresh=run, parts=("accuracy",)).moved
     assert found[["table", "measure", "result"]].values.tolist() == [["one_step", "table", "not committed"]]
 
 
@@ -195,7 +194,7 @@ def test_the_base_is_where_the_main_branch_was_left_or_what_is_asked_for(root, t
     git(root, "switch", "-q", "change")
     assert not run_gate(root, tmp_path / "a").red
     run = fresh(root, tmp_path / "b")
-    assert judge.gate(Question(root, fresh=run, base="main", parts=("accuracy",))).red
+    assert judge.gate(root, fresh=run, base="main", parts=("accuracy",)).red
 
 
 WHERE = {
@@ -235,7 +234,7 @@ def test_a_clone_without_the_base_is_inconclusive(tmp_path):
 LAXER = {
     "gate/rules.py": ("FACTOR = 2.0", "FACTOR = 1e9"),
     "results/schema.py": ("eps * np.max", "eps * 1e9 * np.max"),
-    "gate/findings.py": ("return 1 if self.red else 2", "return 0 if self.red else 2"),
+    "gate/compare.py": ("return 1 if self.red else 2", "return 0 if self.red else 2"),
 }
 
 
@@ -247,7 +246,7 @@ def test_rules_made_laxer_in_the_tree_that_is_judged_turn_nothing_green(tmp_path
     remake(thousandfold)(root)
     commit(root, "harmless")
     run = fresh(root, tmp_path / "fresh", thousandfold)
-    command = [sys.executable, "-P", "-m", "contactbench.cli", "gate", "--only", "accuracy", "--json"]
+    command = [sys.executable, "-P", "-m", "contactbench", "gate", "--only", "accuracy", "--json"]
     done = subprocess.run(
         [*command, "--fresh", run], cwd=root, env=revisions.environment(root), capture_output=True, text=True
     )

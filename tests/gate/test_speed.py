@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import contextmanager
 
 import numpy as np
@@ -87,23 +86,21 @@ def clocked(monkeypatch, tmp_path):
     def compare(clock, count, until=None):
         order = []
 
-        class Scripted(speed.Side):
-            def __init__(self, _python, tree, _cells, _seconds):
-                self.name = tree.name
+        @contextmanager
+        def scripted(tree):
+            asked = []
 
-            def __exit__(self, *_):
-                pass
+            def receive():
+                if not isinstance(asked[-1], int):
+                    return {"code": str(tree), "refused": {}}
+                order.append((tree.name, asked[-1]))
+                return [clock(*order[-1], len(order))]
 
-            def refused(self):
-                return {}
+            yield asked.append, receive
 
-            def time(self, cell):
-                order.append((self.name, cell))
-                return clock(self.name, cell, len(order))
-
-        monkeypatch.setattr(speed, "Side", Scripted)
-        sides = [("python", tmp_path / name) for name in ("base", "head")]
-        return speed.time_pairs(sides, dict.fromkeys(range(count), CELL), until)[0], order
+        monkeypatch.setattr(speed, "timing_process", scripted)
+        trees = [tmp_path / name for name in ("base", "head")]
+        return speed.time_pairs(trees, dict.fromkeys(range(count), CELL), until)[0], order
 
     return compare
 
@@ -177,14 +174,13 @@ def test_the_same_code_is_not_slower_and_half_as_much_again_is(copy, tmp_path, m
 
 
 def test_a_cell_one_side_cannot_run_is_refused_and_a_broken_tree_is_not_compared(copy, tmp_path):
-    sides = [(sys.executable, copy)] * 2
-    ratios, refused = speed.time_pairs(sides, {0: CELL, 1: Cell("particle", "no-such-method")})
+    ratios, refused = speed.time_pairs([copy] * 2, {0: CELL, 1: Cell("particle", "no-such-method")})
     assert set(ratios) == {0}
     assert refused[1].startswith("UnknownName")
     (tmp_path / "src" / "contactbench").mkdir(parents=True)
     (tmp_path / "src" / "contactbench" / "__init__.py").write_text("raise RuntimeError('broken')")
     with pytest.raises(BadInput, match="timing process ended: RuntimeError: broken"):
-        speed.time_pairs([(sys.executable, copy), (sys.executable, tmp_path)], {0: CELL})
+        speed.time_pairs([copy, tmp_path], {0: CELL})
 
 
 #: at the end of the package's own module: what every public call does beside its work

@@ -16,7 +16,7 @@ from contactbench.measure.pullback import pullback
 from contactbench.measure.round_off import round_off_bound
 from contactbench.methods import differences as by_differences
 from contactbench.methods.differences import differences
-from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Outcome
 from contactbench.solution import SAFETY, Counts, Differential, Status
 
 
@@ -86,7 +86,7 @@ def test_where_the_solver_chooses_the_steps_both_drifts_are_told_and_differ(meth
 # -- differences of the solver ---------------------------------------------------------------------
 def differenced(run):
     """The pull-back by differences, whatever the engine could do instead."""
-    y0 = run._own_start
+    y0 = run.start
     return pullback(run(), differences(run, y0, run.integrate(y0)))
 
 
@@ -107,7 +107,7 @@ def test_error_bar_of_differences_covers_their_distance_to_the_exact_derivative(
     solution = run()
     assert solution.ok
     exact = solution.differential
-    found = differences(run, run._own_start, run.integrate(run._own_start))
+    found = differences(run, run.start, run.integrate(run.start))
     assert np.all(np.abs(found.value - exact.value).max(axis=(0, 1)) <= bars(found))
     assert np.all(bars(found) < 1e-5 * np.abs(exact.value).max())
     if scene.is_contact:
@@ -156,7 +156,7 @@ def test_a_jump_between_two_increments_is_passed_over(away):
 def test_a_map_that_bends_within_every_increment_has_no_derivative_by_differences():
     """A derivative of 10¹⁰, as the map of a near-collision that was not resolved has it."""
     run = cb.prepare(cb.SCENES["kepler_drag"].with_(t_end=20.0), "rk4", step=0.05, save_at=[16.0, 20.0])
-    found = differences(run, run._own_start, run.integrate(run._own_start))
+    found = differences(run, run.start, run.integrate(run.start))
     assert not found.taken
     assert "do not converge" in found.source
     assert np.abs(run().sensitivity).max() > 1e9

@@ -278,7 +278,7 @@ def test_neither_calls_nor_prepared_runs_keep_memory(method, engine):
         return cb.prepare(PARTICLE, method, rtol=1e-4, save_at=times, engine=engine)
 
     runs = [prepared(times) for times in ([0.1], [0.0, 0.05, 0.1])]
-    start = runs[0]._own_start
+    start = runs[0].start
     assert left_behind(lambda: [run.integrate(start) for run in runs]) < 500 * 16
     assert left_behind(lambda: prepared([0.1])()) < 500 * 16
 

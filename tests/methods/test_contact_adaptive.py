@@ -7,7 +7,7 @@ import pytest
 
 import contactbench as cb
 from cases import STANDARD, USER, in_mp, random_state
-from contactbench.methods.adaptive_program import frequency, next_density, squared_curvature
+from contactbench.methods.contact_adaptive import frequency, next_density, squared_curvature
 from contactbench.scenes import scenes_of
 from contactbench.splitting.tables import RKN6
 
@@ -75,9 +75,9 @@ def test_a_step_with_its_density_undoes_itself(mp50):
     start = (x, density)
     for _ in range(12):
         x = advance(method, scene, x, epsilon / density, 1, mp50)
-        density = next_density(scene, x, density, epsilon, span, max)
+        density = next_density(scene, x, density, epsilon, span, mp50)
     for _ in range(12):
-        density = next_density(scene, x, density, -epsilon, span, max)
+        density = next_density(scene, x, density, -epsilon, span, mp50)
         x = advance(method, scene, x, -epsilon / density, 1, mp50)
     gap = max(abs(a - b) for a, b in zip(scene.pack(x), scene.pack(start[0]), strict=True))
     assert gap < mp50.mpf(10) ** -40

@@ -10,8 +10,8 @@ import pytest
 
 import contactbench as cb
 from cases import few_slow
-from contactbench.methods.entry import _tolerances as tolerances_of
-from contactbench.methods.request import steps_in
+from contactbench.methods.entry import tolerance
+from contactbench.methods.fixed_step_run import steps_in
 from contactbench.peers import diffrax
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
@@ -65,10 +65,10 @@ def test_a_linear_scene_scales_to_the_last_bit(method, gamma):
 def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
     low, high = method.rtol_range
     for rtol in (low, high):
-        assert tolerances_of(method, rtol, None) == (rtol, rtol)
+        assert tolerance(method, rtol) == rtol
     for rtol in (low * 0.99, high * 1.01):
         with pytest.raises(cb.BadInput, match="rtol"):
-            tolerances_of(method, rtol, None)
+            tolerance(method, rtol)
 
 
 # -- prepared solvers ------------------------------------------------------------------------------
@@ -76,14 +76,14 @@ def test_both_ends_of_the_range_of_a_tolerance_are_in_it(method):
     "method", few_slow([m for m in ON_PARTICLE if "jax" in m.engines], *LONG), ids=lambda m: m.name
 )
 def test_other_parameters_steps_and_tolerances_do_not_recompile(method):
-    from contactbench.methods import compiled
+    from contactbench.methods import jax_engine
 
     coarse, fine = ({"rtol": 1e-7}, {"rtol": 1e-11}) if method.adaptive else ({"step": 0.05}, {"step": 0.002})
     cb.solve(PARTICLE, method.name, save_at=[1.0], **coarse)
-    before = len(compiled._programs)
+    before = len(jax_engine._programs)
     other = PARTICLE.with_(gamma=0.5, coupling=0.3, q=(0.1, 0.2), t_end=9.0)
     cb.solve(other, method.name, save_at=[2.0], **fine)
-    assert len(compiled._programs) == before
+    assert len(jax_engine._programs) == before
 
 
 # -- saved times -----------------------------------------------------------------------------------
@@ -112,8 +112,7 @@ def grids(step):
 
 def divided(times, step):
     """Steps of each interval between the times, the way to the first of them left out."""
-    spans = zip(np.diff(times).tolist(), times[1:].tolist(), strict=True)
-    return np.array([steps_in(span, step, until) for span, until in spans])
+    return steps_in(np.diff(times), times[1:], step)
 
 
 @pytest.mark.parametrize("step", [1e-5, 1e-3, 0.1, 1 / 3, 0.7, 12.5], ids="{:.3g}".format)

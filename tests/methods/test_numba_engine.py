@@ -11,7 +11,7 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.numba_engine import loop_of
+from contactbench.methods.fixed_step_run import loop_of
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.callback import record_function
 from contactbench.solution import Status
@@ -134,7 +134,7 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
         run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
         spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
         written = np.array(plain.as_written(plain.start.tolist(), spans))
-        assert plain.program is not None
+        assert plain.loop is not None
         for solution in run(), plain():
             assert (solution.status, solution.counts) == (Status.ok, plain.totals)
             np.testing.assert_allclose(solution.y, written, rtol=0, atol=2e-14 * np.abs(written).max())
@@ -147,7 +147,7 @@ def test_the_tangent_loop_carries_the_derivative(method, scene):
     """Against differences of the compiled loop itself, of fourth order."""
     run = cb.prepare(scene, method.name, step=0.1, save_at=[0.5, 1.0])
     assert run.request.engine == "numba"
-    derivative, y0 = run.sensitivity(run._own_start), run._own_start
+    derivative, y0 = run.sensitivity(run.start), run.start
     start = scene.unpack(tuple(y0.tolist()), scene.carry())
     step = 1e-5
     for j, tangent in enumerate(scene.tangents(start)):
@@ -203,7 +203,7 @@ def test_very_many_different_steps_are_taken_in_parts(monkeypatch):
     times = np.cumsum(rng.uniform(0.01, 0.1, 100))
     options = {"step": 0.03, "save_at": times}
     whole = cb.solve(PARTICLE, "contact-bm6", **options).y
-    monkeypatch.setattr("contactbench.methods.numba_engine.AHEAD", 2000)
+    monkeypatch.setattr("contactbench.methods.fixed_step_run.AHEAD", 2000)
     np.testing.assert_array_equal(cb.solve(PARTICLE, "contact-bm6", **options).y, whole)
 
 

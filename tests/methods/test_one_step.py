@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.methods.step_map import StepMap
+from contactbench.methods.fixed_step import FixedStep
 
 STEP = 0.1
-STEPS = [name for name, method in cb.METHODS.items() if isinstance(method, StepMap)]
+STEPS = [name for name, method in cb.METHODS.items() if isinstance(method, FixedStep)]
 
 #: numba takes its time over the long ones
 SHORT = ("contact-strang", "herglotz2")

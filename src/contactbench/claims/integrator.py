@@ -29,7 +29,7 @@ from contactbench.measure.laws import LAWS
 from contactbench.measure.order import fit_order
 from contactbench.measure.stability import SLACK, spectral_radius, true_radius
 from contactbench.methods import METHODS, solve
-from contactbench.methods.step_map import trajectory
+from contactbench.methods.fixed_step_run import trajectory
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES
 from contactbench.splitting.flows import MECHANICAL

@@ -7,17 +7,16 @@ import os
 import platform
 import sys
 import traceback
-from collections.abc import Callable
 from importlib import metadata
 from typing import Any
 
 from contactbench.boundary import VARIABLE, limit
-from contactbench.cli import check, claim, compare, gate, listing, references, report, solve
-from contactbench.cli.parsing import PLUGIN, Intermixed, Parser
+from contactbench.cli import runs, tables
+from contactbench.cli.parsing import PLUGIN, Command, Intermixed, Parser
 from contactbench.errors import BadInput, one_line
 
-#: in the order of --help
-COMMANDS = (listing, solve, compare, check, claim, report, gate, references)
+#: seconds that a plug-in has where nobody says otherwise
+SECONDS = "60"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -38,26 +37,19 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
     top.add_argument("--version", action="store_true", help=about)
 
     def overview(arguments: argparse.Namespace) -> int:
-        """Print the versions, or help: on a line without a command."""
         print(versions() if arguments.version else top.format_help().rstrip())
         return 0
 
     top.set_defaults(run=overview)
     commands: Any = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Intermixed)
 
-    def command(name: str, run: Callable[[argparse.Namespace], int], about: str, examples: str = "") -> Any:
-        one = commands.add_parser(
-            name,
-            help=about,
-            description=f"{about[0].upper()}{about[1:].rstrip('?')}{'?' if about.endswith('?') else '.'}",
-            parents=[PLUGIN],
-            epilog=examples,
-        )
+    def command(name: str, run: Command, about: str, examples: str = "") -> argparse.ArgumentParser:
+        one = commands.add_parser(name, help=about, description=about, parents=[PLUGIN], epilog=examples)
         one.set_defaults(run=run)
         return one
 
-    for each in COMMANDS:
-        each.add(command)
+    runs.add(command)
+    tables.add(command)
     return top
 
 
@@ -66,15 +58,11 @@ PEERS = ("scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "numba", 
 
 
 def versions() -> str:
-    """This package's version, and on a second line those of the solvers it is raced with."""
+    """Return this package's version, and on a second line those of the solvers it is raced with."""
     import contactbench
 
-    found = []
-    for name in PEERS:
-        try:
-            found.append(f"{name} {metadata.version(name)}")
-        except metadata.PackageNotFoundError:
-            found.append(f"{name} not installed")
+    installed = {name: next(iter(metadata.distributions(name=name)), None) for name in PEERS}
+    found = [f"{name} {one.version if one else 'not installed'}" for name, one in installed.items()]
     return f"contactbench {contactbench.__version__}\nPython {platform.python_version()}, {', '.join(found)}"
 
 
@@ -97,12 +85,14 @@ def main(argv: list[str] | None = None) -> int:
         if plugins.plugin_timeout is not None:
             os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too
             limit()
+        elif argv is None:  # a process of its own
+            os.environ.setdefault(VARIABLE, SECONDS)
         if plugins.plugin:
             from contactbench.plugins import load_file
 
             for path in plugins.plugin:
                 load_file(path)
-        arguments.plugin = plugins.plugin  # a subcommand's parser sees only what follows its name
+        arguments.line = sys.argv[1:] if argv is None else argv
         status = arguments.run(arguments)
         sys.stdout.flush()
     except BrokenPipeError:  # the reader has left, as in `contactbench list | head -1`
@@ -124,7 +114,6 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def fail(error: BaseException, message: str, whole: bool) -> int:
-    """Say on stderr what went wrong, in one line or with all that led to it."""
     if whole:
         traceback.print_exception(error)
     print(f"contactbench: {one_line(message)}", file=sys.stderr)

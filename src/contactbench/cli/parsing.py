@@ -83,21 +83,6 @@ def assignments(pairs: list[str]) -> dict[str, Any]:
     return changes
 
 
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Add the option that changes parameters of a scene."""
-    about = "change a parameter: a number or a list [1,2]; may be repeated"
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=about)
-
-
-def add_files(parser: argparse.ArgumentParser, **about: str) -> None:
-    """Add options that name a file to be written."""
-    for name, text in about.items():
-        parser.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
-
-
-#: what a plot can be saved as
-PICTURES = (".svg", ".png", ".pdf")
-
 #: taken from anywhere on the line and loaded first, so that every command knows what it brings
 PLUGIN = Parser(prog="contactbench", add_help=False, allow_abbrev=False)
 FILES = "Python file that registers methods or scenes of your own; may be repeated"

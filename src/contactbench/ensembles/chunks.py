@@ -22,10 +22,10 @@ import numpy as np
 from contactbench.ensembles.cores import on_cores
 from contactbench.ensembles.devices import CHUNK, Own, Result, on_devices
 from contactbench.errors import BadInput
-from contactbench.methods.base import METHODS, Request
+from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import Division, FixedStepRun
-from contactbench.methods.numba_engine import loop_of
+from contactbench.methods.fixed_step_run import Division, FixedStepRun, loop_of
+from contactbench.methods.prepared import Request
 from contactbench.numbers.protocol import CannotRecord
 
 ENGINES = ("numba", "jax")

@@ -11,8 +11,7 @@ import numpy as np
 
 from contactbench.ensembles.devices import Result
 from contactbench.ensembles.measures import Watch
-from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.numba_engine import Loop
+from contactbench.methods.fixed_step_run import FixedStepRun, Loop
 from contactbench.trace.compiled import compile_function
 
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation

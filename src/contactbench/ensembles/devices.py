@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from contactbench.ensembles.measures import Watch
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.fixed_step_run import FixedStepRun, identity
 from contactbench.methods.jax_engine import rolled
-from contactbench.methods.step_map import identity
-from contactbench.numbers.xla import XlaNumbers
+from contactbench.numbers.control import XlaNumbers
 from contactbench.scene.cache import Cache, key
 
 #: trajectories a core integrates at a time: half a kilobyte per component

@@ -21,8 +21,7 @@ from contactbench.ensembles.members import members
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.entry import lookup, prepare
-from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.numba_engine import loop_of
+from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
 from contactbench.methods.prepared import Prepared, Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.compiled import FACTS, KNOWN

@@ -1,4 +1,4 @@
-"""What moved between two folders of tables, by the rule of each column.
+"""What moved between two folders of tables, by the rule of each column, as one table.
 
 Which rows a fresh run must have, the rows before say themselves (column `profile`), so that one that is no longer
 made is noticed.  A new table is gated by its rules.
@@ -6,8 +6,10 @@ made is noticed.  A new table is gated by its rules.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +17,76 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
-from contactbench.gate.findings import BLANK, Findings, rows_of
 from contactbench.gate.rules import distance
 from contactbench.results import provenance
-from contactbench.results.schema import PROFILES, TABLES, Rule, Table
+from contactbench.results.schema import PROFILES, TABLES, Table
 from contactbench.results.store import read
 
 #: packages that solve nothing: runs may differ in them and be of one machine
 IDLE_PACKAGES = ("contactbench", "pandas", "matplotlib", "pytest-benchmark")
+#: what a row of the findings has where nothing else is given; rows : of how many values it is the worst
+BLANK: dict[str, Any] = dict.fromkeys(("table", "scene", "method", "engine", "setting", "measure"), "")
+BLANK |= {"before": "", "after": "", "result": "", "red": True, "rows": 1}
+INCONCLUSIVE = "inconclusive"
 
 Frames = Mapping[str, pd.DataFrame]
 Runs = list[dict[str, Any]]
+
+
+# -- findings --------------------------------------------------------------------------------------
+def rows_of(*rows: dict[str, Any]) -> pd.DataFrame:
+    """Return a table of what moved from its rows, blanks filled in."""
+    return pd.DataFrame([{**BLANK, **row} for row in rows], columns=[*BLANK])
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the gate found.
+
+    moved : a row for each measure of a method on a scene.  compared : one sentence a part.  notes : what to know
+    beside.  incomplete : why what was looked at is too little to decide.
+    """
+
+    moved: pd.DataFrame = field(default_factory=rows_of)
+    compared: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    incomplete: tuple[str, ...] = ()
+
+    def __add__(self, other: Findings) -> Findings:
+        moved = [part for part in (self.moved, other.moved) if len(part)] or [self.moved]
+        texts = self.compared + other.compared, self.notes + other.notes, self.incomplete + other.incomplete
+        return Findings(pd.concat(moved, ignore_index=True), *texts)
+
+    @property
+    def red(self) -> int:
+        """How many rows are red."""
+        return int(self.moved["red"].sum())
+
+    @property
+    def status(self) -> int:
+        """The exit status: 1 red, 2 inconclusive as a whole, 0 green."""
+        return 1 if self.red else 2 if self.incomplete else 0
+
+    def as_json(self) -> str:
+        found = {"status": self.status, "red": bool(self.red), "lines": self.moved.to_dict("records")}
+        found |= {"compared": self.compared, "notes": self.notes, "incomplete": self.incomplete}
+        return json.dumps(found, allow_nan=False, ensure_ascii=False)
+
+    def as_markdown(self) -> str:
+        """Return the outcome, the table of what moved with the red rows first, and the notes."""
+        outcome = ("green", f"red, {self.red} found", INCONCLUSIVE)[self.status]
+        rows = self.moved.sort_values("red", ascending=False, kind="stable")
+        cells = rows.drop(columns="red").astype(str).map(escape)
+        cells["result"] = cells["result"].mask(rows["red"], "**" + cells["result"] + "**")
+        texts = "\n".join(f"- {escape(text)}" for text in (*self.compared, *self.incomplete, *self.notes))
+        lines = [cells.columns, ["---"] * cells.shape[1], *cells.to_numpy()] if len(cells) else []
+        grid = "\n".join(f"| {' | '.join(line)} |" for line in lines) or "Nothing moved."
+        return f"# Regression gate: {outcome}\n\n{texts}\n\n{grid}\n"
+
+
+def escape(text: str) -> str:
+    """Return text that stays within its cell of a markdown table."""
+    return " ".join(text.replace("|", "\\|").replace("<", "&lt;").split())
 
 
 # -- one table -------------------------------------------------------------------------------------
@@ -40,44 +101,34 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
         row = {"table": table.name, "measure": "table", "before": f"{len(before)} rows", "after": "none"}
         return rows_of(row | {"result": "missing"})
     missing = locate(table, gone).assign(measure="row", before="present", after="none", result="missing")
-    found = [missing.assign(distance=math.inf)]
+    parts = [missing.assign(distance=math.inf)]
     same_end = (both["status"] == both["status after"]).to_numpy() if "status" in table.columns else True
-    for name, rule in judged(table, both).items():
+    blank = both.isna() | (both == "")
+    for name, rule in table.rules.items():
+        if name in table.key or blank[name].all():  # the baseline does not have it: it is new
+            continue
         moved = distance(rule, both[name], both[f"{name} after"], both, alike)
         if name not in ("status", "profile"):  # the numbers of a run that ended otherwise say nothing more
             moved = np.where(same_end, moved, 0.0)
         rows, moved = both[moved > 1], moved[moved > 1]
         old, new = ([show(value) for value in rows[column]] for column in (name, f"{name} after"))
-        found.append(
-            locate(table, rows).assign(measure=name, before=old, after=new, result="moved", distance=moved)
-        )
-    return worst(pd.concat([part for part in found if len(part)] or found[:1]))
-
-
-def judged(table: Table, before: pd.DataFrame) -> dict[str, Rule]:
-    """Return the rules of the columns that the baseline has; one without a value in any row is new."""
-    blank = before.isna() | (before == "")
-    return {
-        name: rule for name, rule in table.rules.items() if name not in table.key and not blank[name].all()
-    }
+        part = locate(table, rows).assign(measure=name, before=old, after=new, result="moved", distance=moved)
+        parts.append(part)
+    found = pd.concat([part for part in parts if len(part)] or parts[:1])
+    where = ["table", "scene", "method", "engine", "measure"]
+    found["rows"] = found.groupby(where)["measure"].transform("size")
+    worst = found.sort_values("distance", ascending=False, kind="stable").drop_duplicates(where)
+    return worst.drop(columns="distance").sort_index()
 
 
 def locate(table: Table, rows: pd.DataFrame) -> pd.DataFrame:
     """Return a table of what moved, as far as the keys of rows say it."""
-    found = pd.DataFrame({name: [value] * len(rows) for name, value in BLANK.items()})
+    found = pd.DataFrame(BLANK | {"table": table.name}, index=range(len(rows)))
     own = [name for name in ("scene", "method", "engine") if name in table.columns]
     rest = [name for name in table.key if name not in own]
     found[own] = rows[own].astype(str).to_numpy()
     found["setting"] = [" ".join(map(show, row)) for row in rows[rest].itertuples(index=False)]
-    return found.assign(table=table.name)
-
-
-def worst(found: pd.DataFrame) -> pd.DataFrame:
-    """Return of each measure of a method on a scene the row that moved furthest, and of how many it is one."""
-    where = ["table", "scene", "method", "engine", "measure"]
-    found["rows"] = found.groupby(where)["measure"].transform("size")
-    found = found.sort_values("distance", ascending=False, kind="stable").drop_duplicates(where)
-    return found.drop(columns="distance").sort_index()
+    return found
 
 
 def show(value: Any) -> str:
@@ -86,7 +137,6 @@ def show(value: Any) -> str:
 
 
 def keys(table: Table, rows: pd.DataFrame) -> pd.MultiIndex:
-    """Return the keys of a table's rows."""
     return pd.MultiIndex.from_frame(rows[list(table.key)])
 
 
@@ -111,16 +161,16 @@ def compare_tables(before: Frames, made_before: Runs, now: Frames, made_now: Run
         raise BadInput(f"{name}: no row that a run of profile {PROFILES[rank]!r} makes")
     machines = {machine(run) for run in (*made_before, *made_now)}
     alike = len(machines) == 1 and "" not in machines
-    moved = [compare(table, expected[each], now[each], alike) for each, table in TABLES.items()]
+    moved, new = [], 0
+    for each, table in TABLES.items():
+        moved.append(Findings(compare(table, expected[each], now[each], alike)))
+        new += int((~keys(table, now[each]).isin(keys(table, before[each]))).sum())
     counts = "exactly" if alike else "within a tenth: other processor or libraries"
-    new = sum(
-        int((~keys(table, now[each]).isin(keys(table, before[each]))).sum()) for each, table in TABLES.items()
-    )
     compared = (
         f"accuracy: {count} rows of a {PROFILES[rank]} run compared with {name}, {new} have no baseline yet",
         f"counts of adaptive methods compared {counts}",
     )
-    return sum(map(Findings, moved), Findings(compared=compared))
+    return sum(moved, Findings(compared=compared))
 
 
 def benchmark_runs(results: Path) -> Runs:

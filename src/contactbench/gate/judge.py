@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,7 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.gate import revisions, speed
-from contactbench.gate.compare import Frames, benchmark_runs, compare, compare_tables, keys
-from contactbench.gate.findings import Findings, rows_of
+from contactbench.gate.compare import Findings, Frames, benchmark_runs, compare, compare_tables, keys, rows_of
 from contactbench.results import provenance
 from contactbench.results.schema import PROFILES, TABLES, Table
 from contactbench.results.store import OldTable, read
@@ -37,73 +35,63 @@ COMPLETE = ("cpu", "python", "packages", "references", "commit", "utc", "tables"
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Question:
-    """What is to be judged: the working tree that a folder is in; the rest are the options of the command."""
-
-    root: Path
-    results: Path = Path("results")
-    fresh: Path | None = None
-    base: str | None = None
-    parts: Sequence[str] = PARTS
-    changed: Sequence[str] = ()
-    budget: float | None = None
-
-
-def by_base(question: Question, as_json: bool = False) -> int | None:
-    """Have the gate of the base revision judge this tree, and return its exit status; it prints what it found.
+def by_base(folder: Path, base: str | None, line: Sequence[str]) -> int | None:
+    """Have the gate of the base revision judge a tree by the same command line, and return its exit status.
 
     A tree whose own gate judged it could move its own goal.  None where this process is that gate.
     """
     if revisions.JUDGED in os.environ:
         return None
-    root = revisions.repository(question.root)
-    base = revisions.base(root, question.base)
-    options = [f"--only={question.parts[0]}"] if len(question.parts) == 1 else []
-    given = {"results": question.results, "fresh": question.fresh, "budget": question.budget}
-    options += [f"--{name}={value}" for name, value in given.items() if value is not None]
-    options += [f"--tables-changed={name}" for name in question.changed] + ["--json"] * as_json
+    root = revisions.repository(folder)
+    base = revisions.base(root, base)
     with revisions.checkout(root, base) as tree:
         if not (tree / "src/contactbench/gate/judge.py").exists():
             why = f"the base {base[:12]} has no gate that could judge; give a later --base"
             raise BadInput(f"inconclusive: {why}")
-        command = [revisions.interpreter(tree, root), "-P", "-m", "contactbench.cli", "gate", "--base", base]
+        command = [sys.executable, "-P", "-m", "contactbench", *line, "--base", base]
         variables = revisions.environment(tree) | {revisions.JUDGED: sys.executable}
-        streams: dict[str, Any] = {"stdout": subprocess.PIPE, "text": True}
-        with subprocess.Popen([*command, *options], cwd=root, env=variables, **streams) as run:
+        with subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True) as run:
             try:
-                print(run.communicate()[0], end="")
+                findings = run.communicate()[0]
             except BaseException:
                 run.terminate()  # it removes what it has made, and ends
                 raise
-        return run.returncode
+    print(findings, end="")
+    return run.returncode if findings else 2
 
 
-def gate(question: Question) -> Findings:
-    """Run the parts asked for; see the command line's help."""
-    root = revisions.repository(question.root)
-    base = revisions.base(root, question.base)
-    results = root / question.results
+def gate(
+    folder: Path,
+    results: Path = Path("results"),
+    fresh: Path | None = None,
+    base: str | None = None,
+    parts: Sequence[str] = PARTS,
+    changed: Sequence[str] = (),
+    budget: float | None = None,
+) -> Findings:
+    """Judge the working tree that a folder is in; the rest are the options of the command."""
+    root = revisions.repository(folder)
+    base = revisions.base(root, base)
     found = Findings()
     with (
         tempfile.TemporaryDirectory(prefix="contactbench-gate-") as scratch,
         revisions.checkout(root, base) as tree,
     ):
-        old = tree / results.relative_to(root)
+        old = tree / (root / results).relative_to(root)
         if not any(old.glob("*.csv")):
-            raise BadInput(f"--base {base[:12]}: no tables in {question.results}/ at that revision")
-        if "accuracy" in question.parts:
-            fresh = question.fresh or Path(scratch)
-            if question.fresh is None:
+            raise BadInput(f"--base {base[:12]}: no tables in {results}/ at that revision")
+        if "accuracy" in parts:
+            if fresh is None:
+                fresh = Path(scratch)
                 found += run_benchmark(root, fresh)
             messages = revisions.git(root, "log", "--format=%B", f"{base}..HEAD")
-            changed = changed_tables(messages, question.changed, results)
-            found += judge_tables(root, results, old, fresh, changed)
-        if "speed" in question.parts:
+            named = changed_tables(messages, changed, root / results)
+            found += judge_tables(root, root / results, old, fresh, named)
+        if "speed" in parts:
             cells = speed.workload(read(TABLES["work_precision"], old))
             if not cells:
-                raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {question.results}/")
-            found += speed.judge_speed(root, tree, cells, question.budget)
+                raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {results}/")
+            found += speed.judge_speed(root, tree, cells, budget)
     return found
 
 
@@ -123,8 +111,7 @@ def run_benchmark(root: Path, results: Path) -> Findings:
     """
     if not (root / "bench" / "conftest.py").exists():
         raise BadInput(f"{root}: no benchmark there; run the gate where bench/ is, or give --fresh DIR")
-    python = os.environ.get(revisions.JUDGED, sys.executable)
-    command = [python, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results)]
+    command = [sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results)]
     command += ["-q", "-n", "auto", "--untimed", "-p", "no:cacheprovider"]
     # what it prints is no part of the gate's own output
     status = subprocess.run(command, cwd=root, env=revisions.environment(root), stdout=sys.stderr).returncode
@@ -145,7 +132,11 @@ def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set
     rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
     found = Findings()
     for name, table in TABLES.items():
-        found += Findings(compare_committed(table, before[name], head[name], name in changed))
+        listed = name in changed
+        moved = compare(table, before[name], head[name])
+        result = moved["result"] + (", listed" if listed else ", not listed")
+        moved = moved.assign(measure="committed " + moved["measure"], result=result, red=not listed)
+        found += Findings(moved)
         rows += check_rows(table, before[name], head[name], now[name])
     reference = {name: head[name] if name in changed else before[name] for name in TABLES}
     compared = compare_tables(reference, benchmark_runs(old), now, benchmark_runs(fresh), "the base")
@@ -166,13 +157,6 @@ def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
             version = row(f"version of {name}", "another", str(table.version), "not listed", table=name)
             rows += [version] * (name not in changed)
     return frames, rows
-
-
-def compare_committed(table: Table, before: pd.DataFrame, head: pd.DataFrame, changed: bool) -> pd.DataFrame:
-    """Return what the tree's table lacks of the base's, and what moved too far in it; red unless it is listed."""
-    moved = compare(table, before, head)
-    result = moved["result"] + (", listed" if changed else ", not listed")
-    return moved.assign(measure="committed " + moved["measure"], result=result, red=not changed)
 
 
 def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd.DataFrame) -> list[Row]:

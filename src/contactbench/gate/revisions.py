@@ -1,14 +1,12 @@
-"""Revisions of the project in git: which one is the base, its files, its Python and their environment."""
+"""Revisions of the project in git: which one is the base, its files, and what a process of its code needs."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
-import sys
 import tarfile
 import tempfile
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
@@ -20,7 +18,7 @@ from contactbench.results.provenance import SOURCES
 
 #: what the main branch may be called, the first there is
 MAIN = ("origin/HEAD", "origin/main", "main", "master")
-#: in the environment of the gate of a base revision, the Python of the tree that it judges
+#: set in the environment of the gate of a base revision, which judges another tree
 JUDGED = "CONTACTBENCH_JUDGED_PYTHON"
 
 
@@ -61,7 +59,7 @@ def repository(folder: Path) -> Path:
 
 
 def dirty(root: Path) -> bool:
-    """Return whether anything that decides the tables differs from the commit that is checked out."""
+    """Whether anything that decides the tables differs from the commit that is checked out."""
     return bool(git(root, "status", "--porcelain", "--", *SOURCES))
 
 
@@ -97,27 +95,6 @@ def checkout(root: Path, commit: str) -> Iterator[Path]:
         if not (tree / "src" / "contactbench").is_dir():
             raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")
         yield tree
-
-
-def interpreter(tree: Path, root: Path) -> str:
-    """Return the Python that runs a tree: ours, unless its pins differ from those of `root`; then one of its own."""
-    if pins(tree) == pins(root):
-        return sys.executable
-    python = str(tree / ".venv" / "bin" / "python")
-    install = [python, "-m", "pip", "install", "--quiet", "-c", "constraints.txt", "-e", ".[bench]"]
-    for command in ([sys.executable, "-m", "venv", ".venv"], install):
-        done = subprocess.run(command, cwd=tree, capture_output=True, text=True)
-        if done.returncode:
-            last = (done.stderr.strip() or "no message").splitlines()[-1]
-            raise BadInput(f"the base revision pins other versions, which could not be installed: {last}")
-    return python
-
-
-def pins(tree: Path) -> tuple[Any, ...]:
-    """Return what fixes the versions of everything but our own code."""
-    project = tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    constraints = tree / "constraints.txt"
-    return project["dependencies"], constraints.read_text(encoding="utf-8") if constraints.exists() else ""
 
 
 def environment(tree: Path) -> dict[str, str]:

@@ -34,17 +34,18 @@ def amount(before: np.ndarray, after: np.ndarray, allowed: np.ndarray | float) -
         return np.where(before == after, 0.0, np.abs(after - before) / allowed)
 
 
-def steps_chosen(before: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """Return what counts may move by: where a solver chooses its steps a share, or twice their measured spread."""
+def count(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
+    """Return |after − before|, where a solver chooses its steps in parts of a share or of twice their spread."""
     spread = rows[SPREAD].fillna(0.0).to_numpy(dtype=float) if SPREAD in rows else 0.0
     share = np.maximum(SHARE, 2 * spread) * before
-    return np.where(rows["control"] == "rtol", np.maximum(1.0, share), 0.0)
+    return amount(before, after, np.where(rows["control"] == "rtol", np.maximum(1.0, share), 0.0))
 
 
-def largest(before: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
-    """Return the largest coordinate along the curve of each point."""
+def point(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
+    """Return |after − before| in parts of a share of the largest coordinate along the curve of each point."""
     curve = [rows[name] for name in ("figure", "panel", "curve")]
-    return pd.Series(np.abs(before), rows.index).groupby(curve).transform("max").fillna(0.0).to_numpy()
+    largest = pd.Series(np.abs(before), rows.index).groupby(curve).transform("max").fillna(0.0).to_numpy()
+    return amount(before, after, VALUE * largest + STRUCTURE)
 
 
 def claim(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
@@ -58,11 +59,11 @@ def claim(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarr
 LIMITS: dict[Rule, Callable[[np.ndarray, np.ndarray, pd.DataFrame], np.ndarray]] = {
     Rule.error: lambda b, a, rows: factor(b, a, floor(Rule.error, rows)),
     Rule.structure: lambda b, a, rows: factor(b, a, floor(Rule.structure, rows)),
-    Rule.count: lambda b, a, rows: amount(b, a, steps_chosen(b, rows)),
+    Rule.count: count,
     Rule.value: lambda b, a, rows: amount(b, a, VALUE * np.abs(b)),
     Rule.order: lambda b, a, rows: amount(b, a, SLOPE),
     Rule.slope: lambda b, a, rows: np.where(rows["in_fit"], amount(b, a, SLOPE), 0.0),
-    Rule.point: lambda b, a, rows: amount(b, a, VALUE * largest(b, rows) + STRUCTURE),
+    Rule.point: point,
     Rule.end: lambda b, a, rows: amount(b, a, np.where(rows["status"] == "ok", 0.0, SHARE * np.abs(b))),
     Rule.measured: claim,
 }

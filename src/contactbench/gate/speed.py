@@ -10,14 +10,13 @@ of code and data in memory, drawn anew with every process, is worth some per cen
 from __future__ import annotations
 
 import json
-import os
 import random
 import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -27,7 +26,7 @@ import pandas as pd
 
 from contactbench.errors import BadInput
 from contactbench.gate import revisions
-from contactbench.gate.findings import INCONCLUSIVE, Findings, rows_of
+from contactbench.gate.compare import INCONCLUSIVE, Findings, rows_of
 from contactbench.measure.statistics import PairedRatio, paired_ratio
 from contactbench.methods import METHODS
 from contactbench.solution import setting_key
@@ -52,9 +51,9 @@ LONGEST = 3e-3
 # -- what is timed ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Cell:
-    """One call that is timed.
+    """One call that is timed: of a prepared run, or a public one; see `speed_worker.call`.
 
-    saves : how many equidistant times are saved, the end among them.  call : a key of `speed_worker.CALLS`.
+    saves : how many equidistant times are saved, the end among them.
     """
 
     scene: str
@@ -80,12 +79,8 @@ class Cell:
 
 
 #: what a user calls, on standard scenes; references on those where they take little: in closed form, and live
-CALLS_ON = {
-    "particle": ("solve", "run(q=…)", "new scene", "ensemble", "import"),
-    "oscillator": ("reference",),
-    "saddle_edge": ("reference",),
-}
-PUBLIC = [Cell(scene, call=call) for scene, calls in CALLS_ON.items() for call in calls]
+PUBLIC = [Cell("particle", call=call) for call in ("solve", "run(q=…)", "new scene", "ensemble", "import")]
+PUBLIC += [Cell(scene, call="reference") for scene in ("oscillator", "saddle_edge")]
 
 
 def workload(work: pd.DataFrame) -> list[Cell]:
@@ -129,17 +124,12 @@ def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | N
     budget : seconds; a cell that is not decided by then is inconclusive.
     Raises `BadInput` when a timing process cannot run.
     """
-    judged = os.environ.get(revisions.JUDGED)  # set: this process is the base's own
-    sides = (
-        (sys.executable if judged else revisions.interpreter(tree, root), tree),
-        (judged or sys.executable, root),
-    )
     start = perf_counter()
     until = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
     cells = kinds_first(cells, revisions.commit(root, "HEAD"))  # other cells first in every change
-    first, refused = time_pairs(sides, dict(enumerate(cells)), until[0])
+    first, refused = time_pairs((tree, root), dict(enumerate(cells)), until[0])
     suspects = {i: cells[i] for i, ratio in first.items() if ratio.low > LIMIT}
-    again = time_pairs(sides, suspects, until[1])[0] if suspects else {}
+    again = time_pairs((tree, root), suspects, until[1])[0] if suspects else {}
     rows = []
     for i, ratio in first.items():
         result = decide(ratio, again.get(i))
@@ -163,19 +153,26 @@ def decide(first: PairedRatio, again: PairedRatio | None) -> str:
 
 # -- processes -------------------------------------------------------------------------------------
 def time_pairs(
-    sides: Sequence[tuple[str, Path]], cells: dict[int, Cell], until: float | None = None
+    trees: Sequence[Path], cells: dict[int, Cell], until: float | None = None
 ) -> tuple[dict[int, PairedRatio], dict[int, str]]:
-    """Return of every cell the ratio of the second to the first side, from one new process each, or why it has none.
+    """Return of every cell the ratio of the second to the first tree, from one new process each, or why it has none.
 
-    sides : Python and tree of each.  until : on the clock of `perf_counter`, when to stop.
+    until : on the clock of `perf_counter`, when to stop.
     """
     from tqdm import tqdm
 
     draw = random.Random(0)
     left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
     with ExitStack() as stack:
-        processes = [stack.enter_context(Side(*side, cells, left)) for side in sides]
-        refused = {i: why for process in processes for i, why in process.refused().items()}
+        sides = [stack.enter_context(timing_process(tree)) for tree in trees]
+        for send, _ in sides:  # both compile at once
+            send({"cells": {i: asdict(cell) for i, cell in cells.items()}, "seconds": left})
+        refused: dict[int, str] = {}
+        for tree, (_, receive) in zip(trees, sides, strict=True):
+            answer = receive()
+            if not Path(answer["code"]).is_relative_to(tree):
+                raise BadInput(f"{tree}: the timing process imports {answer['code']} instead")
+            refused |= {int(i): why for i, why in answer["refused"].items()}
         times: dict[int, tuple[list[float], list[float]]] = {i: ([], []) for i in cells if i not in refused}
         ratios: dict[int, PairedRatio] = {}
         ask = list(times)
@@ -184,72 +181,42 @@ def time_pairs(
                 break
             for i in draw.sample(ask, len(ask)):
                 for k in draw.sample((0, 1), 2):
-                    times[i][k].append(processes[k].time(i))
+                    send, receive = sides[k]
+                    send(i)
+                    times[i][k].append(min(receive()))  # the fastest repeat: one that nothing interrupted
             if done % ROUNDS == 0:
                 ratios |= {i: paired_ratio(*times[i]) for i in ask}
                 ask = [i for i in ask if ratios[i].low <= LIMIT < ratios[i].high]
     return ratios | {i: paired_ratio(*times[i]) for i in ask if times[i][0]}, refused
 
 
-class Side:
-    """A process that times cells with the code of one tree.
-
-    seconds : after which it prepares no more cells.
-    """
-
-    def __init__(self, python: str, tree: Path, cells: dict[int, Cell], seconds: float | None) -> None:
-        self.tree = tree
-        self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115, closed with the process
-        self.caches = tempfile.TemporaryDirectory(prefix="contactbench-caches-")
+@contextmanager
+def timing_process(tree: Path) -> Iterator[tuple[Callable[[Any], None], Callable[[], Any]]]:
+    """Start a process that times cells with the code of a tree; yields how to send and receive, see `speed_worker`."""
+    command = [sys.executable, "-P", str(Path(__file__).with_name("speed_worker.py"))]
+    with (
+        tempfile.TemporaryFile("w+") as errors,
+        tempfile.TemporaryDirectory(prefix="contactbench-caches-") as caches,
+    ):
         # programs that one side has compiled must not spare the other the work
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
-        variables = revisions.environment(tree) | dict.fromkeys(names, self.caches.name)
-        command = [python, "-P", str(Path(__file__).with_name("speed_worker.py"))]
-        self.process = subprocess.Popen(
-            command,
-            env=variables,
-            cwd=tree,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self.errors,
-            text=True,
-            bufsize=1,
-        )
-        core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
-        requests = {i: asdict(cell) for i, cell in cells.items()}
-        self.send({"core": core, "cells": requests, "seconds": seconds})
+        own: dict[str, Any] = {"env": revisions.environment(tree) | dict.fromkeys(names, caches), "cwd": tree}
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
+        process: Any = subprocess.Popen(command, text=True, bufsize=1, **own, **pipes)
 
-    def __enter__(self) -> Side:
-        return self
+        def send(request: Any) -> None:
+            process.stdin.write(json.dumps(request) + "\n")
 
-    def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self.process.wait()
-        self.errors.close()
-        self.caches.cleanup()
+        def receive() -> Any:
+            line = process.stdout.readline()
+            if line:
+                return json.loads(line)
+            errors.seek(0)
+            last = (errors.read().strip() or f"exit {process.wait()}").splitlines()[-1]
+            raise BadInput(f"{tree}: the timing process ended: {last}")
 
-    def refused(self) -> dict[int, str]:
-        """Wait until every cell is compiled; return the cells that cannot be timed, and why."""
-        answer = self.receive()
-        if not Path(answer["code"]).is_relative_to(self.tree):
-            raise BadInput(f"{self.tree}: the timing process imports {answer['code']} instead")
-        return {int(i): why for i, why in answer["refused"].items()}
-
-    def time(self, cell: int) -> float:
-        """Return the seconds per call, of the fastest repeat: one that nothing interrupted."""
-        self.send(cell)
-        return float(min(self.receive()))
-
-    def send(self, request: Any) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(request) + "\n")
-        self.process.stdin.flush()
-
-    def receive(self) -> Any:
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        if line:
-            return json.loads(line)
-        self.errors.seek(0)
-        last = (self.errors.read().strip() or f"exit {self.process.wait()}").splitlines()[-1]
-        raise BadInput(f"{self.tree}: the timing process ended: {last}")
+        try:
+            yield send, receive
+        finally:
+            process.kill()
+            process.wait()

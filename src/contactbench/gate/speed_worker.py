@@ -1,7 +1,7 @@
 """A process that times cells on request, for speed.py: run by path, with the revision to be timed on PYTHONPATH.
 
-It asks nothing of the revision but the public calls (`CALLS`).  In come lines of JSON: first
-``{"core": c, "cells": {...}, "seconds": s}``, then the number of a cell at a time; out go the file of the code that is
+It asks nothing of the revision but the public calls.  In come lines of JSON: first
+``{"cells": {...}, "seconds": s}``, then the number of a cell at a time; out go the file of the code that is
 timed with the cells it refused, then lists of seconds per call.
 """
 
@@ -26,83 +26,46 @@ REPEATS = 3
 LONG = 0.05
 
 Run = Callable[[], Any]
-Request = dict[str, Any]
 
 
-# -- calls -----------------------------------------------------------------------------------------
-def prepared(cell: Request, **start: Any) -> Run:
-    """A prepared run, its last saved time the end."""
-    scene, n = cb.SCENES[cell["scene"]], cell["saves"]
-    options = {cell["control"]: cell["value"]} if cell["control"] in ("step", "rtol") else {}
-    options |= {"save_at": [scene.t_end * k / n for k in range(1, n + 1)], "carry": cell["carry"]}
-    run = cb.prepare(scene, cell["method"], engine=cell["engine"], **options)
+def call(cell: dict[str, Any]) -> Run:
+    """Return what is timed: a public call, or a prepared run whose last saved time is the end."""
+    name, method, value = cell["scene"], cell["method"], cell["value"]
+    scene = cb.SCENES[name]
+    given = {"step": value, "engine": cell["engine"]}
+    match cell["call"]:
+        case "solve":
+            return lambda: cb.solve(name, method, **given)
+        case "new scene":  # of another force with every call: what recording and compiling take
+            factors = (1 + 2.0**-20 * k for k in count(1))
+            return lambda: cb.solve(quartic(next(factors)), method, **given)
+        case "ensemble":
+            q = ([scene.q[0] * (0.9 + 0.02 * k) for k in range(8)], *scene.q[1:])
+            return lambda: cb.ensemble(name, method, {"q": q}, progress=False, **given)
+        case "reference":  # neither frozen nor kept: of other numbers with every call
+            rates = (scene.gamma * (1 + 1e-6 * k) for k in count(1))
+            return lambda: cb.reference(scene.with_(gamma=next(rates)), [0.01])
+        case "import":
+            return lambda: subprocess.run([sys.executable, "-P", "-c", "import contactbench"], check=True)
+    times = [scene.t_end * k / cell["saves"] for k in range(1, cell["saves"] + 1)]
+    setting = {cell["control"]: value} if cell["control"] in ("step", "rtol") else {}
+    run = cb.prepare(scene, method, engine=cell["engine"], save_at=times, carry=cell["carry"], **setting)
+    start = {"q": tuple(0.9 * float(x) for x in scene.q)} if cell["call"] == "run(q=…)" else {}
     return lambda: run(**start)
 
 
-def from_elsewhere(cell: Request) -> Run:
-    """A prepared run from another point."""
-    return prepared(cell, q=tuple(0.9 * float(x) for x in cb.SCENES[cell["scene"]].q))
+def quartic(c: float) -> cb.Mechanical:
+    """Return a scene of the user's own."""
+
+    def potential(q: Any) -> Any:
+        return c * (q[0] ** 4 + q[1] ** 2)
+
+    return cb.Mechanical(name="own", potential=potential, gamma=0.1, q=(1.0, 0.5), p=(0.0, 0.0), t_end=1.0)
 
 
-def solve(cell: Request) -> Run:
-    """A run from its name on."""
-    return lambda: cb.solve(cell["scene"], cell["method"], engine=cell["engine"], step=cell["value"])
-
-
-def new_scene(cell: Request) -> Run:
-    """A run on a scene of the user's own, of another force with every call: what recording and compiling take."""
-    factors = (1 + 2.0**-20 * k for k in count(1))
-
-    def run() -> Any:
-        c = next(factors)
-        own = cb.Mechanical(
-            name="own",
-            potential=lambda q: c * (q[0] ** 4 + q[1] ** 2),
-            gamma=0.1,
-            q=(1.0, 0.5),
-            p=(0.0, 0.0),
-            t_end=1.0,
-        )
-        return cb.solve(own, cell["method"], engine=cell["engine"], step=cell["value"])
-
-    return run
-
-
-def ensemble(cell: Request) -> Run:
-    """Eight trajectories."""
-    q = cb.SCENES[cell["scene"]].q
-    start = {"q": ([q[0] * (0.9 + 0.02 * k) for k in range(8)], *q[1:])}
-    options = {"step": cell["value"], "engine": cell["engine"], "progress": False}
-    return lambda: cb.ensemble(cell["scene"], cell["method"], start, **options)
-
-
-def reference(cell: Request) -> Run:
-    """A reference that is neither frozen nor kept, of other numbers with every call."""
-    scene = cb.SCENES[cell["scene"]]
-    rates = (scene.gamma * (1 + 1e-6 * k) for k in count(1))
-    return lambda: cb.reference(scene.with_(gamma=next(rates)), [0.01])
-
-
-def package_import(_: Request) -> Run:
-    """The package, by a process of its own."""
-    return lambda: subprocess.run([sys.executable, "-P", "-c", "import contactbench"], check=True)
-
-
-CALLS: dict[str, Callable[[Request], Run]] = {
-    "prepared": prepared,
-    "solve": solve,
-    "run(q=…)": from_elsewhere,
-    "new scene": new_scene,
-    "ensemble": ensemble,
-    "reference": reference,
-    "import": package_import,
-}
-
-
-# -- timing ----------------------------------------------------------------------------------------
-def ready(cell: Request) -> tuple[Run, float]:
+def ready(cell: dict[str, Any]) -> tuple[Run, float]:
     """Return a warm call and the seconds it takes.  Raises an error where the run does not end well."""
-    run = CALLS[cell["call"]](cell)
+    run = call(cell)
     solution = run()
     if isinstance(solution, cb.Solution) and not solution.ok:
         raise RuntimeError(f"{solution.status} {solution.message}")
@@ -133,9 +96,10 @@ def main() -> None:
             runs[int(i)] = ready(cell)
         except Exception as error:  # one cell that fails stops no other
             refused[i] = f"{type(error).__name__}: {error}"
-    if request["core"] is not None:
+    if hasattr(os, "sched_getaffinity"):
+        core = max(os.sched_getaffinity(0))  # that of the other process too
         for thread in os.listdir("/proc/self/task"):  # all of them: JAX has its own
-            os.sched_setaffinity(int(thread), {request["core"]})
+            os.sched_setaffinity(int(thread), {core})
     gc.collect()
     gc.freeze()
     gc.disable()

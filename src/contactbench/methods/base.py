@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from contactbench.methods.prepared import Prepared
-from contactbench.methods.request import METHODS, Request
+from contactbench.errors import Registry
+from contactbench.methods.prepared import Prepared, Request
 from contactbench.scene import Scene
 from contactbench.solution import EXACT
 
+#: name → `Method`
+METHODS = Registry("method")
 #: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
 #: for differential equations at large
 FAMILIES = ("contact", "variational", "established")

@@ -23,59 +23,235 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import and_
+from typing import Any
 
 import numpy as np
 
-from contactbench.methods.adaptive_program import first_density, next_density, record_loop
-from contactbench.methods.base import METHODS, SHORTEST, Adaptive, Request
-from contactbench.methods.compiled import CompiledRun
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared, stopwatch
-from contactbench.methods.request import NO_NUMBER
+from contactbench.methods.base import METHODS, SHORTEST, Adaptive
+from contactbench.methods.jax_engine import CompiledRun
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request, stopwatch
+from contactbench.numbers.control import XlaNumbers, choose
+from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.numbers.xla import XlaNumbers
-from contactbench.scene import Mechanical, Scene
+from contactbench.scene import Mechanical, Scene, Vector
 from contactbench.scene.cache import Cache, key
-from contactbench.solution import DIVERGENCE, Counts, Differential, Status, divergence_bound
+from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
+from contactbench.trace.form import Element, Function, Operation, Store
 from contactbench.trace.python import execute
-from contactbench.trace.recording import attempt
+from contactbench.trace.recording import RecordedNumbers, Tape, attempt, operand_of
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
+#: the density may fall by this factor in one step, at most: with a tolerance so loose that it would
+#: otherwise become negative, symmetry is lost
+SLOWEST = 0.25
 
 
-class ScalarNumbers(XlaNumbers):
-    """Without arrays: constants that change at every step are cheaper one by one, in the loop's own kernel."""
+# -- the step density --------------------------------------------------------------------------------
+def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
+    """‖∇²V‖²_F at q and its rate of change along v."""
+    if scene.hessian is not None:
+        rows = scene.hessian(tuple(map(Dual, q, v)), **scene.parameters)
+        entries = [entry for row in rows for entry in row]
+    else:
+        moving, entries = tuple(map(Dual, q, v)), []
+        for j in range(len(q)):
+            column = scene.dV(tuple(Dual(x, float(i == j)) for i, x in enumerate(moving)))
+            entries += [slope(entry) for entry in column]
+    total = Dual(0.0, 0.0)
+    for entry in entries:
+        total = total + entry * entry
+    return Dual(value(total), slope(total))
 
-    abilities = XlaNumbers.abilities._replace(vectors=False)
+
+def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
+    """ω, and d ln ω/dt along the motion."""
+    square = scene.inverse_mass * scene.inverse_mass
+    curvature = squared_curvature(scene, x.q, tuple(p * scene.inverse_mass for p in x.p))
+    damping = scene.gamma * scene.gamma / 64
+    fourth = curvature.a * square + damping * damping + 1 / (span * span * span * span)
+    return fourth**0.25, curvature.b * square / (4 * fourth)
 
 
+def first_density(scene: Mechanical, x: Any, epsilon: Any, span: Any, xp: Any) -> Any:
+    """ρ of the first step."""
+    omega, growth = frequency(scene, x, span)
+    return larger(omega + epsilon * growth / 2, SLOWEST * omega, xp)
+
+
+def next_density(scene: Mechanical, x: Any, density: Any, epsilon: Any, span: Any, xp: Any) -> Any:
+    """ρ of the step after x."""
+    return larger(density + epsilon * frequency(scene, x, span)[1], SLOWEST * density, xp)
+
+
+def larger(a: Any, b: Any, xp: Any) -> Any:
+    return choose(a >= b, a, b, xp)
+
+
+# -- the loop, on every engine -------------------------------------------------------------------------
+def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pace: Any) -> Any:
+    """Take the sequence of steps from x, and at each of the times the shortened step off it.
+
+    options : ε, the span, the budget of steps.  loops : those of an engine, ``repeat_while(condition, body, x)``, and
+    ``over(times, body, x)`` with a body that returns x and a row, NaN where not reached.  pace(x) : what decides how
+    long steps are, x or x without its tangent.
+    Returns what `over` does of (x, time, density, steps).
+    """
+    epsilon, span, budget = options
+    square = sum(c * c for c in motion_of(scene, x))
+    bound = DIVERGENCE**2 * choose(square > 0, square, 1.0, xp)
+
+    def next_time(carried: Any) -> Any:
+        _, time, density, _ = carried
+        return value(time) + epsilon / value(density)
+
+    def healthy(carried: Any) -> Any:
+        x, _, density, steps = carried
+        inside = [c * c <= bound for c in motion_of(scene, x)]
+        return reduce(and_, inside, (steps < budget) & (epsilon > SHORTEST * span * value(density)))
+
+    def step(carried: Any) -> Any:
+        x, time, density, steps = carried
+        h = epsilon / density
+        x = advance(RKN6, scene, x, h, 1, xp)
+        return x, time + h, next_density(scene, pace(x), density, epsilon, span, xp), steps + 1
+
+    def interval(carried: Any, due: Any) -> Any:
+        carried = loops.repeat_while(lambda c: (next_time(c) <= due) & healthy(c), step, carried)
+        x, time, _, _ = carried
+        complete = (next_time(carried) > due) & healthy(carried)
+        there = flat(scene.pack(advance(RKN6, scene, x, due - time, 1, xp)))
+        return carried, [choose(complete, c, math.nan, xp) for c in there]
+
+    density, zero = first_density(scene, pace(x), epsilon, span, xp), 0.0 * span
+    time = Dual(zero, zero) if isinstance(density, Dual) else zero
+    return loops.over(times, interval, (x, time, density, zero))
+
+
+def motion_of(scene: Any, x: Any) -> list[Any]:
+    """q and p, without their tangents."""
+    return [value(c) for c in scene.pack(x)[: scene.motion]]
+
+
+def flat(components: Any) -> list[Any]:
+    """Numbers, and after them the derivatives of dual ones."""
+    tangents = map(slope, components) if isinstance(components[0], Dual) else ()
+    return [*map(value, components), *tangents]
+
+
+class PythonLoops:
+    """Plain loops, which leave what was reached before there was no number: `rows`, and the `last` state carried."""
+
+    def __init__(self, x: Any) -> None:
+        self.rows: list[list[float]] = []
+        self.last = (x, 0.0, math.nan, 0.0)
+
+    def repeat_while(self, condition: Any, body: Any, x: Any) -> Any:
+        while condition(x):
+            self.last = x = body(x)
+        return x
+
+    def over(self, times: Any, body: Any, x: Any) -> None:
+        self.last = x
+        for t in times:
+            x, row = body(x, t)
+            self.rows.append(row)
+
+
+class RecordedLoops:
+    """Loops of a recorded function of the arrays `times` and `y`, which gets the rows."""
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape, self.repeat_while = tape, tape.repeat_while
+
+    def over(self, times: str, body: Any, x: Any) -> Any:
+        tape = self.tape
+
+        def interval(carried: Any) -> Any:
+            x, j = carried
+            x, row = body(x, tape.assign(Element(times, (j.name,)), "f", tape.block))
+            stores = [Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row)]
+            tape.block.statements += stores
+            return x, j + 1
+
+        return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]
+
+
+class JaxLoops:
+    """A while loop over the steps inside a scan over the saved times."""
+
+    def repeat_while(self, condition: Any, body: Any, x: Any) -> Any:
+        from contactbench.xla import lax
+
+        return lax.while_loop(condition, body, x)
+
+    def over(self, times: Any, body: Any, x: Any) -> Any:
+        from contactbench.xla import jnp, lax
+
+        def interval(x: Any, due: Any) -> Any:
+            x, row = body(x, due)
+            return x, jnp.stack(row)
+
+        return lax.scan(interval, x, times)
+
+
+def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, moving: bool = False) -> Function:
+    """``run(start, numbers, options, times, y, facts)``, the loop over steps and saved times.
+
+    y : states at the saved times.  facts : time, density and steps at the end of the sequence, and the state there.
+    tangent : the state is followed by a tangent, which is carried along with the steps as they are; moving : and
+    through their choice, by the tangents of time and density.
+    """
+    tape, d = Tape(), len(scene.labels(carry))
+
+    def load(array: str, size: int) -> list[Any]:
+        return [tape.assign(Element(array, (i,)), "f", tape.root) for i in range(size)]
+
+    twin = scene.with_numbers(load("numbers", len(scene.numbers())))
+    start, xp = load("start", d * (1 + tangent)), RecordedNumbers(tape)  # type: list[Any], Any
+    if tangent:
+        start, xp = list(map(Dual, start[:d], start[d:])), DualNumbers(xp)
+
+    def pace(x: Any) -> Any:
+        return x if moving else scene.unpack(list(map(value, scene.pack(x))), carry)
+
+    x = scene.unpack(start, carry)
+    end = solve(twin, x, load("options", 3), "times", xp, RecordedLoops(tape), pace)
+    x, time, density, steps = end
+    facts = [value(time), value(density), steps, *flat(scene.pack(x))]
+    stores = [Store(Element("facts", (i,)), operand_of(fact)) for i, fact in enumerate(facts)]
+    arguments = ("start", "numbers", "options", "times", "y", "facts")
+    return Function("run", arguments, (*tape.root.statements, *stores))
+
+
+# -- runs ----------------------------------------------------------------------------------------------
 @dataclass
 class AdaptiveContactRun(Prepared):
     """What the engines share: how a run ends, and what it costs."""
+
+    sensitivity_source = "forward-mode AD, accepted steps frozen"
+    #: how `sensitivity` with frozen=False differentiates
+    map_source = "forward-mode AD through the steps and their choice"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
         assert r.rtol is not None
-        self.composition = RKN6
-        self.per_step = plan(self.composition, r.scene).count(flows_of(r.scene), ("gradient",), 1)
+        self.per_step = plan(RKN6, r.scene).count(flows_of(r.scene), ("gradient",), 1)
         scene: Any = r.scene
         #: gradients that the curvature of a state costs where the scene has no Hessian
         self.by_gradients = len(scene.q) if scene.hessian is None else 0
         #: of steps of the sequence; the shortened ones, one to every saved time, come out of `max_steps` first
         self.budget = max(r.max_steps - len(r.save_at) + 1, 0)
-        self.epsilon, self.span = AIM * r.rtol ** (1 / self.composition.order), float(r.save_at[-1])
-
-    #: how `sensitivity` with frozen=False differentiates
-    map_source = ""
+        self.epsilon = AIM * r.rtol ** (1 / RKN6.order)
+        self.options = np.array([self.epsilon, self._end, self.budget])
 
     @abstractmethod
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
@@ -88,13 +264,12 @@ class AdaptiveContactRun(Prepared):
                 return Differential(self.map_source, out.y, self.sensitivity(y0, frozen=False)[None])
         return super().differential(y0, out, frozen)
 
-    def outcome(
-        self, y0: np.ndarray, y: np.ndarray, steps: int, time: float, last: list[float], density: float
-    ) -> Outcome:
-        """The outcome of a run whose sequence of steps ended at (time, last); y : NaN where not reached."""
+    def outcome(self, y0: np.ndarray, y: np.ndarray, facts: Any) -> Outcome:
+        """The outcome of a run from its states, NaN where not reached, and the facts of `record_loop`."""
         r = self.request
+        time, density, steps, *last = facts
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        counts = self.cost(steps, reached)
+        counts = self.cost(int(steps), reached)
         if reached == len(y):
             return self.finish(y0, y, counts)
         status, message = Status.budget, f"max_steps = {r.max_steps} spent (t = {time:.6g})"
@@ -112,80 +287,16 @@ class AdaptiveContactRun(Prepared):
         return Counts(taken, evaluations, curvatures, 0, "gradient")
 
 
-class AdaptivePythonLoop(AdaptiveContactRun):
-    """Plain Python floats."""
-
-    sensitivity_source = "forward-mode AD, accepted steps frozen, on jax"
-    map_source = "forward-mode AD through the steps and their choice, on jax"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        r, elapsed, scene, self.loop = self.request, stopwatch(), cast("Mechanical", self.request.scene), None
-        with suppress(CannotRecord):
-            loop = attempt(lambda: record_loop(self.composition, scene, r.carry, tangent=False))
-            self.loop = execute(loop)
-            self.compile_s = elapsed()
-
-    def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
-        return AdaptiveJaxLoop(self.method, self.request).sensitivity(y0, frozen)
-
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        if self.loop is not None:
-            r = self.request
-            y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0] * (3 + len(y0))
-            options = self.epsilon, self.span, self.budget
-            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                self.loop(y0.tolist(), r.scene.numbers(), options, r.save_at.tolist(), y, facts)
-                time, density, steps, *last = facts
-                return self.outcome(y0, np.array(y), int(steps), time, last, density)
-        return self.as_written(y0)
-
-    def as_written(self, y0: np.ndarray) -> Outcome:
-        """The same without a recorded loop."""
-        r, epsilon, span = self.request, self.epsilon, self.span
-        scene: Any = r.scene
-        bound = divergence_bound(y0[: self._motion]) ** 2
-        x, time, steps = scene.unpack(y0.tolist(), r.carry), 0.0, 0
-        y = np.full((len(r.save_at), len(y0)), math.nan)
-        density = math.nan
-        try:
-            density = first_density(scene, x, epsilon, span, max)
-            for k, due in enumerate(r.save_at.tolist()):
-                while time + epsilon / density <= due:
-                    step = epsilon / density
-                    if steps == self.budget or not step > SHORTEST * span:
-                        break
-                    if not all(c * c <= bound for part in x[:2] for c in part):
-                        break
-                    x = advance(self.composition, scene, x, step, 1, math)
-                    density = next_density(scene, x, density, epsilon, span, max)
-                    time, steps = time + step, steps + 1
-                else:
-                    if steps == self.budget:
-                        break
-                    y[k] = scene.pack(advance(self.composition, scene, x, due - time, 1, math))
-                    continue
-                break
-        except NO_NUMBER:
-            pass
-        return self.outcome(y0, y, steps, time, [float(c) for c in scene.pack(x)], density)
-
-
 _loops: Cache[tuple[Any, float]] = Cache(256)
 
 
 class AdaptiveNumbaLoop(AdaptiveContactRun):
-    """The same loop as a program compiled by LLVM."""
-
-    sensitivity_source = "forward-mode AD, accepted steps frozen"
-    map_source = "forward-mode AD through the steps and their choice"
+    """The loop as a program compiled by LLVM."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
-        self.numbers = np.array(r.scene.numbers())
-        self.options = np.array([self.epsilon, self.span, self.budget])
-        self.times = np.ascontiguousarray(r.save_at)
+        self.numbers, self.times = np.array(r.scene.numbers()), np.ascontiguousarray(r.save_at)
         self.run, self.compile_s = self.loop()
 
     def loop(self, tangent: bool = False, moving: bool = False) -> tuple[Any, float]:
@@ -194,48 +305,75 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
 
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
-            scene: Any = r.scene
-            loop = attempt(lambda: record_loop(self.composition, scene, r.carry, tangent, moving))
-            return compile_function(loop), elapsed()
+            function = attempt(lambda: record_loop(r.scene, r.carry, tangent, moving))
+            return compile_function(function), elapsed()
 
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 
-    def solve(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def call(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States at the saved times, and the facts about the end of the sequence."""
         y, facts = np.empty((len(self.times), len(start))), np.empty(3 + len(start))
         run(start, self.numbers, self.options, self.times, y, facts)
         return y, facts
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.solve(self.run, y0)[0][-1]
+        return self.call(self.run, y0)[0][-1]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        y, facts = self.solve(self.run, y0)
-        time, density, steps, *last = facts.tolist()
-        return self.outcome(y0, y, int(steps), time, last, density)
+        y, facts = self.call(self.run, y0)
+        return self.outcome(y0, y, facts.tolist())
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         run, _ = self.loop(tangent=True, moving=not frozen)
-        pushed = [self.solve(run, np.concatenate([y0, v]))[0][:, len(y0) :] for v in self.tangents(y0)]
-        return np.stack(pushed, axis=-1)
+        states = [self.call(run, np.concatenate([y0, v]))[0] for v in self.tangents(y0)]
+        return np.stack(states, axis=-1)[:, len(y0) :]
+
+
+class AdaptivePythonLoop(AdaptiveContactRun):
+    """Plain Python floats, in the recorded loop where there is one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        r, elapsed, self.loop = self.request, stopwatch(), None
+        with suppress(CannotRecord):
+            self.loop = execute(attempt(lambda: record_loop(r.scene, r.carry)))
+            self.compile_s = elapsed()
+
+    def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
+        return AdaptiveNumbaLoop(self.method, replace(self.request, engine="numba")).sensitivity(y0, frozen)
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        if self.loop is not None:
+            r = self.request
+            y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0] * (3 + len(y0))
+            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
+                self.loop(y0.tolist(), r.scene.numbers(), self.options.tolist(), r.save_at.tolist(), y, facts)
+                return self.outcome(y0, np.array(y), facts)
+        return self.as_written(y0)
+
+    def as_written(self, y0: np.ndarray) -> Outcome:
+        """The same without a recorded loop."""
+        r, y = self.request, np.full((self._saves, len(y0)), math.nan)
+        x = r.scene.unpack(y0.tolist(), r.carry)
+        loops = PythonLoops(x)
+        with suppress(*NO_NUMBER):
+            solve(r.scene, x, self.options.tolist(), r.save_at.tolist(), math, loops, lambda x: x)
+        y[: len(loops.rows)] = np.reshape(loops.rows, (-1, len(y0)))
+        x, time, density, steps = loops.last
+        return self.outcome(y0, y, (time, density, steps, *r.scene.pack(x)))
+
+
+class ScalarNumbers(XlaNumbers):
+    """Without arrays: constants that change at every step are cheaper one by one, in the loop's own kernel."""
+
+    abilities = XlaNumbers.abilities._replace(vectors=False)
 
 
 class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
-    """A while loop over the steps inside a scan over the saved times."""
-
-    sensitivity_source = "forward-mode AD, accepted steps frozen"
-    map_source = "forward-mode AD through the steps and their choice"
-
     def __post_init__(self) -> None:
-        from contactbench.xla import jax
-
         super().__post_init__()
-        r = self.request
-        options = [self.epsilon, self.span, self.budget]
-        self.fixed = jax.device_put(self.together(r.scene.numbers(), options, self.times()))
-        self.program, self.compile_s = self.compiled(
-            "run", self.flat(self._solve), self._own_start, self.fixed
-        )
+        numbers = self.request.scene.numbers()
+        self.compile(self.flat(self._solve), self.together(numbers, self.options, self.times()))
 
     def key(self) -> tuple[Any, ...]:
         return (self.method, self.capacity)
@@ -244,68 +382,42 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         return self._solve(y0, fixed)[0]
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
-        return self.pushed(y0, partial(self._states, frozen), "frozen" if frozen else "map")
+        def states(y0: Any, fixed: Any) -> Any:
+            return self._solve(y0, fixed, frozen)[0]
 
-    def _states(self, frozen: bool, y0: Any, fixed: Any) -> Any:
-        return self._solve(y0, fixed, frozen)[0]
+        return self.derivative(y0, states, "frozen" if frozen else "map")
 
     def _solve(self, y0: Any, fixed: Any, frozen: bool = True) -> Any:
         from contactbench.xla import jnp, lax
 
-        r, xp = self.request, ScalarNumbers()
         numbers, options, times = self.apart(fixed)
-        scene: Any = r.scene.with_numbers(list(numbers))
-        epsilon, span, budget = options
-        start = scene.unpack(list(y0), r.carry)
-        square = y0[: self._motion] @ y0[: self._motion]
-        bound = DIVERGENCE**2 * jnp.where(square > 0, square, 1.0)
-
-        def pace(x: Any) -> Any:
-            return lax.stop_gradient(x) if frozen else x
-
-        def due(carried: Any, until: Any) -> Any:
-            _x, time, density, _steps = carried
-            return time + epsilon / density <= until
-
-        def healthy(carried: Any) -> Any:
-            x, _time, density, steps = carried
-            inside = jnp.all(jnp.stack([c * c <= bound for part in x[:2] for c in part]))
-            return (steps < budget) & (epsilon > SHORTEST * span * density) & inside
-
-        def step(carried: Any) -> Any:
-            x, time, density, steps = carried
-            h = epsilon / density
-            x = advance(self.composition, scene, x, h, 1, xp)
-            density = next_density(scene, pace(x), density, epsilon, span, jnp.maximum)
-            return x, time + h, density, steps + 1
-
-        def interval(carried: Any, until: Any) -> Any:
-            carried = lax.while_loop(lambda c: due(c, until) & healthy(c), step, carried)
-            x, time, _, _ = carried
-            there = advance(self.composition, scene, x, until - time, 1, xp)
-            complete = healthy(carried) & ~due(carried, until)
-            return carried, jnp.where(complete, jnp.stack(scene.pack(there)), jnp.nan)
-
-        density = first_density(scene, pace(start), epsilon, span, jnp.maximum)
-        (x, time, density, steps), y = lax.scan(interval, (start, 0.0 * span, density, 0.0 * span), times)
-        return y, jnp.stack([time, density, steps]), jnp.stack(scene.pack(x))
+        scene: Any = self.request.scene.with_numbers(list(numbers))
+        x = scene.unpack(list(y0), self.request.carry)
+        pace = lax.stop_gradient if frozen else lambda x: x
+        (x, *facts), y = solve(scene, x, options, times, ScalarNumbers(), JaxLoops(), pace)
+        return y, jnp.stack(facts), jnp.stack(scene.pack(x))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        y, info, last = self.unflat(np.asarray(self.program(self.placed(y0), self.fixed)), len(y0))
-        time, density, steps = info
-        return self.outcome(y0, y, int(steps), time, last, density)
+        y, facts, last = self.unflat(super().call(y0), len(y0))
+        return self.outcome(y0, y, (*facts, *last))
 
 
-@dataclass(frozen=True)
+RUNS: dict[str, type[AdaptiveContactRun]] = {
+    "numba": AdaptiveNumbaLoop,
+    "jax": AdaptiveJaxLoop,
+    "python": AdaptivePythonLoop,
+}
+
+
 class AdaptiveContactMethod(Adaptive):
     family = "contact"
-    name: str = "contact-adaptive"
-    order: int | None = 6
-    about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
-    engines: tuple[str, ...] = ("numba", "jax", "python")
-    evaluations_per_step: int = 12
-    takes_atol: bool = False
-    tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
+    name = "contact-adaptive"
+    order = 6
+    about = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
+    engines = tuple(RUNS)
+    evaluations_per_step = 12
+    takes_atol = False
+    tolerance = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "general damping":
@@ -317,12 +429,7 @@ class AdaptiveContactMethod(Adaptive):
         return scene.own_equations
 
     def prepare(self, request: Request) -> Prepared:
-        loops: dict[str, type[AdaptiveContactRun]] = {
-            "numba": AdaptiveNumbaLoop,
-            "jax": AdaptiveJaxLoop,
-            "python": AdaptivePythonLoop,
-        }
-        return loops[request.engine](self.name, request)
+        return RUNS[request.engine](self.name, request)
 
 
 METHODS.add(AdaptiveContactMethod())

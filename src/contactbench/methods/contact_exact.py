@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass, replace
-from typing import Any, cast
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import CALLBACKS, METHODS, Method, Request
-from contactbench.methods.compiled import CompiledRun
-from contactbench.methods.numba_engine import Loop, loop_of
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
-from contactbench.methods.request import NO_NUMBER
-from contactbench.numbers.control import Repeat
-from contactbench.numbers.xla import XlaNumbers
+from contactbench.methods.base import CALLBACKS, METHODS, Method
+from contactbench.methods.fixed_step_run import Loop, loop_of
+from contactbench.methods.jax_engine import CompiledRun
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request
+from contactbench.numbers.control import Repeat, XlaNumbers
 from contactbench.scene import Scene
 from contactbench.solution import Counts, Status
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of
@@ -42,7 +39,10 @@ class ExactRun(Prepared):
 
     @abstractmethod
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Packed states at times > 0, as far as there are numbers for them; shape (k, d)."""
+        """Packed states at the last of the saved times, as far as there are numbers for them; shape (k, d)."""
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return self.states_at(y0, self.request.save_at[-1:])[-1]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         needed = len(self.later)
@@ -62,9 +62,6 @@ class ExactPython(ExactRun):
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         return ExactNumba(self.method, replace(self.request, engine="numba")).sensitivity(y0)
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return self.states_at(y0, self.request.save_at[-1:])[-1]
-
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
         scene: Any = self.request.scene
         x, rows = scene.unpack(y0.tolist(), self.request.carry), []
@@ -77,7 +74,7 @@ class ExactPython(ExactRun):
 
 
 class ExactNumba(ExactRun):
-    """Recorded and compiled by LLVM, called once for every saved time.
+    """Recorded as a loop of one step, compiled by LLVM, and called once for every saved time.
 
     The loops of the special functions have the fixed length of arrays, and what the time alone decides
     is computed ahead of a call.
@@ -87,13 +84,13 @@ class ExactNumba(ExactRun):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.loop = self.loop_of_one()
-        self.compile_s, self.run = self.loop.seconds, self.loop.run
+        self.loop = self.loop_to_a_time()
+        self.run, self.compile_s = self.loop.run, self.loop.seconds
         self.rows, self.shapes = self.ahead(self.loop)
 
-    def loop_of_one(self, tangent: bool = False) -> Loop:
-        """The evaluation as a loop of one step from the initial state."""
-        return loop_of(METHODS[self.method], self.request.scene, self.request.carry, tangent)
+    def loop_to_a_time(self, tangent: bool = False) -> Loop:
+        method: Any = METHODS[self.method]
+        return loop_of(method, self.request.scene, self.request.carry, tangent)
 
     def ahead(self, loop: Loop) -> tuple[np.ndarray, list[np.ndarray]]:
         """What depends on the saved times only, and the arguments that say which of it is which time's."""
@@ -114,13 +111,12 @@ class ExactNumba(ExactRun):
         return y
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        loop, tangents, d = self.loop_of_one(tangent=True), self.tangents(y0), len(y0)
+        loop, tangents, d = self.loop_to_a_time(tangent=True), self.tangents(y0), len(y0)
         rows, shapes = self.ahead(loop)
         y = np.empty((len(shapes), len(tangents), 2 * d))
         for j, tangent in enumerate(tangents):
-            start = np.concatenate([y0, tangent])
             for k, shape in enumerate(shapes):
-                loop.run(start, rows, shape, y[k, j : j + 1])
+                loop.run(np.concatenate([y0, tangent]), rows, shape, y[k, j : j + 1])
         return y[:, :, d:].transpose(0, 2, 1)
 
 
@@ -130,11 +126,8 @@ class ExactJax(ExactRun, CompiledRun):
     sensitivity_source = "forward-mode AD through the closed form"
 
     def __post_init__(self) -> None:
-        from contactbench.xla import jax
-
         super().__post_init__()
-        self.fixed = jax.device_put(self.together(self.request.scene.numbers(), self.times()))
-        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
+        self.compile(self.states, self.together(self.request.scene.numbers(), self.times()))
 
     def key(self) -> tuple[Any, ...]:
         return (self.method, self.capacity)
@@ -148,29 +141,25 @@ class ExactJax(ExactRun, CompiledRun):
         x = scene.unpack(list(y0), r.carry)
         return jax.vmap(lambda t: jnp.stack(scene.pack(evolve(scene, x, t, xp))))(times)
 
-    def bare(self, y0: np.ndarray) -> np.ndarray:
-        return np.asarray(self.program(self.placed(y0), self.fixed))[-1]
-
     def states_at(self, y0: np.ndarray, times: np.ndarray) -> np.ndarray:
-        states = np.asarray(self.program(self.placed(y0), self.fixed))
-        return states[: len(self.request.save_at)][-len(times) :]
+        return self.call(y0)[: self._saves][-len(times) :]
 
 
-@dataclass(frozen=True)
+RUNS: dict[str, type[ExactRun]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}
+
+
 class ExactMethod(Method):
     """A closed form for any time: neither step nor tolerance."""
 
-    name: str = "contact-exact"
-    about: str = (
-        "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
-    )
-    order: int | None = None
-    engines: tuple[str, ...] = ("numba", "jax", "python")
-    family: str = "contact"
-    contact: bool = True
-    adaptive: bool = False
-    exact: bool = True
-    tolerance: str = "nothing: the result has the digits that round-off of the phase leaves"
+    name = "contact-exact"
+    about = "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"
+    order = None
+    engines = tuple(RUNS)
+    family = "contact"
+    contact = True
+    adaptive = False
+    exact = True
+    tolerance = "nothing: the result has the digits that round-off of the phase leaves"
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "isotropic body":
@@ -186,8 +175,7 @@ class ExactMethod(Method):
         return evolve(scene, x, n * h, xp)
 
     def prepare(self, request: Request) -> Prepared:
-        runs: dict[str, type[Any]] = {"numba": ExactNumba, "jax": ExactJax, "python": ExactPython}
-        return cast("Prepared", runs[request.engine](self.name, request))
+        return RUNS[request.engine](self.name, request)
 
 
 METHODS.add(ExactMethod())

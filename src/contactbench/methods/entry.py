@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import blame
-from contactbench.errors import BadInput, excerpt, positive, text, whole
-from contactbench.methods.base import CALLBACKS, METHODS, Method, Request
-from contactbench.methods.prepared import Prepared, Refused, begins
-from contactbench.methods.request import default_times, long_enough, saved_times
-from contactbench.methods.step_map import StepMap, try_step
+from contactbench.errors import BadInput, array, excerpt, positive, text, whole
+from contactbench.methods.base import CALLBACKS, METHODS, Method
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import steps_in
+from contactbench.methods.prepared import Prepared, Refused, Request, require_slope
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene, verify
 from contactbench.scene.definition import verify_at
@@ -26,6 +26,12 @@ DEFAULT_MAX_STEPS = 10**8
 ADAPTIVE_MAX_STEPS = 10**6
 #: the largest budget: a year at ten steps in a microsecond is less
 MOST_STEPS = 10**14
+#: saved times when the caller names none: every k-th step with at most this many for fixed steps,
+#: this many equal intervals for adaptive methods
+DEFAULT_SAVES = 1000
+ADAPTIVE_SAVES = 200
+#: parts of a shorter run are no longer normal numbers
+SHORTEST_RUN = 1e-290
 
 
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
@@ -71,17 +77,17 @@ def prepare(
         return request
     engines = engines_of(chosen) if engine is None else (engine,)
     try:
-        run = first = compiled_by(chosen, request)
+        run = first = prepare_on_engine(chosen, request)
         for other in engines[1:]:
             if not isinstance(run, Refused):
                 return run
-            run = compiled_by(chosen, replace(request, engine=other))
+            run = prepare_on_engine(chosen, replace(request, engine=other))
     except BaseException as error:
         raise blame(f"{chosen.name} on scene {scene.name!r}", error) from error.__cause__
     return first if isinstance(run, Refused) else run
 
 
-def compiled_by(method: Method, request: Request) -> Prepared:
+def prepare_on_engine(method: Method, request: Request) -> Prepared:
     """Return a method's run on one engine; `Refused` where scene or method cannot be compiled for it."""
     try:
         return method.prepare(request)
@@ -107,54 +113,94 @@ def make_request(
     """Return the checked request for the first engine; `Refused` where the method refuses the scene."""
     if engine is not None and not (isinstance(engine, str) and engine in chosen.engines):
         raise BadInput(f"engine = {excerpt(engine)}: {chosen.name} runs on {', '.join(chosen.engines)}")
-    if chosen.exact:
-        if not step is rtol is atol is None:
-            raise BadInput(
-                f"{_settings(step, rtol, atol)}: {chosen.name} is exact and takes neither step nor tolerance"
-            )
-    elif chosen.adaptive:
-        if step is not None:
-            raise BadInput(f"step = {excerpt(step)}: {chosen.name} chooses its own steps; give rtol")
-        if atol is not None and not chosen.takes_atol:
-            raise BadInput(f"atol = {excerpt(atol)}: {chosen.name} takes rtol alone")
-        rtol, own = _tolerances(chosen, rtol, atol)
-        atol = own if chosen.takes_atol else None
+    step, rtol, atol = setting_of(chosen, step, rtol, atol)
+    if max_steps is None:
+        budget = ADAPTIVE_MAX_STEPS if chosen.adaptive or chosen.exact else DEFAULT_MAX_STEPS
     else:
-        if step is not None and rtol is not None:
-            raise BadInput(
-                f"step = {excerpt(step)} and rtol = {excerpt(rtol)}: {chosen.name} takes one of them, a fixed step or "
-                "a tolerance to choose it from"
-            )
-        if atol is not None:
-            raise BadInput(f"atol = {excerpt(atol)}: {chosen.name} has a fixed step and takes no atol")
-        if step is rtol is None:
-            raise BadInput(
-                f"step is missing: {chosen.name} has a fixed step; give step, or rtol to have it chosen"
-            )
-        if step is None:
-            rtol, _ = _tolerances(chosen, rtol, None)
-        else:
-            step = positive("step", step)
-    budget = _budget(chosen, max_steps)
-    times = long_enough(default_times(scene, step, budget)) if save_at is None else saved_times(save_at)
+        budget = whole("max_steps", max_steps, MOST_STEPS)
+    times = default_times(scene, step, budget) if save_at is None else saved_times(save_at)
+    if times[-1] < SHORTEST_RUN:
+        raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
     if (why := chosen.refuses(scene)) is not None:
         return Refused(chosen.name, request, why)
     verify(scene)
-    begins(scene, scene.initial(request.carry))
-    if isinstance(chosen, StepMap):
-        try_step(chosen, scene, request.carry, step)
+    require_slope(scene, scene.initial(request.carry))
+    if isinstance(chosen, FixedStep):
+        chosen.try_step(scene, request.carry, step)
     return request
+
+
+def setting_of(
+    method: Method, step: Any, rtol: Any, atol: Any
+) -> tuple[float | None, float | None, float | None]:
+    """Return step, rtol and atol as a method takes them, checked; None for what it does not take."""
+    name = method.name
+    if method.exact:
+        if not step is rtol is atol is None:
+            given = f"step = {excerpt(step)}, rtol = {excerpt(rtol)}, atol = {excerpt(atol)}"
+            raise BadInput(f"{given}: {name} is exact and takes neither step nor tolerance")
+        return None, None, None
+    if method.adaptive:
+        if step is not None:
+            raise BadInput(f"step = {excerpt(step)}: {name} chooses its own steps; give rtol")
+        if atol is not None and not method.takes_atol:
+            raise BadInput(f"atol = {excerpt(atol)}: {name} takes rtol alone")
+        if rtol is None:
+            raise BadInput(f"rtol is missing: {name} is adaptive; give rtol")
+        rtol = tolerance(method, rtol)
+        if not method.takes_atol:
+            return None, rtol, None
+        return None, rtol, rtol if atol is None else positive("atol", atol)
+    if step is not None and rtol is not None:
+        raise BadInput(
+            f"step = {excerpt(step)} and rtol = {excerpt(rtol)}: {name} takes one of them, a fixed step or "
+            "a tolerance to choose it from"
+        )
+    if atol is not None:
+        raise BadInput(f"atol = {excerpt(atol)}: {name} has a fixed step and takes no atol")
+    if step is rtol is None:
+        raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
+    if step is None:
+        return None, tolerance(method, rtol), None
+    return positive("step", step), None, None
+
+
+def tolerance(method: Method, rtol: Any) -> float:
+    """Return an rtol that is in the method's range."""
+    rtol = positive("rtol", rtol)
+    low, high = method.rtol_range
+    if not low <= rtol <= high:
+        raise BadInput(f"rtol = {rtol!r}: {method.name} takes {low:g} to {high:g}")
+    return rtol
+
+
+def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
+    if step is None:
+        return np.linspace(0.0, scene.t_end, ADAPTIVE_SAVES + 1)
+    n = int(steps_in(scene.t_end, scene.t_end, step))
+    if n > budget:  # will end as `budget`; no grid of that size is needed
+        return np.array([scene.t_end])
+    stride = -(-n // DEFAULT_SAVES)
+    marks = np.append(np.arange(0, n, stride), n)
+    return marks * (scene.t_end / n)
+
+
+def saved_times(save_at: Any) -> np.ndarray:
+    times = np.array(array("save_at", save_at, "increasing times"), ndmin=1)  # a copy
+    if times.ndim != 1 or not len(times) or not np.all(np.isfinite(times)):
+        raise BadInput(f"save_at = {excerpt(save_at)}: must be finite times, at least one")
+    if times[0] < 0 or np.any(np.diff(times) <= 0):
+        raise BadInput("save_at: times must be ≥ 0 and strictly increasing")
+    if len(times) == 1 and times[0] == 0:
+        raise BadInput("save_at: at least one time must be > 0")
+    return times
 
 
 def engines_of(method: Method) -> tuple[str, ...]:
     """Return a method's engines in the order to try them: Python first where numba is told not to compile."""
     return method.engines if compiles() else tuple(sorted(method.engines, key=lambda e: e not in CALLBACKS))
-
-
-def _settings(step: Any, rtol: Any, atol: Any) -> str:
-    return f"step = {excerpt(step)}, rtol = {excerpt(rtol)}, atol = {excerpt(atol)}"
 
 
 def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
@@ -166,19 +212,3 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
     if solution.ok:
         verify_at(solution.scene, solution.y)
     return solution
-
-
-def _tolerances(method: Any, rtol: float | None, atol: float | None) -> tuple[float, float]:
-    if rtol is None:
-        raise BadInput(f"rtol is missing: {method.name} is adaptive; give rtol")
-    rtol = positive("rtol", rtol)
-    low, high = method.rtol_range
-    if not low <= rtol <= high:
-        raise BadInput(f"rtol = {rtol!r}: {method.name} takes {low:g} to {high:g}")
-    return rtol, rtol if atol is None else positive("atol", atol)
-
-
-def _budget(method: Method, max_steps: int | None) -> int:
-    if max_steps is None:
-        return DEFAULT_MAX_STEPS if method.control == "step" else ADAPTIVE_MAX_STEPS
-    return whole("max_steps", max_steps, MOST_STEPS)

@@ -2,33 +2,130 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.errors import NAME, BadInput, excerpt, function, switch, text, whole
-from contactbench.methods.base import FAMILIES, METHODS, Request
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.boundary import is_ours, their_code
+from contactbench.errors import NAME, BadInput, excerpt, function, is_number, switch, text, whole
+from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
+from contactbench.methods.fixed_step_run import FixedStepRun, NumbaLoop, PythonLoop
 from contactbench.methods.jax_engine import JaxLoop
-from contactbench.methods.many import MANY_ENGINES
-from contactbench.methods.numba_engine import NumbaLoop
-from contactbench.methods.prepared import Prepared
-from contactbench.methods.python_engine import PythonLoop
+from contactbench.methods.many import MANY_RUNS
+from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
-from contactbench.methods.step_map import Step, StepMap
+from contactbench.numbers.control import Repeat, repeat
+from contactbench.scene import Scene
+from contactbench.scene.base import TRIED
 
-ENGINES: dict[str, type[FixedStepRun]] = {"numba": NumbaLoop, "jax": JaxLoop, "python": PythonLoop}
+Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
+Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
+
+#: who takes the steps; an engine gets its loop here
+RUNS: dict[str, type[FixedStepRun]] = {"numba": NumbaLoop, "jax": JaxLoop, "python": PythonLoop}
 
 
 @dataclass(frozen=True)
-class FixedStep(StepMap):
-    """A step map on the engines; see `StepMap` for what it declares."""
+class FixedStep(Method):
+    """A one-step method given by its step map ``step(scene, x, h, xp) -> x``.
+
+    The map is written on the scene's own components, so it runs on Python floats, NumPy arrays (an ensemble),
+    mpmath numbers, traced and recorded numbers alike; xp is the number namespace that goes with them.
+
+    evaluations : of `kind` per step.  A method that can merge the end of one step with the start of the next
+    overrides `advance` and `counts` (see contact.py).
+    """
+
+    name: str
+    order: int
+    step: Step
+    evaluations: int = 1
+    #: what is counted: "rhs", "gradient" or "rotation"
+    kind: str = "rhs"
+    about: str = ""
+    engines: tuple[str, ...] = tuple(RUNS)
+    family: str = "established"
+    contact: bool = False  # every step is an exact conformal contact map with factor e^{−γh}
+    symmetric: bool = False
+    factor: Factor | None = None  # every step is a conformal contact map with this factor instead
+    adaptive = False
+    tolerance = (
+        "the largest error over the saved times, relative to the largest state: pilots choose the step"
+    )
 
     def prepare(self, request: Request) -> Prepared:
-        run = (MANY_ENGINES if request.scene.kind == "many" else ENGINES)[request.engine]
+        run = (MANY_RUNS if request.scene.kind == "many" else RUNS)[request.engine]
         if request.step is not None:
             return run(self.name, request, self)
         return ChosenStep(self.name, request, self, run)
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        """n ≥ 1 steps of size h."""
+        return repeat(n, lambda x: self.step(scene, x, h, xp), x)
+
+    def conformal_factor(self, scene: Scene, h: Any, xp: Any = math) -> Any | None:
+        """The constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None where none is claimed."""
+        if self.refuses(scene) is not None or scene.conformal_rate is None:
+            return None
+        if self.factor is not None:
+            return self.factor(scene, h, xp)
+        return xp.exp(-scene.conformal_rate * h) if self.contact else None
+
+    def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
+        """Log of the conformal factor of n steps of size h from x; None where the steps are no contact maps.
+
+        nan where the factor is negative, as that of a Herglotz step may be.
+        """
+        factor = self.conformal_factor(scene, h)
+        if factor is None:
+            return None
+        return n * math.log(factor) if factor > 0 else math.nan
+
+    def modified_hamiltonian(self, scene: Scene, x: Any, h: float) -> Any | None:
+        """H̃ at x of which steps of size h are the flow, up to a power of h; None where none is known."""
+        return None
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        """Evaluations in n uninterrupted steps; carry : as in `solve`."""
+        return n * self.evaluations
+
+    def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
+        """Evaluations of a step in the middle of a run."""
+        return self.counts(scene, 2, carry) - self.counts(scene, 1, carry)
+
+    def kind_on(self, scene: Scene) -> str:
+        """What `counts` counts on this scene."""
+        return self.kind
+
+    def step_cost(self, scene: Scene, engine: str) -> float | None:
+        return self.per_step(scene) if engine in CALLBACKS else None
+
+    def try_step(self, scene: Scene, carry: tuple[str, ...], step: float | None = None) -> None:
+        """Raise `BadInput` unless a user's step map takes a state of the scene to a state of the same fields."""
+        if is_ours(type(self)) and is_ours(self.step):  # what this package brings has tests of its own
+            return
+        x, h, what = scene.initial(carry), TRIED * scene.t_end, f"method {self.name!r}"
+        with their_code(what):
+            try:
+                after = self.advance(scene, x, min(h, step or h), 1, math)
+            except ArithmeticError:  # Python's way to say inf; the run will end as diverged
+                return
+        if type(after) is not type(x):
+            raise BadInput(f"{what}: its step map returns {excerpt(after)}: must be a {type(x).__name__}")
+        for name, old, new in zip(x._fields, x, after, strict=True):
+            if not alike(old, new):
+                must = f"must be like {excerpt(old)}"
+                raise BadInput(f"{what}: its step map returns {name} = {excerpt(new)}: {must}")
+
+
+def alike(old: Any, new: Any) -> bool:
+    """Whether a field after a step is what it was before: so many real numbers, one, or None."""
+    if old is None or new is None:
+        return old is new
+    if isinstance(old, tuple):
+        return isinstance(new, tuple) and len(new) == len(old) and all(map(alike, old, new))
+    return is_number(new)
 
 
 #: no method has more stages, nor a higher order

@@ -1,37 +1,197 @@
-"""Runs of fixed-step methods: what the engines share, and the plainest of them, Python floats."""
+"""Runs of fixed-step methods: the division into steps, and the loop over them, by numba or by Python."""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Hashable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
-from contactbench.methods.request import UNCOUNTED, steps_in
-from contactbench.methods.step_map import StepMap
-from contactbench.solution import Counts, Status
+from contactbench.boundary import is_ours
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, stopwatch
+from contactbench.numbers.dual import Dual, DualNumbers, slope, value
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.scene import Scene
+from contactbench.scene.cache import Cache, key
+from contactbench.solution import DIVERGENCE, Counts, Status
+from contactbench.trace.compiled import compile_function, require_compiler
+from contactbench.trace.program import Program, record
+from contactbench.trace.python import execute
 
+if TYPE_CHECKING:
+    from contactbench.methods.fixed_step import FixedStep
+
+#: more steps than any budget allows are counted as this many
+UNCOUNTED = 2**50
+#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
+#: rounded, as a product or a sum of two, and so may be the spacing of the grid
+GRID_ULPS = 4
 #: relative differences of steps that are round-off of the saved times
 EQUAL = 1e-9
+#: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
+AHEAD = 2**22
+#: as many numbers take Python milliseconds, and `setup` takes a tenth of a second to compile
+FEW = 2**13
 
 
+@np.errstate(over="ignore")
+def steps_in(span: Any, until: Any, step: float) -> Any:
+    """The fewest equal steps that cover each span without exceeding `step` (up to round-off).
+
+    until : the time at which it ends.  The difference of two saved times has their round-off, which for short
+    intervals late in a run is far above that of the interval itself.
+    """
+    ratio = (span * (1 - 1e-12) - GRID_ULPS * np.spacing(until)) / step
+    return np.minimum(np.maximum(np.ceil(ratio), 1), UNCOUNTED).astype(np.int64)
+
+
+# -- the loop over steps, recorded from a method on a scene ------------------------------------------
+def program_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
+    """The recorded loop of a method on a scene.
+
+    tangent : packed states are followed by a tangent vector, which is carried along.
+    Raises `CannotRecord` where the method or the scene branches on values.
+    """
+    d = len(scene.labels(carry))
+
+    def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
+        if tangent:
+            y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
+        start = scene.unpack(y, carry)
+        end = scene.pack(method.advance(scene.with_numbers(numbers), start, h, n, xp, repeat))
+        return [*map(value, end), *map(slope, end)] if tangent else end
+
+    return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
+
+
+def is_fixed(method: FixedStep) -> bool:
+    """Whether a step map is one of this package, which computes the same tomorrow."""
+    return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
+
+
+def identity(method: FixedStep, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
+    """What a compiled loop of a method on a scene depends on besides the numbers; None where nobody can tell.
+
+    A user's step map counts by what it was recorded with, as the scene's functions do.
+    """
+    if (own := scene.identity) is None:
+        return None
+    if is_fixed(method):
+        return method, own, carry
+    try:
+        program = program_of(method, scene, carry)
+    except CannotRecord:
+        return None
+    recorded = program.setup.digest, program.run.digest, program.data.tobytes(), program.shape.tobytes()
+    return *recorded, own, carry
+
+
+class Loop:
+    """A recorded loop over steps, compiled when it is first run."""
+
+    def __init__(self, program: Program, seconds: float) -> None:
+        self.program = program
+        #: spent on recording and compiling
+        self.seconds = seconds
+
+    @cached_property
+    def run(self) -> Any:
+        elapsed = stopwatch()
+        run = compile_function(self.program.run)
+        self.seconds += elapsed()
+        return run
+
+    @cached_property
+    def setup(self) -> Any:
+        """What is computed ahead of a run, compiled: the same bits as in Python, whose operations are not fused."""
+        elapsed = stopwatch()
+        setup = compile_function(self.program.setup, fused=False)
+        self.seconds += elapsed()
+        return setup
+
+    @cached_property
+    def in_python(self) -> tuple[Any, Any]:
+        """`setup` and `run`, run by Python."""
+        return execute(self.program.setup), execute(self.program.run)
+
+    def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
+        spans = np.column_stack([h, n])
+        which = np.zeros(1, dtype=np.int64)
+        if len(n) > 1:
+            spans, which = np.unique(spans, axis=0, return_inverse=True)
+        return self.table(numbers, spans), np.concatenate([self.program.shape, which])
+
+    def table(self, numbers: np.ndarray, spans: np.ndarray) -> np.ndarray:
+        """The rows of several (h, n): by Python where they are few, `setup` is not compiled, and it can."""
+        program = self.program
+        if "setup" not in vars(self) and len(spans) * program.width <= FEW:
+            rows = [[0.0] * program.width for _ in spans]
+            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
+                given = (numbers, spans, program.data, program.shape)
+                self.in_python[0](*(part.tolist() for part in given), rows)
+                return np.array(rows, dtype=float)
+        w = np.empty((len(spans), program.width))
+        self.setup(numbers, spans, program.data, program.shape, w)
+        return w
+
+    def states(self, numbers: np.ndarray, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Packed states after each interval of n[k] steps of size h[k], of which some are taken at a time."""
+        y = np.empty((len(n), len(y0)))
+        together = max(1, AHEAD // self.program.width)
+        for first in range(0, len(n), together):
+            part = slice(first, first + together)
+            self.run(y0, *self.rows(numbers, h[part], n[part]), y[part])
+            y0 = y[part][-1]
+        return y
+
+
+_loops: Cache[Loop] = Cache(1024)
+
+
+def loop_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+    """The recorded loop of a method on a scene; one for all scenes of one identity.
+
+    Raises `CannotRecord`, also where numba is told not to compile.
+    """
+    require_compiler()
+
+    def make() -> Loop:
+        elapsed = stopwatch()
+        program = program_of(method, scene, carry, tangent)
+        return Loop(program, elapsed())
+
+    return _loops.get(key(identity(method, scene, carry), tangent), make)
+
+
+# -- runs --------------------------------------------------------------------------------------------
 @dataclass
 class FixedStepRun(Prepared):
-    """What the engines share: the division of the run into intervals of equal steps."""
+    """What the engines share: the division of the run into intervals of equal steps.
 
-    method_: StepMap
+    An engine's own class writes `intervals`, and `bare` where there is a faster way.
+    """
+
+    method_: FixedStep
+
+    sensitivity_source = "forward-mode AD through the same steps, compiled"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
+        self.numbers = np.array(r.scene.numbers())
         self.marks = np.diff(self.later, prepend=0.0)
         self.first_step = self.method_.counts(r.scene, 1, r.carry)
         self.each_step = self.method_.per_step(r.scene, r.carry)
         self.kind = self.method_.kind_on(r.scene)
+        if not is_fixed(self.method_):  # a user's map may be another when its derivative is asked for
+            with suppress(CannotRecord):
+                self.tangent_loop  # noqa: B018
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
     def divide(self, step: float) -> None:
@@ -50,46 +210,24 @@ class FixedStepRun(Prepared):
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, evaluations, 0, 0, self.kind)
 
-    def steps_at(self, step: float) -> int:
-        """How many steps a division by `step` makes."""
-        return total(self.division(step))
-
     def division(self, step: float) -> np.ndarray:
         """Steps in each interval when divided by `step`."""
-        spans = zip(self.marks.tolist(), self.later.tolist(), strict=True)
-        return np.array([steps_in(span, step, until) for span, until in spans], dtype=np.int64)
+        return steps_in(self.marks, self.later, step)
 
     @abstractmethod
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Packed states after each interval of n[k] steps of size h[k]; shape (k, d)."""
 
-    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-        """As in `Prepared`: the flows are applied once more, in plain floats, from every saved state."""
-        r = self.request
-        starts = y[:-1] if self.saves_start else np.concatenate([y0[None], y[:-1]])
-        logs = [
-            self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
-            for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
-        ]
-        known = [log for log in logs if log is not None]
-        if len(known) < len(logs):
-            return None
-        return np.cumsum([0.0, *known] if self.saves_start else known)
-
-    def modified_hamiltonian(self, x: Any) -> Any | None:
-        """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
-        if np.ptp(self.h) > EQUAL * self.h[0]:
-            return None
-        return self.method_.modified_hamiltonian(self.request.scene, x, float(self.h[0]))
-
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
         if self.needed > r.max_steps:
-            nothing = np.empty((0, len(y0)))
             needed = str(self.needed) if self.needed < UNCOUNTED else f"more than {UNCOUNTED:.0e}"
             message = f"{needed} steps needed, max_steps = {r.max_steps}"
-            return self.finish(y0, nothing, Counts(), Status.budget, message)
-        y = self.intervals(y0, self.h, self.n)
+            return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
+        return self.judge(y0, self.intervals(y0, self.h, self.n))
+
+    def judge(self, y0: np.ndarray, y: np.ndarray) -> Outcome:
+        """Return the outcome of a run with these states after the intervals."""
         out = self.finish(y0, self.from_start(y0, y), self.totals)
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
@@ -115,6 +253,41 @@ class FixedStepRun(Prepared):
         message = f"left the scene's scale by a factor 1e6 at t = {end:.6g}"
         return Outcome(out.y, counts, Status.diverged, message, end)
 
+    # -- the map ---------------------------------------------------------------------------------------
+    @cached_property
+    def tangent_loop(self) -> Loop:
+        return loop_of(self.method_, self.request.scene, self.request.carry, tangent=True)
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        tangents = self.tangents(y0)
+        starts = [np.concatenate([y0, v]) for v in tangents]
+        states = [self.tangent_loop.states(self.numbers, start, self.h, self.n) for start in starts]
+        return self.from_start(np.array(tangents).T, np.stack(states, axis=-1)[:, len(y0) :])
+
+    def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+        """As in `Prepared`: the flows are applied once more, in plain floats, from every saved state."""
+        r = self.request
+        starts = y[:-1] if self.saves_start else np.concatenate([y0[None], y[:-1]])
+        logs = [
+            self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
+            for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
+        ]
+        known = [log for log in logs if log is not None]
+        if len(known) < len(logs):
+            return None
+        return np.cumsum([0.0, *known] if self.saves_start else known)
+
+    def modified_hamiltonian(self, x: Any) -> Any | None:
+        """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
+        if np.ptp(self.h) > EQUAL * self.h[0]:
+            return None
+        return self.method_.modified_hamiltonian(self.request.scene, x, float(self.h[0]))
+
+
+def total(n: np.ndarray) -> int:
+    """Σ n[k], which may be more than an int64 holds: then about."""
+    return int(n.sum(dtype=float))
+
 
 class Division(FixedStepRun):
     """The steps alone, for ensembles, which take them in ways of their own: nothing is recorded or compiled."""
@@ -123,6 +296,94 @@ class Division(FixedStepRun):
         raise NotImplementedError
 
 
-def total(n: np.ndarray) -> int:
-    """Σ n[k], which may be more than an int64 holds: then about."""
-    return int(n.sum(dtype=float))
+class NumbaLoop(FixedStepRun):
+    """The steps as one compiled loop over all intervals."""
+
+    sensitivity_source = "forward-mode AD through the numerical map"
+
+    def __post_init__(self) -> None:
+        self.loop = loop_of(self.method_, self.request.scene, self.request.carry)
+        self.run = self.loop.run
+        self.compile_s = self.loop.seconds
+        super().__post_init__()
+
+    def divide(self, step: float) -> None:
+        super().divide(step)
+        self.size = len(self.n), len(self.start)
+        #: arguments of the loop that depend on the steps only, unless there are too many to be kept
+        self.ahead = None
+        if len(self.n) * self.loop.program.width <= AHEAD:
+            self.ahead = self.loop.rows(self.numbers, self.h, self.n)
+
+    def divides_often(self) -> None:
+        self.loop.setup  # noqa: B018, compiled now
+        self.compile_s = self.loop.seconds
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        if self.ahead is None:
+            return self.intervals(y0, self.h, self.n)[-1]
+        after = np.empty(self.size)
+        self.run(y0, *self.ahead, after)
+        return after[-1]
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        if n is not self.n or self.ahead is None:
+            return self.loop.states(self.numbers, y0, h, n)
+        after = np.empty(self.size)
+        self.run(y0, *self.ahead, after)
+        return after
+
+
+Span = tuple[float, int]  #: a step size, and how many steps
+
+
+class PythonLoop(FixedStepRun):
+    """Plain Python floats, in the loop that the numba engine compiles.
+
+    It takes a tenth of the time of the step map as it is written, which runs where none can be recorded.
+    """
+
+    def __post_init__(self) -> None:
+        elapsed = stopwatch()
+        self.loop: Loop | None = None
+        with suppress(CannotRecord):
+            self.loop = Loop(program_of(self.method_, self.request.scene, self.request.carry), 0.0)
+            self.setup, self.run = self.loop.in_python
+            self.compile_s = elapsed()
+        super().__post_init__()
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        spans = list(zip(h.tolist(), n.tolist(), strict=True))
+        if self.loop is not None:
+            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
+                return np.array(self.run_program(self.loop.program, y0.tolist(), spans))
+        return np.array(self.as_written(y0.tolist(), spans), dtype=float)
+
+    def run_program(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
+        """States after each interval, by the recorded loop."""
+        numbers, data, shape = self.request.scene.numbers(), program.data.tolist(), program.shape.tolist()
+        rows, w, last = [], [[0.0] * program.width], None
+        for span in spans:
+            if span != last:
+                self.setup(numbers, [span], data, shape, w)
+                last = span
+            after = [[0.0] * len(y)]
+            self.run(y, w, [*shape, 0], after)
+            rows.append(y := after[0])
+        return rows
+
+    def as_written(self, y: list[float], spans: list[Span]) -> list[list[float]]:
+        """The same by the step map itself; NaN from where on there are no numbers."""
+        r = self.request
+        rows: list[list[float]] = []
+        with suppress(*NO_NUMBER):
+            for state in trajectory(self.method_, r.scene, r.scene.unpack(y, r.carry), spans, math):
+                rows.append(r.scene.pack(state))
+        return rows + [[math.nan] * len(y)] * (len(spans) - len(rows))
+
+
+def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
+    """States after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
+    for h, n in spans:
+        x = method.advance(scene, x, h, n, xp)
+        yield x

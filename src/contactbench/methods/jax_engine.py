@@ -1,18 +1,134 @@
-"""The JAX engine of the fixed-step methods: a loop over steps inside a scan over the saved times."""
+"""Runs on JAX: one compiled program per structure, its forward derivative, and the loop over fixed steps."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Hashable
 from functools import cached_property
-from typing import Any
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
 
-from contactbench.methods.compiled import CompiledRun
-from contactbench.methods.fixed_step_run import FixedStepRun
-from contactbench.methods.step_map import identity
-from contactbench.numbers.control import Repeat
-from contactbench.numbers.xla import XlaNumbers
+from contactbench.methods.fixed_step_run import FixedStepRun, identity
+from contactbench.methods.prepared import Prepared, stopwatch
+from contactbench.numbers.control import Repeat, XlaNumbers
+from contactbench.scene.cache import Cache, key
+from contactbench.trace.recording import reason_of
+
+_programs: Cache[tuple[Any, float]] = Cache(1024)
+
+
+class CompiledRun(Prepared):
+    """A run whose saved states are a JAX function of the packed initial state and other arguments.
+
+    Everything numerical (initial data, parameters, steps, tolerances, saved times) is an argument:
+    a program is compiled once per scene structure and `capacity` for saved times, then shared.
+    """
+
+    #: numbers of saved times a program is compiled for; the next larger one serves all in between
+    capacities: ClassVar[tuple[int, ...]] = (1, 64, 1024)
+
+    #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
+    fixed: Any
+
+    @abstractmethod
+    def key(self) -> tuple[Any, ...]:
+        """What the program depends on besides the identity and the fields carried."""
+
+    @property
+    def identity(self) -> Hashable | None:
+        """What the program depends on of the scene, and of a user's method."""
+        return self.request.scene.identity
+
+    @abstractmethod
+    def states(self, y0: Any, fixed: Any) -> Any:
+        """Saved states (k, d), traceable."""
+
+    def together(self, *vectors: Any) -> np.ndarray:
+        """Several arguments as one: what a short call costs is the number of its arguments."""
+        self.borders = np.cumsum([len(vector) for vector in vectors])[:-1].tolist()
+        return np.concatenate(vectors, dtype=float)
+
+    def apart(self, fixed: Any) -> list[Any]:
+        """The arguments again, inside the program."""
+        return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
+
+    @staticmethod
+    def flat(function: Callable[..., tuple[Any, Any, Any]]) -> Callable[..., Any]:
+        """A function that returns saved states, facts about the run, and its last state, all in one vector."""
+        from contactbench.xla import jnp
+
+        return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
+
+    def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
+        """The three again: saved states (k, d), facts, last state (d,)."""
+        rest = vector[self.capacity * d :].tolist()
+        return vector[: self._saves * d].reshape(-1, d), rest[:-d], rest[-d:]
+
+    def room(self, saves: int) -> int:
+        """The number of saved times of the program for so many."""
+        return next((size for size in self.capacities if size >= saves), saves)
+
+    @cached_property
+    def capacity(self) -> int:
+        """The number of saved times of the program."""
+        return self.room(self._saves)
+
+    def times(self) -> np.ndarray:
+        """The saved times as a program takes them: the end again and again beyond those asked for."""
+        times = self.request.save_at
+        return np.pad(times, (0, self.capacity - len(times)), mode="edge")
+
+    def call(self, y0: np.ndarray, fixed: Any = None) -> np.ndarray:
+        """What the program returns, from an initial state; the scene's own is moved to the device once."""
+        start = self._start_on_device if y0 is self.start else y0
+        return np.asarray(self.program(start, self.fixed if fixed is None else fixed))
+
+    @cached_property
+    def _start_on_device(self) -> Any:
+        from contactbench.xla import jax
+
+        return jax.device_put(self.start)
+
+    def compile(self, states: Callable[..., Any], fixed: np.ndarray) -> None:
+        """Move the arguments to the device and compile the program of the run."""
+        from contactbench.xla import jax
+
+        # on the device once: converting them at every call would cost as much as a short run
+        self.fixed = jax.device_put(fixed)
+        self.program, self.compile_s = self.compiled("run", states, self.start, self.fixed)
+
+    def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+        """The program for a purpose, and the seconds it took to trace and compile.
+
+        Raises `CannotRecord` where what is traced branches on values.
+        """
+        from contactbench.xla import jax
+
+        def make() -> tuple[Any, float]:
+            elapsed = stopwatch()
+            try:
+                return jax.jit(function).lower(*arguments).compile(), elapsed()
+            except jax.errors.JAXTypeError as error:
+                raise reason_of(error) from error
+
+        return _programs.get(key(self.identity, purpose, self.request.carry, *self.key()), make)
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        return self.derivative(y0, self.states, "steps")
+
+    def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
+        """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
+        from contactbench.xla import jax
+
+        def push(y0: Any, v: Any, fixed: Any) -> Any:
+            return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
+
+        tangents = self.tangents(y0)
+        program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
+        columns = [np.asarray(program(y0, v, self.fixed)) for v in tangents]
+        return np.stack(columns, axis=-1)[: self._saves]
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
@@ -34,24 +150,22 @@ class JaxLoop(FixedStepRun, CompiledRun):
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
-        from contactbench.xla import jax
-
         super().__post_init__()
-        self.capacity = self.room(len(self.n))
-        # on the device once: converting them at every call would cost as much as a short run
-        self.fixed = jax.device_put(self.spans(self.h, self.n))
-        self.program, self.compile_s = self.compiled("run", self.states, self._own_start, self.fixed)
+        self.compile(self.states, self.fixed)
+
+    @cached_property
+    def capacity(self) -> int:  # type: ignore[override]
+        return self.room(len(self.later))
+
+    def divide(self, step: float) -> None:
+        super().divide(step)
+        self.fixed = self.spans(self.h, self.n)
 
     def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         """The arguments of the program; intervals beyond those asked for have no steps."""
         padded = np.zeros((2, self.capacity))
         padded[:, : len(n)] = h, n
-        return self.together(self.request.scene.numbers(), *padded)
-
-    def divide(self, step: float) -> None:
-        super().divide(step)
-        if hasattr(self, "fixed"):  # a step for one call: not worth moving ahead of it
-            self.fixed = self.spans(self.h, self.n)
+        return self.together(self.numbers, *padded)
 
     def key(self) -> tuple[Any, ...]:
         return (self.capacity,)
@@ -75,14 +189,11 @@ class JaxLoop(FixedStepRun, CompiledRun):
         return lax.scan(interval, scene.unpack(scene.entries(y0), r.carry), (h, n.astype(int)))[1]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        derivative = super().sensitivity(y0)[: len(self.n)]
-        if not self.saves_start:
-            return derivative
-        return np.concatenate([np.array(self.tangents(y0)).T[None], derivative])
+        derivative = CompiledRun.sensitivity(self, y0)[: len(self.n)]
+        return self.from_start(np.array(self.tangents(y0)).T, derivative)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        fixed = self.fixed if n is self.n else self.spans(h, n)
-        return np.asarray(self.program(self.placed(y0), fixed))[: len(n)]
+        return self.call(y0, None if n is self.n else self.spans(h, n))[: len(n)]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        return np.asarray(self.program(self.placed(y0), self.fixed))[len(self.n) - 1]
+        return self.call(y0)[len(self.n) - 1]

@@ -5,32 +5,29 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 
-from contactbench.methods.fixed_step_run import FixedStepRun
+from contactbench.methods.fixed_step_run import FixedStepRun, Loop, is_fixed
 from contactbench.methods.jax_engine import JaxLoop
-from contactbench.methods.numba_engine import Loop
-from contactbench.methods.prepared import stopwatch
-from contactbench.methods.request import NO_NUMBER
-from contactbench.methods.step_map import StepMap, is_fixed, trajectory
+from contactbench.methods.prepared import NO_NUMBER, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.scene import State
 from contactbench.scene.cache import Cache, key
-from contactbench.scene.many import Many
+from contactbench.trace.compiled import require_compiler
 from contactbench.trace.fields import FieldProgram, record_fields
+from contactbench.trace.python import execute
 from contactbench.trace.sweeps import CHUNK, PAD, compile_sweeps
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
 
-_loops: Cache[Loop] = Cache(256)
+_loops: Cache[FieldLoop] = Cache(256)
 
 
-def field_program(method: StepMap, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldProgram:
+def field_program(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldProgram:
     """The recorded loop of a method; tangent : every field and number is followed by its derivative.
 
     Raises `CannotRecord`.
@@ -54,19 +51,6 @@ def field_program(method: StepMap, scene: Any, carry: tuple[str, ...], tangent: 
     return record_fields(advance, len(scene.numbers()), 2 * d * twice, with_s * twice, len(names))
 
 
-def loop_of(method: StepMap, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> Loop:
-    """The loop, compiled: one for all sizes."""
-
-    def make() -> Loop:
-        elapsed = stopwatch()
-        program: Any = field_program(method, scene, carry, tangent)
-        boundary = getattr(scene, "boundary", "free")
-        return Loop(program, compile_sweeps(program.run, boundary, program.sums), elapsed())
-
-    known = is_fixed(method) and scene.identity is not None
-    return _loops.get(key((method, scene.equations) if known else None, carry, tangent), make)
-
-
 @cache
 def others(count: int) -> ThreadPoolExecutor:
     """Threads beside this one."""
@@ -82,109 +66,137 @@ def threads_for(sites: int) -> int:
     return int(get_num_threads())
 
 
-@dataclass
+class FieldLoop(Loop):
+    """A recorded loop on fields: one for all numbers of sites of a boundary."""
+
+    program: Any
+
+    def __init__(self, program: FieldProgram, boundary: str, seconds: float) -> None:
+        super().__init__(program, seconds)  # type: ignore[arg-type]
+        self.boundary = boundary
+
+    @cached_property
+    def run(self) -> Any:
+        elapsed = stopwatch()
+        run = compile_sweeps(self.program.run, self.boundary, self.program.sums)
+        self.seconds += elapsed()
+        return run
+
+    @cached_property
+    def in_python(self) -> tuple[Any, Any]:
+        return execute(self.program.setup), None
+
+    def paths(self, scene: Any, carry: tuple[str, ...], numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
+        """Packed states after each interval, (k, m, size), of a state and maybe its tangent, (m, size)."""
+        program, sites, d, m = self.program, scene.sites, scene.dimensions, len(y)
+        rows, shape = self.rows(numbers, h, n)
+        known, given, half = len(program.shape), 2 * d * m, scene.sites * d
+        fields = np.zeros((program.rows, sites + 2 * PAD))
+        inside = fields[:, PAD:-PAD]
+        for row, constant in zip(inside[given:], scene.constants.values(), strict=False):
+            row[:] = constant
+        self.fill_ends(fields[given : given + len(scene.constants)])
+        sums, kept = np.empty((max(1, program.sums), -(-sites // CHUNK))), np.zeros(given)
+        out = np.empty((len(n), *y.shape))
+        for k in range(len(n)):
+            # field by field: the components of q and p of the state, then those of its tangent
+            inside[:given] = y[:, : 2 * half].reshape(2 * m, sites, d).swapaxes(1, 2).reshape(given, sites)
+            self.fill_ends(fields[:given])
+            scalars = y[:, -1].copy()
+            self.share(sites, scalars, rows, np.append(shape[:known], shape[known + k]), fields, sums, kept)
+            y = out[k]
+            for i, row in enumerate(kept.astype(int)):
+                j, c = divmod(i, d)  # the j-th block of q or p, and the component
+                y[j // 2, (j % 2) * half + c : (j % 2 + 1) * half : d] = inside[row]
+            if "s" in carry:
+                y[:, -1] = scalars
+        return out
+
+    def fill_ends(self, rows: np.ndarray) -> None:
+        """The neighbours beyond the ends."""
+        if self.boundary != "fixed":
+            low, high = (-PAD - 1, PAD) if self.boundary == "ring" else (PAD, -PAD - 1)
+            rows[:, PAD - 1], rows[:, -PAD] = rows[:, low], rows[:, high]
+
+    def share(self, sites: int, scalars: np.ndarray, *arguments: Any) -> None:
+        """Run in as many threads as are worth it; each has scalars and a list of rows of its own, all equal."""
+        threads, sync, (*shared, kept) = threads_for(sites), np.zeros(1, dtype=np.int64), arguments
+        parts = [np.array([rank, threads]) for rank in range(threads)]
+        waiting = [
+            others(threads - 1).submit(self.run, scalars.copy(), *shared, kept.copy(), part, sync)
+            for part in parts[1:]
+        ]
+        self.run(scalars, *shared, kept, parts[0], sync)
+        for each in waiting:
+            each.result()
+
+
+def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
+    """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
+    require_compiler()
+
+    def make() -> FieldLoop:
+        elapsed = stopwatch()
+        program = field_program(method, scene, carry, tangent)
+        return FieldLoop(program, getattr(scene, "boundary", "free"), elapsed())
+
+    known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
+    return _loops.get(key(known, carry, tangent), make)
+
+
 class SweepLoop(FixedStepRun):
     """Sweeps over the sites, compiled by LLVM."""
 
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
-        r = self.request
-        scene: Any = r.scene
-        self.scene: Many = scene
-        self.loop = loop_of(self.method_, scene, r.carry)
+        self.loop = loop_of(self.method_, self.request.scene, self.request.carry)
+        self.loop.run  # noqa: B018, compiled now
         self.compile_s = self.loop.seconds
-        self.numbers = np.array(scene.numbers())
         super().__post_init__()
 
+    @cached_property
+    def tangent_loop(self) -> FieldLoop:  # type: ignore[override]
+        return loop_of(self.method_, self.request.scene, self.request.carry, tangent=True)
+
+    def paths(self, loop: FieldLoop, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return loop.paths(self.request.scene, self.request.carry, self.numbers, y, h, n)
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return self.states(self.loop, y0[:, None], h, n)[..., 0]
+        return self.paths(self.loop, y0[None], h, n)[:, 0]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return self.intervals(y0, self.h, self.n)[-1]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        r = self.request
-        loop, tangents = loop_of(self.method_, r.scene, r.carry, True), self.tangents(y0)
-        runs = [self.states(loop, np.stack([y0, v], axis=1), self.h, self.n)[..., 1] for v in tangents]
-        derivative = np.stack(runs, axis=-1)
-        if not self.saves_start:
-            return derivative
-        return np.concatenate([np.array(tangents).T[None], derivative])
-
-    def states(self, loop: Loop, start: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Packed states after each interval, (k, size, m), from m of them, a state and maybe a tangent, (size, m)."""
-        scene, program = self.scene, loop.program
-        N, d, m = scene.sites, scene.dimensions, start.shape[1]
-        rows, shape = loop.rows(self.numbers, h, n)
-        which, shape = shape[len(program.shape) :], shape[: len(program.shape)]
-        fields = np.zeros((program.rows, N + 2 * PAD))  # type: ignore[attr-defined]
-        given = 2 * d * m
-        for row, constant in zip(fields[given:], scene.constants.values(), strict=False):
-            row[PAD:-PAD] = constant
-        self.fill_ends(fields[given : given + len(scene.constants)])
-        sums = np.empty((max(1, program.sums), -(-N // CHUNK)))  # type: ignore[attr-defined]
-        kept, half = np.zeros(given), N * d
-        out = np.empty((len(n), *start.shape))
-        y = start
-        for k in range(len(n)):
-            columns = [y[i * half : (i + 1) * half, j].reshape(N, d) for j in range(m) for i in (0, 1)]
-            for row, column in zip(fields, (c[:, i] for c in columns for i in range(d)), strict=False):
-                row[PAD:-PAD] = column
-            self.fill_ends(fields[:given])
-            scalars = np.array(y[-1]) if "s" in self.request.carry else np.zeros(m)
-            self.call(loop.run, scalars, rows, np.append(shape, which[k]), fields, sums, kept)
-            y = out[k]
-            ends = [fields[int(row), PAD:-PAD] for row in kept]
-            for j in range(m):
-                for i in (0, 1):
-                    block = y[i * half : (i + 1) * half, j].reshape(N, d)
-                    for c in range(d):
-                        block[:, c] = ends[(2 * j + i) * d + c]
-            if "s" in self.request.carry:
-                y[-1] = scalars
-        return out
-
-    def fill_ends(self, rows: np.ndarray) -> None:
-        """The neighbours beyond the ends."""
-        boundary = getattr(self.scene, "boundary", "free")
-        if boundary == "ring":
-            rows[:, PAD - 1], rows[:, -PAD] = rows[:, -PAD - 1], rows[:, PAD]
-        elif boundary == "free":
-            rows[:, PAD - 1], rows[:, -PAD] = rows[:, PAD], rows[:, -PAD - 1]
-
-    def call(self, run: Any, scalars: np.ndarray, *arguments: Any) -> None:
-        """Advance by one interval, in as many threads as are worth it; each has numbers of its own, all equal."""
-        threads, sync = threads_for(self.scene.sites), np.zeros(1, dtype=np.int64)
-        *shared, kept = arguments
-        part = np.array([0, threads])
-        waiting = [
-            others(threads - 1).submit(
-                run, scalars.copy(), *shared, kept.copy(), np.array([rank, threads]), sync
-            )
-            for rank in range(1, threads)
-        ]
-        run(scalars, *shared, kept, part, sync)
-        for each in waiting:
-            each.result()
+        tangents = self.tangents(y0)
+        columns = [self.paths(self.tangent_loop, np.stack([y0, v]), self.h, self.n)[:, 1] for v in tangents]
+        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
 
 
-class ArrayLoop(FixedStepRun):
+class ArrayLoop(SweepLoop):
     """The step map on NumPy's arrays."""
 
     sensitivity_source = "forward-mode AD through the same steps, compiled"
 
+    def __post_init__(self) -> None:
+        FixedStepRun.__post_init__(self)
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         r, out = self.request, np.full((len(n), len(y0)), math.nan)
-        spans = zip(h.tolist(), n.tolist(), strict=True)
+        x = r.scene.unpack(y0, r.carry)
         with suppress(*NO_NUMBER), np.errstate(all="ignore"):
-            x = r.scene.unpack(y0, r.carry)
-            for k, state in enumerate(trajectory(self.method_, r.scene, x, spans, math)):
-                out[k] = r.scene.pack(state)
+            for k, (step, count) in enumerate(zip(h.tolist(), n.tolist(), strict=True)):
+                x = self.method_.advance(r.scene, x, step, count, math)
+                out[k] = r.scene.pack(x)
         return out
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return SweepLoop(self.method, self.request, self.method_).sensitivity(y0)
+
+class ManyJaxLoop(JaxLoop):
+    """JAX's arrays; a program for each number of saved times."""
+
+    def room(self, saves: int) -> int:
+        return saves
 
 
-MANY_ENGINES: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": JaxLoop, "python": ArrayLoop}
+MANY_RUNS: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": ManyJaxLoop, "python": ArrayLoop}

@@ -13,9 +13,10 @@ import numpy as np
 
 from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.entry import lookup
-from contactbench.methods.step_map import StepMap, is_fixed
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step_run import is_fixed
+from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.numbers.xla import XlaNumbers
 from contactbench.scene import Scene
 from contactbench.trace.form import Element, Function, prune
 from contactbench.trace.formula import Formula, formula
@@ -35,7 +36,7 @@ class OneStep:
     """
 
     scene: Scene
-    method: StepMap
+    method: FixedStep
     carry: tuple[str, ...]
     #: the step of a user's map as it was when it was asked for; None for those of this package
     recorded: Formula | None = None
@@ -134,7 +135,7 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
     ...     y = step(y, 0.01)
     """
     scene, chosen = lookup(scene, method)
-    if not isinstance(chosen, StepMap):
+    if not isinstance(chosen, FixedStep):
         raise BadInput(f"method = {method!r}: chooses its own steps, so that there is no map of a single one")
     if (why := chosen.refuses(scene)) is not None:
         raise BadInput(f"method = {method!r}: {why}")

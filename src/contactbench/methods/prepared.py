@@ -1,11 +1,11 @@
-"""A prepared run: compiled, and called with initial data."""
+"""A run: the question a method is asked, the prepared solver that is called, and how a call ended."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
 from typing import Any
@@ -15,15 +15,71 @@ import numpy as np
 from contactbench.boundary import blame
 from contactbench.errors import BadInput, excerpt
 from contactbench.methods.differences import differences
-from contactbench.methods.outcome import Outcome, Saves
-from contactbench.methods.request import METHODS, NO_NUMBER, Request
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Differential, Solution, Status
+from contactbench.solution import (
+    EXACT,
+    Counts,
+    Differential,
+    Solution,
+    Status,
+    divergence_bound,
+    first_divergence,
+    setting_key,
+)
+
+#: Python's way to say inf or nan
+NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
+
+
+@dataclass(frozen=True)
+class Request:
+    """A validated question to a method: what to solve, how finely, and what to save."""
+
+    scene: Scene
+    engine: str
+    carry: tuple[str, ...]
+    save_at: np.ndarray
+    step: float | None = None
+    rtol: float | None = None
+    atol: float | None = None
+    max_steps: int = 10**8
+
+    @property
+    def control(self) -> str:
+        """What is set: "step", "rtol" or nothing, "exact"."""
+        return "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
+
+    @property
+    def value(self) -> float:
+        """To what it is set; 0 for nothing."""
+        return self.step or self.rtol or 0.0
+
+    @cached_property
+    def setting(self) -> str:
+        """The setting as it is keyed in tables."""
+        return setting_key(self.control, self.value)
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What integrating gave: packed states (NaN where not reached), counts, and how it ended.
+
+    checked : the states are known to be finite and the last one to be at the end.
+    steps : the step chosen in this run, and the longest taken, where the run chose one.
+    """
+
+    y: np.ndarray
+    counts: Counts
+    status: Status
+    message: str
+    end_time: float
+    checked: bool = False
+    steps: tuple[float, float] | None = None
 
 
 @dataclass
-class Prepared(Saves, ABC):
+class Prepared(ABC):
     """A compiled solver: call it, with other initial data if you like, to get a `Solution`.
 
     A solver's own class writes `integrate`; `bare` where there is a faster way to the last state; and, where its
@@ -58,11 +114,21 @@ class Prepared(Saves, ABC):
         """Pickled as what it was prepared from."""
         return prepare_again, (self.method, self.request)
 
+    def __post_init__(self) -> None:
+        r = self.request
+        #: the scene's own initial state, packed
+        self.start = np.array(r.scene.pack(r.scene.initial(r.carry)), dtype=float)
+        self._motion, self._clock, self._end = r.scene.motion, r.scene.clock, float(r.save_at[-1])
+        self._saves = len(r.save_at)
+        self.saves_start = r.save_at[0] == 0
+        #: the saved times > 0
+        self.later = r.save_at[1:] if self.saves_start else r.save_at
+
     def __call__(self, **data: Any) -> Solution:
-        r, y0 = self.request, self._own_start
+        r, y0 = self.request, self.start
         if data:
             start = r.scene.initial(r.carry, **r.scene.checked(data))
-            begins(r.scene, start)
+            require_slope(r.scene, start)
             y0 = np.array(r.scene.pack(start), dtype=float)
         try:
             out = self.integrate(y0)
@@ -72,17 +138,11 @@ class Prepared(Saves, ABC):
         if self._clock is not None:
             out.y = self.at_saved_times(y0, out.y)
         return Solution(
-            *self._common,
-            *(out.y, out.status, out.message, out.counts, out.end_time),
-            *(y0, self, r.control, r.value),
+            *(r.scene, self.method, r.engine, r.setting, r.carry, r.save_at),
+            *(out.y, y0, out.status, out.message, out.counts, out.end_time),
+            *(self, r.control, r.value),
             *(out.steps or self.steps_taken),
         )
-
-    @cached_property
-    def _common(self) -> tuple[Scene, str, str, str, tuple[str, ...], np.ndarray]:
-        """The first fields of all solutions of this run."""
-        r = self.request
-        return r.scene, self.method, r.engine, r.setting, r.carry, r.save_at
 
     @property
     def atol(self) -> float | None:
@@ -97,11 +157,116 @@ class Prepared(Saves, ABC):
         """The solver's own call, by its fastest way: packed initial state to packed final state, unchecked."""
         return self.integrate(y0).y[-1]
 
+    def from_start(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the saved states, of those at `later` times: the initial one before them where it is saved."""
+        return np.concatenate([y0[None], y]) if self.saves_start else y
+
+    # -- the time, which some solvers have of their own ------------------------------------------------
+    def split_clock(self, y0: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the time at which a packed state begins, 0 where it has none, and the components less the time."""
+        clock = self._clock
+        if clock is None:
+            return 0.0, y0
+        y = y0[:clock] if clock == len(y0) - 1 else np.concatenate((y0[:clock], y0[clock + 1 :]))
+        return float(y0[clock]), y
+
+    def insert_clock(self, y: np.ndarray, start: float, times: Any) -> np.ndarray:
+        """Return packed states, of components less the time: (k, ·) at k times since `start`, or a single one."""
+        clock = self._clock
+        if clock is None:
+            return y
+        packed = np.empty((*y.shape[:-1], y.shape[-1] + 1))  # a tenth of the time of np.insert
+        packed[..., :clock], packed[..., clock + 1 :] = y[..., :clock], y[..., clock:]
+        packed[..., clock] = start + times
+        return packed
+
+    def at_saved_times(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return saved states whose time is the saved one, not the sum of many steps; NaN where not reached."""
+        y, clock = y.copy(), self._clock
+        y[:, clock] = np.where(np.isnan(y[:, clock]), math.nan, y0[clock] + self.request.save_at)
+        return y
+
+    # -- how a run ended -------------------------------------------------------------------------------
+    def first_divergence(self, y0: np.ndarray, y: np.ndarray) -> int | None:
+        """Return the index of the first saved state in y that is not finite or out of scale, or None."""
+        return first_divergence(y, self._motion, divergence_bound(y0[: self._motion]))
+
+    def finish(
+        self,
+        y0: np.ndarray,
+        y: np.ndarray,
+        counts: Counts,
+        status: Status = Status.ok,
+        message: str = "",
+        stopped: tuple[float, np.ndarray] | None = None,
+    ) -> Outcome:
+        """Return an outcome from the saved states reached so far: checked for divergence, padded with NaN.
+
+        stopped : time and state at which a solver gave up.  Where that state is out of scale the solver
+        was right to, and the run has diverged by then: steps shrink without end before a singularity.
+        """
+        bad = self.first_divergence(y0, y)
+        if bad is None and status is Status.ok and len(y) == self._saves:
+            return Outcome(y, counts, status, message, self._end, True)
+        times, reached, left = self.request.save_at, len(y), "left the scene's scale by a factor 1e6"
+        if bad is not None:
+            y, reached = y[:bad], bad
+            status, message = Status.diverged, f"{left} before t = {times[bad]:.6g}"
+        if reached < len(times):
+            if status is Status.ok:
+                status, message = Status.failed, f"stopped before t = {times[reached]:.6g}"
+            y = np.concatenate([y, np.full((len(times) - reached, len(y0)), math.nan)])
+        end = float(times[reached - 1]) if reached else 0.0
+        if status is not Status.ok and stopped is not None:
+            end = max(end, min(stopped[0], float(times[-1])))
+            if self.first_divergence(y0, stopped[1][None]) is not None:
+                status, message = Status.diverged, f"{left} by t = {end:.10g}"
+        return Outcome(y, counts, status, message, end)
+
+    def audit(self, y0: np.ndarray, out: Outcome) -> Outcome:
+        """Return the outcome, an `ok` taken back that cannot be true."""
+        if out.status is Status.ok and not out.checked:
+            if out.end_time != self._end:
+                message = f"ended at t = {out.end_time:.6g}, not at t = {self._end:.6g}"
+                return replace(out, y=np.full_like(out.y, math.nan), status=Status.failed, message=message)
+            if not np.isfinite(out.y[-1]).all():
+                return replace(out, status=Status.diverged, message="not finite at the end")
+        if out.status is Status.ok and self.request.scene.bounds_energy:
+            return self._without_rise(y0, out)
+        return out
+
+    def _without_rise(self, y0: np.ndarray, out: Outcome) -> Outcome:
+        """Take an `ok` back where H0 ends above its start by more than all its terms there.
+
+        No motion of a scene that `bounds_energy` does so: the steps are far too long for it.  An error that is
+        small beside the terms at the end, after a start next to an equilibrium, is no such rise.
+        """
+        r = self.request
+        x = r.scene.unpack(y0.tolist(), r.carry)
+        start = r.scene.energy(x)
+        most = start + r.scene.energy_terms(x)  # no motion from there reaches it
+        x = r.scene.unpack(out.y[-1].tolist(), r.carry)
+        end = r.scene.energy(x)
+        if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
+            return out
+        energies = r.scene.energy(r.scene.unpack(out.y.T, r.carry))
+        first = int(np.argmax(energies > most))
+        y, time = out.y.copy(), float(r.save_at[first])
+        y[first:] = math.nan
+        message = f"H0 rose from {start:.6g} to {end:.6g}, above all that the scene allows: a smaller step is needed"
+        return replace(out, y=y, status=Status.diverged, message=message, end_time=time, checked=True)
+
     # -- the map of the steps taken --------------------------------------------------------------------
     @property
     def steps_follow_state(self) -> bool:
         """Whether other initial data may mean other steps: then `sensitivity` is not that of the map."""
         return self.request.rtol is not None
+
+    def tangents(self, y0: np.ndarray) -> list[np.ndarray]:
+        """Return the scene's tangent vectors at a packed state, packed."""
+        r = self.request
+        start = r.scene.unpack(tuple(y0.tolist()), r.carry)
+        return [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         """(k, d, m): derivative of the saved states along the scene's m tangents at y0, steps held fixed."""
@@ -142,6 +307,8 @@ class Prepared(Saves, ABC):
 
 def prepare_again(method: str, request: Request) -> Prepared:
     """Return a run that has come out of a pickle."""
+    from contactbench.methods.base import METHODS
+
     return METHODS[method].prepare(request)
 
 
@@ -157,7 +324,7 @@ class Refused(Prepared):
         return Outcome(nothing, Counts(), Status.unsupported, self.why, 0.0)
 
 
-def begins(scene: Scene, start: Any) -> None:
+def require_slope(scene: Scene, start: Any) -> None:
     """Raise `BadInput` unless the equations have a finite slope at an initial state.
 
     Some solvers, SciPy's among them, never return from a first step that is not a number.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.numbers.protocol import abilities
+from contactbench.numbers.protocol import Abilities, Numbers, abilities
 
 #: turns after which a loop over plain numbers is given up: a thousand digits take forty
 ENDLESS = 200
@@ -88,3 +88,30 @@ def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:
     for out in reversed(outs):
         x = body(x, out)
     return x
+
+
+class XlaNumbers(Numbers):
+    """`jax.numpy`, with the compiled loops and the barrier that the functions above use."""
+
+    abilities = Abilities(vectors=True, loops=True, barrier=True)
+
+    def __getattr__(self, name: str) -> Any:
+        from contactbench.xla import jax
+
+        return getattr(jax.numpy, name)
+
+    def settle(self, x: Any) -> Any:
+        """x, computed once."""
+        from contactbench.xla import lax
+
+        return lax.optimization_barrier(x)
+
+    def scan(self, body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int) -> tuple[Any, Any]:
+        from contactbench.xla import lax
+
+        return lax.scan(lambda x, _: body(x), x, None, length=turns)
+
+    def unwind(self, body: Callable[[Any, Any], Any], x: Any, outs: Any) -> Any:
+        from contactbench.xla import lax
+
+        return lax.scan(lambda x, out: (body(x, out), None), x, outs, reverse=True)[0]

@@ -6,7 +6,7 @@ Components may be any numbers a scene runs on, dual numbers included (nested: se
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from contactbench.numbers.functions import namespace
@@ -142,3 +142,32 @@ class DualNumbers(ChoosingNumbers):
         return Dual(self.base.atan2(a, b), (b * slope(y) - a * slope(x)) / square)
 
     arctan2 = atan2
+
+
+# -- the numbers in a nested state, taken out and put back ------------------------------------------
+def leaves(x: Any) -> list[Any]:
+    """The numbers of a nested state, in order."""
+    if x is None:
+        return []
+    if isinstance(x, Dual):
+        return leaves(x.a) + leaves(x.b)
+    if isinstance(x, tuple | list):
+        return [leaf for part in x for leaf in leaves(part)]
+    return [x]
+
+
+def rebuild(x: Any, values: Sequence[Any]) -> Any:
+    """A nested state like x of other numbers."""
+    supply = iter(values)
+
+    def again(x: Any) -> Any:
+        if x is None:
+            return None
+        if isinstance(x, Dual):
+            return Dual(again(x.a), again(x.b))
+        if isinstance(x, tuple | list):
+            parts = [again(part) for part in x]
+            return type(x)(*parts) if hasattr(x, "_fields") else type(x)(parts)
+        return next(supply)
+
+    return again(x)

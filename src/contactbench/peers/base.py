@@ -9,8 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from contactbench.methods.base import Adaptive, Request
-from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.base import Adaptive
+from contactbench.methods.prepared import Prepared, Refused, Request
 from contactbench.peers.variational import Bundle, Variational
 from contactbench.scene import Scene
 

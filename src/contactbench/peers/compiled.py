@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.outcome import Outcome
+from contactbench.methods.prepared import Outcome
 from contactbench.peers.base import PeerRun
 from contactbench.peers.c_functions import c_functions
 from contactbench.solution import Counts, Status

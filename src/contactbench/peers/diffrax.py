@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
-from contactbench.methods.compiled import CompiledRun
-from contactbench.methods.outcome import Outcome
+from contactbench.methods.jax_engine import CompiledRun
+from contactbench.methods.prepared import Outcome
 from contactbench.peers.base import Peer
 from contactbench.solution import Counts, Status
 
@@ -33,15 +33,11 @@ class DiffraxRun(CompiledRun):
     capacities = (1, 1024)
 
     def __post_init__(self) -> None:
-        from contactbench.xla import jax
-
         super().__post_init__()
         r = self.request
-        self.fixed = jax.device_put(self.together(r.scene.numbers(), [r.rtol, r.atol], self.times()))
         self.final_only = len(r.save_at) == 1
-        self.program, self.compile_s = self.compiled(
-            "run", self.flat(self._solve_and_count), self._own_start, self.fixed
-        )
+        fixed = self.together(r.scene.numbers(), [r.rtol, r.atol], self.times())
+        self.compile(self.flat(self._solve_and_count), fixed)
 
     def key(self) -> tuple[Any, ...]:
         return (self.method_, self.capacity, self.request.max_steps)
@@ -130,11 +126,11 @@ class DiffraxRun(CompiledRun):
         return packed(solution.ys[1], times), info, packed(solution.ys[0], times[-1:])[0]
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
-        return np.asarray(self.program(self.placed(y0), self.fixed))[-len(y0) :]
+        return self.call(y0)[-len(y0) :]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
-        y, info, last = self.unflat(np.asarray(self.program(self.placed(y0), self.fixed)), len(y0))
+        y, info, last = self.unflat(self.call(y0), len(y0))
         accepted, rejected, successful, exhausted, collapsed, time, *counted = info
         accepted, rejected = int(accepted), int(rejected)
         # explicit methods are first-same-as-last: stages per attempt, and the very first slope

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import stopwatch
+from contactbench.methods.prepared import Outcome, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, bare
 from contactbench.peers.base import Peer, PeerRun
 from contactbench.scene import Scene
@@ -54,8 +53,8 @@ class TaylorRun(PeerRun):
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
             system = taylor_system(r.scene, r.carry, heyoka)
-            _, start = self.split_clock(self._own_start)
-            compact = len(self._own_start) > UNROLLED
+            _, start = self.split_clock(self.start)
+            compact = len(self.start) > UNROLLED
             return heyoka.taylor_adaptive(system, start, tol=r.rtol, compact_mode=compact), elapsed()
 
         numbers = tuple(r.scene.numbers())
@@ -63,8 +62,8 @@ class TaylorRun(PeerRun):
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
         self.motion: Any = slice(self._clock)
-        if self._clock is not None and self._clock < len(self._own_start) - 1:
-            self.motion = [i for i in range(len(self._own_start)) if i != self._clock]
+        if self._clock is not None and self._clock < len(self.start) - 1:
+            self.motion = [i for i in range(len(self.start)) if i != self._clock]
         self.alone = Lock()  # one state: calls from several threads take turns
         self.outcomes, self.per_step = heyoka.taylor_outcome, program.order + 1
 

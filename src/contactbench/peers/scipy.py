@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.methods.base import CLAMPED, METHODS
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.request import NO_NUMBER
+from contactbench.methods.prepared import NO_NUMBER, Outcome
 from contactbench.peers.base import Peer
 from contactbench.peers.callback import CallbackPeer
 from contactbench.solution import Counts, Status

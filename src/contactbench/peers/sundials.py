@@ -14,10 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.methods.base import METHODS, ROUNDING, SHORTEST, Request
-from contactbench.methods.outcome import Outcome
-from contactbench.methods.prepared import Prepared
-from contactbench.methods.request import NO_NUMBER
+from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request
 from contactbench.peers.base import Peer
 from contactbench.peers.callback import CallbackPeer
 from contactbench.peers.compiled import CompiledPeer
@@ -101,7 +99,7 @@ class CompiledCvodeRun(CompiledPeer):
     def connect(self) -> tuple[ModuleType, tuple[Any, ...]]:
         from contactbench.peers.abi import cvode
 
-        r, size = self.request, len(self.split_clock(self._own_start)[1])
+        r, size = self.request, len(self.split_clock(self.start)[1])
         assert r.rtol is not None
         assert r.atol is not None
         tolerances, bounds = (r.rtol, r.atol), (SHORTEST * self.end, self.end)

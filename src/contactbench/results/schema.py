@@ -11,13 +11,15 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import pandas as pd
 
 from contactbench.errors import BadInput, Registry
 from contactbench.measure.round_off import STRUCTURE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: how much is run, from little to much; each makes the rows of those before it, and more
 PROFILES = ("smoke", "standard", "full")
@@ -157,6 +159,8 @@ def table(name: str, about: str, columns: Any, **options: Any) -> Table:
 # -- round-off -------------------------------------------------------------------------------------
 def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
     """Return a column as floats, `default` where it is blank or missing."""
+    import pandas as pd  # takes long to load, and `import contactbench` needs the tables' names alone
+
     if column not in rows:
         return pd.Series(default, rows.index, dtype=float)
     return pd.to_numeric(rows[column], errors="coerce").astype(float).fillna(default)

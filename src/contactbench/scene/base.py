@@ -23,7 +23,7 @@ from contactbench.errors import (
     text,
     unknown_name,
 )
-from contactbench.numbers.nested import leaves, rebuild
+from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import Vector, shifted
 from contactbench.trace.formula import Formula, formula

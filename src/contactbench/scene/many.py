@@ -13,12 +13,12 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from contactbench.boundary import their_code
-from contactbench.errors import BadInput, array, excerpt, finite, function, positive, text, whole
+from contactbench.errors import BadInput, array, excerpt, finite, function, whole
 from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
 from contactbench.scene.algebra import State, Vector, cross, dot
-from contactbench.scene.base import Scene
+from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.scene.mechanical import Mechanical
 from contactbench.trace.formula import Formula, formula
 
@@ -50,6 +50,8 @@ class Many(Scene):
     uniform: bool = field(init=False, repr=False, default=True)
 
     kind: ClassVar[str] = "many"
+    state: ClassVar[Any] = State
+    checks: ClassVar[dict[str, Check]] = {**Scene.checks, "gamma": finite, "parameters": named_numbers}
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     #: the parameter that masses are given by
     weights: ClassVar[str] = "mass"
@@ -79,43 +81,26 @@ class Many(Scene):
     def unrolled(self) -> Mechanical:
         """Return the same scene component by component, for solvers that know no arrays."""
 
-    def _settle(self) -> None:
-        """Check and fix what both have."""
-        self._check_kinds()
-        fix = object.__setattr__
-        for name in self.functions:
-            if getattr(self, name) is not None:
-                function(name, getattr(self, name))
-        names = self.parameters if isinstance(self.parameters, Mapping) else [None]
-        if not all(isinstance(name, str) and name.isidentifier() for name in names):
-            raise BadInput(f"parameters = {excerpt(self.parameters)}: must be a dict of numbers by name")
-        self._check_names(self.parameters)
-        fix(self, "parameters", {k: finite(k, v) for k, v in self.parameters.items()})
-        fix(self, "gamma", finite("gamma", self.gamma))
-        fix(self, "s", finite("s", self.s))
-        fix(self, "t_end", positive("t_end", self.t_end))
-        fix(self, "_given", {name: given for name in ("q", "p") if callable(given := getattr(self, name))})
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._fix("_given", {name: given for name in ("q", "p") if callable(given := getattr(self, name))})
         for name in ("q", "p"):
-            fix(self, name, self._field(name, getattr(self, name)))
-        masses = self.weight
-        if np.ndim(masses) == 0:
-            masses = positive(self.weights, masses)
-        else:
-            masses = frozen(array(self.weights, masses, f"one number, or {self.sites}"))
-            if masses.shape != (self.sites,):
-                raise BadInput(
-                    f"{self.weights} = {excerpt(masses.tolist())}: must be one number, or {self.sites}"
-                )
-            if not (np.isfinite(masses).all() and (masses > 0).all()):
-                raise BadInput(f"{self.weights}: all must be > 0; the least is {masses.min()!r}")
-        fix(self, self.weights, masses)
-        fix(self, "uniform", np.ndim(masses) == 0)
+            self._fix(name, self._field(name, getattr(self, name)))
+        masses = array(self.weights, self.weight, f"one number > 0, or {self.sites}")
+        if masses.shape not in ((), (self.sites,)):
+            raise BadInput(f"{self.weights} has shape {masses.shape}: must be one number > 0, or {self.sites}")
         with np.errstate(divide="ignore", over="ignore"):
             inverse = 1 / masses
-        if not np.all(np.isfinite(inverse)):
-            raise BadInput(f"{self.weights}: 1/{self.weights} must be finite")
-        fix(self, "inverse_mass", inverse if np.ndim(inverse) == 0 else frozen(inverse))
-        self._check_force()
+        if not (np.isfinite(masses) & np.isfinite(inverse) & (masses > 0)).all():
+            raise BadInput(f"{self.weights}: must be > 0 and finite, and so 1/{self.weights}; the least is {masses.min()!r}")
+        self._fix("uniform", masses.ndim == 0)
+        self._fix(self.weights, float(masses) if self.uniform else frozen(masses))
+        self._fix("inverse_mass", float(inverse) if self.uniform else frozen(inverse))
+        with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
+            x = self.initial(())
+            start = np.array([*np.ravel(self.gradient_at(x)), self.potential_at(x)])
+        if not np.isfinite(start).all():
+            raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
 
     def _field(self, name: str, given: Any) -> np.ndarray:
         """Return initial data as an array of one number for every degree of freedom."""
@@ -138,17 +123,10 @@ class Many(Scene):
             raise BadInput(f"{name}: must be finite; entry {int(np.argmin(np.isfinite(values.ravel())))} is not")
         return frozen(values.reshape(size))
 
-    def _check_force(self) -> None:
-        with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
-            x = self.initial(())
-            force, energy = np.array(self.gradient_at(x)), self.potential_at(x)
-        if not (np.isfinite(force).all() and np.isfinite(energy)):
-            raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
-
     def with_(self, **changes: Any) -> Self:
         """Return a copy with some parameters changed; q and p given as functions of the index follow their number."""
         if changes.keys() & {"n", "q", "p", *([self.weights] if self.dimensions > 1 else [])}:
-            changes = dict(self._given) | changes  # type: ignore[attr-defined]
+            changes = self._given | changes  # type: ignore[attr-defined]
         return super().with_(**changes)
 
     # -- packing -----------------------------------------------------------------------------------
@@ -196,19 +174,13 @@ class Many(Scene):
 
     # -- numbers -----------------------------------------------------------------------------------
 
-    def numbers(self) -> list[float]:
-        return [self.gamma, *([self.weight] if self.uniform else []), *self.parameters.values()]
-
-    def number_names(self) -> list[str]:
-        return ["gamma", *([self.weights] if self.uniform else []), *self.parameters]
+    @property
+    def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("gamma", self.weights) if self.uniform else ("gamma",)
 
     def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        gamma, *rest = numbers
-        own: dict[str, Any] = {"gamma": gamma}
-        if self.uniform:
-            own |= {self.weights: rest[0], "inverse_mass": 1 / rest[0]}
-        values = rest[self.uniform :]
-        return self._replaced(**own, parameters=dict(zip(self.parameters, values, strict=True)))
+        twin = super().with_numbers(numbers)
+        return twin._replaced(inverse_mass=1 / twin.weight) if self.uniform else twin
 
     @property
     def structure(self) -> tuple[Any, ...]:
@@ -384,19 +356,19 @@ class Lattice(Many):
     mass: Any = 1.0
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(("onsite", "bond"), ("probe", "**"))
+    checks: ClassVar[dict[str, Check]] = Many.checks | dict.fromkeys(functions, optional(function))
     #: where the potentials are tried
     probe: ClassVar[float] = 0.25
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "n", whole("n", self.n, MOST_SITES))
+        self._fix("n", whole("n", self.n, MOST_SITES))
         if self.n < 2:
             raise BadInput(f"n = {self.n}: a lattice has 2 sites or more")
-        text("boundary", self.boundary)
-        if self.boundary not in BOUNDARIES:
+        if not isinstance(self.boundary, str) or self.boundary not in BOUNDARIES:
             raise BadInput(f"boundary = {excerpt(self.boundary)}: must be one of {', '.join(BOUNDARIES)}")
         if self.onsite is None and self.bond is None:
             raise BadInput(f"scene {self.name!r}: needs an onsite potential, a bond, or both")
-        self._settle()
+        super().__post_init__()
         if self.bond is not None:
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
                 at_rest = self.call("bond", np.zeros(1)), self.slope("bond", np.zeros(1))
@@ -527,6 +499,7 @@ class Particles(Many):
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
     weights: ClassVar[str] = "masses"
+    checks: ClassVar[dict[str, Check]] = Many.checks | {"pair": function}
     #: where the potential is tried
     probe: ClassVar[float] = 1.25
 
@@ -535,7 +508,7 @@ class Particles(Many):
             raise BadInput(f"dimensions = {excerpt(self.dimensions)}: must be 1, 2 or 3")
         if np.ndim(array("masses", self.masses, "a sequence of numbers")) != 1 or len(self.masses) < 2:
             raise BadInput(f"masses = {excerpt(self.masses)}: must be 2 numbers or more")
-        self._settle()
+        super().__post_init__()
         places = self.q.reshape(self.sites, self.dimensions)
         if len(np.unique(places, axis=0)) < self.sites:
             raise BadInput("q: two bodies are at one place")

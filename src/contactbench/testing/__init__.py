@@ -11,15 +11,4 @@ from contactbench.testing.method import METHOD_RULES, MethodCase, check_method, 
 from contactbench.testing.rules import Finding, Violation
 from contactbench.testing.scene import SCENE_RULES, check_scene, scene_findings
 
-__all__ = [
-    "METHOD_RULES",
-    "SCENE_RULES",
-    "Finding",
-    "MethodCase",
-    "Violation",
-    "check_method",
-    "check_scene",
-    "method_cases",
-    "method_findings",
-    "scene_findings",
-]
+__all__ = ["Finding", "Violation", "check_method", "check_scene"]

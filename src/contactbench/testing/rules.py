@@ -1,4 +1,7 @@
-"""How a rule of a contract is written: a function of a case that raises, and notes on the case what it measured."""
+"""How a rule of a contract is written: a function of a case that raises, and notes on the case what it measured.
+
+Where it has nothing to say about a case it returns why.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +34,6 @@ class Finding(NamedTuple):
     not_here: str
 
 
-class DoesNotApply(Exception):
-    """Why a rule has nothing to say about a case."""
-
-
 def require(condition: Any, message: str) -> None:
     """Raises `AssertionError` unless the condition holds; not by `assert`, which may be switched off."""
     if not condition:
@@ -42,16 +41,13 @@ def require(condition: Any, message: str) -> None:
 
 
 def follow(
-    rules: Mapping[int, Callable[[Any], None]], case: Any, what: str, engine: str, scene: str
+    rules: Mapping[int, Callable[[Any], str | None]], case: Any, what: str, engine: str, scene: str
 ) -> Iterator[Finding]:
     """Follow every rule on a case; raises `Violation` for the first that is broken, or that cannot be followed."""
     for number, rule in rules.items():
-        not_here = ""
         case.measured.clear()
         try:
-            rule(case)
-        except DoesNotApply as why:
-            not_here = str(why)
+            not_here = rule(case) or ""
         except Exception as error:
             reason = str(error) if isinstance(error, AssertionError) else f"{type(error).__name__}: {error}"
             raise Violation(number, f"{what}: {reason}") from error

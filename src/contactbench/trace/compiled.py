@@ -85,13 +85,18 @@ def compiles() -> bool:
     return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
 
 
+def require_compiler() -> None:
+    """Raise `CannotRecord` where numba is told not to compile."""
+    if not compiles():
+        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
+
+
 def import_source(source: str, names: Any) -> ModuleType:
     """A module from a file of the cache folder, which is written unless it is there.
 
     names() : what the source finds defined.
     """
-    if not compiles():
-        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
+    require_compiler()
     name = f"program_{hashlib.sha256(source.encode()).hexdigest()[:32]}"
     path = folder() / f"{name}.py"
     if not path.exists() or path.read_text() != source:

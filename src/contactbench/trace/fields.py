@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.dual import Dual, slope, value
-from contactbench.numbers.nested import leaves, rebuild
+from contactbench.numbers.dual import Dual, leaves, rebuild, slope, value
+
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import parts
 from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, text

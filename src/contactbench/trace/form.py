@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from contactbench.numbers.nested import leaves
+from contactbench.numbers.dual import leaves
 
 #: the name of a value, or a constant
 Operand = str | float

@@ -15,8 +15,7 @@ from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
-from contactbench.numbers.dual import DERIVATIVES
-from contactbench.numbers.nested import leaves, rebuild
+from contactbench.numbers.dual import DERIVATIVES, leaves, rebuild
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace.form import (
     FUNCTIONS,

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import place, plain_function
-from contactbench.numbers.dual import Dual
-from contactbench.numbers.nested import leaves, rebuild
+from contactbench.numbers.dual import Dual, leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
 from contactbench.trace import form
 from contactbench.trace.form import Assign, Element, Operand, Operation, Results, Update, text
@@ -85,6 +84,25 @@ class Tape:
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
         """n-fold application, recorded as a loop."""
+        return self._loop(x, body, lambda inner: form.Loop("_", self.read(n, self.block, "i"), tuple(inner)))
+
+    def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
+        """Application as long as a condition holds, recorded as a loop."""
+        tests: list[Any] = []
+
+        def turn(x: Any) -> Any:
+            more = self.read(condition(x), self.block)
+            tests.extend([len(self.block.statements), more])
+            return body(x)
+
+        def loop(inner: list[Any]) -> form.While:
+            size, more = tests
+            return form.While(tuple(inner[:size]), more, tuple(inner[size:]))
+
+        return self._loop(x, turn, loop)
+
+    def _loop(self, x: Any, body: Callable[[Any], Any], make: Callable[[list[Any]], Any]) -> Any:
+        """Record the body in a block of its own, of which `make` is to make a statement."""
         outer = self.block
         start = leaves(x)
         kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
@@ -103,10 +121,7 @@ class Tape:
             for values, block in ((start, outer), (end, inner))
         )
         inner.statements.append(Update(names, after))
-        outer.statements += [
-            Update(names, before),
-            form.Loop("_", self.read(n, outer, "i"), tuple(inner.statements)),
-        ]
+        outer.statements += [Update(names, before), make(inner.statements)]
         return rebuild(
             x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
         )

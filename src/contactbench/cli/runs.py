@@ -1,0 +1,277 @@
+"""``contactbench list | solve | compare | check``: scenes and methods, and what they do."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from contactbench.cli.parsing import Command, assignments, writable
+from contactbench.errors import BadInput, unknown_name
+
+#: what a plot can be saved as
+PICTURES = (".svg", ".png", ".pdf")
+
+
+# -- list ------------------------------------------------------------------------------------------
+def listing(arguments: argparse.Namespace) -> int:
+    """Print scenes, methods, laws and claims, or one kind without heading and indentation."""
+    import contactbench as cb
+    from contactbench.claims import CLAIMS
+    from contactbench.measure.ladder import stepping
+
+    def method(item: Any) -> str:
+        kind = {"fixed": "fixed step"}.get(stepping(item), stepping(item))
+        order = [f"order {item.order}"] if item.order else ["variable order"] if item.adaptive else []
+        return f"{', '.join([*order, kind, '/'.join(item.engines)])}: {item.about}"
+
+    kinds = {
+        "scenes": {name: scene.about for name, scene in cb.SCENES.items()},
+        "methods": {name: method(item) for name, item in cb.METHODS.items()},
+        "laws": {name: law.definition for name, law in cb.LAWS.items()},
+        "claims": {name: f"{item.where}: {item.says}" for name, item in CLAIMS.items()},
+    }
+    for kind in [arguments.kind] if arguments.kind else kinds:
+        if not arguments.kind:
+            print(kind)
+        for name, about in kinds[kind].items():
+            print(f"{'' if arguments.kind else '  '}{name:24} {about}")
+    return 0
+
+
+# -- solve -----------------------------------------------------------------------------------------
+def solve(arguments: argparse.Namespace) -> int:
+    """Solve a scene once and print where it ended."""
+    writable("--plot", arguments.plot, PICTURES)
+    writable("--out", arguments.out)
+    import contactbench as cb
+
+    scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
+    if arguments.t_end is not None:
+        scene = scene.with_(t_end=arguments.t_end)
+    options = {name: getattr(arguments, name) for name in ("step", "rtol", "engine", "max_steps")}
+    options = {name: value for name, value in options.items() if value is not None}
+    if not (arguments.laws or arguments.plot or arguments.out):  # only the end matters
+        options["save_at"] = [scene.t_end]
+    solution = cb.solve(scene, arguments.method, **options)
+    if arguments.out:
+        solution.to_frame().to_csv(arguments.out, index=False, lineterminator="\n")
+    if arguments.plot:
+        plot(solution, arguments.plot)
+    run = summary(solution)
+    laws = solution.laws() if arguments.laws else None
+    if arguments.json:
+        if laws is not None:
+            deviations = laws["deviation"].items()
+            run["laws"] = {name: value if math.isfinite(value) else None for name, value in deviations}
+        print(json.dumps(run, allow_nan=False))
+    else:
+        print("\n".join(f"{key:8} {value}" for key, value in run.items() if value not in (None, "")))
+        for law in () if laws is None else laws.itertuples():
+            bound = "≤ " if law.upper_bound else ""
+            print(f"{law.Index:26} {bound}{law.deviation:.1e}  {law.note or law.definition}")
+    return 0 if solution.ok else 1
+
+
+def plot(solution: Any, path: Path) -> None:
+    """Draw the motion and the energies against time."""
+    from contactbench.report.draw import render
+    from contactbench.report.drawing import Axis, Curve, Figure, Panel
+
+    t, scene, states = tuple(solution.t.tolist()), solution.scene, solution.states()
+    groups: dict[str, dict[str, Any]] = {}
+    for name, values in zip(solution.labels, solution.y.T, strict=True):
+        groups.setdefault(name[0], {})[name] = values
+    groups["energies"] = {"H0": scene.energy(states)}
+    if scene.is_contact and states.s is not None:
+        groups["energies"]["H"] = scene.hamiltonian(states)
+    panels = []
+    for group in groups.values():
+        curves = (
+            Curve(t, tuple(values.tolist()), label=name, role=f"shade {i % 5}", markers=False)
+            for i, (name, values) in enumerate(group.items())
+        )
+        panels.append(Panel("", Axis("t"), Axis(", ".join(group)), tuple(curves)))
+    title = f"{scene.name}: {solution.method}, {solution.setting}"
+    render(Figure("run", title, tuple(panels), legend="each", across=2)).savefig(path)
+
+
+def summary(solution: Any) -> dict[str, Any]:
+    """Return final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
+    scene, out = solution.scene, {}
+    if solution.ok:
+        y = solution.y[-1].tolist()
+        state = scene.unpack(tuple(y), solution.carry)
+        momentum = scene.momentum(state)
+        out = {
+            "state": dict(zip(solution.labels, y, strict=True)),
+            "H0": scene.energy(state),
+            "H": scene.hamiltonian(state) if scene.is_contact else None,
+            "J": None if momentum is None else list(momentum),
+        }
+    run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}
+    ended = {"status": str(solution.status), "t": solution.end_time}
+    return {"scene": scene.name, **run, **ended, **out, "counts": solution.counts._asdict()}
+
+
+SOLVE = """examples:
+  contactbench solve particle contact-strang --step 0.01
+  contactbench solve particle contact-rkn6 --rtol 1e-8           the step chosen from pilots
+  contactbench solve particle cvode-bdf --rtol 1e-8 --t-end 100
+  contactbench solve central contact-strang --step 0.01 --laws --plot run.svg --out run.csv
+  contactbench solve particle rk4 --step 0.01 --set gamma=0.3 --set q=[1,0.5] --json | jq .H0
+
+Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input."""
+
+
+# -- compare ---------------------------------------------------------------------------------------
+def compare(arguments: argparse.Namespace) -> int:
+    """Race the methods and print who is cheapest at each error."""
+    for option, kinds in (("html", ()), ("plot", PICTURES), ("csv", ())):
+        writable(f"--{option}", getattr(arguments, option), kinds)
+    one_core()
+    import contactbench as cb
+    from contactbench.report import race
+
+    scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
+    methods, budget = arguments.method or None, duration(arguments.budget)
+    frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
+    if arguments.csv:
+        frame.to_csv(arguments.csv, index=False, lineterminator="\n")
+    if arguments.html:
+        arguments.html.write_text(race.html(frame), encoding="utf-8")
+    if arguments.plot and (figure := race.figure(frame)) is not None:
+        from contactbench.report.draw import render
+
+        render(figure).savefig(arguments.plot)
+    if arguments.json:
+        known = {name: value for name, value in frame.attrs.items() if name != "runs"}
+        rows = json.loads(frame.to_json(orient="records", double_precision=15))
+        print(json.dumps({**known, "rows": rows}, allow_nan=False))
+    else:
+        print(race.text(frame))
+    return 130 if frame.attrs["interrupted"] else int(not frame["time_s"].notna().any())
+
+
+def numbers(text: str) -> list[float]:
+    """Return 1e-3,1e-6 as numbers."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise BadInput(f"--error {text}: must be errors separated by commas, as in 1e-3,1e-6") from None
+
+
+def duration(text: str) -> float:
+    """Return 60s, 60 or 2m in seconds."""
+    units = {"s": 1.0, "m": 60.0}
+    number, unit = (text[:-1], units[text[-1]]) if text[-1:] in units else (text, 1.0)
+    try:
+        return float(number) * unit
+    except ValueError:
+        raise BadInput(f"--budget {text}: must be a time, as in 60s or 2m") from None
+
+
+def one_core() -> None:
+    """Before JAX makes its threads: to hand parts of a small program to another costs more than running them."""
+    if hasattr(os, "sched_setaffinity") and "jax" not in sys.modules:
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+
+COMPARE = """examples:
+  contactbench compare particle
+  contactbench compare double-well --plugin my.py --error 1e-4,1e-8 --html out.html
+  contactbench compare particle contact-rkn8 cvode-adams heyoka-taylor --budget 20s --json | jq '.rows[].margin'
+
+Nothing is written but the files named.  Ctrl-C ends it with what there is.
+Exit status: 0 done, 1 nothing could be timed, 2 bad input or no reference, 130 interrupted."""
+
+
+# -- check -----------------------------------------------------------------------------------------
+ROW = "{:>4}  {:30} {:9} {:24} {}"
+
+
+def check(arguments: argparse.Namespace) -> int:
+    """Follow every rule of the contract; print which, where, and what was measured."""
+    import contactbench as cb
+    from contactbench.testing import Violation, method_findings, scene_findings
+
+    name, engines = arguments.name, arguments.engine or None
+    if name in cb.METHODS:
+        findings = method_findings(cb.METHODS[name], engines)
+    elif name in cb.SCENES:
+        if engines:
+            raise BadInput(f"--engine {engines[0]}: {name} is a scene, which has none")
+        findings = scene_findings(cb.SCENES[name])
+    else:
+        raise unknown_name("method or scene", name, [*cb.METHODS, *cb.SCENES])
+    print(ROW.format("rule", "which", "engine", "scene", "measured"))
+    try:
+        for found in findings:
+            measured = ", ".join(f"{what} {value:.4g}" for what, value in found.measured.items())
+            result = f"does not apply: {found.not_here}" if found.not_here else measured or "kept"
+            print(ROW.format(*found[:4], result), flush=True)
+    except Violation as broken:
+        print(f"contactbench: {broken}", file=sys.stderr)
+        return 1
+    return 0
+
+
+CHECK = """examples:
+  contactbench check my-method --plugin my.py
+  contactbench check my-method --engine python --plugin my.py
+  contactbench check double-well --plugin my.py
+
+Exit status: 0 all rules are kept, 1 one is broken (stderr says which), 2 bad input."""
+
+
+# -- options ---------------------------------------------------------------------------------------
+LIST = """examples:
+  contactbench list
+  contactbench list methods | grep adaptive
+  contactbench list scenes --plugin my.py"""
+
+
+def add(command: Command) -> None:
+    """Add the commands and their options."""
+    one = command("list", listing, "scenes, methods, laws and claims", LIST)
+    one.add_argument("kind", nargs="?", choices=["scenes", "methods", "laws", "claims"], help="only these")
+
+    one = command("solve", solve, "solve one scene with one method and print where it ended", SOLVE)
+    one.add_argument("scene", help="its name (contactbench list scenes)")
+    one.add_argument("method", help="its name (contactbench list methods)")
+    add_common(one, plot="motion and energies over time (.svg, .png, .pdf)", out="the saved states as CSV")
+    one.add_argument("--step", type=float, help="step size (fixed-step methods)")
+    one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
+    one.add_argument("--t-end", type=float, help="end time")
+    one.add_argument("--engine", help="numba, jax or python, where a method has several")
+    one.add_argument("--max-steps", type=int, help="step budget")
+    one.add_argument("--laws", action="store_true", help="how far the run is from every law of the scene")
+
+    about = "race the methods on one scene: what each costs at each error, what it keeps"
+    one = command("compare", compare, about, COMPARE)
+    one.add_argument("scene", help="its name (contactbench list scenes)")
+    methods = "names (contactbench list methods); by default all"
+    one.add_argument("method", nargs="*", default=[], help=methods)
+    figure = "the figure alone (.svg, .png, .pdf)"
+    add_common(one, html="one page: tables and figure", plot=figure, csv="the rows")
+    errors = "errors asked for, relative to the motion"
+    one.add_argument("--error", default="1e-3,1e-6,1e-9", metavar="E,E,…", help=errors)
+    one.add_argument("--budget", default="60s", metavar="TIME", help="for everything (default: 60s)")
+    one.add_argument("--quiet", action="store_true", help="no progress on stderr")
+
+    one = command("check", check, "check a method or a scene against every rule of its contract", CHECK)
+    one.add_argument("name", help="of a method or a scene")
+    one.add_argument("--engine", action="append", help="of a method: only this one; may be repeated")
+
+
+def add_common(parser: argparse.ArgumentParser, **files: str) -> None:
+    """Add what solve and compare have in common: parameters of the scene, files to be written, JSON."""
+    about = "change a parameter: a number or a list [1,2]; may be repeated"
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=about)
+    for name, text in files.items():
+        parser.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")

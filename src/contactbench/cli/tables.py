@@ -1,0 +1,154 @@
+"""``contactbench claim | report | gate | references``: what was measured, and whether it still holds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+from pathlib import Path
+
+from contactbench.cli.parsing import Command, writable, writable_folder
+from contactbench.errors import BadInput, positive
+
+
+# -- claim -----------------------------------------------------------------------------------------
+def claim(arguments: argparse.Namespace) -> int:
+    """Measure one claim of the ledger and print its row; as text each measurement on a line."""
+    from contactbench.claims import CLAIMS
+    from contactbench.results.schema import SEPARATOR
+
+    row = CLAIMS[arguments.id.upper()].row()
+    if arguments.json:
+        print(json.dumps(row, allow_nan=False))
+    else:
+        for name, label in LABELS.items():
+            for item in filter(None, row.get(name, "").split(SEPARATOR)):
+                print(f"{label:11} {item}")
+    return 0 if row["status"] == "ok" else 1
+
+
+#: columns of the ledger in the order they are printed, and what they are called there
+LABELS = {name: name for name in ("id", "where", "claim", "scene", "method", "message")}
+LABELS |= {"evidence": "measured", "verdict": "verdict", "correction": "correction"}
+LABELS |= {"corrected_evidence": "measured"}
+
+CLAIM = """examples:
+  contactbench claim C25
+  contactbench claim C07 --json | jq -r .verdict"""
+
+
+# -- report ----------------------------------------------------------------------------------------
+def report(arguments: argparse.Namespace) -> int:
+    """Write markdown, figures and the page from the CSV tables, or say which are not what the tables say."""
+    import contactbench as cb
+    from contactbench.report import check, write
+
+    results, readme = arguments.results, arguments.readme
+    registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
+    if not list(results.glob("*.csv")):
+        raise BadInput(f"--results {results}: no tables there; run the benchmark first (tox -e bench)")
+    if arguments.check:
+        found = check.differing(results, readme, registries)
+        print("\n".join(found) or "Documents, figures and tables agree.")
+        return 1 if found else 0
+    writable_folder("--results", results)
+    if readme:  # refused now if it has no computed part
+        write.parts_beside(readme)
+        writable("--readme", readme)
+    for path in write.report(results, registries, readme, arguments.png):
+        print(path)
+    return 0
+
+
+REPORT = """examples:
+  contactbench report
+  contactbench report --results /tmp/mine
+  contactbench report --check --readme README.md
+
+Nothing is solved: every number is read from the tables.  report.html is one page that needs no network."""
+
+
+# -- gate ------------------------------------------------------------------------------------------
+def gate(arguments: argparse.Namespace) -> int:
+    """Compare with the committed tables and time against another revision; 1 if something regressed."""
+    from contactbench.gate import judge
+    from contactbench.gate.compare import compare_folders
+
+    # a cancelled job removes its folders on the way out
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    if arguments.budget is not None:
+        positive("--budget", arguments.budget)
+    if arguments.baseline is not None:
+        if arguments.fresh is None or arguments.only == "speed":
+            raise BadInput("--baseline: compares two folders of tables, give --fresh DIR too")
+        found = compare_folders(arguments.baseline, arguments.fresh)
+    else:
+        status = judge.by_base(Path.cwd(), arguments.base, arguments.line)
+        if status is not None:
+            return status
+        parts = (arguments.only,) if arguments.only else judge.PARTS
+        folders = Path.cwd(), arguments.results, arguments.fresh
+        found = judge.gate(*folders, arguments.base, parts, arguments.tables_changed, arguments.budget)
+    print(found.as_json() if arguments.json else found.as_markdown())
+    return found.status
+
+
+GATE = """examples:
+  contactbench gate
+  contactbench gate --only accuracy --fresh /tmp/results-of-a-run
+  contactbench gate --only speed --base origin/main
+
+Accuracy: a fresh smoke run of the benchmark (about two minutes), and the tables of the working tree, against
+the tables of another revision.  Speed: the working tree against another revision, in turns on one core (a few
+minutes).  The gate of that revision judges, by its own rules.  Prints one table of what moved.  A change that
+means to change tables names them, in a line "Tables-changed: laws, claims" of a commit's message or with
+--tables-changed.
+Exit status: 0 green, cells that stay open named; 1 red; 2 inconclusive as a whole, or could not run."""
+BASE = "revision to compare with (default: where the main branch was left, on it HEAD's parent)"
+BASELINE = "compare --fresh with this folder of tables instead, outside any repository"
+BUDGET = "time for the speed part; inconclusive where it ends before half of the cells are decided"
+
+
+# -- references ------------------------------------------------------------------------------------
+def references(_: argparse.Namespace) -> int:
+    """Print the stored references, their digits and their digests."""
+    from contactbench.truth import frozen_folder, manifest
+
+    folder = frozen_folder()
+    if folder is None:
+        raise BadInput("no stored references in this installation; they are computed live")
+    for name, entry in manifest(folder).items():
+        second = entry["second_engine"]["agreeing_digits"]
+        digits = f"{entry['digits']} digits stored, {second} confirmed by a second engine"
+        print(f"{name:24} {digits}, sha256 {entry['sha256'][:16]}…")
+    return 0
+
+
+def add(command: Command) -> None:
+    """Add the commands and their options."""
+    one = command("claim", claim, "measure one claim of the ledger", CLAIM)
+    one.add_argument("id", help="C01 to C42, X01, X02, in either case (contactbench list claims)")
+    one.add_argument("--json", action="store_true", help="print one JSON object")
+
+    one = command("report", report, "markdown, figures and report.html from the CSV tables alone", REPORT)
+    one.add_argument("--results", type=Path, default=Path("results"), help="folder of the tables")
+    one.add_argument("--png", action="store_true", help="save the figures as .png too")
+    one.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
+    about = "write nothing; name each file that is not what the tables give, exit status 1 if there is one"
+    one.add_argument("--check", action="store_true", help=about)
+
+    one = command("gate", gate, "has anything become less accurate or slower?", GATE)
+    one.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")
+    committed = "the committed tables, a folder of the repository (default: results)"
+    one.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help=committed)
+    made = "tables of a run just made (default: make them now)"
+    one.add_argument("--fresh", type=Path, metavar="DIR", help=made)
+    one.add_argument("--baseline", type=Path, metavar="DIR", help=BASELINE)
+    one.add_argument("--base", metavar="REV", help=BASE)
+    changed = "a table that is meant to change, or all; may be repeated"
+    one.add_argument("--tables-changed", action="append", default=[], metavar="TABLE", help=changed)
+    one.add_argument("--budget", type=float, metavar="SECONDS", help=BUDGET)
+    one.add_argument("--json", action="store_true", help="print one JSON object")
+
+    command("references", references, "the stored references, their digits and digests")
