@@ -78,8 +78,7 @@ def truth(solution: Solution) -> Any:
     if solution.y0 is not None:
         own = scene.pack(scene.initial(solution.carry))
         if not np.array_equal(own, solution.y0):
-            start = solution.start()._asdict()
-            scene = scene.with_(**{k: v for k, v in start.items() if v is not None})
+            scene = scene.with_(**scene.data(solution.start()))
     return reference(scene, solution.t, solution.carry)
 
 

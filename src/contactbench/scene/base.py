@@ -419,6 +419,10 @@ class Scene(System):
         kept = self.fields_in(carry)
         return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
 
+    def data(self, x: Any) -> dict[str, Any]:
+        """Return the initial data that a state is, by name, as `with_` takes them."""
+        return {name: value for name, value in x._asdict().items() if value is not None}
+
     def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return the initial data given by keyword, validated against the scene's own."""
         for key in data:

@@ -158,6 +158,10 @@ class Many(Scene):
         s = block[2 * half] if "s" in carry else None
         return State(self._columns(block[:half]), self._columns(block[half : 2 * half]), s)
 
+    def data(self, x: State) -> dict[str, Any]:
+        flat = self.pack(x._replace(s=None)).reshape(2, -1)
+        return {"q": flat[0], "p": flat[1]} | ({} if x.s is None else {"s": x.s})
+
     def entries(self, y: Any) -> Any:
         return y
 

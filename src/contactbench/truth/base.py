@@ -16,6 +16,7 @@ import numpy as np
 from contactbench.boundary import is_ours
 from contactbench.errors import BadInput, array
 from contactbench.scene import Scene
+from contactbench.scene.many import Many
 from contactbench.trace.formula import Formula
 
 
@@ -133,6 +134,13 @@ def _definition(function: Any) -> list[str]:
     return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
 
 
+def fingerprint(value: Any) -> Any:
+    """Return numbers as the decimals they print as; of an array, which may have millions, its hash."""
+    if isinstance(value, np.ndarray):
+        return hashlib.sha256(value.tobytes()).hexdigest()
+    return [repr(float(x)) for x in np.ravel(value)]
+
+
 def digest(scene: Scene) -> str:
     """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data.
 
@@ -146,11 +154,13 @@ def digest(scene: Scene) -> str:
     ]
     kind = type(scene)
     package = ".".join(kind.__module__.split(".")[:2])  # where it is imported from, not where it is written
+    if isinstance(scene, Many):  # hashed as arrays: numbers may be millions
+        functions.append([scene.sites, scene.dimensions, getattr(scene, "boundary", "")])
     definition = [
         f"{package}.{kind.__qualname__}",
         functions,
         list(getattr(scene, "parameters", {})),
         [repr(float(x)) for x in scene.numbers()],
-        [[repr(float(x)) for x in np.ravel(getattr(scene, name))] for name in scene.initial_fields],
+        [fingerprint(getattr(scene, name)) for name in (*scene.initial_fields, *getattr(scene, "constants", ()))],
     ]
     return hashlib.sha256(json.dumps(definition).encode()).hexdigest()

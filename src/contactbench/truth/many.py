@@ -14,24 +14,22 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.scene.many import Many
 from contactbench.truth.base import Stopwatch
-from contactbench.truth.digits import agreeing_digits  # noqa: F401
 
-#: degrees of freedom up to which the components are solved to 30 digits
-FEW = 64
+#: numbers of a state up to which its components are solved to 30 digits
+FEW = 128
 #: of the two solvers in double precision
 TIGHTEST, COLUMNS = 1e-13, 12
 
 
-def doubles(scene: Many, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> tuple[np.ndarray, int]:
+def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> tuple[np.ndarray, int]:
     """Return states (k, size) at increasing times, and how many digits of them two solvers agree on."""
     start = np.array(scene.pack(scene.initial(carry)))
     watch = Stopwatch(scene, float(t[-1]), deadline)
 
     def slope(time: float, y: np.ndarray) -> np.ndarray:
         watch.check(time)
-        return np.asarray(scene.pack(scene.rhs(scene.unpack(y, carry))))
+        return np.asarray(scene.slopes(time, y, carry))
 
     with np.errstate(all="ignore"):
         one, other = by_dop853(slope, start, t), by_extrapolation(slope, start, t)
@@ -92,10 +90,3 @@ def extrapolated(
             return row[-1], j
         previous = row
     return None, COLUMNS
-
-
-def few(scene: Scene) -> Scene:
-    """Return a scene of few sites component by component; any other as it is."""
-    if isinstance(scene, Many) and scene.motion <= 2 * FEW and scene.exact is None:
-        return scene.unrolled()
-    return scene

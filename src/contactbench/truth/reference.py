@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -19,6 +20,7 @@ from contactbench.errors import BadInput, excerpt, is_real, one_line
 from contactbench.scene import Scene, verify
 from contactbench.scene.cache import Cache, key
 from contactbench.scene.definition import verify_along
+from contactbench.scene.many import Many
 from contactbench.scenes import scene_of
 from contactbench.truth.base import NEVER, BlowUp, Reference, checked_times, digest
 from contactbench.truth.closed_form import closed_form, closed_form_columns
@@ -34,6 +36,7 @@ from contactbench.truth.digits import (
 )
 from contactbench.truth.extrapolation import extrapolation
 from contactbench.truth.frozen import frozen, frozen_entry
+from contactbench.truth.many import FEW, doubles
 from contactbench.truth.taylor import heyoka_reads_rhs, taylor
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
@@ -75,6 +78,8 @@ def reference(
     verify_along(scene)
 
     def make() -> Reference:
+        if isinstance(scene, Many):
+            return of_many(scene, t, carry, seconds)
         found = closed_form(scene, t, carry) or frozen(scene, t, carry)
         found = found or live(scene, t, carry, perf_counter() + seconds)
         decimals, digits, source = found
@@ -87,6 +92,27 @@ def reference(
     return _cache.get(
         key(scene.identity if known else None, digest(scene), scene.exact, carry, t.tobytes()), make
     )
+
+
+def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
+    """Return the truth of a scene of many sites: of few of them, component by component, to many digits."""
+    if scene.motion <= FEW and scene.exact is None:
+        found = reference(scene.unrolled(), t, carry, seconds)
+        return replace(found, scene=scene)
+    unique, back = np.unique(t, return_inverse=True)
+    if scene.exact is not None:
+        rows = [scene.pack(_carried(scene.exact(scene, time, np), carry)) for time in unique.tolist()]
+        y, digits, source = np.array(rows), 13, "closed form"
+    else:
+        y, digits = doubles(scene, unique, carry, perf_counter() + seconds)
+        source = "live"
+    y = y[back]
+    y.setflags(write=False)
+    return Reference(scene, carry, t, y, [], digits, source)
+
+
+def _carried(x: Any, carry: tuple[str, ...]) -> Any:
+    return x if "s" in carry else x._replace(s=None)
 
 
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
