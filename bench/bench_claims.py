@@ -12,7 +12,6 @@ LONG = {f"C{n:02d}" for n in (3, 4, 5, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 4
 
 
 def some(names, profile):
-    """All of them, or in the smoke profile those that are soon measured."""
     return [(name,) for name in names if profile.points > 1 or name not in LONG]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import contactbench as cb
-from cells import cells, controlled, outcome, pairs
+from cells import cells, key, outcome, pairs
 from contactbench.measure.ladder import save_times, steps
 from contactbench.measure.order import error_at, fit_order
 from contactbench.results.tables import CONVERGENCE
@@ -27,7 +27,6 @@ def ladder(profile):
 
 
 def in_double_precision(scene, method):
-    """(row, step, error) for each step size."""
     for h in steps(scene, POINTS):
         solution = cb.solve(
             scene, method.name, save_at=save_times(scene), carry=(), **keywords(method.control, h)
@@ -40,7 +39,7 @@ def at_fifty_digits(scene, method):
     size = math.hypot(*scene.pack(scene.initial(scene.optional)))
     for n in EXTENDED_STEPS:
         h = EXTENDED_TIME / n
-        row = {"scene": scene.name, "method": method.name, "engine": "mpmath", **controlled("step", h)}
+        row = key(scene.name, method.name, "mpmath", "step", h)
         row |= {"status": "ok", "message": "", "steps": n, "jacobians": 0}
         row |= {"evaluations": method.counts(scene, n), "evaluation_kind": method.kind_on(scene)}
         yield row, h, float(error_at(method, scene, EXTENDED_TIME, n)) / size

@@ -11,12 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 import contactbench as cb
-from cells import cells, contestants, outcome, small, step_budget
+from cells import cells, contestants, outcome, right_hand_sides, small, step_at, step_budget, tolerance_at
 from contactbench.measure.laws import row as law_columns
 from contactbench.results.tables import DECAY_LAWS
 from contactbench.scenes import scenes_of
 from contactbench.solution import EXACT, keywords
-from equal_cost import right_hand_sides, step_at, tolerance_at
 
 #: of the scenes of every experiment
 FEW = ("oscillator", "particle", "central", "rigid_body")
@@ -40,7 +39,6 @@ def ladder(profile):
 
 
 def save_times(scene):
-    """The times at which the laws are looked at."""
     return scene.t_end * np.arange(1, SAVES + 1) / SAVES
 
 
@@ -55,7 +53,6 @@ def to_the_end(scene, method, value, budget):
 
 
 def evaluations(scene, method, value, budget=None):
-    """What a run at a step or tolerance costs."""
     return right_hand_sides(to_the_end(scene, method, value, budget))
 
 
@@ -71,10 +68,8 @@ def value_at(scene, method, target, budget=None):
 
 
 def laws_row(scene, method, value, budget):
-    """The laws at the saved times, and how the derivative for the contact drift was obtained."""
-    solution = cb.solve(
-        scene, method.name, save_at=save_times(scene), max_steps=budget, **keywords(method.control, value)
-    )
+    setting = keywords(method.control, value)
+    solution = cb.solve(scene, method.name, save_at=save_times(scene), max_steps=budget, **setting)
     if not solution.ok:
         return {"status": str(solution.status), "message": solution.message}
     columns = law_columns(solution)

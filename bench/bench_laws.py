@@ -25,26 +25,23 @@ def test_laws(cell, profile, record, record_all):
     shown = values[1:2] or values
     for value in values:
         budget = step_budget(profile, scene, method, method.engines[0])
-        solution = cb.solve(
-            scene, method.name, save_at=save_times(scene), max_steps=budget, **keywords(method.control, value)
-        )
+        options = {"save_at": save_times(scene), "max_steps": budget, **keywords(method.control, value)}
+        solution = cb.solve(scene, method.name, **options)
         record(LAWS_TABLE, **outcome(solution), saved_times=len(solution.t), **row(solution))
         if value in shown and solution.ok:
             record_all(LAWS_TIME, along_time(solution))
 
 
+#: of the time table
+DEVIATIONS = {"energy": "energy_law_relative", "hamiltonian": "hamiltonian_law"}
+DEVIATIONS |= {"momentum": "momentum_law", "contact": "contact_drift"}
+
+
 def along_time(solution):
-    """Rows of the time table."""
-
-    def deviation(name):
-        law = LAWS[name]
-        found = law.along(solution) if law.applies(solution.scene) else np.nan
-        return getattr(found, "size", np.full(len(solution.t), np.nan))
-
-    laws = {"energy": "energy_law_relative", "hamiltonian": "hamiltonian_law"}
-    laws |= {"momentum": "momentum_law", "contact": "contact_drift"}
     columns = {"t": solution.t, "energy": energies(solution)[0]}
-    columns |= {f"{name}_deviation": deviation(law) for name, law in laws.items()}
+    for name, law in DEVIATIONS.items():
+        found = LAWS[law].along(solution) if LAWS[law].applies(solution.scene) else np.nan
+        columns[f"{name}_deviation"] = getattr(found, "size", np.full(len(solution.t), np.nan))
     key = {name: value for name, value in outcome(solution).items() if name in COMMON}
     for values in zip(*columns.values(), strict=True):
         yield {**key, **dict(zip(columns, map(float, values), strict=True))}

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 import contactbench as cb
-from cells import cells, controlled
+from cells import cells, key
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
 from contactbench.solution import keywords
@@ -37,13 +37,11 @@ def methods(profile):
 
 
 def starts(count):
-    """Initial data over both wells."""
     rng = np.random.default_rng(SEED)
     return {"q": (rng.uniform(-1.5, 1.5, count),), "p": (rng.uniform(-1, 1, count),)}
 
 
 def settings(method):
-    """(kind, value) of each rung."""
     if method.adaptive:
         return [("rtol", rtol) for rtol in RTOLS]
     each = method.per_step(SCENE, ())
@@ -51,7 +49,6 @@ def settings(method):
 
 
 def with_tangents(method, kind, value, count=TRAJECTORIES):
-    """Rows of the exponents, and of the energy along them."""
     span = {"every": PERIOD, "intervals": PERIODS, "settle": SETTLE, "initial_conditions": starts(count)}
     found = cb.lyapunov(SCENE, method.name, **span, **keywords(kind, value))
     largest = Average(found.exponents.value[0], found.exponents.error[0])
@@ -85,24 +82,12 @@ def row(method, kind, value, quantity, average, spent, lost, count=TRAJECTORIES)
 
     spent : evaluations and Jacobians per unit of time.
     """
-    made = {
-        "scene": SCENE.name,
-        "method": method.name,
-        "engine": method.engines[0],
-        **controlled(kind, value),
-    }
-    made |= {
-        "quantity": quantity,
-        "reference": count > TRAJECTORIES,
-        "trajectories": count,
-        "periods": PERIODS,
-    }
-    made |= {"evaluation_kind": method.kind_on(SCENE) if kind == "step" else "rhs"}
+    made = key(SCENE.name, method.name, method.engines[0], kind, value)
+    made |= {"quantity": quantity, "reference": count > TRAJECTORIES, "trajectories": count}
+    made |= {"periods": PERIODS, "evaluation_kind": method.kind_on(SCENE) if kind == "step" else "rhs"}
     if lost:
-        return made | {
-            "status": "diverged",
-            "message": f"{lost} of {count} trajectories left the scene's scale",
-        }
+        message = f"{lost} of {count} trajectories left the scene's scale"
+        return made | {"status": "diverged", "message": message}
     made |= {"status": "ok", "message": "", "mean": float(average.value), "error": float(average.error)}
     return made | {"evaluations_per_time": float(spent[0]), "jacobians_per_time": float(spent[1])}
 

@@ -8,27 +8,36 @@ busy the machine is.
 
 from __future__ import annotations
 
+import contextlib
+import math
+from time import perf_counter
+
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cells import cells, controlled, small, step_budget
+from cells import cells, controlled, key, outcome, right_hand_sides, small, step_budget, tolerance_at
+from contactbench.boundary import UserError
+from contactbench.measure.clock import seconds
 from contactbench.measure.isolation import Died, TimedOut, Worker
-from contactbench.measure.ladder import SAVES
+from contactbench.measure.ladder import SAVES, save_times
+from contactbench.measure.law import MEANINGFUL
+from contactbench.measure.laws import row as laws_row
 from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
     is_processed,
     kernel,
     propagation_error,
+    slow_rate,
     spectral_radius,
     stability,
     true_radius,
 )
 from contactbench.results.tables import DAMPING_RATES, ONE_STEP, STABILITY, STABILITY_LIMITS, STRONG_DAMPING
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT
-from stability_rows import SolverError, overdamped_row, stability_row, weak_row
+from contactbench.solution import EXACT, keywords
+from contactbench.truth import blow_up_time, condition_number
 
 #: seconds after which a call hangs; the dearest, over 10⁵ units of time, takes about twenty
 LIMIT = 900.0
@@ -55,12 +64,7 @@ DAMPING_PER_STEP = (1.0, 5.0, 25.0)
 SPANS = (1e4, 1e5)
 
 
-def brief(profile):
-    return profile.points == 1
-
-
 def settings(scene, method):
-    """(kind, value) of each rung of a method's ladder."""
     if method.control == EXACT:
         return [(EXACT, 0.0)]
     if method.adaptive:
@@ -82,13 +86,13 @@ def ladder(profile):
         (scene.name, method)
         for scene in scenes_of("stability")
         for method in cb.METHODS
-        if not brief(profile) or small(scene.name, method, SMOKE, EVERYWHERE)
+        if profile.points > 1 or small(scene.name, method, SMOKE, EVERYWHERE)
     ]
 
 
 def questions(profile):
     """Rates: the overdamped oscillator for every method, weak damping over both spans."""
-    if brief(profile):
+    if profile.points == 1:
         return [(which, EVERYWHERE[0]) for which in ("overdamped", f"weak_damping {SPANS[0]:.0e}")]
     weak = [("weak_damping", span) for span in SPANS] + [("weak_damping_particle", SPANS[0])]
     return [("overdamped", method) for method in cb.METHODS] + [
@@ -97,31 +101,26 @@ def questions(profile):
 
 
 def calls(cell, profile):
-    """What a cell runs: (row without its result, function, arguments) for each of its rows."""
-    which, method = cell[0], cb.METHODS[cell[1]]
-    engine = method.engines[0]
-    key = {"method": method.name, "engine": engine, "status": "failed"}
-    scene = cb.SCENES[which]
-    budget = budget_of(profile, scene, method)
+    scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
+    engine, budget = method.engines[0], budget_of(profile, scene, method)
     for kind, value in settings(scene, method):
-        row = key | {"scene": which, **controlled(kind, value)}
-        yield row, stability_row, (which, method.name, engine, kind, value, budget)
+        row = key(scene.name, method.name, engine, kind, value) | {"status": "failed"}
+        yield row, stability_row, (scene.name, method.name, engine, kind, value, budget)
 
 
 def rate_calls(cell, profile):
-    which, method = cell[0], cb.METHODS[cell[1]]
-    key = {"method": method.name, "engine": method.engines[0], "status": "failed"}
-    if which != "overdamped":
-        name, _, span = which.partition(" ")
-        row = key | {"experiment": "weak", "scene": name, "setting": "", "t_end": float(span)}
+    name, _, span = cell[0].partition(" ")
+    scene, method = cb.SCENES[name], cb.METHODS[cell[1]]
+    row = {"method": method.name, "engine": method.engines[0], "status": "failed", "scene": name}
+    if span:
+        row |= {"experiment": "weak", "setting": "", "t_end": float(span)}
         yield row, weak_row, (name, method.name, float(span))
         return
-    scene, kind = cb.SCENES[which], method.control
+    row |= {"experiment": "overdamped", "t_end": scene.t_end}
     steps = [damping / scene.gamma for damping in DAMPING_PER_STEP]
-    key |= {"experiment": "overdamped", "scene": which, "t_end": scene.t_end}
-    for value in {"step": steps, "rtol": CREEP_RTOLS, EXACT: [0.0]}[kind]:
-        arguments = (method.name, kind, value, budget_of(profile, scene, method))
-        yield key | controlled(kind, value), overdamped_row, arguments
+    for value in {"step": steps, "rtol": CREEP_RTOLS, EXACT: [0.0]}[method.control]:
+        arguments = (method.name, method.control, value, budget_of(profile, scene, method))
+        yield row | controlled(method.control, value), overdamped_row, arguments
 
 
 def budget_of(profile, scene, method):
@@ -132,10 +131,180 @@ def budget_of(profile, scene, method):
     return 3 * steps
 
 
+# -- in a worker: one row of a table a call --------------------------------------------------------
+# What a row says follows from what is counted; the clock is read for `time_s` alone.
+class SolverError(Exception):
+    """A solver raised; whatever else raises in here is a fault of the experiment."""
+
+
+@contextlib.contextmanager
+def blamed_on_solver():
+    try:
+        yield
+    except UserError as error:  # a plug-in's solver
+        raise SolverError(str(error)) from error
+    except cb.BadInput:  # a question nobody should have asked
+        raise
+    except Exception as error:
+        raise SolverError(f"{type(error).__name__}: {error}") from error
+
+
+def solve(scene, method, **options):
+    with blamed_on_solver():
+        return cb.solve(scene, method, **options)
+
+
+#: seconds: of a call shorter than QUICK the fastest of several is taken; to one longer than LONG what only the first
+#: call does adds nothing
+QUICK, LONG, CALLS = 0.01, 0.3, 5
+
+
+def stability_row(scene, method, engine, kind, value, max_steps):
+    scene = cb.SCENES[scene]
+    with blamed_on_solver():
+        options = {"engine": engine, "save_at": save_times(scene), "max_steps": max_steps}
+        run = cb.prepare(scene, method, **options, **keywords(kind, value))
+        start = perf_counter()
+        solution = run()
+        first = perf_counter() - start
+    found = blow_up_time(scene) if solution.status is not cb.Status.unsupported else None
+    row = outcome(solution) | {"saved_times": len(solution.t), "end_time": solution.end_time}
+    row |= {"blow_up_time": float(found[0]) if found else math.nan}
+    row |= {"condition_number": condition_number(scene) or math.nan}
+    if not solution.ok:
+        return row
+    row["time_s"] = time_of(run, first)
+    row["end_error"] = end_error(solution)
+    by_runs = cb.METHODS[method].adaptive and cb.METHODS[method].family != "contact"
+    return row | laws_row(
+        solution, "by many runs of the solver, on the standard scenes only" if by_runs else ""
+    )
+
+
+def time_of(run, first):
+    """Seconds of a call, `first` those of the first one, which imports and allocates."""
+    if first > LONG:
+        return first
+    with blamed_on_solver():
+        return min(seconds(run, 1) for _ in range(CALLS if first < QUICK else 1))
+
+
+def end_error(solution):
+    """‖y − y*‖ / ‖y*‖ at the end, of (q, p) or M; 0 where both have underflowed."""
+    size = len(solution.scene.labels(()))
+    truth = cb.reference(solution.scene, solution.t[-1:], solution.carry).y[0, :size]
+    gap, length = np.linalg.norm(solution.y[-1, :size] - truth), np.linalg.norm(truth)
+    return float(gap / max(length, MEANINGFUL))
+
+
+# -- overdamped ------------------------------------------------------------------------------------
+def overdamped_row(method, kind, value, max_steps):
+    """The rate of creep between t_end/2 and t_end over the true slow rate."""
+    scene = cb.SCENES["overdamped"]
+    ends = [scene.t_end / 2, scene.t_end]
+    solution = solve(scene, method, save_at=ends, carry=(), max_steps=max_steps, **keywords(kind, value))
+    row = rate_row("overdamped", solution, scene.t_end, slow_rate(scene.gamma))
+    row["damping_per_step"] = scene.gamma * value if kind == "step" else math.nan
+    if solution.ok:
+        with np.errstate(divide="ignore"):
+            size = np.log(np.abs(solution.q[:, 0]))
+        row |= rates((size[0] - size[1]) / (ends[1] - ends[0]), row["true_rate"])
+        truth = cb.reference(scene, ends, ()).y
+        row["q_error"], row["p_error"] = np.abs(solution.y[-1] / truth[-1] - 1).tolist()
+    return row
+
+
+def rate_row(experiment, solution, t_end, true_rate):
+    keep = {name: value for name, value in outcome(solution).items() if name in DAMPING_RATES.columns}
+    return keep | {"experiment": experiment, "t_end": t_end, "true_rate": true_rate}
+
+
+def rates(rate, true_rate):
+    ratio = rate / true_rate
+    return {"rate": rate, "ratio": ratio, "rate_error": abs(ratio - 1)}
+
+
+# -- weak damping ----------------------------------------------------------------------------------
+#: evaluations per unit of time, for every method alike; adaptive ones are matched over a shorter span
+COST, PILOT = 8.0, 200.0
+#: times at which H0 is looked at, of a method and of the truth alike.  They are close enough together for
+#: the oscillation of H0 not to be mistaken for a slow one, which on the 200 times of the frozen references it is
+SAMPLES, FROZEN = 1000, 200
+#: how far the truth, integrated from one frozen time to the next, may be from it
+GAP = 1e-12
+
+
+def energy_rate(t, energy):
+    """The mean rate at which log H0 falls: its slope by least squares, weighted by a bump over the span.
+
+    The weight is flat at both ends with all its derivatives, so that what an oscillation of H0 adds to the
+    slope falls faster than any power of the number of its periods (Das, Saiki, Sander, Yorke, Nonlinearity
+    30, 4111 (2017), doi:10.1088/1361-6544/aa84c2).
+    """
+    n = len(t)
+    u = np.arange(1, n + 1) / (n + 1)
+    weight = np.exp(-1 / (u * (1 - u)))
+    lever = weight * (t - np.average(t, weights=weight))
+    return float(-(lever @ np.log(energy)) / (lever @ t))
+
+
+def truth_at(scene, times):
+    """The true (q, p) at equidistant times up to t_end, a multiple of the frozen ones, as states.
+
+    Between frozen times by Taylor series in double precision, afresh from each frozen state, and checked
+    against the next.  Raises `AssertionError` where they do not meet.
+    """
+    if scene.exact is not None:
+        return cb.reference(scene, times, ()).states()
+    between = len(times) // FROZEN
+    frozen = cb.reference(scene, times[between - 1 :: between], ())
+    starts = np.vstack([scene.pack(scene.initial(())), frozen.y[:-1]])
+    run = cb.prepare(scene, "heyoka-taylor", rtol=2.3e-16, save_at=times[:between], carry=())
+    pieces = np.array([run.integrate(y).y for y in starts])
+    assert np.abs(pieces[:, -1] - frozen.y).max() < GAP
+    pieces[:, -1] = frozen.y
+    return scene.unpack(tuple(np.concatenate(pieces).T), ())
+
+
+def weak_row(scene, method, t_end):
+    """The damping rate over t_end, every method at about COST evaluations per unit of time."""
+    scene = cb.SCENES[scene].with_(t_end=t_end)
+    chosen = cb.METHODS[method]
+    if chosen.refuses(scene) is not None:
+        value = chosen.rtol_range[1] if chosen.adaptive else 1 / COST
+        setting = keywords(chosen.control, value)
+        return rate_row("weak", solve(scene, method, **setting), t_end, math.nan)
+    times = t_end * np.arange(1, SAMPLES + 1) / SAMPLES
+    if chosen.adaptive:
+        setting = {"rtol": tolerance_at(pilot_cost(scene, method), COST * PILOT, chosen.rtol_range)}
+    else:  # whole steps between samples
+        setting = {"step": times[0] / max(1, round(times[0] * COST / chosen.per_step(scene)))}
+    solution = solve(scene, method, save_at=times, carry=(), **setting)
+    row = rate_row("weak", solution, t_end, math.nan)
+    if not solution.ok:
+        return row
+    if "python" not in solution.engine:  # the cost without what it takes to save
+        row["evaluations"] = solve(scene, method, save_at=times[-1:], carry=(), **setting).counts.evaluations
+    true_rate = energy_rate(times, scene.energy(truth_at(scene, times)))
+    return (
+        row | {"true_rate": true_rate} | rates(energy_rate(times, scene.energy(solution.states())), true_rate)
+    )
+
+
+def pilot_cost(scene, method):
+    """The function tolerance → evaluations over the pilot span, as `tolerance_at` wants it."""
+
+    def cost(rtol):
+        with blamed_on_solver():
+            run = cb.prepare(scene, method, rtol=rtol, save_at=[PILOT], carry=())
+            return right_hand_sides(run())
+
+    return cost
+
+
 # -- workers ---------------------------------------------------------------------------------------
 @pytest.fixture(scope="session")
 def worker():
-    """A process beside this one, on the same core, that keeps what it has compiled."""
     with Worker() as one:
         yield one
 
@@ -186,7 +355,7 @@ PER_EVALUATION = np.geomspace(1e-3, 30.0, 40)
 def linear(profile):
     names = [method.name for method in fixed_step_methods()]
     some = {names[0], *(name for name in names if is_processed(cb.METHODS[name]))}
-    return [(name,) for name in names if not brief(profile) or name in some]
+    return [(name,) for name in names if profile.points > 1 or name in some]
 
 
 @cells(linear)
@@ -201,7 +370,8 @@ def limits(method, gamma, omega):
     theory, both = THEORY.get(method.name), is_processed(method)
     found = stability(kernel(method), gamma, omega)
     row = {"method": method.name, "gamma": gamma, "omega": omega, "limit": found.limit, "last": found.last}
-    row |= {"windows": printed_windows(found), "theory": theory(gamma, omega) if theory else np.nan}
+    row |= {"windows": "; ".join(f"{start:.7g}…{end:.7g}" for start, end in found.windows)}
+    row |= {"theory": theory(gamma, omega) if theory else np.nan}
     row |= {"per_evaluation": found.limit / method.per_step(cb.SCENES["oscillator"])}
     saved = stability(method, gamma, omega).limit if both else np.nan
     return row | {"limit_kernel": found.limit if both else np.nan, "limit_saved": saved}
@@ -209,26 +379,18 @@ def limits(method, gamma, omega):
 
 def radii(method, gamma):
     radius = spectral_radius(kernel(method), gamma, 1.0, STEPS)
-    saved = (
-        spectral_radius(method, gamma, 1.0, STEPS) if is_processed(method) else np.full(len(STEPS), np.nan)
-    )
+    saved = spectral_radius(method, gamma, 1.0, STEPS) if is_processed(method) else np.nan * STEPS
     for h, r, r_saved in zip(STEPS.tolist(), radius.tolist(), saved.tolist(), strict=True):
         row = {"method": method.name, "gamma": gamma, "step": h, "true_radius": true_radius(gamma, 1.0, h)}
         yield row | {"radius": r, "radius_saved": r_saved}
 
 
 def errors(method, gamma):
-    both, each = is_processed(method), method.per_step(cb.SCENES["oscillator"])
+    each = method.per_step(cb.SCENES["oscillator"])
     for between in PER_EVALUATION:
         h = between / gamma * each
         row = {"method": method.name, "gamma": gamma, "damping_per_evaluation": between, "step": h}
-        row |= {
-            "radius": spectral_radius(kernel(method), gamma, 1.0, h),
-            "error": propagation_error(method, gamma, h),
-        }
-        yield row | {"error_saved": propagation_error(method, gamma, h, every_step=True) if both else np.nan}
-
-
-def printed_windows(found):
-    """The windows of instability, "3.134248…3.150828; …"."""
-    return "; ".join(f"{start:.7g}…{end:.7g}" for start, end in found.windows)
+        row |= {"radius": spectral_radius(kernel(method), gamma, 1.0, h)}
+        row |= {"error": propagation_error(method, gamma, h)}
+        saved = propagation_error(method, gamma, h, every_step=True) if is_processed(method) else np.nan
+        yield row | {"error_saved": saved}

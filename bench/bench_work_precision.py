@@ -17,7 +17,7 @@ import pytest
 
 import contactbench as cb
 from c_loops import KERNELS, kernel
-from cells import cells, controlled, engines, outcome, step_budget
+from cells import cells, engines, key, outcome, step_budget
 from contactbench.measure.clock import Call, Part, seconds
 from contactbench.measure.ladder import BETWEEN, ENDS, LOOSEST, carry_of, fields, tolerances, work_ladder
 from contactbench.measure.laws import absolute_error
@@ -73,8 +73,7 @@ def error(solutions):
 def passes_through(method, engine, control):
     """Whether one run saved at all ends is, but for roundings, the runs to each of them, and slow enough to matter.
 
-    Fixed steps are, if the ends are step boundaries; not those of a processed method, which brings a state to
-    its own coordinates and back wherever it is saved.
+    Not of a processed method, which brings a state to its own coordinates and back wherever it is saved.
     """
     return engine == "python" and control == "step" and not is_processed(method)
 
@@ -82,24 +81,20 @@ def passes_through(method, engine, control):
 def options(cell, profile):
     """The names of scene and method of a cell, and what `prepare` is given but the times to be saved."""
     name, method, engine, control, value = cell
-    scene = cb.SCENES[name]
-    given = {**keywords(control, value), "engine": engine, "carry": carry_of(scene)}
-    return name, method, given | {"max_steps": step_budget(profile, scene, cb.METHODS[method], engine)}
+    scene, budget = cb.SCENES[name], step_budget(profile, cb.SCENES[name], cb.METHODS[method], engine)
+    given = {**keywords(control, value), "engine": engine, "carry": carry_of(scene), "max_steps": budget}
+    return name, method, given
 
 
 def errors(cell, profile):
     """The row of a cell but for what is timed: how its run ends, what it costs, its error at several ends."""
-    name, _, given = options(cell, profile)
-    scene, method = cb.SCENES[name], cb.METHODS[cell[1]]
-    engine, control = cell[2:4]
+    scene, method, (engine, control) = cb.SCENES[cell[0]], cb.METHODS[cell[1]], cell[2:4]
+    given = options(cell, profile)[-1]
     run = cb.prepare(scene, method.name, save_at=[scene.t_end], **given)
     start = perf_counter()
     solution = run()
-    row = {
-        "carried": " ".join(fields(scene, method, run.request.carry)),
-        "compile_s": run.compile_s,
-        "first_call_s": perf_counter() - start,
-    }
+    row = {"compile_s": run.compile_s, "first_call_s": perf_counter() - start}
+    row |= {"carried": " ".join(fields(scene, method, run.request.carry))}
     variant = "" if control == method.control else "chosen"
     if not solution.ok:
         return outcome(solution, variant=variant) | row
@@ -179,11 +174,10 @@ def added(run, bare, once):
 
 
 def prepared_limit(cell):
-    """The same for a C loop."""
     name, method, step = cell
     scene = cb.SCENES[name]
-    row = {"scene": name, "method": "limit-c", "family": "limit", "engine": "c", "carried": "q p"}
-    row |= {**controlled("step", step, method), "jacobians": 0, "evaluation_kind": "gradient"}
+    row = key(name, "limit-c", "c", "step", step, method)
+    row |= {"carried": "q p", "jacobians": 0, "evaluation_kind": "gradient"}
     made = kernel(method, scene, step)
     if isinstance(made, str):
         return row | {"status": "unsupported", "message": made}, None
@@ -194,16 +188,11 @@ def prepared_limit(cell):
     truth = cb.reference(scene, [scene.t_end], ()).y[0]
     error = float(np.linalg.norm(end - truth) / np.linalg.norm([*scene.q, *scene.p]))
     row |= {"status": "ok", "message": "", "compile_s": 0.0, "first_call_s": first, "solution_error": error}
-    row |= {
-        "steps": round(scene.t_end / step),
-        "evaluations": evaluations,
-        "rhs_equivalents": float(evaluations),
-    }
-    return row, Call(run)
+    row |= {"steps": round(scene.t_end / step), "evaluations": evaluations}
+    return row | {"rhs_equivalents": float(evaluations)}, Call(run)
 
 
 @pytest.mark.timed
 @cells(limits)
 def test_limit(cell, clock):
-    """The same arithmetic as a C loop: what a compiled kernel is compared with."""
     clock.time(WORK_PRECISION, {}, prepared_limit, cell)

@@ -100,13 +100,11 @@ def ensemble_kernel(
         return loops
     name, n, numbers = constants(method, scene, step)
     loop, coupling = getattr(loops, f"{name}_{shape}"), ctypes.c_double(scene.parameters["coupling"])
-
-    trajectories = start.shape[1]
-    columns = staggered(len(start), trajectories)
+    columns = staggered(*start.shape)
+    counts = ctypes.c_int64(start.shape[1]), ctypes.c_int64(n)
 
     def run() -> np.ndarray:
         columns[:] = start
-        counts = ctypes.c_int64(trajectories), ctypes.c_int64(n)
         loop(*counts, coupling, *map(pointer, numbers), *map(pointer, columns))
         return columns.copy()
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 from zlib import crc32
 
 from contactbench.methods import METHODS
-from contactbench.methods.base import Method
 from contactbench.plugins import OWN
 from contactbench.scene import Scene
-from contactbench.scenes import SCENES, scenes_of
-from contactbench.solution import Counts, Solution, setting_key
+from contactbench.scenes import scenes_of
+from contactbench.solution import Counts, Solution, Status, setting_key
 
 #: in the smoke profile what is soon compiled on one scene, and on every other one of our methods and one of theirs
 SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
@@ -33,37 +33,13 @@ def cells(ladder: Any, times: Any = None) -> Callable[..., Any]:
     return attach
 
 
-def scene_and_method(cell: Any) -> tuple[Scene, Method] | None:
-    """The two a cell begins with, None for cells of another kind."""
-    match cell:
-        case (str(scene), str(method), *_) if method in METHODS and scene.partition(" ")[0] in SCENES:
-            return SCENES[scene.partition(" ")[0]], METHODS[method]
-    return None
-
-
-def family(cell: tuple) -> Any:
-    """What the programs of a cell depend on: the structure of its scene, and its method."""
-    found = scene_and_method(cell)
-    return cell if found is None else (found[0].structure, found[1].name)
-
-
-def takes_long(cell: Any) -> bool:
-    """Whether the runs of a cell call back into Python or solve equations at every step."""
-    found = scene_and_method(cell)
-    if found is None or not found[1].adaptive:
-        return False
-    return found[1].step_cost(found[0], found[1].engines[0]) is not None
-
-
-def pairs(
-    profile: Any, experiment: str, methods: Iterable[str], everywhere: Iterable[str] = EVERYWHERE
-) -> list[tuple[str, str]]:
+def pairs(profile: Any, experiment: str, methods: Iterable[str]) -> list[tuple[str, str]]:
     """The scenes and methods of an experiment: all of them, in the smoke profile a few on scenes but one."""
     return [
         (scene.name, method)
         for scene in scenes_of(experiment)
         for method in contestants(experiment, scene, methods)
-        if profile.points > 1 or small(scene.name, method, SMOKE, everywhere)
+        if profile.points > 1 or small(scene.name, method)
     ]
 
 
@@ -144,22 +120,82 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
 
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
-    """The columns that say what was set: control, value, variant, and all of them printed."""
     printed = setting_key(control, value)
     setting = f"{variant} {printed}".strip()
     return {"control": control, "value": value, "variant": variant, "setting": setting}
 
 
+def key(
+    scene: str, method: str, engine: str, control: str, value: float, variant: str = ""
+) -> dict[str, Any]:
+    family = METHODS[method].family if method in METHODS else "limit"
+    own = {"scene": scene, "method": method, "family": family, "engine": engine}
+    return own | controlled(control, value, variant)
+
+
 def outcome(solution: Solution, counts: Counts | None = None, variant: str = "") -> dict[str, Any]:
-    """The columns every row has: key, status, counts."""
     counts, method = counts or solution.counts, METHODS[solution.method]
-    row = {
-        "scene": solution.scene.name,
-        "method": method.name,
-        "family": method.family,
-        "engine": solution.engine,
-    }
-    row |= controlled(solution.control, solution.value, variant)
+    row = key(solution.scene.name, method.name, solution.engine, solution.control, solution.value, variant)
     row |= {"status": str(solution.status), "message": solution.message, "evaluation_kind": counts.kind}
     row |= {name: getattr(counts, name) for name in ("steps", "evaluations", "rhs_equivalents", "jacobians")}
     return row | {"rejected": counts.rejected if method.adaptive else None}
+
+
+# -- settings at which methods cost the same -------------------------------------------------------
+#: a tolerance is taken whose cost is this near to the one asked for, or the nearest met
+NEAR = 0.02
+#: tolerances have this many significant digits, and are told apart by this much in log10(rtol)
+DIGITS, RESOLUTION = 3, 2e-3
+
+
+def right_hand_sides(solution) -> float:
+    """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
+    if solution.ok:
+        return solution.counts.rhs_equivalents
+    return math.inf if solution.status is Status.budget else 0.0
+
+
+def tolerance_at(cost: Callable[[float], float], target: float, rtol_range: tuple[float, float]) -> float:
+    """The tolerance at which a run costs `target`, by bisection in log(rtol).
+
+    cost : evaluations at a tolerance, more for less, but for jumps; 0 for a run that came to a bad end, which
+    so loose a tolerance may lead to, inf for one that spent its budget.
+    Of the tolerances looked at, the one whose cost is nearest, as a ratio, the tightest of equals.  A method
+    that costs more at its loosest tolerance gets the tightest that costs hardly more than that: the loosest
+    buys nothing.
+    """
+    low, high = (math.log10(rtol) for rtol in rtol_range)
+    costs: dict[float, float] = {}
+
+    def looked_at(exponent: float) -> float:
+        rtol = min(max(float(f"{10**exponent:.{DIGITS - 1}e}"), rtol_range[0]), rtol_range[1])
+        costs[rtol] = cost(rtol)
+        return costs[rtol]
+
+    target = max(target, (1 + 2 * NEAR) * looked_at(high))
+    while high - low > RESOLUTION:
+        middle = (low + high) / 2
+        found = looked_at(middle)
+        if abs(found / target - 1) < NEAR:
+            break
+        low, high = (low, middle) if found < target else (middle, high)
+    if not any(found >= target for found in costs.values()):  # the tightest costs less, or was not tried
+        looked_at(math.log10(rtol_range[0]))
+    ended = {rtol: found for rtol, found in costs.items() if 0 < found < math.inf}
+    return min(ended or costs, key=lambda rtol: (distance(costs[rtol], target), rtol))
+
+
+def distance(cost: float, target: float) -> float:
+    return abs(math.log(cost / target)) if 0 < cost < math.inf else math.inf
+
+
+def step_at(method, scene, target: float, part: int = 1) -> float:
+    """The step, t_end over a multiple of `part`, at which a run to the end costs nearest to `target`.
+
+    target : evaluations on the scale of one right-hand side.
+    """
+    scale = 0.5 if method.kind_on(scene) == "rotation" else 1.0
+    each = scale * method.per_step(scene)
+    once = scale * method.counts(scene, 1) - each  # what a run costs beside its steps: a processor
+    n = max(1, round((target - once) / each / part)) * part
+    return scene.t_end / n

@@ -5,20 +5,18 @@ A sample of them is prepared in a second process too and visited in the same tur
 
 from __future__ import annotations
 
-import json
 import os
 import random
-import subprocess
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from contactbench.measure.clock import (
     ROUNDS,
+    SEED,
     Part,
     Race,
     Timed,
@@ -27,64 +25,45 @@ from contactbench.measure.clock import (
     process_columns,
     time_columns,
 )
+from contactbench.measure.isolation import Worker
 
 #: cells of every engine that a second process times too
 SAMPLE = 20
-SEED = 20
+#: the calls that a second process has prepared
+PREPARED: list[Timed] = []
 
 
-class Process:
-    """Another process, which prepares cells on some cores when told, and times them on others when asked."""
+def prepare(function: Callable[..., Any], *arguments: Any) -> tuple[int, dict[str, Any]]:
+    """Call a function of an experiment that returns (row, call); return the number of the call, and the row."""
+    row, call = function(*arguments)
+    PREPARED.append(call)
+    return len(PREPARED) - 1, row
 
-    def __init__(self, cores: list[int], timed_on: list[int]) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, Path(__file__).with_name("other_process.py"), json.dumps([cores, timed_on])],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-        )
-        self.prepared = 0
 
-    def prepare(self, function: Callable[..., Any], *arguments: Any) -> Remote:
-        """Let it call a function of an experiment that returns (row, call); do not wait for it."""
-        self.tell("prepare", function.__module__.rpartition(".")[2], function.__name__, *arguments)
-        self.prepared += 1
-        return Remote(self, self.prepared - 1)
+def warm_up(number: int, cores: Iterable[int]) -> float:
+    """Warm up a prepared call on the cores on which it is timed."""
+    for thread in os.listdir("/proc/self/task") if cores else ():
+        os.sched_setaffinity(int(thread), cores)
+    return PREPARED[number].warm_up()
 
-    def tell(self, *command: Any) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(command) + "\n")
 
-    def ask(self, *command: Any) -> Any:
-        self.tell(*command)
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        if not line:
-            raise RuntimeError(f"a process that times cells ended with status {self.process.wait()}")
-        return json.loads(line)
-
-    def end(self) -> None:
-        self.process.kill()
-        self.process.communicate()
+def visit(number: int, rounds: int) -> Visit:
+    return PREPARED[number].visit(rounds)
 
 
 @dataclass(frozen=True)
 class Remote:
-    """A call that another process times."""
+    """A call that another process prepares, without being waited for, and times."""
 
-    process: Process
-    number: int
-
-    def row(self) -> dict[str, Any]:
-        """Return what its preparation says of it, as soon as it is prepared."""
-        return self.process.ask("row", self.number)
+    worker: Worker
+    prepared: Future
+    cores: list[int]
 
     def warm_up(self) -> float:
-        return self.process.ask("warm", self.number)
+        return self.worker.submit(warm_up, self.prepared.result()[0], self.cores).result()
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
-        return Visit(*self.process.ask("visit", self.number, rounds))
+        return self.worker.submit(visit, self.prepared.result()[0], rounds).result()
 
 
 @dataclass(frozen=True)
@@ -100,13 +79,17 @@ class Entry:
     record: Callable[[dict[str, Any]], None]
     benchmark: Any = None
 
-    def finish(self, columns: dict[str, Any], visits: list[Visit]) -> None:
+    def finish(self, visits: list[Visit], again: list[Visit]) -> None:
         """Record the times; pytest-benchmark has no public way to be given rounds that it has not timed itself."""
         if self.benchmark is not None:
             stats = self.benchmark._make_stats(visits[-1].iterations)
-            for visit in visits:
-                for once in visit.whole:
-                    stats.update(once * stats.iterations)
+            for once in (once for visit in visits for once in visit.whole):
+                stats.update(once * stats.iterations)
+        columns = time_columns(visits)
+        if self.part is not None:
+            columns |= length_columns(visits, self.part)
+        if self.again is not None:
+            columns |= process_columns(visits, again, self.part)
         self.record(columns)
 
 
@@ -126,50 +109,37 @@ class Timetable:
         #: cells that are yet to be prepared
         self.ahead = set(cells)
         self.entries: list[Entry] = []
-        self.processes: dict[str, Process] = {}
+        self.workers: dict[tuple[int, ...], Worker] = {}
 
-    def process(self, name: str, cores: list[int], timed_on: list[int]) -> Process:
-        """Return the process of this name, started when it is first asked for."""
-        if name not in self.processes:
-            self.processes[name] = Process(cores, timed_on)
-        return self.processes[name]
+    def remote(self, cores: list[int], timed_on: list[int], *call: Any) -> Remote:
+        """Let a process on some cores prepare a call that it will time on others."""
+        worker = self.workers.setdefault(tuple(cores), Worker(cores))
+        return Remote(worker, worker.submit(prepare, *call), timed_on)
 
-    def second(self) -> Process:
-        """Return the second process: it prepares cells on another core than this one's, and times on the same."""
+    def second(self, *call: Any) -> Remote:
+        """Let a second process prepare a call on another core than this one's, and time it on the same."""
         if not hasattr(os, "sched_getaffinity"):
-            return self.process("second", [], [])
+            return self.remote([], [], *call)
         mine = sorted(os.sched_getaffinity(0))
-        return self.process("second", [core for core in usable_cores() if core not in mine][:1] or mine, mine)
+        return self.remote([core for core in usable_cores() if core not in mine][:1] or mine, mine, *call)
 
     def go(self) -> None:
-        """Visit all cells, and record each with its last visit."""
-        calls: list[Timed] = []
-        cells: list[Entry] = []
-        for entry in self.entries:
-            for call in filter(None, (entry.call, entry.again)):
-                call.warm_up()
-                calls.append(call)
-                cells.append(entry)
-        race = Race(calls)
-        visits = {id(call): made for call, made in zip(calls, race.visits, strict=True)}
+        pairs = [(entry, call) for entry in self.entries for call in (entry.call, entry.again) if call]
+        for _, call in pairs:
+            call.warm_up()
+        race = Race([call for _, call in pairs])
+        visits = {id(call): made for (_, call), made in zip(pairs, race.visits, strict=True)}
         for _ in tqdm(range(self.visits), "timing", unit="sweep", disable=None):
             for i in race.sweep():
-                entry, own = cells[i], visits[id(cells[i].call)]
-                again = visits[id(entry.again)] if entry.again else own
+                entry = pairs[i][0]
+                own = visits[id(entry.call)]
+                again = visits.get(id(entry.again), own)
                 if min(len(own), len(again)) == self.visits:
-                    entry.finish(self.columns(entry, own, again), own)
-
-    def columns(self, entry: Entry, own: list[Visit], again: list[Visit]) -> dict[str, Any]:
-        columns = time_columns(own)
-        if entry.part is not None:
-            columns |= length_columns(own, entry.part)
-        if entry.again is not None:
-            columns |= process_columns(own, again, entry.part)
-        return columns
+                    entry.finish(own, again)
 
     def end(self) -> None:
-        for process in self.processes.values():
-            process.end()
+        for worker in self.workers.values():
+            worker.close()
 
 
 def usable_cores() -> list[int]:
@@ -195,27 +165,22 @@ class Clock:
     later: Callable[..., Callable[[dict[str, Any]], None]]
     benchmark: Any = None
 
-    def time(self, table: Any, row: dict[str, Any], prepare: Callable[..., Any], *arguments: Any) -> None:
-        """Time a cell; `prepare` gives what its row says beside `row`, and its call, None where it cannot be run.
-
-        Its arguments go to a second process as JSON.
-        """
-        more, call = prepare(*arguments)
-        row = row | more
+    def time(self, table: Any, row: dict[str, Any], function: Callable[..., Any], *arguments: Any) -> None:
+        """Time a cell; the function gives what its row says beside `row`, and its call, None where it cannot be run."""
+        more, call = function(*arguments)
         if call is None or self.timetable is None:
-            self.record(table, **row)
+            self.record(table, **row | more)
             return
         call.warm_up()
-        again = None
-        if self.cell in self.timetable.sample:
-            again = self.timetable.second().prepare(prepare, *arguments)
-        self.timetable.entries.append(Entry(call, call.part, again, self.later(table, row), self.benchmark))
+        sampled = self.cell in self.timetable.sample
+        again = self.timetable.second(function, *arguments) if sampled else None
+        record = self.later(table, row | more)
+        self.timetable.entries.append(Entry(call, call.part, again, record, self.benchmark))
 
-    def time_on(self, cores: list[int], table: Any, prepare: Callable[..., Any], *arguments: Any) -> None:
-        """Time a cell in a process of its own on several cores."""
+    def time_on(self, cores: list[int], table: Any, function: Callable[..., Any], *arguments: Any) -> None:
         if self.timetable is None:
-            self.record(table, **prepare(*arguments)[0])
+            self.record(table, **function(*arguments)[0])
             return
-        process = self.timetable.process(f"on {cores}", cores, cores)
-        call = process.prepare(prepare, *arguments)
-        self.timetable.entries.append(Entry(call, None, None, self.later(table, call.row()), self.benchmark))
+        call = self.timetable.remote(cores, cores, function, *arguments)
+        record = self.later(table, call.prepared.result()[1])
+        self.timetable.entries.append(Entry(call, None, None, record, self.benchmark))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -18,7 +17,6 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 import pytest
 
-from cells import family, takes_long
 from clock import Clock, Timetable
 from contactbench.errors import BadInput
 from contactbench.measure.clock import MOST_VISITS, VISITS
@@ -30,7 +28,6 @@ from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import TABLES
 from contactbench.results.store import OldTable, read
 
-SHUFFLE_SEED = 20
 #: what this process may use before it is bound to one of them
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -77,11 +74,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.profile = PROFILES[config.getoption("--profile")]
+    config.profile, config.begun = PROFILES[config.getoption("--profile")], False
     worker = getattr(config, "workerinput", None)  # of pytest-xdist: its controller runs no cells
-    config.controls = worker is None
-    config.begun = False
-    if worker or not config.getoption("numprocesses", None):
+    shared = bool(worker or config.getoption("numprocesses", None))
+    config.controls, config.timed = worker is None, not (shared or config.getoption("untimed"))
+    if worker or not shared:
         pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
     run = worker["run"] if worker else (provenance.new_run_id(), selection(config))
     config.cells = Cells(config.getoption("--results").resolve(), config.profile.name, *run)
@@ -113,59 +110,25 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
     """The cells of a test by their names; none for a test of times alone in a run without times."""
-    if test.times and not has_clock(config):
-        return {}
-    return {"-".join(map(word, cell)): cell for cell in test.cells(config.profile)}
 
+    def name(cell: tuple) -> str:
+        return "-".join(f"{part:.6g}" if isinstance(part, float) else str(part) for part in cell)
 
-def has_clock(config: pytest.Config) -> bool:
-    """Return whether cells are timed: not beside other processes of the same run."""
-    shared = hasattr(config, "workerinput") or config.getoption("numprocesses", None)
-    return not (shared or config.getoption("untimed"))
-
-
-def word(part: Any) -> str:
-    return f"{part:.6g}" if isinstance(part, float) else str(part)
+    return (
+        {} if test.times and not config.timed else {name(cell): cell for cell in test.cells(config.profile)}
+    )
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Timed cells come after the others, file by file: the last of them prepared, all of a file are timed.
 
-    Several processes share them by `ByProgram`, and begin with
-    what takes long, so that they end together.
+    Where processes share the cells, what shares its compiled programs (one method on one scene) stands together.
     """
-    random.Random(SHUFFLE_SEED).shuffle(items)
-    items.sort(key=lambda item: (item.path.name, item.get_closest_marker("timed") is not None))
-    if not config.controls:
-        items.sort(key=lambda item: not takes_long(item.callspec.params["cell"]))
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Hand out together what shares its compiled programs, in the order of the collection.
-
-    pytest-xdist's own groups are without effect under pytest 9.2: it passes them on by renaming the tests.
-    """
-    from xdist.scheduler import LoadScopeScheduling
-
-    class ByProgram(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> Any:
-            file, _, name = nodeid.rpartition("::")
-            return programs_of(Path(file).stem, config).get(name, nodeid)
-
-    config.option.loadscopereorder = False
-    return ByProgram(config, log)
-
-
-@cache
-def programs_of(module: str, config: pytest.Config) -> dict[str, Any]:
-    """What the programs of all cells of an experiment depend on, by the names pytest gives the cells."""
-    return {
-        f"{test.__name__}[{name}]": family(cell)
-        for test in tests_of(module)
-        for name, cell in named(test, config).items()
-    }
+    if config.controls:
+        items.sort(key=lambda item: (item.path.name, item.get_closest_marker("timed") is not None))
+    else:
+        items.sort(key=lambda item: str(item.callspec.params["cell"][:2]))
 
 
 @pytest.hookimpl(tryfirst=True)  # before a worker of pytest-xdist says what it has collected
@@ -188,18 +151,13 @@ def identity(item: pytest.Item) -> Cell:
 
 
 def all_cells(config: pytest.Config) -> list[Cell]:
-    """Return all cells of all experiments, as pytest names them."""
-    files = sorted(Path(__file__).parent.glob("bench_*.py"))
     return [
         (file.name, f"{test.__name__}[{name}]")
-        for file in files
-        for test in tests_of(file.stem)
+        for file in Path(__file__).parent.glob("bench_*.py")
+        for test in vars(import_module(file.stem)).values()
+        if hasattr(test, "cells")
         for name in named(test, config)
     ]
-
-
-def tests_of(module: str) -> list[Any]:
-    return [test for test in vars(import_module(module)).values() if hasattr(test, "cells")]
 
 
 def selection(config: pytest.Config) -> str:
@@ -219,7 +177,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         for each in TABLES.values():  # refused now rather than after ten minutes
             with suppress(*([] if config.cells.selection else [OldTable])):  # a whole run replaces those
                 read(each, config.cells.results)
-        config.cells.begin(provenance.environment(config.profile.name, SHUFFLE_SEED))
+        config.cells.begin(provenance.environment(config.profile.name))
     except (BadInput, OSError) as error:
         raise pytest.UsageError(f"--results {config.cells.results}: {error}") from None
     config.begun = True
@@ -250,12 +208,6 @@ def full_disk() -> Iterator[None]:
         )
 
 
-def smallest_profile(request: pytest.FixtureRequest) -> str:
-    """The smallest profile that has the cell of a test; the rows of a cell are the same in all."""
-    cell = request.node.callspec.params["cell"]
-    return next(name for name in NAMES if cell in cells_of(request.function, name))
-
-
 @cache
 def cells_of(test: Any, profile: str) -> frozenset[tuple]:
     """All cells of a test: asked for once a cell, of thousands, it would cost as much as what is measured."""
@@ -263,23 +215,30 @@ def cells_of(test: Any, profile: str) -> frozenset[tuple]:
 
 
 @pytest.fixture
-def record_all(request: pytest.FixtureRequest) -> Callable[..., None]:
+def complete(request: pytest.FixtureRequest) -> Callable[..., dict[str, Any]]:
+    """``complete(table, row)`` adds the family of the method, and the smallest profile that has the cell."""
+    cell = request.node.callspec.params["cell"]
+    profile = next(name for name in NAMES if cell in cells_of(request.function, name))
+
+    def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
+        family = {}
+        if "family" in which.columns and row["method"] in METHODS:
+            family = {"family": METHODS[row["method"]].family}
+        return {**family, **row, "profile": profile}
+
+    return complete
+
+
+@pytest.fixture
+def record_all(
+    request: pytest.FixtureRequest, complete: Callable[..., dict[str, Any]]
+) -> Callable[..., None]:
     """``record_all(table, rows)`` adds many rows at once."""
-    profile = smallest_profile(request)
-    return lambda which, rows: request.node.rows.extend(
-        (which, complete(which, row, profile)) for row in rows
-    )
-
-
-def complete(which: Any, row: dict[str, Any], profile: str) -> dict[str, Any]:
-    if "family" in which.columns and row["method"] in METHODS:
-        row = {"family": METHODS[row["method"]].family, **row}
-    return {**row, "profile": profile}
+    return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
 
 
 @pytest.fixture
 def record(record_all: Callable[..., None]) -> Callable[..., None]:
-    """``record(table, **row)`` adds a row to a result table."""
     return lambda which, **row: record_all(which, [row])
 
 
@@ -291,19 +250,16 @@ def untimed(request: pytest.FixtureRequest) -> dict[str, Any] | None:
     return rows[0][1] if rows else None
 
 
-def engine_of(item: pytest.Item) -> str:
-    """The engine a cell runs on, empty where it names none."""
-    return next((part for part in item.callspec.params["cell"] if part in ENGINES), "")
-
-
 @pytest.fixture(scope="module")
 def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
-    """The timed cells of an experiment, which are timed after the last of them was prepared."""
-    if not has_clock(request.config):
+    if not request.config.timed:
         yield None
         return
-    items = (each for each in request.session.items if each.module is request.module)
-    engines = {identity(item): engine_of(item) for item in items if "clock" in item.fixturenames}
+    engines = {
+        identity(item): next((part for part in item.callspec.params["cell"] if part in ENGINES), "")
+        for item in request.session.items
+        if item.module is request.module and "clock" in item.fixturenames
+    }
     table = Timetable(engines, request.config.profile.visits)
     try:
         yield table
@@ -315,14 +271,18 @@ def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
 
 
 @pytest.fixture
-def clock(request: pytest.FixtureRequest, timetable: Timetable | None, record: Callable[..., None]) -> Clock:
-    """The clock of a timed cell."""
-    item, profile = request.node, smallest_profile(request)
+def clock(
+    request: pytest.FixtureRequest,
+    timetable: Timetable | None,
+    record: Callable[..., None],
+    complete: Callable[..., dict[str, Any]],
+) -> Clock:
+    item = request.node
 
     def later(which: Any, row: dict[str, Any]) -> Callable[[dict[str, Any]], None]:
         """Record the row of this cell when its times are known: it is done then."""
         item.later = True
-        untimed = complete(which, row, profile)
+        untimed = complete(which, row)
         return lambda columns: item.config.cells.save([(which, untimed | columns)], identity(item))
 
     benchmark = None

@@ -25,14 +25,12 @@ BUDGETS = {
 
 
 def tracked(pattern: str) -> list[Path]:
-    """Return the files of the repository that are there."""
     command = ["git", "-C", str(ROOT), "ls-files", "-z", pattern]
     names = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split("\0")
     return [path for name in names[:-1] if (path := ROOT / name).exists()]
 
 
 def sizes() -> Counter[str]:
-    """Return every size by its name."""
     found: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         copies = {path: Path(folder) / f"{n}.py" for n, path in enumerate(tracked("*.py"))}

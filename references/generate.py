@@ -60,6 +60,12 @@ def grid(scene: Scene) -> list[str]:
     return [f"{(Decimal(repr(scene.t_end)) * k / INTERVALS).normalize():f}" for k in range(INTERVALS + 1)]
 
 
+def print_columns(rows: truth.Rows, digits: int) -> list[list[str]]:
+    """Every column to `digits` digits of its scale."""
+    places = [truth.place(scale, digits) for scale in truth.scales(rows)]
+    return [[truth.rounded(x, p) for x, p in zip(row, places, strict=True)] for row in rows]
+
+
 def closed_form_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dict[str, int]:
     """Digits to which the computed fields agree with the closed form, by field."""
     if scene.exact is None:
@@ -137,7 +143,7 @@ def printed(scene: Scene, times: list[str], rows: truth.Rows, digits: int) -> li
 
     Where entries fade below that, columns known in closed form keep the digits of every entry.
     """
-    columns = list(zip(*truth.print_columns(rows, digits), strict=True))
+    columns = list(zip(*print_columns(rows, digits), strict=True))
     size = max(abs(x) for row in rows for x in row)
     if any(0 < abs(x) < size * mpmath.mpf(10) ** -20 for row in rows for x in row):
         exact = truth.closed_form_columns(scene, np.array([float(t) for t in times]), scene.carry())

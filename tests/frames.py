@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from contactbench.report.chapters import Tables
 from contactbench.results.schema import TABLES
 from contactbench.results.store import set_types
 
@@ -56,4 +57,4 @@ def table(name: str, rows: Iterable[Mapping[str, Any]] = ()) -> pd.DataFrame:
 
 def frames(**tables: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
     """All tables, empty but for those given."""
-    return {name: table(name, tables.get(name, ())) for name in TABLES}
+    return Tables({name: table(name, tables.get(name, ())) for name in TABLES})

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from clock import SAMPLE, Clock, Entry, Process, Timetable
+from clock import SAMPLE, Clock, Entry, Timetable
 from contactbench.measure.clock import Part, Visit
 
 
@@ -60,10 +60,10 @@ def test_another_process_prepares_and_times_what_it_is_told():
     """The C loop of the particle, timed in a process of its own."""
     from bench_work_precision import prepared_limit
 
-    process = Process([], [])
+    table = Timetable({}, 8)
     try:
-        call = process.prepare(prepared_limit, ("particle", "contact-strang", 0.1))
-        row = call.row()
+        call = table.remote([], [], prepared_limit, ("particle", "contact-strang", 0.1))
+        row = call.prepared.result()[1]
         assert row["status"] == "ok"
         assert row["solution_error"] < 0.1
         call.warm_up()
@@ -71,7 +71,7 @@ def test_another_process_prepares_and_times_what_it_is_told():
         assert len(visit.whole) == 2
         assert min(visit.whole) * visit.iterations > 1e-5
     finally:
-        process.end()
+        table.end()
 
 
 def test_without_times_the_row_is_recorded_at_once_and_so_is_what_cannot_be_run():

@@ -23,8 +23,7 @@ from contactbench.methods import METHODS, contact_adaptive, fixed_step_run, jax_
 from contactbench.methods.contact import contact_method
 from contactbench.peers import c_functions
 from contactbench.report import claims as chapter
-from contactbench.report import markdown
-from contactbench.report.figures import paper
+from contactbench.report import markdown, paper
 from contactbench.results.schema import BEYOND
 from contactbench.results.store import merge, read
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES

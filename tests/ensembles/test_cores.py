@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.ensembles import cores
-from contactbench.ensembles.cores import AHEAD, LANES, equal_share, on_cores
-from contactbench.ensembles.measures import ENERGY
+from contactbench.ensembles import chunks
+from contactbench.ensembles.chunks import AHEAD, LANES, equal_share, on_cores
+from contactbench.ensembles.members import ENERGY
 
 SCENE = cb.SCENES["particle"]
 
@@ -18,7 +18,7 @@ def states(n):
     return np.array([*SCENE.q, *SCENE.p])[:, None] + 0.05 * np.random.default_rng(1).normal(size=(4, n))
 
 
-def chunks(n, share):
+def parts_of(n, share):
     return [min(share, n - first) for first in range(0, n, share)]
 
 
@@ -26,7 +26,7 @@ def chunks(n, share):
 @pytest.mark.parametrize("workers", [1, 2, 3, 16])
 @pytest.mark.parametrize("chunk", [LANES, 1000, 2**16])
 def test_no_core_has_more_than_a_tile_a_chunk_above_its_share(n, workers, chunk):
-    parts = chunks(n, equal_share(n, workers, chunk))
+    parts = parts_of(n, equal_share(n, workers, chunk))
     assert max(parts) <= chunk
     assert sum(parts) == n
     loads = [sum(-(-part // LANES) for part in parts[k::workers]) for k in range(workers)]
@@ -41,8 +41,8 @@ def prepared():
 
 def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
     """Memory stays bounded where only the statistics are kept, however slowly they are asked for."""
-    begun, integrate = [], cores.side_by_side
-    monkeypatch.setattr(cores, "side_by_side", lambda *args: begun.append(1) or integrate(*args))
+    begun, integrate = [], chunks.side_by_side
+    monkeypatch.setattr(chunks, "side_by_side", lambda *args: begun.append(1) or integrate(*args))
     results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 2, LANES)
     for done in range(3):
         next(results)

@@ -10,7 +10,7 @@ import numpy as np
 
 import contactbench as cb
 from contactbench.report.chapters import CHAPTERS, Chapter, summary
-from contactbench.report.curves import by_method, number_axis
+from contactbench.report.curves import by_method
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.views import View
 from contactbench.results.schema import Rule, table
@@ -38,7 +38,7 @@ def rows():
 
 def parts(frames):
     frame = frames["half_life"]
-    panel = Panel("particle", number_axis("step"), Axis("half-life"), by_method(frame, "value", "half_life"))
+    panel = Panel("particle", Axis("step", "log"), Axis("half-life"), by_method(frame, "value", "half_life"))
     return [
         View(
             "half_life",

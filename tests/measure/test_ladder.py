@@ -8,7 +8,7 @@ import pytest
 
 import contactbench as cb
 from contactbench.measure.ladder import carry_of, tolerances, work_ladder
-from contactbench.race.scout import Attempt, Question, Scout, ends
+from contactbench.race.comparison import Attempt, Question, Scout, ends
 
 PEERS = [m for m in cb.METHODS.values() if m.adaptive and m.family == "established"]
 

@@ -10,8 +10,8 @@ import pytest
 
 import contactbench as cb
 from cases import by_name
-from contactbench.measure.deviation import conformal_deviation, relative_deviation
 from contactbench.measure.ladder import save_times
+from contactbench.measure.law import conformal_deviation, relative_deviation
 from contactbench.measure.laws import LAWS, laws_of, row
 from contactbench.measure.round_off import JUDGEMENT
 from contactbench.solution import Solution, Status

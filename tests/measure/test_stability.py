@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from bench_stability import overdamped_row, weak_row
 from contactbench.measure.stability import (
     THEORY,
     fixed_step_methods,
@@ -25,6 +26,7 @@ from contactbench.measure.stability import (
     turning_points,
 )
 from contactbench.scene import State
+from planted import plant_truth
 
 METHODS = [kernel(method) for method in fixed_step_methods()]
 every = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
@@ -108,11 +110,20 @@ def test_the_one_step_map_tends_to_the_flow(method):
 @pytest.mark.parametrize("name", ["contact-abc", "contact-strang"])
 @pytest.mark.parametrize(("damping", "expected"), [(1.0, 1.08), (5.0, 2.54), (25.0, 13.3)])
 def test_splitting_force_and_friction_gets_the_creep_wrong(name, damping, expected):
-    from stability_rows import overdamped_row
-
     row = overdamped_row(name, "step", damping / 50.0, None)
     assert row["true_rate"] == slow_rate(50.0)
     assert row["ratio"] == pytest.approx(expected if name == "contact-abc" else 1.0, rel=0.01)
+
+
+def test_the_last_kick_leaves_the_overdamped_momentum_too_large():
+    """By (γh/2) coth(γh/2), docs/mathematics.md; the rate, and q, are right all the same."""
+    half = cb.SCENES["overdamped"].gamma * 0.5 / 2
+    row = overdamped_row("contact-strang", "step", 0.5, None)
+    assert row["rate_error"] < 0.005
+    assert row["q_error"] < 0.02
+    assert row["p_error"] == pytest.approx(half / math.tanh(half) - 1, rel=0.02)
+    fine = overdamped_row("cyrk-radau", "rtol", 1e-9, None)
+    assert max(fine["q_error"], fine["p_error"]) < 1e-6
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 1.0])
@@ -126,8 +137,6 @@ def test_contact_methods_damp_exactly_where_the_eigenvalues_are_complex(gamma):
 @pytest.mark.parametrize("t_end", [1e4, 1e5])
 def test_the_exact_solution_has_no_error_of_its_rate(t_end):
     """A method that returns the truth, through all that a method goes through."""
-    from planted import plant_truth
-    from stability_rows import weak_row
 
     with plant_truth() as name:
         row = weak_row("weak_damping", name, t_end)

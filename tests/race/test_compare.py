@@ -13,8 +13,7 @@ import contactbench as cb
 from contactbench.measure.ladder import ENDS
 from contactbench.methods.base import ENGINES
 from contactbench.race import comparison
-from contactbench.race.comparison import COLUMNS, Comparison, judge_times
-from contactbench.race.scout import Attempt, Scout
+from contactbench.race.comparison import COLUMNS, Attempt, Comparison, Scout, judge_times
 from contactbench.solution import Counts, Status
 from contactbench.truth import OutOfTime
 
@@ -193,7 +192,7 @@ def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so(monkey
     quick, slow = (Attempt(1.0, "step=1", Status.ok, "", seconds, error=1e-3) for seconds in (1e-3, 100.0))
     for each, attempt in zip(race.scouts, (quick, slow), strict=True):
         each.attempts.append(attempt)
-    monkeypatch.setattr("contactbench.race.comparison.bare", lambda attempt: lambda: None)
+    monkeypatch.setattr(Attempt, "bare", lambda attempt: lambda: None)
     race.time()
     assert race.times.keys() == {id(quick)}
     assert race.row(race.scouts[1], 1e-2)["reason"] == "too slow for the time that was left"
@@ -243,3 +242,26 @@ def test_a_tie_is_within_the_margin_of_its_pair(times, halves, expected):
     clock = {"time_s": times, "time_halves_ratio": [1.0, halves, 1.0]}
     frame = pd.DataFrame({"kind": "compiled", "error_asked": 1e-3} | clock)
     assert list(judge_times(frame)["verdict"]) == expected
+
+
+@pytest.mark.parametrize(
+    ("status", "spent", "expected"),
+    [
+        ("budget", 0.5, "undecided"),  # timed once it may have taken twice as long as it takes
+        ("budget", 1.9, "undecided"),
+        ("budget", 2.1, "win"),
+        ("interrupted", None, "undecided"),
+        ("failed", 0.5, "win"),
+    ],
+)
+def test_nobody_wins_where_a_rival_was_cut_off_that_might_be_sooner_done(status, spent, expected):
+    race = Comparison(cb.SCENES["particle"], ["rk4", "herglotz2", "contact-strang"], (1e-2,), 60.0, False)
+    first, second, rival = race.scouts
+    for each, seconds in ((first, 1.0), (second, 3.0)):
+        each.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", seconds, error=1e-3))
+        race.times[id(each.attempts[0])] = {"time_min_s": seconds, "time_halves_ratio": 1.0}
+    rival.why = (status, "")
+    if spent:
+        rival.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", spent, error=0.1))
+    verdicts = judge_times(pd.DataFrame([race.row(each, 1e-2) for each in race.scouts]))["verdict"]
+    assert list(verdicts) == [expected, "loss", ""]

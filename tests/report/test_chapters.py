@@ -7,7 +7,8 @@ import re
 import pytest
 
 from contactbench.report import markdown
-from contactbench.report.chapters import CHAPTERS, Contents, Section, chapters, figures
+from contactbench.report.chapters import CHAPTERS, chapters, every
+from contactbench.report.drawing import Figure
 from contactbench.report.views import View
 from contactbench.results.schema import TABLES
 from frames import frames, row
@@ -50,13 +51,6 @@ SOME = {
 }
 
 
-def parts_in(items):
-    for item in items:
-        yield item
-        if isinstance(item, Section):
-            yield from parts_in(item.parts)
-
-
 @pytest.mark.parametrize("name", CHAPTERS)
 def test_a_chapter_speaks_from_its_own_table_alone_and_is_silent_without(name):
     chapter = CHAPTERS[name]
@@ -64,18 +58,18 @@ def test_a_chapter_speaks_from_its_own_table_alone_and_is_silent_without(name):
     first = chapter.tables[0]
     alone = frames(**{first: SOME[first]})
     assert chapter in chapters(alone)
-    text = markdown.document(Contents(chapter, chapter.summary(alone), tuple(chapter.parts(alone))))
+    text = markdown.document(chapter.fill(alone))
     assert text.startswith(f"# {chapter.title}\n")
     assert not re.search(r"\bnan\b", text)
 
 
 def test_names_of_views_are_unique_and_a_figure_shown_twice_is_the_same():
     everything = frames(**SOME)
-    found = [part for chapter in chapters(everything) for part in parts_in(chapter.parts(everything))]
-    views = [part.name for part in found if isinstance(part, View)]
+    found = [part for chapter in chapters(everything) for part in chapter.fill(everything).parts]
+    views = [view.name for view in every(View, found)]
     assert len(views) == len(set(views)), sorted(v for v in views if views.count(v) > 1)
     drawn = {}
-    for figure in figures(found):
+    for figure in every(Figure, found):
         assert repr(drawn.setdefault(figure.name, figure).panels) == repr(figure.panels)  # nan is nan
 
 
@@ -113,11 +107,17 @@ def test_a_contradicting_row_changes_answer_and_count(name):
     assert all(found["count"].startswith(count) for found, count in zip(summaries, counts, strict=True))
 
 
-def test_runs_that_do_not_claim_a_law_are_counted_apart():
-    rows = [judged("central", "contact-a", 0.1), judged("drag", "contact-a", 0.1, claimed=False, drift=1e-3)]
+def test_runs_that_do_not_claim_a_law_or_are_not_judged_are_counted_apart():
+    lost = judged("central", "contact-b", 0.9) | dict.fromkeys(["momentum_law_bound", "momentum_law_kept"])
+    rows = [judged("central", "contact-a", 0.1), lost]
+    rows.append(judged("drag", "contact-a", 0.1, claimed=False, drift=1e-3))
     table = CHAPTERS["laws"].parts(frames(laws=rows))[0]
-    assert [head.label for head in table.columns] == ["law", "claimed", "contact methods, not claimed"]
-    assert [cell.text for cell in table.rows[0]] == ["J law", "1 of 1 runs", "0 of 1 runs"]
+    assert [head.label for head in table.columns] == [
+        "law or drift",
+        "claimed",
+        "contact methods, not claimed",
+    ]
+    assert [cell.text for cell in table.rows[0]] == ["J law", "1 of 1 runs (1 not judged)", "0 of 1 runs"]
 
 
 def test_a_broken_law_is_a_row_with_what_breaks_it():

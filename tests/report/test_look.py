@@ -45,7 +45,6 @@ def test_every_solver_has_a_look_and_nobody_shares_one():
 @pytest.mark.parametrize("method", METHODS)
 def test_dashes_follow_the_order_of_the_method(method):
     assert METHODS[method].order == SOLVERS[method].order
-    assert METHODS[method].filled == method.startswith("contact")
 
 
 def test_the_look_of_an_unknown_method_depends_on_its_name_and_family_alone():

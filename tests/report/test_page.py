@@ -13,27 +13,14 @@ import pytest
 
 from contactbench.report import page
 from contactbench.report.chapters import Chapter, Contents, Section, Text, summary
-from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
-from contactbench.report.page import words
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.views import Cell, Mark, View, frame_of
 
 VOID = {"meta", "link", "br", "wbr", "img", "input", "hr", "path"}
 NAMES = ("contact-strang", "rk4", "my-own")
-ERRORS = (1e-2, 1e-4, 1e-6, 1e-8)
 
 
 # -- chapters made up for the purpose ----------------------------------------------------------------
-def panel(scale=1.0):
-    curves = [Curve((1e-3, 1e-5), (3.0, 400.0), "grey", "grey", muted=True)]
-    for k, name in enumerate(NAMES):
-        costs = tuple(scale * (k + 1) * e**-0.2 for e in ERRORS)
-        curves.append(Curve(ERRORS, costs, name, name, hints=tuple(f"{name} {e}" for e in ERRORS)))
-    return Panel("cost", Axis("error", "log", inverted=True), Axis("time", "log"), tuple(curves))
-
-
-LIVE = Live(
-    "Cost", {("particle", "time"): panel(), ("particle", "steps"): panel(2.0), ("central", "time"): panel()}
-)
 CELLS = [(name, Cell("≤ 2e-6", 2e-6 * k, None if k else Mark.best), None) for k, name in enumerate(NAMES)]
 HEADS = [("", "method"), ("error", "1e-03"), ("error", "1e-06")]
 COSTS = View("costs", "Costs", frame_of(CELLS, HEADS), "The **cheapest**; see [laws](laws.md).", "costs.csv")
@@ -43,12 +30,16 @@ ROWS = View("rows", "All rows", frame_of(NUMBERS, ["method", "n"]))
 
 def contents(parts=None, name="work_precision", questions=(("Is it *fast*?", "yes", "3 of 4"),)):
     chapter = Chapter(name, name, "", 1, (name,), lambda frames: ())
-    figure = Figure("drawn", "a figure", (panel(),))
-    alternatives = (
-        Section(s, (Text(f"on {s}"), *more), choice="scene")
-        for s, more in (("particle", (ROWS,)), ("central", ()))
-    )
-    parts = (Text("Dimensionless.", ("one",)), COSTS, *alternatives, figure) if parts is None else parts
+    panel = Panel("cost", Axis("error", "log"), Axis("time", "log"), (Curve((1e-3,), (3.0,), "rk4", "rk4"),))
+    section = Section("particle", (Text("on particle"),))
+    if parts is None:
+        parts = (
+            Text("Dimensionless.", ("one",)),
+            COSTS,
+            ROWS,
+            section,
+            Figure("drawn", "a figure", (panel,)),
+        )
     return Contents(chapter, summary(*questions), tuple(parts))
 
 
@@ -61,7 +52,7 @@ def chapters():
 
 @pytest.fixture(scope="module")
 def text():
-    return page.page(chapters(), [{"commit": "x < y", "run": "first"}], live=LIVE)
+    return page.page(chapters(), [{"commit": "x < y", "run": "first"}], picture=lambda figure: "data:,")
 
 
 class Document(HTMLParser):
@@ -96,45 +87,31 @@ def test_the_page_is_well_formed_and_needs_no_network(text):
     assert not document.open
     assert len(set(document.ids)) == len(document.ids)
     assert {link[1:] for link in document.links if link.startswith("#")} <= set(document.ids)
-    # the live plot stands for the figure, and the one address is a name
     assert {link for link in document.links if not link.startswith("#")} == {"data:,"}
-    assert set(re.findall(r"https?://[^\s\"'<)]*", text)) == {"http://www.w3.org/2000/svg"}
+    assert not re.findall(r"https?://", text)
     assert "default-src 'none'" in text  # and the browser is told to refuse
 
 
 def test_every_entry_and_point_is_there(text):
     data = Document(text).data
-    assert data["views"]["costs"]["rows"][:2] == [
+    assert data["costs"]["rows"][:2] == [
         ["contact-strang", ["≤ 2e-6", 0.0, "best"], "—"],
         ["rk4", ["≤ 2e-6", 2e-6], "—"],
     ]
-    assert data["views"]["costs"]["legend"] == 'The <strong>cheapest</strong>; see <a href="#laws">laws</a>.'
-    assert len(data["views"]["rows"]["rows"]) == 50
-    (shown,) = (c for c in data["live"]["panels"]["particle"]["steps"]["curves"] if c["name"] == "rk4")
-    assert [10 ** (v / 1000) for v in shown["x"]] == pytest.approx(ERRORS)
-    assert [10 ** (v / 1000) for v in shown["y"]] == pytest.approx([4 * e**-0.2 for e in ERRORS], rel=2e-3)
-    assert [data["live"]["settings"][i] for i in shown["at"]] == [f"rk4 {e}" for e in ERRORS]
-
-
-def test_figures_are_the_files_beside_the_page():
-    assert "figures/drawn.svg" in Document(page.page(chapters())).links
+    assert data["costs"]["legend"] == 'The <strong>cheapest</strong>; see <a href="#laws">laws</a>.'
+    assert len(data["rows"]["rows"]) == 50
 
 
 def test_what_a_row_holds_cannot_break_the_page():
     evil = "</script><b onclick=x>"
     view = View("evil", evil, frame_of([(evil,)], [evil]), evil)
-    bad = Live(
-        evil, {(evil, evil): Panel(evil, Axis(evil), Axis(""), (Curve((1.0,), (math.nan,), evil, evil),))}
-    )
     document = Document(
-        page.page([contents((view, Text(evil)), evil, ((evil,) * 3,))], [{evil: evil, "run": evil}], live=bad)
+        page.page([contents((view, Text(evil)), evil, ((evil,) * 3,))], [{evil: evil, "run": evil}])
     )
     assert not document.wrong
     assert not [given for _, given in document.open if "onclick" in given]
-    assert evil not in json.dumps(
-        [document.data["views"]["evil"][name] for name in ("legend", "heads", "rows")]
-    )
-    assert Document(page.page([])).data == {"views": {}, "live": None}
+    assert evil not in json.dumps([document.data["evil"][name] for name in ("legend", "heads", "rows")])
+    assert Document(page.page([])).data == {}
 
 
 @pytest.mark.parametrize(
@@ -146,7 +123,7 @@ def test_what_a_row_holds_cannot_break_the_page():
     ],
 )
 def test_inline_marks_and_mathematics_are_set(text, html):
-    assert words.inline(text) == html
+    assert page.inline(text) == html
 
 
 # -- in a browser ----------------------------------------------------------------------------------
@@ -207,14 +184,11 @@ def test_it_opens_without_an_error_and_scrolls_in_one_direction(chrome, size, sc
     assert chrome.execute_script("return document.documentElement.scrollWidth") <= size[0]
     paper = chrome.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert paper == ("rgb(255, 255, 255)" if scheme == "light" else "rgb(16, 20, 24)")
-    assert len(visible(chrome, ".plot .line")) == 4
-    for word in visible(chrome, ".plot text"):
-        assert 0 <= word.rect["x"] <= word.rect["x"] + word.rect["width"] <= size[0]
 
 
 def test_a_table_is_drawn_when_it_is_opened_and_sorted_with_blanks_last(chrome):
     opened(chrome)
-    assert len(visible(chrome, "table")) == 1  # the answers
+    assert len(visible(chrome, "table")) == 2  # the answers
     next(s for s in visible(chrome, ".view > summary") if s.text.startswith("All rows")).click()
     chrome.execute_async_script("setTimeout(arguments[0], 100)")  # the event follows the click
     (head,) = (h for h in visible(chrome, ".heads th") if h.text == "n")
@@ -227,36 +201,3 @@ def test_a_table_is_drawn_when_it_is_opened_and_sorted_with_blanks_last(chrome):
     rows = visible(chrome, '[data-view="rows"] tbody tr')
     assert len(rows) == 17
     assert all("rk4" in row.text for row in rows)
-
-
-def test_the_live_plot_hides_and_rescales_and_follows_its_choices(chrome):
-    from selenium.webdriver.support.select import Select
-
-    opened(chrome)
-    scene, cost = (Select(found) for found in visible(chrome, "#live select"))
-
-    def curve(name):
-        return [c.get_attribute("d") for c in visible(chrome, f'.line[data-name="{name}"] .curve')]
-
-    before = curve("rk4")
-    key = visible(chrome, '.key[value="grey"]')[0]
-    key.click()
-    assert (curve("grey"), key.get_attribute("aria-pressed")) == ([], "false")
-    assert curve("rk4") != before
-    key.click()
-    assert curve("rk4") == before
-    assert [o.text for o in cost.options] == ["time", "steps"]
-    scene.select_by_visible_text("central")
-    assert [o.text for o in cost.options] == ["time"]
-    assert not visible(chrome, '.line[data-name="grey"] .dot')
-    visible(chrome, "#live figcaption button")[0].click()
-    assert len(visible(chrome, '.line[data-name="grey"] .dot')) == 2
-    assert chrome.get_log("browser") == []
-
-
-def test_a_point_says_what_it_is(chrome):
-    from selenium.webdriver.common.action_chains import ActionChains
-
-    opened(chrome)
-    ActionChains(chrome).move_to_element(visible(chrome, '.line[data-name="my-own"] .dot')[1]).perform()
-    assert "my-own 0.0001" in visible(chrome, ".tip")[0].text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -21,9 +23,8 @@ def test_text_and_page_have_every_time_with_its_setting_and_the_figure_every_kin
         assert row.method in page
         assert f"{row.setting}, {row.error_reached:.1e}" in text
     assert "contact-exact: unsupported" in text
-    assert "src=" not in page  # one file, nothing to fetch
+    assert re.findall(r'src="([^,"]*)', page) == ["data:image/svg+xml;base64"]  # one file, nothing to fetch
     assert [panel.title for panel in race.figure(frame).panels] == ["Compiled", "Evaluations"]
-    assert len(race.answers(frame)) == 2
 
 
 def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
@@ -38,7 +39,7 @@ def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
 
 def test_a_curve_says_what_an_error_costs_and_never_turns_back():
     errors = [1e-1, 3e-1, 1e-3, 1e-2, 1e-4, 1e-9]
-    tried = pd.DataFrame({"method": ["a"] * 5 + ["b"], "error": errors, "evaluations": [1, 2, 3, 4, 5, 9]})
-    front = race.front(tried, "error", "evaluations")
-    assert front.query("method == 'a'")["evaluations"].tolist() == [1, 3, 5]
+    tried = pd.DataFrame({"method": ["a"] * 5 + ["b"], "error": errors, "cost": [1, 2, 3, 4, 5, 9]})
+    front = race.front(tried)
+    assert front.query("method == 'a'")["cost"].tolist() == [1, 3, 5]
     assert len(front) == 4

@@ -81,17 +81,16 @@ def test_the_computed_part_replaces_what_stands_between_the_marks(tmp_path, resu
     readme = tmp_path / "README.md"
     begin, end = write.README_PART
     readme.write_text(f"before\n{begin}old\n{end}after\n")
-    write.into_readme(readme, write.tables(results))
-    text = readme.read_text()
+    text = write.with_answers(readme, write.tables(results))
     assert text.startswith(f"before\n{begin}")
     assert text.endswith(f"{end}after\n")
     assert "old" not in text
     assert "| Do the methods have the order they claim?" in text
-    write.into_readme(readme, write.tables(results))
-    assert readme.read_text() == text
+    readme.write_text(text)
+    assert write.with_answers(readme, write.tables(results)) == text
 
 
 def test_a_readme_without_its_marks_is_refused(tmp_path):
     (tmp_path / "README.md").write_text("nothing")
     with pytest.raises(cb.BadInput, match="once each"):
-        write.into_readme(tmp_path / "README.md", {})
+        write.with_answers(tmp_path / "README.md", {})

@@ -23,7 +23,6 @@ def test_marks_are_seen_and_a_bar_does_not_break_a_table():
     text = markdown.parts([view([cells], ["1", "2", "3"])])
     assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "[f](x.md) |"]
     assert text.startswith("## Title\n\nA legend.\n\n| 1 ")
-    assert "None." in markdown.parts([view([], ["a", "b"])])
     assert "&lt;b>" in markdown.parts([view([("<b>", 1)], ["a", "b"])])
 
 
@@ -33,14 +32,6 @@ def test_numbers_are_written_by_their_column_and_words_stand_left():
     assert [head.words for head in shown.columns] == [True, False, False, True]
 
 
-def test_a_wide_table_is_split_at_its_groups():
-    labels = [("", "method"), *((f"scene {s}", k) for s in range(5) for k in "abc")]
-    tables = markdown.table(view([tuple(range(16))], labels)).split("\n\n")
-    assert len(tables) == 2
-    assert all(table.startswith("| method | scene") for table in tables)
-    assert "scene 4: c" in tables[1]
-
-
 def test_a_matrix_has_a_line_for_each_value_and_a_dash_where_there_is_nothing():
     rows = pd.DataFrame({"m": ["a", "a", "b"], "s": ["x", "y", "y"], "v": [1.0, 2.0, 3.0]})
     frame = matrix(rows, "m", "s", lambda part: part["v"].sum(), "at {}".format)
@@ -48,7 +39,7 @@ def test_a_matrix_has_a_line_for_each_value_and_a_dash_where_there_is_nothing():
 
 
 def test_the_glossary_has_every_method_scene_and_column():
-    text = markdown.parts(glossary.parts({"methods": cb.METHODS, "scenes": cb.SCENES}))
+    text = markdown.parts(glossary.glossary({"methods": cb.METHODS, "scenes": cb.SCENES}))
     for name in (*cb.METHODS, *cb.SCENES):
         assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
     for name, steps in (("contact-exact", "exact"), ("contact-adaptive", "adaptive"), ("rk4", "fixed")):

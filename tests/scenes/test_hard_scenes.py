@@ -88,14 +88,14 @@ def test_blow_up_of_escape_is_confirmed_by_another_solver():
 # -- what is run is decided by counts ----------------------------------------------------------------
 def test_the_clock_decides_nothing(monkeypatch):
     """A clock that says every call took minutes changes the time in the row and nothing else."""
-    import stability_rows
+    import bench_stability
 
     method = cb.METHODS["contact-adaptive"]  # its derivative is taken here, at the cost of many runs
     asked = ("critical", method.name, method.engines[0], "rtol", 1e-6, 10_000)
-    row = stability_rows.stability_row(*asked)
+    row = bench_stability.stability_row(*asked)
     ticks = iter(range(0, 10**6, 300))
-    monkeypatch.setattr(stability_rows, "perf_counter", lambda: float(next(ticks)))
-    slow = stability_rows.stability_row(*asked)
+    monkeypatch.setattr(bench_stability, "perf_counter", lambda: float(next(ticks)))
+    slow = bench_stability.stability_row(*asked)
     assert slow.pop("time_s") == 300.0
     assert row.pop("time_s") < 300.0
     assert slow == row

@@ -24,8 +24,7 @@ from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.hard import HARD
 from contactbench.scenes.standard import STANDARD
 from contactbench.truth import digest, reference
-from contactbench.truth.closed_form import closed_form
-from contactbench.truth.reference import confirmed
+from contactbench.truth.reference import closed_form, confirmed
 
 FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
@@ -298,7 +297,7 @@ def test_a_short_span_of_a_fast_motion_is_no_blow_up():
 def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
     """At 1/q with energy 31 the steps shrink a thousandfold; 34 attempts where they grow again, else 1935."""
     bounce = mine(lambda q: 1 / q[0], lambda q: (-1 / (q[0] * q[0]),), q=4.0, p=-7.9, t_end=8.0)
-    module, steps = importlib.import_module("contactbench.truth.extrapolation"), []
+    module, steps = importlib.import_module("contactbench.truth.engines"), []
     attempt = module.extrapolated
 
     def count(slope, y, step, *more):

@@ -42,14 +42,14 @@ CLAIM = """examples:
 def report(arguments: argparse.Namespace) -> int:
     """Write markdown, figures and the page from the CSV tables, or say which are not what the tables say."""
     import contactbench as cb
-    from contactbench.report import check, write
+    from contactbench.report import write
 
     results, readme = arguments.results, arguments.readme
     registries = {"methods": cb.METHODS, "scenes": cb.SCENES}
     if not list(results.glob("*.csv")):
         raise BadInput(f"--results {results}: no tables there; run the benchmark first (tox -e bench)")
     if arguments.check:
-        found = check.differing(results, readme, registries)
+        found = write.differing(results, readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
     writable_folder("--results", results)

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.ensembles.chunks import ENGINES, Task, results
-from contactbench.ensembles.measures import ENERGY, Statistic, decaying, overall, tally
-from contactbench.ensembles.members import members
+from contactbench.ensembles.members import ENERGY, Statistic, decaying, members, overall, tally
 from contactbench.errors import BadInput, excerpt, positive, switch, whole
 from contactbench.methods.base import METHODS
 from contactbench.methods.entry import lookup, make_request

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -19,20 +18,25 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.cores import on_cores
 from contactbench.ensembles.devices import CHUNK, Own, Result, on_devices
+from contactbench.ensembles.members import Watch
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import Division, FixedStepRun, loop_of
+from contactbench.methods.fixed_step_run import Division, FixedStepRun, Loop, loop_of
 from contactbench.methods.prepared import Request
 from contactbench.numbers.protocol import CannotRecord
+from contactbench.trace.compiled import compile_function
 
 ENGINES = ("numba", "jax")
 #: trajectories in a task of an executor, whose number of workers is not known
 TASK = 2**14
 #: how often a chunk is given to an executor that loses it
 ATTEMPTS = 3
+#: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
+LANES = 32
+#: chunks begun for every core before the first of them is asked for
+AHEAD = 2
 
 
 @dataclass(frozen=True)
@@ -91,45 +95,94 @@ def results(
         first += len(result[-1])
 
 
+# -- by the loop numba compiles, a thread on every core ------------------------------------------------
+def on_cores(
+    run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, cores: int, chunk: int
+) -> Iterator[Result]:
+    """Yield the results of one chunk after the other.
+
+    No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
+    and a few are always begun ahead of the one that is asked for.
+    """
+    many = compile_function(loop.program.many, LANES)
+    rows, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
+    share = equal_share(y0.shape[1], cores, chunk)
+    ahead: deque[Future[Result]] = deque()
+    threads = ThreadPoolExecutor(cores)
+    try:
+        for first in range(0, y0.shape[1], share):
+            part = y0[:, first : first + share]
+            ahead.append(threads.submit(side_by_side, run, many, rows, shape, names, part))
+            if len(ahead) > AHEAD * cores:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
+    finally:  # begin no other where one has failed or the rest is not wanted
+        threads.shutdown(cancel_futures=True)
+
+
+def equal_share(n: int, cores: int, chunk: int) -> int:
+    """Return the size of the fewest chunks of at most `chunk`, a multiple of `cores`; whole tiles if they fit."""
+    share = -(-n // (cores * -(-n // (cores * chunk))))
+    whole = LANES * -(-share // LANES)
+    return whole if whole <= chunk else share
+
+
+def side_by_side(
+    run: FixedStepRun, many: Any, rows: np.ndarray, shape: np.ndarray, names: Sequence[str], y0: np.ndarray
+) -> Result:
+    """Return final states (d, m), measures (·, m) and end times (m,) of some trajectories, on one core.
+
+    rows, shape : as `Loop.rows` gives them.
+    """
+    r, m = run.request, y0.shape[1]
+    y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
+    part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
+    with np.errstate(all="ignore"):
+        watch = Watch(r.scene, r.carry, names, run._motion, y0)
+        marks = watch.begun
+        for which, t in zip(shape[place:], run.later, strict=True):
+            after = np.empty((1, *y.shape))
+            many(y, rows, np.append(shape[:place], which), after, part)
+            y = after[0]
+            x = r.scene.unpack(tuple(y[:, :m]), r.carry)
+            marks = watch.at(marks, x, y[:, :m], t)
+        return watch.result(marks, x, y[:, :m])
+
+
+# -- by an executor ------------------------------------------------------------------------------------
 def spread(
     executor: Executor, task: Any, y0: np.ndarray, own: Own, size: int
 ) -> Iterator[tuple[int, Result]]:
-    """Yield the chunks by an executor; one that its worker lost is given to another, `ATTEMPTS` times in all.
+    """Yield (first trajectory, result) of chunks; one that its worker lost is given again.
 
-    A process pool cannot be used any more once a worker of it has died: threads of this process do the rest.
+    A chunk is given to `ATTEMPTS` workers in all; a process pool of which one has died takes none any more.
     """
     lost: Counter[int] = Counter()
     pending: dict[Future[Any], int] = {}
-    threads = ThreadPoolExecutor()
 
-    def begin(k: int) -> None:
-        nonlocal executor
-        part = slice(k * size, (k + 1) * size)
-        states, numbers = y0[:, part], {place: values[part] for place, values in own.items()}
+    def begin(first: int) -> None:
+        part = slice(first, first + size)
+        numbers = {place: values[part] for place, values in own.items()}
         try:
-            pending[executor.submit(task, states, numbers)] = k
+            pending[executor.submit(task, y0[:, part], numbers)] = first
         except BrokenExecutor as error:
-            message = f"{type(executor).__name__} is broken: {error}; this process goes on alone"
-            warnings.warn(message, RuntimeWarning, stacklevel=2)
-            executor = threads
-            pending[executor.submit(task, states, numbers)] = k
+            raise BadInput(f"executor: {type(executor).__name__} is broken: {error}") from error
 
-    try:
-        for k in range(-(-y0.shape[1] // size)):
-            begin(k)
-        while pending:
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                k = pending.pop(future)
-                try:
-                    result = future.result()
-                except (Exception, CancelledError) as error:
-                    lost[k] += 1
-                    if lost[k] == ATTEMPTS:
-                        raise BadInput(f"executor: chunk {k} was lost {ATTEMPTS} times: {error!r}") from error
-                    begin(k)
-                    continue
-                if isinstance(result, Exception):
-                    raise result
-                yield k * size, result
-    finally:
-        threads.shutdown(cancel_futures=True)
+    for first in range(0, y0.shape[1], size):
+        begin(first)
+    while pending:
+        for future in wait(pending, return_when=FIRST_COMPLETED).done:
+            first = pending.pop(future)
+            try:
+                result = future.result()
+            except (Exception, CancelledError) as error:
+                lost[first] += 1
+                if lost[first] == ATTEMPTS:
+                    what = f"chunk {first // size} was lost {ATTEMPTS} times"
+                    raise BadInput(f"executor: {what}: {error!r}") from error
+                begin(first)
+                continue
+            if isinstance(result, Exception):
+                raise result
+            yield first, result

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.measures import Watch
+from contactbench.ensembles.members import Watch
 from contactbench.methods.fixed_step_run import FixedStepRun, identity
 from contactbench.methods.jax_engine import rolled
 from contactbench.numbers.control import XlaNumbers

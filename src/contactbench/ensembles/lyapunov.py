@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.ensembles.cores import LANES
-from contactbench.ensembles.measures import furthest, within
-from contactbench.ensembles.members import members
+from contactbench.ensembles.chunks import LANES
+from contactbench.ensembles.members import furthest, members, within
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.entry import lookup, prepare

@@ -1,14 +1,17 @@
-"""What an ensemble is given: initial states and parameters, one entry per trajectory."""
+"""What an ensemble is given, one entry per trajectory, what is measured of each, and the statistics over all."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.errors import BadInput, array, excerpt, finite, unknown_name
+from contactbench.measure.law import conformal_deviation
+from contactbench.measure.laws import LAWS
 from contactbench.scene import BodyState, DrivenState, Scene, State, quaternion_of
+from contactbench.solution import DIVERGENCE, Status
 
 
 def members(
@@ -25,25 +28,11 @@ def members(
         if name not in scene.initial_fields:
             raise unknown_name(f"initial value of scene {scene.name!r}", name, scene.initial_fields)
     columns: dict[str, np.ndarray] = {}
-    carried = {name for name, part in scene.initial(carry)._asdict().items() if part is not None}
-    for name in scene.initial_fields:
-        if name not in carried:
-            continue
-        default = getattr(scene, name)
-        value = given.get(name, default)
-        if not isinstance(default, tuple):
-            columns[name] = _column(name, value)
-            continue
-        try:
-            parts = tuple(value)
-        except TypeError:  # one number: the identity may be written as 1
-            parts = quaternion_of(value) if name == "R" else (value,)
-        if len(parts) != len(default):
-            wanted = f"{len(default)} components, each a number or an array"
-            raise BadInput(f"{name}: must be {wanted}; got {len(parts)}")
-        columns |= {f"{name}[{i}]": _column(f"{name}[{i}]", part) for i, part in enumerate(parts)}
+    for name, carried in scene.initial(carry)._asdict().items():
+        if carried is not None and name in scene.initial_fields:
+            columns |= components(name, given.get(name, getattr(scene, name)), getattr(scene, name))
     states = list(columns)
-    columns |= {name: _parameter(scene, name, value) for name, value in parameters.items()}
+    columns |= {name: parameter(scene, name, value) for name, value in parameters.items()}
     sizes = {name: len(column) for name, column in columns.items() if column.ndim}
     if len(set(sizes.values())) != 1:
         told = ", ".join(f"{name} {size}" for name, size in sizes.items()) or "none is an array"
@@ -52,32 +41,147 @@ def members(
     if n == 0:
         raise BadInput("initial_conditions: no trajectories, arrays of length 0")
     y0 = np.array([np.broadcast_to(columns[name], n) for name in states])
-    if "R" in carry:
-        length = np.linalg.norm(y0[3:7], axis=0)
-        if (worst := np.abs(length - 1).max()) > 1e-12:
-            raise BadInput(f"R: must be unit quaternions (w, x, y, z); one is off by {worst:.3g}")
+    if "R" in carry and (worst := np.abs(np.linalg.norm(y0[3:7], axis=0) - 1).max()) > 1e-12:
+        raise BadInput(f"R: must be unit quaternions (w, x, y, z); one is off by {worst:.3g}")
     places = scene.number_names()
     return y0, {places.index(name): np.broadcast_to(columns[name], n) for name in parameters}
 
 
-def _column(name: str, value: Any) -> np.ndarray:
+def components(name: str, value: Any, default: Any) -> dict[str, np.ndarray]:
+    """Return the columns of an initial value by the names of its components; `default` : the scene's own."""
+    if not isinstance(default, tuple):
+        return {name: column(name, value)}
+    try:
+        parts = tuple(value)
+    except TypeError:  # one number: the identity may be written as 1
+        parts = quaternion_of(value) if name == "R" else (value,)
+    if len(parts) != len(default):
+        wanted = f"{len(default)} components, each a number or an array"
+        raise BadInput(f"{name}: must be {wanted}; got {len(parts)}")
+    return {f"{name}[{i}]": column(f"{name}[{i}]", part) for i, part in enumerate(parts)}
+
+
+def column(name: str, value: Any) -> np.ndarray:
     """Return a number or a one-dimensional array of finite numbers, or `BadInput`."""
-    column = array(name, value, "a number or an array of numbers")
-    if column.ndim > 1:
-        raise BadInput(f"{name}: must be a number or an array (n,), got shape {column.shape}")
-    if not np.isfinite(column).all():
-        where = int(np.argmin(np.isfinite(column)))
-        raise BadInput(f"{name}: must be finite numbers, entry {where} is {column.flat[where]}")
-    return column
+    numbers = array(name, value, "a number or an array of numbers")
+    if numbers.ndim > 1:
+        raise BadInput(f"{name}: must be a number or an array (n,), got shape {numbers.shape}")
+    if not np.isfinite(numbers).all():
+        where = int(np.argmin(np.isfinite(numbers)))
+        raise BadInput(f"{name}: must be finite numbers, entry {where} is {numbers.flat[where]}")
+    return numbers
 
 
-def _parameter(scene: Scene, name: str, value: Any) -> np.ndarray:
+def parameter(scene: Scene, name: str, value: Any) -> np.ndarray:
     """Return values of a parameter, each of which the scene accepts without becoming another problem."""
     allowed = [known for known in scene.number_names() if known]
     if name not in allowed:
         raise unknown_name(f"parameter of an ensemble of scene {scene.name!r}", name, allowed)
-    column = _column(name, value)
-    for extreme in (column.min(initial=np.inf), column.max(initial=-np.inf)) if column.size else ():
+    numbers = column(name, value)
+    for extreme in (numbers.min(initial=np.inf), numbers.max(initial=-np.inf)) if numbers.size else ():
         if scene.with_(**{name: finite(name, extreme)}).structure != scene.structure:
             raise BadInput(f"{name}: {extreme} makes scene {scene.name!r} another problem; change the scene")
-    return column
+    return numbers
+
+
+# -- what is measured --------------------------------------------------------------------------------
+#: laws of the numerical solution alone, with the quantity that must decay as e^{−γt}
+DECAYING = {"hamiltonian_law": "hamiltonian", "momentum_law": "momentum"}
+#: H0(y(T))/H0(y₀) − 1: no law, but how much of the energy is gone
+ENERGY = "energy_change"
+
+
+def decaying(scene: Scene, carry: tuple[str, ...]) -> list[str]:
+    """Return the decay laws that are defined on a scene and read only what is carried."""
+    if scene.conformal_rate is None:  # the rate follows s: what is true is not known
+        return []
+    laws = {name: LAWS[name] for name in DECAYING}
+    return [name for name, law in laws.items() if law.applies(scene) and {*law.needs_on(scene)} <= {*carry}]
+
+
+def furthest(motion: Any, xp: Any = np) -> Any:
+    """Return how large the motion of each trajectory may become, (m,), from its start (·, m)."""
+    size = xp.sqrt((motion * motion).sum(axis=0))
+    return DIVERGENCE * xp.where(size > 0, size, 1.0)
+
+
+def within(y: Any, motion: int, bound: Any, xp: Any = np) -> Any:
+    """Return which of the states y (d, m) are finite, and their motion, the first entries, within `bound` (m,)."""
+    return xp.isfinite(y).all(axis=0) & (xp.abs(y[:motion]).max(axis=0) <= bound)
+
+
+class Watch:
+    """What is measured along trajectories from their packed start y0 (d, m): the same for NumPy and JAX.
+
+    names : `ENERGY`, then decay laws.  begun : its marks at the start, the largest deviation from each law, which
+    trajectories have not diverged, and the last time each has reached.
+    """
+
+    def __init__(
+        self, scene: Scene, carry: tuple[str, ...], names: Sequence[str], motion: int, y0: Any, xp: Any = np
+    ) -> None:
+        self.scene, self.motion, self.xp = scene, motion, xp
+        self.start = scene.unpack(tuple(y0), carry)
+        self.bound = furthest(y0[:motion], xp)
+        self.origin = {name: self.quantity(name, self.start) for name in names[1:]}
+        nothing = xp.zeros(y0.shape[1])
+        self.begun = dict.fromkeys(self.origin, nothing), xp.ones(y0.shape[1], bool), nothing
+
+    def quantity(self, name: str, x: Any) -> Any:
+        """Return the quantity of a decay law, its components along the last axis."""
+        value = getattr(self.scene, DECAYING[name])(x)
+        parts = value if isinstance(value, tuple) else (value,)
+        return self.xp.stack(self.xp.broadcast_arrays(*parts), axis=-1)
+
+    def deviation(self, name: str, x: Any, t: Any) -> Any:
+        """Return the deviation from a decay law at the time t."""
+        terms = getattr(self.scene, f"{DECAYING[name]}_terms")(x)
+        rate = self.scene.conformal_rate
+        return conformal_deviation(self.quantity(name, x), self.origin[name], t, rate, terms, self.xp)
+
+    def at(self, marks: Any, x: Any, y: Any, t: Any) -> Any:
+        """Return the marks at the time t, in the states x, packed y."""
+        worst, alive, end = marks
+        alive = alive & within(y, self.motion, self.bound, self.xp)
+        worst = {name: self.xp.maximum(most, self.deviation(name, x, t)) for name, most in worst.items()}
+        return worst, alive, self.xp.where(alive, t, end)
+
+    def result(self, marks: Any, x: Any, y: Any) -> Any:
+        """Return final states (d, m), measures (·, m) and end times (m,), nan where a trajectory diverged."""
+        (worst, alive, end), xp = marks, self.xp
+        energy = self.scene.energy(x) / self.scene.energy(self.start) - 1
+        measures = xp.stack([energy, *worst.values()])
+        return xp.where(alive, y, xp.nan), xp.where(alive, measures, xp.nan), end
+
+
+# -- statistics --------------------------------------------------------------------------------------
+class Statistic(NamedTuple):
+    """Over the trajectories that ended `ok`; nan if none did."""
+
+    mean: float
+    max: float
+
+
+def tally(measures: np.ndarray, ok: np.ndarray) -> np.ndarray:
+    """Return one row: how many are ok, how many not, and the sums and maxima of the measures of those that are."""
+    good = measures if ok.all() else measures[:, ok]
+    return np.array([ok.sum(), (~ok).sum(), *good.sum(axis=1), *good.max(axis=1, initial=-np.inf)])
+
+
+def overall(names: list[str], rows: list[np.ndarray]) -> tuple[dict[str, Statistic], dict[Status, int]]:
+    """Return statistics and endings from the rows of all chunks of all processes."""
+    from jax.experimental import multihost_utils
+
+    from contactbench.xla import jax
+
+    def join(rows: Any) -> np.ndarray:
+        rows, split = np.asarray(rows), 2 + len(names)
+        return np.concatenate([rows[:, :split].sum(axis=0), rows[:, split:].max(axis=0)])
+
+    row = join(rows)
+    if jax.process_count() > 1:
+        row = join(multihost_utils.process_allgather(row))
+    ok, diverged, rest = int(row[0]), int(row[1]), row[2:].reshape(2, len(names))
+    total, largest = rest if ok else np.full_like(rest, np.nan)
+    pairs = (Statistic(float(s) / max(ok, 1), float(m)) for s, m in zip(total, largest, strict=True))
+    return dict(zip(names, pairs, strict=True)), {Status.ok: ok, Status.diverged: diverged}

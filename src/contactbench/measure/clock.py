@@ -47,6 +47,11 @@ class Part:
     share: float
     span: float
 
+    def marginal(self, visits: Sequence[Visit]) -> float:
+        """Return the cost of one more unit of the span."""
+        short = min(min(visit.part) for visit in visits)
+        return float((least(visits) - short) / ((1 - self.share) * self.span))
+
 
 class Timed(Protocol):
     """What a race visits."""
@@ -92,12 +97,10 @@ class Call:
 
 
 def calls_a_round(once: float) -> int:
-    """Return how many calls fill a round, where one takes so many seconds."""
     return math.ceil(ROUND_SECONDS / once)
 
 
 def seconds(run: Callable[[], Any], iterations: int) -> float:
-    """Return the seconds a call takes, over so many calls."""
     start = perf_counter()
     for _ in range(iterations):
         run()
@@ -107,7 +110,7 @@ def seconds(run: Callable[[], Any], iterations: int) -> float:
 class Race:
     """Calls timed side by side: every sweep visits each of them once, in an order of its own.
 
-    visits : of each call, as far as they have been made; an interrupted race keeps those it finished.
+    visits : of each call, as far as they have been made.
     """
 
     def __init__(self, calls: Sequence[Timed]) -> None:
@@ -116,7 +119,6 @@ class Race:
         self.shuffle = random.Random(SEED)
 
     def sweep(self, rounds: Sequence[int] | None = None) -> Iterator[int]:
-        """Visit every call; yield the number of each that was visited."""
         for i in self.shuffle.sample(range(len(self.calls)), len(self.calls)):
             self.visits[i].append(self.calls[i].visit(rounds[i] if rounds else ROUNDS))
             yield i
@@ -128,9 +130,7 @@ class Race:
         """
         start = perf_counter()
         lengths = [call.warm_up() for call in self.calls]
-        if not lengths:
-            return
-        share = max(0.0, start + budget - perf_counter()) / VISITS / len(lengths)
+        share = max(0.0, start + budget - perf_counter()) / VISITS / max(1, len(lengths))
         rounds = [min(ROUNDS, max(1, int(share / length))) for length in lengths]
         sweep = sum(n * length for n, length in zip(rounds, lengths, strict=True))
         for visit in range(MOST_VISITS):
@@ -147,9 +147,7 @@ def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
     low, median, high = np.percentile(rounds, (25, 50, 75)).tolist()
     columns = {"time_min_s": least(visits), "time_median_s": median, "time_iqr_s": high - low}
     columns |= {"visits": len(visits), "rounds": len(rounds), "iterations": visits[-1].iterations}
-    if len(visits) > 1:
-        columns["time_halves_ratio"] = least(visits[1::2]) / least(visits[::2])
-    return columns
+    return columns | ratio_column("time_halves_ratio", least, visits[::2], visits[1::2])
 
 
 def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
@@ -158,31 +156,29 @@ def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
     The part of a run whose steps grow costs more than its share, which counts as fixed; where they shrink
     fixed_s may be negative.
     """
-    slope = marginal(visits, part)
+    slope = part.marginal(visits)
     columns = {"fixed_s": least(visits) - slope * part.span, "marginal_s": slope}
-    if len(visits) > 1:
-        odd, even = marginal(visits[::2], part), marginal(visits[1::2], part)
-        if min(odd, even) > 0:
-            columns["marginal_halves_ratio"] = even / odd
-    return columns
+    return columns | ratio_column("marginal_halves_ratio", part.marginal, visits[::2], visits[1::2])
 
 
 def process_columns(
     visits: Sequence[Visit], again: Sequence[Visit], part: Part | None = None
 ) -> dict[str, float]:
     """Return the columns of a call that a second process has timed too: what it says over what the first said."""
-    columns = {"time_process_ratio": least(again) / least(visits)}
+    columns = ratio_column("time_process_ratio", least, visits, again)
     if part is not None and all(visit.part for visit in again):
-        first, second = marginal(visits, part), marginal(again, part)
-        if min(first, second) > 0:
-            columns["marginal_process_ratio"] = second / first
+        columns |= ratio_column("marginal_process_ratio", part.marginal, visits, again)
     return columns
+
+
+def ratio_column(
+    name: str, cost: Callable[[Sequence[Visit]], float], first: Sequence[Visit], second: Sequence[Visit]
+) -> dict[str, float]:
+    """Return the ratio of the costs of some visits, the second over the first; nothing where it has no meaning."""
+    if not second or min(cost(first), cost(second)) <= 0:
+        return {}
+    return {name: cost(second) / cost(first)}
 
 
 def least(visits: Sequence[Visit]) -> float:
     return float(min(min(visit.whole) for visit in visits))
-
-
-def marginal(visits: Sequence[Visit], part: Part) -> float:
-    short = min(min(visit.part) for visit in visits)
-    return float((least(visits) - short) / ((1 - part.share) * part.span))

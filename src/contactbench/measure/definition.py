@@ -29,12 +29,10 @@ WORDS = ("about", "hard", "experiments")
 
 
 def digest(parts: Iterable[str]) -> str:
-    """The first 16 hexadecimal digits of the SHA-256 of some lines."""
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
 def digits_of(value: Any, context: Any) -> str:
-    """Numbers, nested as they are, with their leading digits."""
     if isinstance(value, list | tuple):
         return f"[{' '.join(digits_of(each, context) for each in value)}]"
     return str(value) if value is None else context.nstr(context.mpf(value), SHOWN)
@@ -42,18 +40,12 @@ def digits_of(value: Any, context: Any) -> str:
 
 def declarations(item: Any) -> list[str]:
     """The fields of a scene or method that are data, as NAME=VALUE."""
-    found = []
-    for field in (each for each in dataclasses.fields(item) if each.init):
-        value = getattr(item, field.name)
-        if field.name not in WORDS and isinstance(
-            value, bool | int | float | str | tuple | dict | type(None)
-        ):
-            found.append(f"{field.name}={value!r}")
-    return found
+    data = bool | int | float | str | tuple | dict | None
+    named = {field.name: getattr(item, field.name) for field in dataclasses.fields(item) if field.init}
+    return [f"{n}={value!r}" for n, value in named.items() if n not in WORDS and isinstance(value, data)]
 
 
 def scene_lines(scene: Scene) -> list[str]:
-    """The scene's data, and its functions at a few points with their leading digits."""
     context = decimal_context(DIGITS)
     twin = with_decimals(scene, context.mpf)
     lines = [*declarations(scene), repr(scene.numbers())]
@@ -81,7 +73,6 @@ def method_lines(method: Any) -> list[str]:
 
 
 def row(item: Any) -> dict[str, str]:
-    """Return the row of a scene or a method in the table of definitions."""
     is_scene = isinstance(item, Scene)
     return {
         "scene": item.name if is_scene else "",

@@ -1,4 +1,14 @@
-"""What a law is."""
+"""What a law is, and how far a decaying quantity is from where its law puts it, on the scale of what is left of it.
+
+The comparison stays finite when e^{−γt} underflows: a value whose true size is below the smallest normal
+number divided by the machine precision carries no relative information and must merely be as small.
+
+H, J and Φ*η are differences of larger terms: T, V and Γ; the products of q and p; ∂s and p·∂q.  Strong
+damping makes the terms cancel to e^{−γt} of their size, below any round-off, and an unstable motion makes
+the derivatives grow.  A deviation is therefore measured against the true size of the quantity, but not
+against less than `ATTAINABLE` of the terms it is the difference of: round-off of the terms stays round-off.
+Where that happens the entry is called clamped.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +16,32 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from contactbench.boundary import blame
 from contactbench.errors import BadInput
-from contactbench.measure.deviation import Deviation
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution
+
+#: below this a float64 has lost relative precision to gradual underflow
+MEANINGFUL = np.finfo(float).tiny / np.finfo(float).eps
+#: part of the cancelling terms below which a quantity is not resolved: round-off of a few ε stays below 10⁻¹²
+ATTAINABLE = 1e-3
+
+
+class Deviation(NamedTuple):
+    """Deviations from a law at the saved times, each of shape (k,).
+
+    uncertainty : error bars, None where the deviation is computed to round-off.  clamped : where it was taken against
+    a thousandth of the terms instead of the true size of the quantity, None where the law has no such limit.
+    """
+
+    size: np.ndarray
+    uncertainty: np.ndarray | None = None
+    clamped: np.ndarray | None = None
 
 
 class Undefined(BadInput):
@@ -29,8 +58,7 @@ class Gate(Enum):
 
 @dataclass(frozen=True)
 class Measured:
-    """What a law gives: its value, the error bar where there is one, and at how many saved times it was
-    taken against its terms instead of its own size (None where it has no such limit).
+    """What a law gives: its value, its error bar if any, and at how many saved times it was clamped, where it can be.
 
     A drift smaller than its error bar is not known; `value` is then the sum of both, an upper bound.
     """
@@ -41,7 +69,6 @@ class Measured:
 
     @property
     def bound(self) -> bool:
-        """Whether the value is an upper bound."""
         return self.uncertainty is not None and self.value <= 2 * self.uncertainty
 
 
@@ -79,16 +106,14 @@ class Law:
         return self.measured(solution).value
 
     def measured(self, solution: Solution) -> Measured:
-        """The measure with its error bar; raises as the call does."""
         found = self.along(solution)
         if not isinstance(found, Deviation):
             return Measured(found)
         value = float(found.size.max())
-        marked = None if found.clamped is None else int(found.clamped.sum())
-        if found.uncertainty is None:
-            return Measured(value, None, marked)
-        uncertainty = float(found.uncertainty.max())
-        return Measured(value if value > uncertainty else value + uncertainty, uncertainty, marked)
+        clamped = None if found.clamped is None else int(found.clamped.sum())
+        uncertainty = None if found.uncertainty is None else float(found.uncertainty.max())
+        unknown = uncertainty is not None and not value > uncertainty
+        return Measured(value + (uncertainty or 0.0) if unknown else value, uncertainty, clamped)
 
     def along(self, solution: Solution) -> Deviation | float:
         """The deviation at every saved time, where the law is a maximum over them; raises as the call does."""
@@ -107,5 +132,57 @@ class Law:
             raise blame(f"law {self.name!r}", error) from error.__cause__
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
-        """The optional fields it reads on this scene."""
         return tuple(field for field in self.needs if field in scene.optional)
+
+
+# -- deviations ------------------------------------------------------------------------------------
+def log_true_size(start: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
+    """log(e^{−γt} ‖start‖); of e^{−γt} where the start is zero."""
+    norm = xp.linalg.norm(start, axis=-1)
+    return xp.log(xp.where(norm > 0, norm, 1.0)) - gamma * t
+
+
+def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any = 0.0, xp: Any = np) -> Any:
+    """‖values − e^{−γt} start‖ / max(e^{−γt} ‖start‖, ATTAINABLE · terms) at each time.
+
+    values : (k, m), start : (m,), terms : (k,), the size of the terms whose differences the values are.
+    Where the denominator is below the meaningful range, the deviation is how far the value exceeds that
+    range (0 when it has underflowed as it should).  For an ensemble k counts its members, and t, γ and
+    start may differ from one to the next.
+    """
+    norm = xp.linalg.norm(start, axis=-1)
+    norm = xp.where(norm > 0, norm, 1.0)
+    true_log = log_true_size(start, t, gamma, xp)
+    attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        clamped = xp.log(attainable) > true_log
+        # where the true size rules, values are scaled up rather than the start down, which may underflow; in two
+        # halves, so that neither factor overflows before the product would
+        half = xp.exp(xp.minimum(gamma * t / 2, 700.0))
+        half = half[..., None] if values.ndim > half.ndim else half
+        against_true = xp.linalg.norm(values * half * half - start, axis=-1) / norm
+        true = xp.asarray(xp.exp(-gamma * t))[..., None] * start
+        against_terms = xp.linalg.norm(values - true, axis=-1) / attainable
+        excess = xp.maximum(xp.abs(values).max(axis=-1) / MEANINGFUL - 1, 0.0)
+    meaningful = xp.where(clamped, attainable > MEANINGFUL, true_log > math.log(MEANINGFUL))
+    return xp.where(meaningful, xp.where(clamped, against_terms, against_true), excess)
+
+
+def conformal(
+    values: np.ndarray, start: np.ndarray, t: Any, rate: Any, terms: np.ndarray, error: Any = None
+) -> Deviation:
+    """`conformal_deviation` with its error bar, `error` (k,) being that of the values, and where it was clamped."""
+    true_log, bar = log_true_size(start, t, rate), None
+    with np.errstate(divide="ignore", over="ignore"):
+        if error is not None:
+            floor = np.log(np.maximum(ATTAINABLE * terms, MEANINGFUL))
+            bar = np.exp(np.log(error) - np.maximum(true_log, floor))
+        clamped = (np.log(ATTAINABLE * terms) > true_log) & (t > 0)
+    return Deviation(conformal_deviation(values, start, t, rate, terms), bar, clamped)
+
+
+def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """|numerical/exact − 1| where the exact value is meaningful, the excess over that range where not."""
+    meaningful = np.abs(exact) > MEANINGFUL
+    ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
+    return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))

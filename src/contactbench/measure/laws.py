@@ -19,8 +19,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactbench.errors import BadInput, Registry
-from contactbench.measure.deviation import ATTAINABLE, MEANINGFUL, Deviation, conformal, relative_deviation
-from contactbench.measure.law import Gate, Law, Measured, Undefined
+from contactbench.measure.law import (
+    ATTAINABLE,
+    MEANINGFUL,
+    Deviation,
+    Gate,
+    Law,
+    Measured,
+    Undefined,
+    conformal,
+    relative_deviation,
+)
 from contactbench.measure.pullback import growth, pairs, pullback
 from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, judge, structural_bound
 from contactbench.methods.base import METHODS
@@ -50,7 +59,6 @@ def law(
 
 
 def laws_of(scene: Scene) -> list[Law]:
-    """The laws that are defined for a scene, in table order."""
     return [item for item in LAWS.values() if item.applies(scene)]
 
 
@@ -75,10 +83,9 @@ def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarr
 def truth(solution: Solution) -> Any:
     """The reference at the saved times, from the run's own initial data."""
     scene = solution.scene
-    if solution.y0 is not None:
-        own = scene.pack(scene.initial(solution.carry))
-        if not np.array_equal(own, solution.y0):
-            scene = scene.with_(**scene.data(solution.start()))
+    own = scene.pack(scene.initial(solution.carry))
+    if solution.y0 is not None and not np.array_equal(own, solution.y0):
+        scene = scene.with_(**scene.data(solution.start()))
     return reference(scene, solution.t, solution.carry)
 
 
@@ -96,7 +103,6 @@ def solution_error(solution: Solution) -> float:
 
 
 def energies(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """H0 along the run, and along the truth."""
     scene = solution.scene
     return scene.energy(solution.states()), scene.energy(truth(solution).states())
 
@@ -129,14 +135,13 @@ def decay_rate(solution: Solution) -> float | np.ndarray:
     scene = solution.scene
     if scene.conformal_rate is not None:
         return scene.conformal_rate
-    known = scene.damped_by(solution.start(), solution.t, np)
-    if known is not None:
-        return np.divide(known, solution.t, out=np.zeros(len(known)), where=solution.t > 0)
-    start = float(scene.hamiltonian(solution.start()))
-    if start == 0:
-        raise Undefined(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
-    ratio = scene.hamiltonian(truth(solution).states()) / start
-    return np.divide(-np.log(ratio), solution.t, out=np.zeros(len(ratio)), where=solution.t > 0)
+    damped = scene.damped_by(solution.start(), solution.t, np)
+    if damped is None:
+        start = float(scene.hamiltonian(solution.start()))
+        if start == 0:
+            raise Undefined(f"scene {scene.name!r}: H(0) = 0, the conformal factor cannot be read off H")
+        damped = -np.log(scene.hamiltonian(truth(solution).states()) / start)
+    return np.divide(damped, solution.t, out=np.zeros(len(damped)), where=solution.t > 0)
 
 
 @law(
@@ -162,12 +167,10 @@ def hamiltonian_law(solution: Solution) -> Deviation:
 )
 def modified_hamiltonian(solution: Solution) -> Deviation | float:
     scene, states, run = solution.scene, solution.states(), solution.run
-    if run is None:
-        return math.nan
-    try:
-        value, start = (run.modified_hamiltonian(x) for x in (states, solution.start()))
-    except TypeError:  # a potential of one's own that takes no dual numbers
-        return math.nan
+    value = None
+    with suppress(TypeError):  # a potential of one's own that takes no dual numbers
+        if run is not None:
+            value, start = (run.modified_hamiltonian(x) for x in (states, solution.start()))
     if value is None:
         return math.nan
     terms = scene.hamiltonian_terms(states)
@@ -220,10 +223,8 @@ def momentum_law(solution: Solution) -> Deviation:
 def momentum_balance(solution: Solution) -> float:
     scene, t = solution.scene, solution.t
     weight = np.exp(scene.conformal_rate * (t - t[-1]))  # e^{γt} up to a factor that drops out
-    exact, numerical = (
-        np.array(scene.momentum(states))[0] * weight
-        for states in (truth(solution).states(), solution.states())
-    )
+    both = truth(solution).states(), solution.states()
+    exact, numerical = (np.array(scene.momentum(states))[0] * weight for states in both)
     return float(np.abs(numerical - exact).max() / np.abs(exact).max())
 
 
@@ -235,7 +236,6 @@ FROZEN = "the steps taken held fixed"
 
 
 def contact_deviation(solution: Solution, differential: Differential) -> Deviation | float:
-    """That of Φ*η from e^{−∫Γ'} η."""
     pulled = pullback(solution, differential)
     if pulled is None:
         return math.nan
@@ -259,7 +259,6 @@ def distribution_deviation(solution: Solution, differential: Differential) -> De
 
 
 def pairing_deviation(solution: Solution, differential: Differential) -> Deviation | float:
-    """That of the pairs of singular values from e^{−∫γ}."""
     scene = solution.scene
     assert isinstance(scene, Mechanical)
     found = pairs(differential, len(scene.q))
@@ -436,7 +435,6 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
 
 
 def source(solution: Solution, bounds: list[str]) -> str:
-    """How the derivatives were obtained, in words."""
     true, frozen = solution.differential, solution.frozen_differential
     parts = [true.source]
     if frozen.taken and frozen.source != true.source:

@@ -41,12 +41,9 @@ SAFETY, UNCHECKED = 3.0, 9.0
 class OrderFit:
     """An extrapolated order of convergence.
 
-    order : the limit of the pairwise slopes as h → 0; nan where no window of points has one.
-    uncertainty : three times the spread of neighbouring extrapolations, nine times where no further point
-    checks it, plus what round-off can do to them.
-    last_slope : pairwise slope of the two finest points used.
-    used : mask of the points it rests on.  pairwise : slope between each point and the next larger
-    step, nan for the largest.
+    order : the limit of the pairwise slopes as h → 0; nan where no window of points has one.  uncertainty : what the
+    spread of neighbouring extrapolations, and round-off, may be off.  last_slope : of the two finest points used.
+    used : mask of the points it rests on.  pairwise : slope between each point and the next larger step.
     """
 
     order: float
@@ -57,10 +54,9 @@ class OrderFit:
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.0) -> OrderFit:
-    """Order of convergence from errors at different step sizes, in any order.
+    """Fit an order to errors at different step sizes: that of the window of four neighbours which is most certain.
 
     floor : errors at or below it are round-off, and every error is uncertain by a thirtieth of it.
-    Of all windows of four neighbouring points the one whose order is most certain is taken.
     """
     h, e = np.asarray(steps, dtype=float), np.asarray(errors, dtype=float)
     order = np.argsort(h)
@@ -123,9 +119,9 @@ DIGITS = 50
 def march(
     method: Any, scene: Scene, step: Any, n: int, context: Any, start: list[Any] | None = None
 ) -> list[Any]:
-    """The packed state, every optional field carried, after n steps of size `step`.
+    """The packed state, every optional field carried, after n steps of a size that is a string or mpmath number.
 
-    step : decimal string or mpmath number.  start : packed initial state, by default the scene's own.
+    start : packed initial state, by default the scene's own.
     """
     twin = with_decimals(scene, context.mpf)
     x = twin.initial(scene.carry()) if start is None else twin.unpack(start, scene.carry())
@@ -133,10 +129,7 @@ def march(
 
 
 def error_at(method: Any, scene: Scene, t: float, n: int) -> Any:
-    """‖y_n − y*(t)‖₂ after n steps of size t/n, as an mpmath number.
-
-    The digits of the reference (up to 40) bound what this can resolve.
-    """
+    """‖y_n − y*(t)‖₂ after n steps of size t/n, as an mpmath number; the reference has up to 40 digits."""
     context = decimal_context(DIGITS)
     truth = [context.mpf(c) for c in reference(scene, [t]).decimals[0]]
     y = march(method, scene, context.mpf(repr(t)) / n, n, context)
@@ -144,10 +137,9 @@ def error_at(method: Any, scene: Scene, t: float, n: int) -> Any:
 
 
 def order_at(method: Any, scene: Scene, t: float, n: int) -> float:
-    """Order of convergence from n, 2n and 4n steps to time t.
+    """Order of convergence from n, 2n and 4n steps to time t, extrapolated to h → 0.
 
-    The two slopes are extrapolated to h → 0: their own error is O(h), and O(h²) for a symmetric
-    method, whose error has an expansion in h².
+    The error of a slope is O(h), and O(h²) for a symmetric method, whose error has an expansion in h².
     """
     context = decimal_context(DIGITS)
     coarse, middle, fine = (error_at(method, scene, t, n * 2**k) for k in range(3))
@@ -157,10 +149,9 @@ def order_at(method: Any, scene: Scene, t: float, n: int) -> float:
 
 
 def local_order(method: Any, scene: Scene, step: str = "1e-6", digits: int = 150) -> float:
-    """Order from one step against two half steps, ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}).
+    """Order from one step against two half steps, ‖Φ_h − Φ_{h/2}∘Φ_{h/2}‖ = O(h^{p+1}), without a reference.
 
-    No reference is needed, and at so small a step the lowest power of h stands out however small its
-    coefficient is.  It is the order towards the flow of what the method is consistent with.
+    At so small a step the lowest power of h stands out.  It is that towards the flow the method is consistent with.
     """
     context = decimal_context(digits)
 

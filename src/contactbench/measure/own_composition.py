@@ -63,11 +63,10 @@ def exact(part: str, coefficients: Sequence[Any]) -> list[Fraction]:
     found: list[Fraction] = []
     for i, coefficient in enumerate(items_of(part, coefficients, "a list of coefficients")):
         try:
-            found.append(coefficient if isinstance(coefficient, Fraction) else Fraction(str(coefficient)))
+            found.append(Fraction(str(coefficient)))
         except (ValueError, ZeroDivisionError):
-            raise BadInput(
-                f"{part}[{i}] = {excerpt(coefficient)}: must be a number, as 0.25 or '1/4'"
-            ) from None
+            why = f"{part}[{i}] = {excerpt(coefficient)}: must be a number, as 0.25 or '1/4'"
+            raise BadInput(why) from None
     if not found:
         raise BadInput(f"{part} = {excerpt(coefficients)}: must have at least one coefficient")
     rest, n = 1 - sum(found, Fraction(0)), len(found)
@@ -79,12 +78,9 @@ def exact(part: str, coefficients: Sequence[Any]) -> list[Fraction]:
 
 
 def stages(kick: Sequence[Fraction], drift: Sequence[Fraction]) -> tuple[Stage, ...]:
-    """The two lists in turn."""
     if abs(len(kick) - len(drift)) > 1:
-        raise BadInput(
-            f"kick has {len(kick)} coefficients and drift {len(drift)}: as they alternate, the numbers differ "
-            "by one at most"
-        )
+        numbers = f"kick has {len(kick)} coefficients and drift {len(drift)}"
+        raise BadInput(f"{numbers}: as they alternate, the numbers differ by one at most")
     names, lists = ("kick", "drift_damp"), (kick, drift)
     if len(drift) > len(kick):
         names, lists = names[::-1], lists[::-1]
@@ -99,7 +95,5 @@ def check_order(method: ContactMethod) -> None:
             continue
         measured = local_order(method, scene, STEP, DIGITS)
         if abs(measured - method.order) > NEAR:
-            hint = ""
-            if scene.name == "rigid_body":
-                hint = "; nystrom=True if it is meant for potentials only"
+            hint = "; nystrom=True if it is meant for potentials only" if scene.name == "rigid_body" else ""
             raise BadInput(f"order = {method.order}: measured {measured:.2f} on {scene.name}{hint}")

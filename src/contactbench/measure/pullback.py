@@ -17,11 +17,10 @@ from contactbench.solution import SAFETY, Differential, Solution, closest
 
 
 class Pullback(NamedTuple):
-    """η(Φ)·DΦ at every saved time on the m tangents.
+    """η(Φ)·DΦ at every saved time on the m tangents, (k, m).
 
-    values : (k, m).  form : η at the start, (m,).  terms : ‖|∂s| + ‖p‖‖∂q‖‖, the size of the terms that
-    the values are differences of, (k,).  uncertainty : error bar of the values, in the norm over the
-    tangents, (k,); None where the derivative is computed to round-off.
+    form : η at the start, (m,).  terms : ‖|∂s| + ‖p‖‖∂q‖‖, the size of the terms that the values are differences of,
+    (k,).  uncertainty : error bar in the norm over the tangents, (k,); None where there is only round-off.
     """
 
     values: np.ndarray
@@ -67,8 +66,7 @@ def growth(differential: Differential) -> float:
 class Pairs(NamedTuple):
     """σ_i σ_{2n+1−i} at every saved time, (k, n), σ_1 being the largest.
 
-    terms : σ_1 ‖(σ_1, …, σ_n)‖, (k,): the smaller of a pair has the round-off of σ_1.  uncertainty : (k,); None
-    where the derivative is computed to round-off.
+    terms : σ_1 ‖(σ_1, …, σ_n)‖, (k,): the smaller of a pair has the round-off of σ_1.  uncertainty : as there.
     """
 
     values: np.ndarray

@@ -40,8 +40,7 @@ WRECKED = 0.1
 def round_off_bound(growth: Any, evaluations: Any) -> Any:
     """ε · evaluations · max(growth, 1): every evaluation rounds once, and what it rounds then grows.
 
-    growth : max ‖DΦ(t)‖₂ of the numerical map (column `map_growth`); the condition number of the true
-    motion stands for it only where the run follows that motion.  Both arguments may be columns.
+    growth : max ‖DΦ(t)‖₂ of the numerical map, or the condition number of the motion.  Both may be columns.
     """
     return EPSILON * evaluations * np.maximum(growth, 1.0)
 
@@ -61,8 +60,7 @@ def decide(value: Any, bound: Any) -> tuple[Any, Any]:
 def judge(value: Any, bound: Any, uncertainty: Any, all_clamped: Any, error: Any) -> tuple[Any, Any, Any]:
     """Whether a law is judged in a run, whether it is kept, and whether that is undecided; all may be columns.
 
-    all_clamped : at every saved time no more than a thousandth of the terms was left to compare with.  error : of
-    the solution, nan where it is not known.
+    all_clamped : whether it was clamped at every saved time.  error : of the solution, nan where it is not known.
     """
     judged = np.logical_not(np.asarray(error, dtype=float) > WRECKED)
     kept, ill = decide(value, bound)

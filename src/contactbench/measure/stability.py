@@ -44,12 +44,10 @@ ELEMENTWISE = Elementwise()
 
 
 def oscillator(gamma: float, omega: float = 1.0) -> Mechanical:
-    """The registered oscillator with these parameters."""
     return SCENES["oscillator"].with_(gamma=gamma, omega=omega)
 
 
 def fixed_step_methods() -> list[Any]:
-    """The registered fixed-step methods that take the oscillator."""
     return [m for m in METHODS.values() if m.control == "step" and m.refuses(SCENES["oscillator"]) is None]
 
 
@@ -89,7 +87,6 @@ def spectral_radius(method: Any, gamma: float, omega: float, h: Any) -> Any:
 
 
 def true_radius(gamma: float, omega: float, h: float) -> float:
-    """The spectral radius of the exact flow: e^{−γh/2}, or e^{−λh} with the slow rate λ where overdamped."""
     return math.exp(-slow_rate(gamma, omega) * h)
 
 
@@ -105,8 +102,7 @@ def slow_rate(gamma: float, omega: float = 1.0) -> float:
 class Stability:
     """Steps with bounded orbits: up to `limit`, and beyond it up to `last` but for `windows`.
 
-    limit : the first loss of stability.  windows : intervals of unbounded orbits below `last`, the largest
-    of all steps with bounded orbits.  Both are inf where there is none up to ωh = 10³.
+    Both borders are inf where there is none up to ωh = 10³.
     """
 
     limit: float
@@ -117,12 +113,10 @@ class Stability:
 def stability(method: Any, gamma: float, omega: float) -> Stability:
     """The borders of stability of the map that is one step of `method`, from its trace and determinant.
 
-    Both eigenvalues are in the unit disc where |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in
-    which s passes ±1 and returns may be of any width, so that no grid of steps can be trusted to meet
-    it; but s turns around inside.  The grid need only separate the extrema of s and of det.  These are
-    located, and every border between neighbours of grid and extrema is then bracketed.  What passes one
-    by less than 10⁻¹² is no window, such as a double root of s = ±1; an interval of stability of less than
-    a per cent of the step does not end one.
+    Both eigenvalues are in the unit disc where |s| ≤ 1, s = tr/(1 + det), and |det| ≤ 1.  A window in which s passes ±1
+    and returns may be narrower than any grid, but s turns around inside.  So the extrema of s and of det are located,
+    and every border between neighbours of grid and extrema is bracketed.  What passes one by less than 10⁻¹² is no
+    window (a double root); an interval of stability of less than a per cent of the step does not end one.
     """
 
     def invariants(h: np.ndarray) -> np.ndarray:
@@ -242,7 +236,6 @@ THEORY: dict[str, Callable[[float, float], float]] = {
 
 # -- strong damping --------------------------------------------------------------------------------
 def flow_matrix(gamma: float, omega: float, t: float) -> np.ndarray:
-    """The exact flow of (q, p) over t."""
     from scipy.linalg import expm
 
     return expm(np.array([[0.0, 1.0], [-(omega**2), -gamma]]) * t)
@@ -251,8 +244,7 @@ def flow_matrix(gamma: float, omega: float, t: float) -> np.ndarray:
 def propagation_error(method: Any, gamma: float, h: float, every_step: bool = False) -> float:
     """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T as near as can be to the time in which a motion falls by e.
 
-    every_step : whether every step is saved, which is another map for a processed method.
-    inf where M overflows.
+    every_step : whether every step is saved, which is another map for a processed method.  inf where M overflows.
     """
     n = max(1, round(1 / slow_rate(gamma) / h))
     exact = flow_matrix(gamma, 1.0, n * h)

@@ -16,10 +16,8 @@ from contactbench.errors import BadInput
 def costs_to_reach(errors: Sequence[float], costs: Sequence[float], targets: Sequence[float]) -> list[float]:
     """Return the costs of some errors, by log–log interpolation; nan where no setting is as accurate.
 
-    The lower envelope of the points is used: the cheapest setting at least as accurate as each
-    error, so that a method is not charged for a poor setting it has no need of.  Where every setting is more
-    accurate than `target` it is the cost of the cheapest: no more than a bound, but a fair one, because a method
-    that is better than asked for at a lower cost is the better choice.
+    On the lower envelope: no method is charged for a poor setting it has no need of.  Where every setting is more
+    accurate than asked for it is the cost of the cheapest, a bound.
     """
     return interpolate(errors, costs, envelope(errors, costs), targets)
 
@@ -64,10 +62,10 @@ class PairedRatio:
 
 
 def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
-    """Ratio head/base of times taken in pairs, the two of a pair next to each other in time.
+    """Return the ratio head/base of times taken in pairs, in which a slower drift of the machine cancels.
 
-    A drift of the machine slower than a pair cancels in each log-ratio; their median is resampled
-    (Efron, Ann. Stat. 7, 1 (1979), doi:10.1214/aos/1176344552, percentile interval, fixed seed).
+    The median of the log-ratios is resampled (Efron, Ann. Stat. 7, 1 (1979), doi:10.1214/aos/1176344552, percentile
+    interval, fixed seed).
     """
     logs = np.log(np.asarray(head, dtype=float)) - np.log(np.asarray(base, dtype=float))
     resampled = np.random.default_rng(0).choice(logs, (RESAMPLES, len(logs)))
@@ -76,7 +74,10 @@ def paired_ratio(base: Sequence[float], head: Sequence[float]) -> PairedRatio:
 
 
 # -- wins and ties ---------------------------------------------------------------------------------
-#: no margin of two costs is smaller, however quiet the machine
+#: margins where no clock decides: of numbers of evaluations, which are interpolated between two settings; of costs of
+#: whole settings, which stand so far apart; and of errors
+COUNTED, RUNG, ALIKE = 1.15, 1.5, 2.0
+#: no margin of two times is smaller, however quiet the machine
 FLOOR = 1.03
 #: by what factor a cell's least round differs from process to process, in 95 of 100 cells (the layout of code and data
 #: in memory): measured over five processes, for tables in which no second process timed anything
@@ -99,10 +100,9 @@ class Verdict(StrEnum):
 def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
     """Return by what factor two processes differ on one and the same cell, in 95 of 100 cells.
 
-    ratios : of a sample of cells, the time in a second process over that in the first.  halves : of the same cells,
-        those of their visits: where they differ by more than `FLOOR` it is the cell that is noisy, not the process,
-        and its margins know that already.
-    The empirical quantile of max(r, 1/r); `PROCESSES` where there is no sample.
+    ratios : of a sample of cells, the time in a second process over that in the first; `PROCESSES` where there is none.
+    halves : of the same cells, those of their visits: a cell where they differ by more than `FLOOR` is noisy itself,
+    which its margins know already.
     """
     pairs = [(r, h) for r, h in zip(ratios, halves, strict=True) if r > 0 and math.isfinite(r)]
     if not pairs:
@@ -116,18 +116,22 @@ def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
 def margin(halves: Iterable[float], processes: float) -> float:
     """Return the ratio up to which two costs cannot be told apart: their own spread and that of processes.
 
-    halves : of either, the least of its even visits over that of its odd ones; nan where there is but one visit,
-        and the margin infinite.
+    halves : of either, the least of its even visits over that of its odd ones; nan of a single visit: no ratio tells.
     """
     logs = [math.log(ratio) if ratio > 0 else math.inf for ratio in (*halves, processes)]
     return max(FLOOR, math.exp(math.hypot(*logs)))
+
+
+def ties(value: Any, least: Any, margin: float) -> Any:
+    """Return whether a cost or an error, or each of a column, is no more than the least but for a margin."""
+    return value <= margin * least
 
 
 def verdict(ratio: float, margin: float) -> Verdict:
     """Return what a cost over that of the other means, within a margin."""
     if not ratio > 0:
         raise BadInput(f"ratio = {ratio!r}: must be a ratio of two costs, > 0")
-    if max(ratio, 1 / ratio) > margin:
+    if not ties(max(ratio, 1 / ratio), 1.0, margin):
         return Verdict.win if ratio < 1 else Verdict.loss
     return Verdict.tie if margin <= WIDEST else Verdict.undecided
 
@@ -149,10 +153,9 @@ class Average(NamedTuple):
 
 
 def blocks(series: np.ndarray) -> np.ndarray:
-    """Block means, (B, m), of a series (k, m, n) of m quantities along n independent runs.
+    """Return block means (B, m) of a series (k, m, n) of m quantities along n independent runs.
 
-    One block for each run; of fewer than `BLOCKS` runs every one is cut into as many equal parts as it takes, what is
-    left over at the start not used.
+    One block for each run; of fewer than `BLOCKS` runs each is cut into as many equal parts as it takes.
     """
     k, m, n = series.shape
     parts = min(k, -(-BLOCKS // n))

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import accumulate
 from time import perf_counter
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from contactbench.boundary import UserError
 from contactbench.errors import BadInput, excerpt, finite, items_of, positive, switch
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
-from contactbench.measure.laws import laws_of, row
+from contactbench.measure.ladder import ENDS, carry_of, tolerances, work_ladder
+from contactbench.measure.laws import laws_of, observables, row
 from contactbench.measure.statistics import PROCESSES
-from contactbench.methods.base import METHODS
+from contactbench.methods.base import ENGINES, METHODS
 from contactbench.methods.entry import lookup, prepare
-from contactbench.race.scout import Attempt, Question, Scout, ends
-from contactbench.results.contest import standings
+from contactbench.methods.prepared import Prepared, Refused
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
-from contactbench.solution import keywords
-from contactbench.truth import confirmed, reference
+from contactbench.solution import Counts, Solution, Status, keywords
+from contactbench.truth import Reference, confirmed, reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)
 BUDGET = 60.0
@@ -35,6 +41,8 @@ KINDS = ("compiled", "callbacks")
 COMPILING = {"jax": 5.0, "c++": 1.5}
 #: what compiles so slowly begins when every other method is done or had this part of the budget
 PATIENCE = 0.03
+#: a run made once may take so many times as long as its least round
+ONCE = 2.0
 #: measures of a run that are no laws, or that another one covers
 LEFT_OUT = ("solution_error", "energy_law_relative", "energy_increases", "own_factor_drift")
 #: what a derivative of the map costs, roughly: compilations of the solver, and runs
@@ -44,6 +52,22 @@ COLUMNS = dict.fromkeys(("scene", "method", "family", "engine", "kind"), "str")
 COLUMNS |= {"error_asked": "float64", "setting": "str"}
 COLUMNS |= dict.fromkeys(("error_reached", "time_s", "evaluations", "ratio", "margin"), "float64")
 COLUMNS |= dict.fromkeys(("verdict", "laws_kept", "status", "reason"), "str")
+
+
+#: bisections between the first setting that is accurate enough and the one before it
+BISECTIONS = 4
+#: steps of a method's first run at most, where nobody knows yet how long a step takes; and of any run at least
+FIRST_STEPS, FEWEST_STEPS = {"compiled": 200_000, "callbacks": 5_000}, 1000
+#: half the step must give less than this part of the error, or it is round-off that is left
+STILL_BETTER = 0.7
+#: tolerances down to this are tried whatever they bring; it is above what round-off leaves of short runs
+CERTAIN = 1e-12
+#: how much coarser a tolerance is at least whose error is compared: most of a decade
+APART = 5.0
+#: what a single run may take, as a share of the whole budget
+RUN_SHARE = 0.006
+#: what a compiler or a library that is not there raises
+BROKEN = (CannotRecord, ImportError, OSError, RuntimeError)
 
 
 def compare(
@@ -79,10 +103,11 @@ def compare(
         One row for each method and error, columns: scene, method, family, engine, kind, error_asked, setting,
         error_reached, time_s (the least round), evaluations (of the right-hand side, or what equals one), ratio (to
         the least time of its kind at that error), margin (the ratio up to which the two cannot be told apart), verdict
-        (win; tie; undecided where the margin is too wide to judge; loss), laws_kept, a column for each law, status,
-        reason (why a method got no further, or was not timed).  ``attrs``: "reference" (source, digits, digits
-        confirmed by a second engine, error: smaller ones are not claimed), "runs" (every setting tried), "unrefined"
-        (methods without a last search for a coarser setting), "interrupted", "seconds".
+        (win; tie; undecided where the margin is too wide to judge, or a rival was cut off that might be sooner done;
+        loss), laws_kept, a column for each law, status, reason (why a method got no further, or was not timed).
+        ``attrs``: "reference" (source, digits, digits confirmed by a second engine, error: smaller ones are not
+        claimed), "runs" (every setting tried), "unrefined" (methods without a last search for a coarser setting),
+        "interrupted", "seconds".
 
     Raises
     ------
@@ -110,6 +135,216 @@ def _error(value: Any) -> float:
     return error
 
 
+# -- one method ------------------------------------------------------------------------------------
+# Nothing is timed here.  The error of a setting is the largest over five end times, each the end of a run of its own:
+# interpolation between steps, of lower order than some methods, plays no part in it.
+@dataclass(frozen=True)
+class Question:
+    """What is asked of every method: a scene, its truth at five times, the errors, and the time there is."""
+
+    scene: Scene
+    truth: Reference
+    errors: tuple[float, ...]
+    budget: float
+
+    @property
+    def floor(self) -> float:
+        """What the reference itself may be off by, relative to the largest state: no error below is claimed."""
+        return max(10.0**-self.truth.digits, float(np.finfo(float).eps))
+
+    def error(self, solutions: Sequence[Solution]) -> float:
+        scene, carry = self.scene, carry_of(self.scene)
+        labels = self.truth.scene.labels(self.truth.carry)
+        exact = self.truth.y[:, [labels.index(name) for name in scene.labels(carry)]]
+        exact = observables(scene, exact, carry)
+        numerical = observables(scene, np.array([solution.y[-1] for solution in solutions]), carry)
+        size = np.linalg.norm(exact, axis=1).max()
+        return float(np.linalg.norm(numerical - exact, axis=1).max() / size)
+
+
+def ends(scene: Scene) -> np.ndarray:
+    return scene.t_end * np.arange(1, ENDS + 1) / ENDS
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One setting of a method: how it ended, its error and counts, and the solver, ready to be timed."""
+
+    value: float
+    setting: str
+    status: Status
+    message: str
+    seconds: float
+    error: float = math.nan
+    counts: Counts = field(default_factory=Counts)
+    run: Prepared | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.status is Status.ok
+
+    @property
+    def work(self) -> float:
+        """Evaluations on the scale of a right-hand side; seconds where the solver does not count."""
+        work = self.counts.rhs_equivalents
+        return self.seconds if work is None else work
+
+    def reached(self, floor: float) -> dict[str, Any]:
+        """Return the columns of its setting; no error below the floor is claimed."""
+        work = self.counts.rhs_equivalents
+        error = max(self.error, floor)
+        return {
+            "setting": self.setting,
+            "error_reached": error,
+            "evaluations": math.nan if work is None else work,
+        }
+
+    def bare(self) -> Callable[[], Any]:
+        run = self.run
+        assert run is not None
+        start = run.start
+        return lambda: run.bare(start)
+
+
+class Unsupported(Exception):
+    """A method cannot do a scene, as is found out only when it is prepared."""
+
+
+class Scout:
+    """One method on its way from its coarsest setting to the one that reaches the smallest error.
+
+    why : a status and a reason where no setting could be tried, or no finer one.  compile_s : seconds until its first
+    run has ended.  spent : seconds it has had since.  a_step : seconds a step takes.
+    """
+
+    def __init__(self, question: Question, method: str) -> None:
+        self.question, self.method = question, METHODS[method]
+        self.engine = self.method.engines[0]
+        self.attempts: list[Attempt] = []
+        self.why: tuple[str, str] | None = None
+        self.compile_s, self.spent, self.a_step = 0.0, 0.0, math.nan
+
+    @property
+    def kind(self) -> str:
+        return ENGINES.get(self.engine, "compiled")
+
+    @property
+    def finest(self) -> Attempt | None:
+        return min(self.attempts, key=lambda a: a.value, default=None)
+
+    def best(self, error: float) -> Attempt | None:
+        return min(
+            (a for a in self.attempts if a.ok and a.error <= error), key=lambda a: a.work, default=None
+        )
+
+    def turns(self) -> Iterator[None]:
+        """Try settings until the smallest error is reached or the range ends, one a turn."""
+        try:
+            for attempt in self.ladder():
+                yield
+                if attempt.ok and attempt.error <= min(self.question.errors):
+                    break
+                if attempt.status is Status.budget:
+                    most = f"more than a run may take here, {self.longest:.2g} s"
+                    self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
+                    break
+            for error in self.question.errors:
+                yield from self.refine(error)
+        except Unsupported as reason:
+            self.why = ("unsupported", str(reason))
+        except UserError as error:
+            self.why = ("failed", str(error))
+        except BROKEN as error:
+            self.why = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
+
+    def runs(self) -> Iterator[dict[str, Any]]:
+        known = {"method": self.method.name, "engine": self.engine, "kind": self.kind}
+        for a in sorted(self.attempts, key=lambda a: -a.value):
+            ended = {"value": a.value, "status": str(a.status), "message": a.message, "error": a.error}
+            yield known | ended | a.reached(0.0)
+
+    def ladder(self) -> Iterator[Attempt]:
+        """Try the settings of the benchmark, and smaller steps than those as long as they bring something."""
+        if self.method.exact:  # nothing to be set
+            yield self.attempt(0.0)
+            return
+        method, adaptive = self.method, self.method.adaptive
+        for value in tolerances(method) if adaptive else work_ladder(self.question.scene, method.order or 1):
+            if adaptive and value < CERTAIN and self.stagnates():
+                return
+            yield self.attempt(value)
+        while not adaptive and not self.stagnates():  # a low order needs small steps
+            yield self.attempt(self.attempts[-1].value / 2)
+
+    def stagnates(self) -> bool:
+        """Return whether the last setting was hardly more accurate than one before: what is left is round-off."""
+        *others, last = self.attempts
+        apart = APART if self.method.adaptive else 1.0
+        before = next((a for a in reversed(others) if a.value >= apart * last.value), others[-1])
+        return before.ok and last.ok and not last.error < STILL_BETTER * before.error
+
+    @property
+    def longest(self) -> float:
+        return RUN_SHARE * self.question.budget
+
+    def most_steps(self) -> int:
+        """Return how many steps a run may take; always the same of JAX, which compiles for each number anew."""
+        if self.engine == "jax" or not self.a_step > 0:
+            return FIRST_STEPS[self.kind]
+        return max(FEWEST_STEPS, int(self.longest / self.a_step))
+
+    def attempt(self, value: float) -> Attempt:
+        """Make five runs at one setting, the longest first."""
+        scene, name, first = self.question.scene, self.method.name, not self.attempts
+        options: dict[str, Any] = {**keywords(self.method.control, value), "carry": carry_of(scene)}
+        *earlier, end = ends(scene).tolist()
+        start = perf_counter()
+        run = prepare(scene, name, save_at=[end], max_steps=self.most_steps(), **options)
+        if isinstance(run, Refused):
+            raise Unsupported(run.why)
+        self.engine = run.request.engine
+        if first:
+            run()  # the first call of a program may compile yet
+            self.compile_s = perf_counter() - start
+        start = perf_counter()
+        solution = run()
+        seconds = perf_counter() - start
+        if solution.counts.steps:
+            self.a_step = seconds / solution.counts.steps
+        error, worst = math.nan, solution
+        if solution.ok:
+            options |= {"max_steps": run.request.max_steps, "engine": self.engine}
+            runs = [prepare(scene, name, save_at=[t], **options)() for t in earlier] + [solution]
+            worst = next((each for each in runs if not each.ok), solution)
+            error = self.question.error(runs) if worst.ok else math.nan
+        ended = worst.status, worst.message, seconds, error, solution.counts, run
+        self.attempts.append(Attempt(value, run.request.setting, *ended))
+        return self.attempts[-1]
+
+    def refine(self, error: float) -> Iterator[None]:
+        for _ in range(BISECTIONS):
+            tried = sorted(self.attempts, key=lambda a: -a.value)
+            fine = next((i for i, a in enumerate(tried) if a.ok and a.error <= error), None)
+            if not fine:  # none is, or the coarsest of all
+                return
+            value = self.between(tried[fine - 1].value, tried[fine].value)
+            if value is None:
+                return
+            self.attempt(value)
+            yield
+
+    def between(self, coarse: float, fine: float) -> float | None:
+        """Return the setting half-way in the logarithm, None where there is no room; a step divides the intervals
+        between the five times."""
+        middle = math.sqrt(coarse * fine)
+        if self.method.adaptive:
+            return float(f"{middle:.3g}") if fine < middle < coarse else None
+        end = self.question.scene.t_end
+        low, n, high = (round(end / h / ENDS) for h in (coarse, middle, fine))
+        return end / (ENDS * n) if low < n < high else None
+
+
+# -- all of them -----------------------------------------------------------------------------------
 class Comparison:
     """The state of one comparison; `frame` runs it to its end."""
 
@@ -122,12 +357,10 @@ class Comparison:
         self.bar.set_description("reference")
         truth = reference(scene, ends(scene), seconds=max(self.left(REFERENCE), LEAST_REFERENCE))
         self.question = Question(scene, truth, errors, budget)
-        self.compiling = dict(COMPILING)
         self.confirmed = confirmed(truth, self.left(CHECK))
         self.bar.update()
         self.scouts = [Scout(self.question, name) for name in methods]
         self.times: dict[int, dict[str, Any]] = {}
-        self.too_slow: set[int] = set()
         self.unrefined: list[str] = []
         self.laws: dict[int, dict[str, Any]] = {}
         self.columns = {
@@ -137,11 +370,9 @@ class Comparison:
         }
 
     def left(self, part: float) -> float:
-        """Return the seconds until that part of the budget is spent."""
         return self.begun + part * self.budget - perf_counter()
 
     def frame(self) -> pd.DataFrame:
-        """Run all stages and return the rows, with every run in ``attrs``."""
         for stage in (self.scout, self.measure_laws, self.time):
             try:
                 stage()
@@ -152,16 +383,13 @@ class Comparison:
                 self.stop("interrupted", "interrupted before it was tried", "interrupted after")
             self.bar.update()
         self.bar.close()
-        question = self.question
+        question, truth = self.question, self.question.truth
         frame = pd.DataFrame([self.row(each, error) for each in self.scouts for error in question.errors])
-        frame = judge_times(frame)
-        frame = frame.reindex(columns=[*COLUMNS, *self.columns, "map_growth", "time_halves_ratio"]).astype(
-            COLUMNS
-        )
-        truth = question.truth
+        columns = [*COLUMNS, *self.columns, "map_growth", "time_halves_ratio"]
+        frame = judge_times(frame).reindex(columns=columns).astype(COLUMNS)
         known = {"source": truth.source, "digits": truth.digits, "confirmed": self.confirmed}
         frame.attrs = {
-            "runs": Runs(tried(self.scouts)),
+            "runs": Runs(run for each in self.scouts for run in each.runs()),
             "reference": known | {"error": question.floor},
             "unrefined": self.unrefined,
             "interrupted": self.interrupted,
@@ -173,28 +401,24 @@ class Comparison:
     def scout(self) -> None:
         """Give the next turn to the method that has had the least time, so that what a cheap one leaves goes to the
         others."""
-        turns = {}
         for each in self.scouts:
             if (why := each.method.refuses(self.question.scene)) is not None:
                 each.why = ("unsupported", why)
-            else:
-                turns[each] = each.turns()
+        turns = {each: each.turns() for each in self.scouts if each.why is None}
         self.bar.update(len(self.scouts) - len(turns))
-        while turns and self.left(SCOUTING) > 0:
+        while turns and (left := self.left(SCOUTING)) > 0:
             each = min(turns, key=self.waited)
             self.bar.set_description(each.method.name)
-            if not each.attempts and (expected := self.compiling.get(each.engine, 0.0)) > self.left(SCOUTING):
-                left = f"{self.left(SCOUTING):.2g} s were left"
-                each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left}")
+            expected = 0.0 if each.attempts else COMPILING.get(each.engine, 0.0)
+            if expected > left:
+                each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
                 del turns[each]
                 continue
-            begun, first = perf_counter(), not each.attempts
+            begun, compiled = perf_counter(), each.compile_s
             if next(turns[each], self) is self:  # it is done
                 del turns[each]
                 self.bar.update()
-            each.spent += perf_counter() - begun - (each.compile_s if first else 0.0)
-            if first and each.engine in COMPILING:
-                self.compiling[each.engine] = max(each.compile_s, COMPILING[each.engine] / 2)
+            each.spent += perf_counter() - begun - (each.compile_s - compiled)
         self.stop("budget", "no time was left to begin it", "no time was left after", set(turns))
 
     def waited(self, each: Scout) -> float:
@@ -249,54 +473,54 @@ class Comparison:
         self.bar.set_description("timing")
         runs: dict[str, dict[int, Attempt]] = {kind: {} for kind in KINDS}
         for each in self.scouts:
-            attempts = filter(None, (self.chosen(each, error) for error in self.question.errors))
-            runs[each.kind] |= {id(attempt): attempt for attempt in attempts}
+            found = (self.chosen(each, error) for error in self.question.errors)
+            runs[each.kind] |= {id(attempt): attempt for attempt in found if attempt}
         least = sum(FEWEST_CALLS * attempt.seconds for attempt in runs["callbacks"].values())
         for kind in KINDS:
             left = self.left(1.0)
             given = max(left - (least if kind == "compiled" else 0.0), left / 2, 0.0)
-            seconds, fits = given, {}
-            for key, attempt in sorted(runs[kind].items(), key=lambda item: item[1].seconds):
-                seconds -= FEWEST_CALLS * attempt.seconds
-                if seconds < 0:
-                    self.too_slow.add(key)
-                else:
-                    fits[key] = attempt
-            race = Race([Call(bare(attempt)) for attempt in fits.values()])
+            attempts = sorted(runs[kind].values(), key=lambda attempt: attempt.seconds)
+            spent = accumulate(FEWEST_CALLS * attempt.seconds for attempt in attempts)
+            timed = [attempt for attempt, seconds in zip(attempts, spent, strict=True) if seconds <= given]
+            race = Race([Call(attempt.bare()) for attempt in timed])
             try:
                 race.go(0.0 if self.interrupted else given)
             finally:
-                self.times |= {key: time_columns(v) for key, v in zip(fits, race.visits, strict=True) if v}
+                visited = zip(timed, race.visits, strict=True)
+                self.times |= {id(attempt): time_columns(visits) for attempt, visits in visited if visits}
 
     # -- rows ------------------------------------------------------------------------------------------
     def row(self, each: Scout, error: float) -> dict[str, Any]:
-        """Return the row of a method at an error."""
+        """Return the row of a method at an error.
+
+        at_least : seconds that it takes anyway, where it was cut off or left untimed; nan of another one.
+        """
         known, times, laws = self.unreached(each, error), {}, {}
         if (attempt := self.soonest(each, error)) is not None:
             times, laws = self.times.get(id(attempt), {}), self.laws.get(id(attempt), {})
-            reason = "too slow for the time that was left" if id(attempt) in self.too_slow else ""
-            known = reached(attempt, self.question.floor) | {"status": "ok", "reason": reason}
+            reason = "" if times else "too slow for the time that was left"
+            known = attempt.reached(self.question.floor) | {"status": "ok", "reason": reason}
+        cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not times)
+        last = attempt or each.finest
+        at_least = (last.seconds / ONCE if last else 0.0) if cut else math.nan
         row = {"scene": self.question.scene.name, "method": each.method.name, "family": each.method.family}
         row |= {"engine": each.engine, "kind": each.kind, "error_asked": error, **known}
-        row |= {"time_s": times.get("time_min_s", math.nan)}
+        row |= {"time_s": times.get("time_min_s", math.nan), "at_least": at_least}
         row |= {name: laws.get(name, math.nan) for name in (*self.columns, "map_growth")}
-        row |= {"time_halves_ratio": times.get("time_halves_ratio", math.nan)}
-        return row | {
-            "laws_kept": ", ".join(label for law, label in self.columns.items() if laws.get(f"{law}_kept"))
-        }
+        kept = (label for law, label in self.columns.items() if laws.get(f"{law}_kept"))
+        halves = times.get("time_halves_ratio", math.nan)
+        return row | {"time_halves_ratio": halves, "laws_kept": ", ".join(kept)}
 
     def soonest(self, each: Scout, error: float) -> Attempt | None:
-        """Return which of the settings chosen for an error or a smaller one is the soonest done."""
         if self.chosen(each, error) is None:
             return None
         reach = filter(None, (self.chosen(each, e) for e in self.question.errors if e <= error))
         return min(reach, key=lambda a: self.times.get(id(a), {}).get("time_median_s", math.inf))
 
     def unreached(self, each: Scout, error: float) -> dict[str, Any]:
-        """Return how far a method got, and why no further."""
         best = min((a for a in each.attempts if a.ok), key=lambda a: a.error, default=None)
         known = (
-            {"setting": "", "error_reached": math.nan} if best is None else reached(best, self.question.floor)
+            {"setting": "", "error_reached": math.nan} if best is None else best.reached(self.question.floor)
         )
         last = each.finest
         if error < self.question.floor:
@@ -312,34 +536,13 @@ class Comparison:
 
 
 def differentiation_time(each: Scout, attempt: Attempt) -> float:
-    """Return about how many seconds the derivative of the map takes."""
     return COMPILATIONS * each.compile_s + RUNS * attempt.seconds
 
 
-def bare(attempt: Attempt) -> Any:
-    """Return the solver's own call from the scene's initial state."""
-    run = attempt.run
-    assert run is not None
-    start = run.start
-    return lambda: run.bare(start)
-
-
-def reached(attempt: Attempt, floor: float) -> dict[str, Any]:
-    work = attempt.counts.rhs_equivalents
-    return {
-        "setting": attempt.setting,
-        "error_reached": max(attempt.error, floor),
-        "evaluations": math.nan if work is None else work,
-    }
-
-
 def judge_times(frame: pd.DataFrame) -> pd.DataFrame:
-    """Add ratio, margin and verdict of every time, beside the least of its kind at its error."""
-    costs = frame.assign(
-        cost=frame["time_s"], halves=frame["time_halves_ratio"], processes=PROCESSES, place=range(len(frame))
-    )
-    judged = standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)
-    return judged.drop(columns=["cost", "halves", "processes", "place"])
+    halves = frame["time_halves_ratio"]
+    costs = frame.assign(cost=frame["time_s"], halves=halves, processes=PROCESSES, place=range(len(frame)))
+    return standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)
 
 
 class Runs(tuple):
@@ -347,12 +550,3 @@ class Runs(tuple):
 
     def __deepcopy__(self, memo: object) -> Runs:
         return self
-
-
-def tried(scouts: Iterable[Scout]) -> Iterator[dict[str, Any]]:
-    """Yield every setting tried, of each method from coarse to fine."""
-    for each in scouts:
-        for a in sorted(each.attempts, key=lambda a: -a.value):
-            known = {"method": each.method.name, "engine": each.engine, "kind": each.kind}
-            ended = {"value": a.value, "status": str(a.status), "message": a.message, "error": a.error}
-            yield known | ended | reached(a, 0.0)

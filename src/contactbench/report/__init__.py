@@ -4,16 +4,4 @@ A chapter answers one question with a summary, views and figures as data (chapte
 markdown.py, draw.py and page/ render them.
 """
 
-from contactbench.report import (  # registers the chapters, in no particular order
-    claims,
-    convergence,
-    damping,
-    definitions,
-    ensemble,
-    headline,
-    laws,
-    limits,
-    long_time,
-    stability,
-    work_precision,
-)
+from contactbench.report import claims, damping, ensemble, glossary, headline, long_time, stability

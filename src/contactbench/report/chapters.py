@@ -5,10 +5,9 @@ A renderer (markdown.py, page/) writes every part the same way and knows no ques
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import cast
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import pandas as pd
 
@@ -21,20 +20,9 @@ Frames = Mapping[str, pd.DataFrame]
 
 
 class Tables(dict[str, pd.DataFrame]):
-    """Frames that remember what chapters have computed from them."""
+    """Tables by name, told apart by identity: what several chapters need of them is computed once (`functools`)."""
 
-    def __init__(self, frames: Frames) -> None:
-        super().__init__(frames)
-        self.computed: dict[Callable[[Frames], object], object] = {}
-
-
-def once[T](compute: Callable[[Frames], T], frames: Frames) -> T:
-    """Return ``compute(frames)``, computed when the first of several chapters asks for it."""
-    if not isinstance(frames, Tables):
-        return compute(frames)
-    if compute not in frames.computed:
-        frames.computed[compute] = compute(frames)
-    return cast(T, frames.computed[compute])
+    __hash__ = object.__hash__  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
@@ -47,54 +35,18 @@ class Text:
 
 @dataclass(frozen=True)
 class Section:
-    """Parts under a heading.
-
-    choice : neighbouring sections with the same choice ("scene") are alternatives: a page may show one at a time; a
-        document writes one after the other.
-    """
+    """Parts under a heading."""
 
     title: str
-    parts: tuple[Part, ...]
-    choice: str = ""
+    parts: tuple[Part | None, ...]
 
 
 Part = Text | View | Figure | Section
 
-#: columns of a summary
-QUESTION, ANSWER, COUNT = "question", "answer", "count"
-
 
 def summary(*rows: tuple[str, str, str]) -> pd.DataFrame:
     """Return questions, their answers and their counts as a frame."""
-    return pd.DataFrame(list(rows), columns=[QUESTION, ANSWER, COUNT])
-
-
-@dataclass(frozen=True)
-class Chapter:
-    """One question.
-
-    name : its document is NAME.md.  title : its heading.  question : in one line.  order : its place.
-    tables : the tables it reads; it has something to say when the first has rows.
-    parts(frames) : its views, figures, texts and sections.
-    summary(frames) : a frame of QUESTION, ANSWER and COUNT, a line or a few.
-    """
-
-    name: str
-    title: str
-    question: str
-    order: int
-    tables: tuple[str, ...]
-    parts: Callable[[Frames], Sequence[Part]]
-    summary: Callable[[Frames], pd.DataFrame] = field(default=lambda frames: summary())
-    document: str = ""
-
-    @property
-    def file(self) -> str:
-        """The name of its document."""
-        return self.document or f"{self.name}.md"
-
-
-CHAPTERS = Registry("chapter", Chapter)
+    return pd.DataFrame(list(rows), columns=["question", "answer", "count"])
 
 
 @dataclass(frozen=True)
@@ -106,28 +58,57 @@ class Contents:
     parts: tuple[Part, ...]
 
 
+@dataclass(frozen=True)
+class Chapter:
+    """One question.
+
+    name : its document is NAME.md.  title : its heading.  question : in one line.  order : its place.
+    tables : the tables it reads; it has something to say when the first has rows.
+    parts(frames) : its views, figures, texts and sections; views without rows, empty sections and None are left out.
+    summary(frames) : a frame of `summary`, a line or a few.
+    """
+
+    name: str
+    title: str
+    question: str
+    order: int
+    tables: tuple[str, ...]
+    parts: Callable[[Frames], Iterable[Part | None]]
+    summary: Callable[[Frames], pd.DataFrame] = field(default=lambda frames: summary())
+    document: str = ""
+
+    @property
+    def file(self) -> str:
+        return self.document or f"{self.name}.md"
+
+    def fill(self, frames: Frames) -> Contents:
+        """Return what the chapter says of the tables."""
+        return Contents(self, self.summary(frames), tuple(shown(self.parts(frames))))
+
+
+CHAPTERS = Registry("chapter", Chapter)
+
+
+def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
+    """Yield the parts that hold something."""
+    for part in parts:
+        if isinstance(part, Section):
+            part = replace(part, parts=tuple(shown(part.parts)))
+            if part.parts:
+                yield part
+        elif part is not None and not (isinstance(part, View) and part.frame.empty):
+            yield part
+
+
 def chapters(frames: Frames) -> list[Chapter]:
     """Return the chapters that have something to say, in their order."""
     return sorted((c for c in CHAPTERS.values() if len(frames[c.tables[0]])), key=lambda c: c.order)
 
 
-def contents(frames: Frames) -> list[Contents]:
-    """Return every chapter that has something to say, filled."""
-    return [
-        Contents(chapter, once(chapter.summary, frames), tuple(chapter.parts(frames)))
-        for chapter in chapters(frames)
-    ]
-
-
-def figures(parts: Iterable[Part]) -> Iterable[Figure]:
-    """Yield every figure of some parts, nested ones included."""
+def every(kind: type, parts: Iterable[Part | None]) -> Iterator[Any]:
+    """Yield all parts of a kind, nested ones included."""
     for part in parts:
         if isinstance(part, Section):
-            yield from figures(part.parts)
-        elif isinstance(part, Figure):
+            yield from every(kind, part.parts)
+        elif isinstance(part, kind):
             yield part
-
-
-def slug(title: str) -> str:
-    """Return the anchor that GitHub gives a heading."""
-    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, slug, summary
+from contactbench.report import paper
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.drawing import Figure
-from contactbench.report.figures import paper
 from contactbench.report.numbers import DASH, how_often
 from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.schema import BEYOND, SEPARATOR
@@ -29,6 +31,11 @@ def heading(row: pd.Series) -> str:
     return f"{row['id']} · {row['verdict'] or row['status']}"
 
 
+def anchor(title: str) -> str:
+    """Return the anchor that GitHub gives a heading."""
+    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+
+
 def split_claims(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the paper's claims, and those beyond it."""
     beyond = frame["where"] == BEYOND
@@ -36,7 +43,6 @@ def split_claims(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def counts(frame: pd.DataFrame) -> str:
-    """Return how many claims have each verdict."""
     verdicts = frame["verdict"].value_counts()
     words = {"holds": "hold", "holds, corrected": "hold once corrected", "refuted": "refuted"}
     return ", ".join(f"{verdicts.get(name, 0)} {word}" for name, word in words.items()) + f", of {len(frame)}"
@@ -45,23 +51,23 @@ def counts(frame: pd.DataFrame) -> str:
 def answers(frames: Frames) -> pd.DataFrame:
     own, beyond = split_claims(frames["claims"])
     asked = {"Do the paper's claims hold as printed?": own, "Do the claims beyond the paper hold?": beyond}
-    lines = []
-    for question, part in asked.items():
-        if len(part):
-            held = int((part["verdict"] == "holds").sum())
-            lines.append((question, how_often(held, len(part)), counts(part)))
-    return summary(*lines)
+    return summary(
+        *(
+            (question, how_often(int((part["verdict"] == "holds").sum()), len(part)), counts(part))
+            for question, part in asked.items()
+            if len(part)
+        )
+    )
 
 
 def claims_view(frame: pd.DataFrame) -> View:
-    """Return every claim with its verdict and the number that decides."""
     rows = []
     for _, row in frame.iterrows():
         verdict = str(row["verdict"] or row["status"])
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
         rows.append(
             (
-                Cell(row["id"], link=f"#{slug(heading(row))}"),
+                Cell(row["id"], link=f"#{anchor(heading(row))}"),
                 Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad)),
                 row["claim"],
                 row["where"],
@@ -97,14 +103,14 @@ def items(evidence: str) -> tuple[str, ...]:
 def parts(frames: Frames) -> list[Part]:
     frame = frames["claims"]
     drawn = {figure.name: figure for figure in paper.all_figures(frames["paper_figures"])}
-    sections = [
+    own, beyond = (
         tuple(claim_section(row, drawn) for _, row in some.iterrows()) for some in split_claims(frame)
-    ]
+    )
     return [
         claims_view(frame),
-        Section("Claim by claim", sections[0]),
-        *([Section("Beyond the paper", sections[1])] if sections[1] else []),
-        *([Section("Other figures", tuple(drawn.values()))] if drawn else []),
+        Section("Claim by claim", own),
+        Section("Beyond the paper", beyond),
+        Section("Other figures", tuple(drawn.values())),
     ]
 
 

@@ -1,18 +1,26 @@
-"""Measured orders: extrapolated, with the last pairwise slope beside it."""
+"""Measured orders, extrapolated, and error against step size."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
-from contactbench.report.figures import convergence as figures
+from contactbench.report.curves import best_of_each, by_method, family_and_order, floats, in_colour, lowest
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
-from contactbench.report.views import Cell, Mark, View, as_cell, matrix, pick
+from contactbench.report.views import Cell, Mark, View, matrix, pick
 
 SOURCE = "convergence.csv"
-TITLE, QUESTION = "Order of convergence", "Do the methods have the order they claim?"
 #: a measured order further than this from the claimed one, and than its own spread, is an exception
 AGREES = 0.1
+#: the scene that is drawn; the table has them all
+SCENE = "particle"
+#: below this an error is rounding, and no guide follows it
+ROUNDING = 1e-14
+#: a guide runs so far below its curve
+BELOW = 0.15
 
 
 def fits(frame: pd.DataFrame) -> pd.DataFrame:
@@ -42,25 +50,48 @@ def order_cell(rows: pd.DataFrame) -> Cell:
     return Cell(f"{row['order']:.2f}{spread}", float(row["order"]), Mark.exception if row["off"] else None)
 
 
-def parts(frames: Frames) -> list[Part]:
+def parts(frames: Frames) -> list[Part | None]:
     fit = fits(frames["convergence"])
-    drawn = figures.figure(frames["convergence"])
+    labels = {"order_nominal": "claimed", "order_uncertainty": "spread", "last_slope": "last slope"}
+    off = pick(fit[fit["off"]], "scene", "method", "order", **labels)
     orders = matrix(fit, "method", "scene", order_cell)
-    slopes = matrix(fit, "method", "scene", lambda rows: as_cell(rows["last_slope"].iloc[0], "{:.3f}".format))
-    labels = {
-        "order_nominal": "claimed",
-        "order": "order",
-        "order_uncertainty": "spread",
-        "last_slope": "last slope",
-    }
-    off = pick(fit[fit["off"]], {"scene": "scene", "method": "method"} | labels)
-    legend = f"±: spread of the extrapolation. Marked: further from the claimed order than that and than {AGREES:g}."
+    legend = (
+        f"±: spread of the extrapolation. Marked: further from the claimed order than that and than {AGREES:g}. "
+        "Before any extrapolation: column `last_slope`."
+    )
     return [
         View("orders", "Extrapolated order", orders, legend, SOURCE),
         View("order_exceptions", "Exceptions", off, "", SOURCE, {"": "{:.2f}".format}),
-        *([drawn] if drawn else []),
-        View("last_slopes", "Last pairwise slope", slopes, "Before any extrapolation.", SOURCE),
+        figure(frames["convergence"]),
     ]
 
 
+# -- the figure ------------------------------------------------------------------------------------
+def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:
+    """Yield a line of the claimed slope below one curve of each order."""
+    part = rows[rows["method"].isin(methods) & (rows["solution_error"] > ROUNDING)]
+    for order, own in part.groupby("order_nominal"):
+        line = own[own["method"] == own["method"].iloc[0]].sort_values("step")
+        line = line.iloc[: max(2, len(line) - 2)]  # the coarsest are not asymptotic
+        steps = line["step"].to_numpy(dtype=float)
+        middle = len(line) // 2
+        slope = BELOW * line["solution_error"].iloc[middle] * (steps / steps[middle]) ** float(order)
+        yield Curve(floats(steps), floats(slope), role="guide", markers=False)
+
+
+def figure(frame: pd.DataFrame) -> Figure | None:
+    rows = frame[(frame["scene"] == SCENE) & (frame["status"] == "ok") & frame["solution_error"].notna()]
+    first = rows.drop_duplicates("method")
+    off = (first["order"] - first["order_nominal"]).abs().dropna()
+    if not len(off):
+        return None
+    title = f"{SCENE}: {len(off)} methods converge at their claimed order, to within {off.max():.1g}"
+    curves = best_of_each(by_method(rows, "step", "solution_error"), lowest, family_and_order)
+    x = Axis("step size h (smaller to the right)", "log", inverted=True)
+    panel = Panel("", x, Axis("error of the solution", "log"), (*guides(rows, in_colour(curves)), *curves))
+    caption = "Dotted: the claimed slopes. In colour: the most accurate of each family and order."
+    return Figure("convergence", title, (panel,), caption)
+
+
+TITLE, QUESTION = "Order of convergence", "Do the methods have the order they claim?"
 CHAPTERS.add(Chapter("convergence", TITLE, QUESTION, 30, ("convergence",), parts, answers))

@@ -1,27 +1,34 @@
-"""Curves of figures from frames: one per method, with a hint at each point."""
+"""Curves of figures from frames: one per method; the best of each group in colour, the others thin and grey."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
+from contactbench.report.look import look
+from contactbench.report.numbers import power
 
 #: errors below this are drawn at it: round-off has no size on a logarithmic axis
 FLOOR = 5e-17
-
-
-def number_axis(label: str, inverted: bool = False) -> Axis:
-    """Return a logarithmic axis; the label is short of the conditions after its semicolon."""
-    return Axis(label.partition(";")[0], "log", inverted)
-
-
 #: deviations that are round-off
 ROUND_OFF = Span(FLOOR, STRUCTURE, "round-off")
+#: curves in colour in one panel
+MOST = 8
+#: errors at which costs are compared
+TARGETS = tuple(10.0**-k for k in range(1, 15))
+#: an axis of cost ends at so many times the least cost at any error that three curves reach
+BEYOND, CONTEST = 30.0, 3
+
+#: the greater, the better a curve is of its group; nan: it cannot be the best
+type Score = Callable[[Curve, Sequence[Curve]], float]
 
 
 def floats(values: Iterable[Any]) -> tuple[float, ...]:
@@ -30,17 +37,89 @@ def floats(values: Iterable[Any]) -> tuple[float, ...]:
     return tuple(series.to_numpy(dtype=float, na_value=np.nan).tolist())
 
 
-def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0, **options: Any) -> tuple[Curve, ...]:
+def above(values: pd.Series, scale: float = 1.0) -> tuple[float, ...]:
+    """Return values for a logarithmic axis, none below FLOOR; nan stays nan."""
+    return tuple(np.maximum(np.array(floats(values)) * scale, FLOOR).tolist())
+
+
+def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[Curve, ...]:
     """Return a curve for each method; y in units of 1/scale."""
     curves = []
     for method, line in rows.groupby("method", sort=False):
         family = str(line["family"].iloc[0]) if "family" in line else ""
-        hints = tuple(map(str, line["setting"])) if "setting" in line else ()
         points = floats(line[x]), above(line[y], scale)
-        curves.append(Curve(*points, str(method), str(method), family=family, hints=hints, **options))
+        curves.append(Curve(*points, str(method), str(method), family=family))
     return tuple(curves)
 
 
-def above(values: pd.Series, scale: float = 1.0) -> tuple[float, ...]:
-    """Return values for a logarithmic axis, none below FLOOR; nan stays nan."""
-    return tuple(np.maximum(np.array(floats(values)) * scale, FLOOR).tolist())
+def decade(value: float, end: Callable[[float], int]) -> str:
+    """Return the power of ten at the upper (`math.ceil`) or lower (`math.floor`) end of a value's decade."""
+    return power(10.0 ** end(math.log10(value))) if value > 0 else "0"
+
+
+# -- which curves are in colour --------------------------------------------------------------------
+def family(curve: Curve) -> Hashable:
+    return look(curve.method, curve.family).family
+
+
+def family_and_order(curve: Curve) -> Hashable:
+    own = look(curve.method, curve.family)
+    return own.family, own.order
+
+
+def best_of_each(
+    curves: Iterable[Curve], score: Score, group: Callable[[Curve], Hashable] = family
+) -> tuple[Curve, ...]:
+    """Return the curves, all but the best of each group muted; those come first, to be drawn below.
+
+    Of more than MOST groups those seen first are in colour.  Curves of no method stay as they are.
+    """
+    curves = list(curves)
+    groups: dict[Hashable, list[Curve]] = {}
+    for curve in curves:
+        if curve.method:
+            groups.setdefault(group(curve), []).append(curve)
+    chosen = []
+    for own in groups.values():
+        scores = [score(curve, own) for curve in own]
+        if not np.isnan(scores).all():
+            chosen.append(own[int(np.nanargmax(scores))].method)
+    return like(chosen[:MOST], curves)
+
+
+def like(methods: Iterable[str], curves: Iterable[Curve]) -> tuple[Curve, ...]:
+    """Return the curves, those of other methods muted and first."""
+    names = {*methods, ""}
+    muted = [c if c.method in names else replace(c, muted=True) for c in curves]
+    return tuple(sorted(muted, key=lambda c: not c.muted))
+
+
+def in_colour(curves: Iterable[Curve]) -> list[str]:
+    return [c.method for c in curves if c.method and not c.muted]
+
+
+def cheapest(curve: Curve, own: Sequence[Curve]) -> float:
+    """Return at how many errors a curve (x: error, y: cost) is the cheapest of its group; ties go to accuracy."""
+    table = np.nan_to_num([costs_to_reach(c.x, c.y, TARGETS) for c in own], nan=np.inf)
+    mine = np.nan_to_num(costs_to_reach(curve.x, curve.y, TARGETS), nan=np.inf)
+    wins = int(np.sum(np.isfinite(mine) & (mine <= table.min(axis=0))))
+    errors = [x for x, y in zip(curve.x, curve.y, strict=True) if x > 0 and math.isfinite(y)]
+    return wins - math.log10(min(errors)) / 1e3 if errors else math.nan
+
+
+def lowest(curve: Curve, own: Sequence[Curve]) -> float:
+    values = [math.log10(y) for y in curve.y if y > 0]
+    return -float(np.median(values)) if values else math.nan
+
+
+def highest(curve: Curve, own: Sequence[Curve]) -> float:
+    return -lowest(curve, own)
+
+
+def contest_end(axis: Axis, curves: Sequence[Curve], times: float = BEYOND) -> Axis:
+    """Return the axis of cost, ended where the contest ends."""
+    table = np.array([costs_to_reach(c.x, c.y, TARGETS) for c in curves]).reshape(-1, len(TARGETS))
+    reached = np.isfinite(table).sum(axis=0) >= max(1, min(CONTEST, len(table)))
+    if not reached.any():
+        return axis
+    return replace(axis, within=(None, times * float(np.nanmax(np.nanmin(table[:, reached], axis=0)))))

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.statistics import ALIKE, COUNTED, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.numbers import DASH, count, names, scientific
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 
-SOURCE, STRONG = "damping_rates.csv", "strong_damping.csv"
-#: errors whose ratio is within this are as good as equal
-ALIKE = 2.0
-#: a method may cost this much more than the others and still be at equal cost
-AFFORDABLE = 1.15
-#: γh per evaluation is sorted into ranges with these borders
-DAMPING_RANGES = (0.0, 0.01, 0.1, 1.0, 10.0, math.inf)
 #: with which the others are compared under strong damping: a composition without steps against time
 BASE = "contact-strang"
 
 
 def rates_view(frame: pd.DataFrame) -> View:
-    """Return the most accurate methods at equal cost, one row for each rate measured."""
     ok = frame[frame["status"] == "ok"]
     creep, weak = ok[ok["experiment"] == "overdamped"], ok[ok["experiment"] == "weak"]
     rows = []
@@ -40,12 +31,12 @@ def rates_view(frame: pd.DataFrame) -> View:
         f"a factor of {ALIKE:g} tie."
     )
     table = frame_of(rows, ["rate", "most accurate", "evaluations allowed"])
-    return View("rates", "Most accurate damping rate", table, legend, SOURCE)
+    return View("rates", "Most accurate damping rate", table, legend, "damping_rates.csv")
 
 
 def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Cell]:
     """Return the most accurate of the fixed-step runs and of the adaptive ones that cost no more; and that cost."""
-    budget = AFFORDABLE * float((fixed if len(fixed) else adaptive)["evaluations"].max())
+    budget = COUNTED * float((fixed if len(fixed) else adaptive)["evaluations"].max())
     rows = pd.concat([fixed, adaptive[adaptive["evaluations"] <= budget]])
     errors = rows.groupby("method", sort=False)["rate_error"].min()
     return best_cell(errors.astype(float)), as_cell(budget, count)
@@ -57,7 +48,7 @@ def best_cell(errors: pd.Series) -> Cell:
     if not len(errors):
         return Cell(DASH)
     least = float(errors.iloc[0])
-    first = [str(m) for m in errors.index[errors <= max(STRUCTURE, ALIKE * least)]]
+    first = [str(m) for m in errors.index[(errors <= STRUCTURE) | ties(errors, least, ALIKE)]]
     return Cell(f"{names(first, 3)} {scientific(least)}", mark=Mark.tie if len(first) > 1 else Mark.best)
 
 
@@ -69,34 +60,22 @@ def usable(rows: pd.DataFrame, base: pd.DataFrame) -> float:
     return float(errors.index[first - 1]) if first else 0.0
 
 
-def strong_views(frame: pd.DataFrame) -> list[View]:
-    """Return where negative substeps stop paying, and the most accurate method by range."""
+def strong_view(frame: pd.DataFrame) -> View:
     bases = dict(list(frame[frame["method"] == BASE].groupby("gamma")))
-    frame = frame[frame["gamma"].isin(bases)].sort_values("gamma", kind="stable")
+    rows = frame[frame["gamma"].isin(bases) & (frame["method"] != BASE)].sort_values("gamma", kind="stable")
 
     def cell(rows: pd.DataFrame) -> Cell:
         return as_cell(usable(rows, bases[rows["gamma"].iloc[0]]), "{:.2g}".format)
 
-    def best(rows: pd.DataFrame) -> Cell:
-        return best_cell(rows["error"].fillna(np.inf).groupby(rows["method"], sort=False).median())
-
-    label = "γ = {:g}".format
-    others = matrix(frame[frame["method"] != BASE], "method", "gamma", cell, label)
+    table = matrix(rows, "method", "gamma", cell, "γ = {:g}".format)
     legend = f"γh per evaluation up to which a method is no less accurate than {BASE} at the same cost; 0: nowhere."
-    ranges = pd.cut(frame["damping_per_evaluation"], DAMPING_RANGES, right=False).astype(str)
-    by_range = matrix(frame.assign(range=ranges), "range", "gamma", best, label)
-    by_range = by_range.rename(columns={"range": "γh per evaluation"})
-    median = f"Median error in each range. Methods within a factor of {ALIKE:g} tie."
-    return [
-        View("strong_usable", "Strong damping: where negative substeps stop paying", others, legend, STRONG),
-        View("strong_best", "Strong damping: the most accurate fixed-step method", by_range, median, STRONG),
-    ]
+    title = "Strong damping: where negative substeps stop paying"
+    return View("strong_usable", title, table, legend, "strong_damping.csv")
 
 
 def parts(frames: Frames) -> list[Part]:
-    strong = strong_views(frames["strong_damping"])
-    return [rates_view(frames["damping_rates"]), *(view for view in strong if len(view.frame))]
+    return [rates_view(frames["damping_rates"]), strong_view(frames["strong_damping"])]
 
 
-TITLE, QUESTION = "Damping", "Who has damping rates right, and who strong damping?"
+TITLE, QUESTION = "Damping", "How accurate are damping rates, and who copes with strong damping?"
 CHAPTERS.add(Chapter("damping", TITLE, QUESTION, 54, ("damping_rates", "strong_damping"), parts))

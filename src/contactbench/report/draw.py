@@ -7,7 +7,6 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +17,20 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedFormatter, FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from contactbench.report.drawing import Axis, Curve, Figure, Heat, Panel, Span
-from contactbench.report.look import MUTED, ROLES, look
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.look import DASHES, MUTED, ROLES, look
 from contactbench.report.numbers import SUPERSCRIPTS
 
 #: inches: a figure's width by its panels in a row, the height of a panel
 WIDTHS, HEIGHT = {1: 8.0, 2: 9.6, 3: 11.0}, 4.2
 #: inches of a character of the title, between names in the margin, and of a line of title or legend
 LETTER, APART, LINE = 0.1, 0.2, 0.24
-#: a curve of more points than this has markers at some of them
-MARKED = 16
+#: a curve of more points than this has markers at some of them; of so many more it is drawn as a picture
+MARKED, MANY = 16, 5000
 OTHERS = "other methods"
 #: the mark of a file that was made here
 MADE_HERE = '<style id="contactbench">'
@@ -66,10 +64,10 @@ def properties(curve: Curve) -> dict[str, Any]:
         style: dict[str, Any] = {
             "color": own.color,
             "marker": own.marker,
-            "markerfacecolor": own.color if own.filled else "white",
-            "markersize": 6,
+            "markerfacecolor": own.color if own.family == "contact" else "white" if curve.line else "none",
+            "markersize": 6 if curve.line else 7.5,
             "linewidth": 1.5,
-            "linestyle": (0, own.dash) if own.dash else "-",
+            "linestyle": (0, DASHES[own.order]) if own.order in DASHES else "-",
         }
     else:
         style = {"marker": "o", "markersize": 4.5, "linewidth": 1.2, **ROLES[curve.role or "guide"]}
@@ -78,13 +76,6 @@ def properties(curve: Curve) -> dict[str, Any]:
     if not curve.markers:
         style["marker"] = ""
     return style
-
-
-def add(axes: Axes, curve: Curve, three: bool) -> None:
-    """Draw one curve."""
-    place = [curve.x, curve.y, curve.z] if three else [curve.x, curve.y]
-    every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
-    axes.plot(*place, markevery=every, **properties(curve))
 
 
 def entries(curves: Iterable[Curve]) -> dict[str, Line2D]:
@@ -104,8 +95,8 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
         if curve.label and not curve.muted and len(inside):
             last = inside[np.argmax(places[inside, 0])]
             ends.append((places[last, 1], points[last], curve))
-    heights = spread([height for height, _, _ in ends], APART / HEIGHT)
-    for (_, point, curve), height in zip(ends, heights, strict=True):
+    ends.sort(key=lambda end: end[0])
+    for (_, point, curve), height in zip(ends, spread([end[0] for end in ends], APART / HEIGHT), strict=True):
         color = properties(curve)["color"]
         line = {"arrowstyle": "-", "color": color, "linewidth": 0.7, "alpha": 0.6, "shrinkB": 4, "shrinkA": 1}
         place: dict[str, Any] = {"xytext": (1.03, height), "textcoords": "axes fraction", "va": "center"}
@@ -114,17 +105,10 @@ def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
         axes.text(1.03, -0.06, f"grey: {OTHERS}", transform=axes.transAxes, fontsize=9, color="#777777")
 
 
-def spread(heights: Sequence[float], gap: float) -> list[float]:
-    """Return heights that are at least `gap` apart and below one, in the same order, moved as little as is simple."""
-    placed = np.array(heights, dtype=float)
-    order = np.argsort(placed, kind="stable")
-    for below, above in pairwise(order):
-        placed[above] = max(placed[above], placed[below] + gap)
-    ceiling = 1.0
-    for i in order[::-1]:
-        placed[i] = min(placed[i], ceiling)
-        ceiling = placed[i] - gap
-    return placed.tolist()
+def spread(heights: Sequence[float], gap: float) -> np.ndarray:
+    """Return rising heights at least `gap` apart and below one, moved as little as is simple."""
+    below = gap * np.arange(len(heights))
+    return np.minimum(np.maximum.accumulate(np.array(heights) - below) + below, 1 - below[::-1])
 
 
 # -- panels ----------------------------------------------------------------------------------------
@@ -138,20 +122,26 @@ def power(value: float) -> str:
     return whole if part == 1 else f"{part:g}·{whole}"
 
 
-def seen(panel: Panel, which: str) -> list[float]:
-    """Return what a panel has on one axis where both axes allow it."""
+def seen(panel: Panel) -> list[tuple[float, float]]:
+    """Return the points of a panel where both axes allow them."""
 
     def inside(axis: Axis, v: float) -> bool:
         low, high = axis.within
         finite = math.isfinite(v) and (v > 0 or not axis.log)
         return finite and (low is None or v >= low) and (high is None or v <= high)
 
-    values = list(getattr(panel.heat, which)) if panel.heat else []
-    for curve in panel.curves:
-        for x, y in zip(curve.x, curve.y, strict=True):
-            if inside(panel.x, x) and inside(panel.y, y):
-                values.append(x if which == "x" else y)
-    return values
+    points = [point for curve in panel.curves for point in zip(curve.x, curve.y, strict=True)]
+    return [(x, y) for x, y in points if inside(panel.x, x) and inside(panel.y, y)]
+
+
+def padded(values: Sequence[float], log: bool) -> tuple[float, float]:
+    """Return limits of an axis with a little room beside the values."""
+    low, high = min(values), max(values)
+    if log:
+        room = 10 ** max(0.04 * math.log10(high / low), 0.1)
+        return low / room, high * room
+    room = max(0.04 * (high - low), 1e-12)
+    return low - room, high + room
 
 
 def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
@@ -160,80 +150,35 @@ def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
     own = getattr(axes, f"{which}axis")
     if axis.log:
         getattr(axes, f"set_{which}scale")("log")
-    if values or axis.limits:
-        size, back = (math.log10, lambda v: 10.0**v) if axis.log else (float, float)
-        low, high = (size(end(values)) for end in (min, max)) if values else (0.0, 1.0)
-        pad = max(0.04 * (high - low), 0.1 if axis.log else 1e-12) or 0.5
-        first, last = axis.limits or (None, None)
-        ends = back(low - pad) if first is None else first, back(high + pad) if last is None else last
-        getattr(axes, f"set_{which}lim")(*ends)
+    if axis.limits or values:
+        low, high = axis.limits or padded(values, axis.log)
+        getattr(axes, f"set_{which}lim")(low, high)
         if axis.log:
-            narrow = math.log10(ends[1] / ends[0]) < 2
-            own.set_major_locator(LogLocator(10, (1, 2, 5) if narrow else (1,), numticks=9))
+            own.set_major_locator(LogLocator(10, (1, 2, 5) if high / low < 100 else (1,), numticks=9))
             own.set_major_formatter(FuncFormatter(lambda value, _: power(value)))
             own.set_minor_locator(NullLocator())
-    if axis.ticks is not None:
-        own.set_major_locator(FixedLocator([value for value, _ in axis.ticks]))
-        own.set_major_formatter(FixedFormatter([text for _, text in axis.ticks]))
     if axis.inverted:
         getattr(axes, f"invert_{which}axis")()
 
 
 def draw_panel(axes: Any, panel: Panel) -> None:
-    """Draw one panel."""
-    three = panel.z is not None
-    if panel.sphere:
-        sphere(axes)
-    if panel.heat is not None:
-        heat(axes, panel.heat)
     for curve in panel.curves:
-        add(axes, curve, three)
-    free = panel.equal and panel.heat is None  # the aspect decides
-    scale(axes, "x", panel.x, [] if free else seen(panel, "x"))
-    scale(axes, "y", panel.y, [] if free else seen(panel, "y"))
+        every = len(curve.x) // 8 if len(curve.x) > MARKED and curve.line else 1
+        axes.plot(curve.x, curve.y, markevery=every, rasterized=len(curve.x) > MANY, **properties(curve))
+    points = [] if panel.equal else seen(panel)  # the aspect decides
+    scale(axes, "x", panel.x, [x for x, _ in points])
+    scale(axes, "y", panel.y, [y for _, y in points])
     for span in panel.spans:
-        shade(axes, span)
-    if panel.z is not None:
-        scale(axes, "z", panel.z, ())
-        axes.view_init(*panel.view)
-        axes.set_box_aspect((1, 1, 1), zoom=0.9)
-    elif panel.equal:
-        axes.set_aspect("equal", adjustable="datalim" if panel.heat is None else "box")
-    axes.set_title(panel.title, loc="left")
-
-
-def shade(axes: Axes, span: Span) -> None:
-    """Draw a horizontal band, and its label in its first corner where enough of it is seen."""
-    axes.axhspan(span.low, span.high, zorder=0, color="#f0f4ff")
-    top = axes.transAxes.inverted().transform(axes.transData.transform((1.0, span.high)))[1]
-    if 0.08 < top < 1:
-        style: dict[str, Any] = {"color": "#5566aa", "fontsize": 9, "va": "top"}
+        axes.axhspan(span.low, span.high, zorder=0, color="#f0f4ff")
+        style: dict[str, Any] = {"color": "#5566aa", "fontsize": 9, "va": "top", "clip_on": True}
         axes.text(0.01, span.high, span.label, transform=axes.get_yaxis_transform(), **style)
-
-
-def sphere(axes: Any) -> None:
-    """Draw a faint wire sphere of radius one."""
-    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 17), np.linspace(0, np.pi, 9))
-    axes.plot_wireframe(
-        np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color="#dddddd", linewidth=0.4
-    )
-
-
-def heat(axes: Axes, data: Heat) -> None:
-    """Draw a colour map, with the contour where its values are zero."""
-    values = np.array(data.values)
-    limit = float(np.nanmax(np.abs(values))) or 1.0
-    style: dict[str, Any] = {"cmap": "RdBu_r", "norm": TwoSlopeNorm(0.0, -limit, limit), "rasterized": True}
-    image = axes.pcolormesh(data.x, data.y, values, shading="nearest", **style)
-    if np.nanmin(values) < 0 < np.nanmax(values):
-        axes.contour(data.x, data.y, values, [0.0], colors="#DDAA33", linewidths=4)
-    axes.grid(visible=False)
-    axes.figure.colorbar(image, ax=axes, label=data.label, shrink=0.9)
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title(panel.title, loc="left")
 
 
 # -- figures ---------------------------------------------------------------------------------------
 def render(figure: Figure) -> Drawing:
-    """Return a matplotlib figure."""
     panels = figure.panels
     across = min(figure.across, len(panels))
     down = -(-len(panels) // across)
@@ -248,7 +193,7 @@ def render(figure: Figure) -> Drawing:
         drawing = plt.figure(figsize=(width, height), layout="constrained")
         drawing.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
         for i, panel in enumerate(panels):
-            axes = drawing.add_subplot(down, across, i + 1, projection="3d" if panel.z is not None else None)
+            axes = drawing.add_subplot(down, across, i + 1)
             draw_panel(axes, panel)
             own = entries(panel.curves)
             if figure.legend == "each":
@@ -281,14 +226,10 @@ def shortened(number: re.Match[str]) -> str:
     return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
 
 
-def save(figure: Figure, folder: Path, png: bool = False) -> list[Path]:
-    """Write FOLDER/NAME.svg, and NAME.png where that is wanted; return the paths."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{figure.name}.svg"]
-    paths[0].write_text(svg(figure), encoding="utf-8")
-    if png:
-        paths.append(folder / f"{figure.name}.png")
-        drawing = render(figure)
-        drawing.savefig(paths[1], dpi=110, metadata={"Software": None})
-        plt.close(drawing)
-    return paths
+def save_png(figure: Figure, folder: Path) -> Path:
+    """Write FOLDER/NAME.png; return the path."""
+    path = folder / f"{figure.name}.png"
+    drawing = render(figure)
+    drawing.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(drawing)
+    return path

@@ -1,4 +1,4 @@
-"""Figures as data: panels of curves with axes, spans and colour maps; their renderers know no question."""
+"""Figures as data: panels of curves with axes and spans; their renderers know no question."""
 
 from __future__ import annotations
 
@@ -10,20 +10,18 @@ from typing import Literal
 class Axis:
     """One axis of a panel.
 
-    limits, ticks : as they must be, or None for what fits; ticks are (value, text).
+    limits : as they must be, or None for what fits.
     within : where the axis ends at the latest, though curves go on; None for no end.
     """
 
     label: str
     scale: Literal["linear", "log"] = "linear"
     inverted: bool = False
-    limits: tuple[float | None, float | None] | None = None
-    ticks: tuple[tuple[float, str], ...] | None = None
+    limits: tuple[float, float] | None = None
     within: tuple[float | None, float | None] = (None, None)
 
     @property
     def log(self) -> bool:
-        """Whether the axis is logarithmic."""
         return self.scale == "log"
 
 
@@ -35,10 +33,8 @@ class Curve:
     method : a name of METHODS gives it that method's colour, dash and marker, everywhere the same.
     role : the look of what is no method, a name of `look.ROLES`.
     line, markers : whether either is drawn.
-    z : third coordinate, in a panel that has a z axis.
     family : what a method unknown to look.py declares itself.
     muted : thin and grey, not the best of its family.
-    hints : a few words for each point (hover); empty for none.
     """
 
     x: tuple[float, ...]
@@ -48,10 +44,8 @@ class Curve:
     role: str = ""
     line: bool = True
     markers: bool = True
-    z: tuple[float, ...] = ()
     family: str = ""
     muted: bool = False
-    hints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,32 +58,15 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Heat:
-    """A colour map of values[j][i] at (x[i], y[j]), centred at zero, with the contour of zero."""
-
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-    values: tuple[tuple[float, ...], ...]
-    label: str
-
-
-@dataclass(frozen=True)
 class Panel:
-    """One pair of axes.  With `z` it is three-dimensional; `sphere` draws the unit sphere in it.
-
-    equal : one unit is as long on both axes.  view : elevation and azimuth in degrees, 3-D only.
-    """
+    """One pair of axes.  equal : one unit is as long on both."""
 
     title: str
     x: Axis
     y: Axis
     curves: tuple[Curve, ...]
     spans: tuple[Span, ...] = ()
-    heat: Heat | None = None
-    z: Axis | None = None
-    sphere: bool = False
     equal: bool = False
-    view: tuple[float, float] = (22.0, -50.0)
 
 
 @dataclass(frozen=True)
@@ -106,12 +83,3 @@ class Figure:
     caption: str = ""
     across: int = 2
     legend: Literal["shared", "each"] = "shared"
-
-
-@dataclass(frozen=True)
-class Live:
-    """Panels of which a page shows one, chosen by the pair of words they are filed under."""
-
-    title: str
-    panels: dict[tuple[str, str], Panel]
-    caption: str = ""

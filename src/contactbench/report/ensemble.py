@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
-from contactbench.report.figures import ensemble as figures
+from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import count, duration, names, power, times
 from contactbench.report.views import View, matrix, pick
-from contactbench.report.work_precision import LEGEND, cost_cell, error_label
-from contactbench.results.contest import COMPILED, LIMIT, MARGINAL, Kind, costs, standings
+from contactbench.report.work_precision import ERROR, LEGEND, cost_cell, error_label
+from contactbench.results.contest import COMPILED, CONTACT, LIMIT, MARGINAL, Kind, costs, standings
 
 SOURCE = "ensemble.csv"
-#: how the trajectories of a run share their work; the column `variant`
-SHAPES = {
-    "vmap": "every trajectory has its own steps",
-    "shared": "the trajectories of a tile share their steps",
-    "batch": "a vector register of trajectories, each with its own steps",
-    "loop": "one trajectory after the other in compiled code",
-    "passes": "every flow a loop over all trajectories",
-    "plain": "drift and kick in one loop",
-    "tiled": "all steps of some trajectories before the next",
-}
+#: whether trajectories that are integrated together share the steps that a solver chooses
+STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "own steps"}
 #: time of a whole call per trajectory
 WHOLE_CALLS = replace(COMPILED, cost="each")
 
@@ -41,80 +33,96 @@ def beside_loops(frame: pd.DataFrame) -> tuple[list[str], pd.DataFrame]:
     """Return the shapes of the C loops, and every method with the time per gradient of each loop of its step in a
     column, nan where there is no such loop."""
     frame = frame[frame["question"] == "arithmetic"]
-    loops, own = frame[frame["family"] == LIMIT], frame[frame["family"] != LIMIT].reset_index(drop=True)
-    kernels = loops["variant"].str.split(" ", n=1, expand=True).reindex(columns=[0, 1])
-    stages = dict(zip(zip(kernels[0], loops["value"], kernels[1], strict=True), loops["stage"], strict=True))
-    shapes = [str(shape) for shape in dict.fromkeys(kernels[1])]
-    for shape in shapes:
-        keys = zip(own["method"], own["value"], strict=True)
-        own[shape] = [stages.get((*key, shape), math.nan) for key in keys]
-    return shapes, own
+    loops, own = frame[frame["family"] == LIMIT], frame[frame["family"] != LIMIT]
+    loops = loops.assign(**loops["variant"].str.extract(r"(?P<method>\S+) (?P<shape>.+)"))
+    stages = loops.pivot_table("stage", ["method", "value"], "shape", aggfunc="first", sort=False)
+    return list(map(str, stages.columns)), own.join(stages, ["method", "value"])
 
 
 def standing(frame: pd.DataFrame, kind: Kind, keys: tuple[str, ...]) -> pd.DataFrame:
-    """Return the standings of one cost at equal error."""
     part = frame[(frame["question"] == "error") & (frame["family"] != LIMIT)]
     return standings(costs(part, kind, keys), ("error",))
 
 
 def answers(frames: Frames) -> pd.DataFrame:
-    frame, lines = with_rates(frames["ensemble"]), []
-    calls = standing(frame, WHOLE_CALLS, ("method", "variant"))
-    for error, own in calls[calls["verdict"].isin(["win", "tie", "undecided"])].groupby("error", sort=False):
-        question = f"Who takes the least time per trajectory, error {power(error)}?"
-        lines.append((question, names(list(dict.fromkeys(own["method"])), 3), duration(own["cost"].min())))
-    return summary(*lines)
+    calls = standing(with_rates(frames["ensemble"]), WHOLE_CALLS, ("method", "variant"))
+    first = calls[calls["verdict"].isin(["win", "tie", "undecided"])].groupby("error", sort=False)
+    return summary(
+        *(
+            (
+                f"Who takes the least time per trajectory, error {power(error)}?",
+                names(list(dict.fromkeys(own["method"])), 3),
+                duration(own["cost"].min()),
+            )
+            for error, own in first
+        )
+    )
 
 
 # -- views -----------------------------------------------------------------------------------------
 def arithmetic_view(frame: pd.DataFrame) -> View:
-    """Return every method beside each shape of the C loop of the same method, same step."""
     shapes, own = beside_loops(frame)
-    labels = {"method": "method", "engine": "engine", "setting": "setting", "stage": "per gradient"}
-    table = pick(own, labels | {shape: f"C loop, {shape}" for shape in shapes})
+    loops = {shape: f"C loop, {shape}" for shape in shapes}
+    table = pick(own, "method", "engine", "setting", stage="per gradient", **loops)
     table = table.assign(**{f"ratio to {shape}": own["stage"] / own[shape] for shape in shapes})
     show = {"": duration} | {f"ratio to {shape}": times for shape in shapes}
-    meant = "; ".join(f"`{shape}`: {SHAPES[shape]}" for shape in shapes if shape in SHAPES)
-    legend = f"Time per gradient and trajectory, least round, one core, the same steps. {meant}."
+    legend = (
+        "Time per gradient and trajectory, least round, one core, the same steps. `passes`: every flow a loop over all "
+        "trajectories; `plain`: drift and kick in one loop; `tiled`: all steps of some trajectories before the next."
+    )
     return View("ensemble_arithmetic", "The same arithmetic as C loops", table, legend, SOURCE, show)
 
 
 def error_view(frame: pd.DataFrame, kind: Kind, name: str, title: str, legend: str) -> View:
-    """Return the time per trajectory at equal error on one core, one row for each way to run a method."""
     found = standing(frame, kind, ("method", "engine", "variant"))
     way = found["method"] + ", " + found["engine"] + found["variant"].map(lambda v: f", {v}" if v else "")
     found = found.assign(way=way).sort_values(["way", "error"], ascending=[True, False])
-    return View(
-        name, title, matrix(found, "way", "error", cost_cell, error_label), f"{legend} {LEGEND}", SOURCE
-    )
+    table = matrix(found, "way", "error", cost_cell, error_label)
+    return View(name, title, table, f"{legend} {LEGEND}", SOURCE)
 
 
 def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View:
-    """Return throughput against the number of something, and relative to the smallest number."""
     ways = ["method", "engine", "setting"]
     part = frame[frame["question"] == question].sort_values([*ways, by], kind="stable")
     first = part.groupby(ways)["rate"].transform("first")
-    table = pick(part, {name: name for name in (*ways, by)} | {"rate": "trajectories/s"})
+    table = pick(part, *ways, by, rate="trajectories/s")
     table = table.assign(**{"gradients/s": 1 / part["stage"], "relative": part["rate"] / first})
     show = {by: count, "relative": times, "": "{:.3g}".format}
     return View(f"ensemble_{question}", title, table, "Of the whole call, least round.", SOURCE, show)
 
 
-def parts(frames: Frames) -> list[Part]:
-    frame, every = with_rates(frames["ensemble"]), frames["ensemble"]
+def figure(frame: pd.DataFrame) -> Figure | None:
+    rows = frame[(frame["family"] != LIMIT) & (frame["question"] == "error")]
+    if not len(rows):
+        return None
+    curves = [
+        replace(curve, label=", ".join(filter(None, [curve.label, STEPS.get(str(variant), "")])))
+        for (_, _, variant), own in rows.groupby(["method", "engine", "variant"], sort=False, dropna=False)
+        for curve in by_method(own, "solution_error", "each", 1e6)
+    ]
+    y = contest_end(Axis("time per trajectory, µs", "log"), curves, 100.0)
+    panel = Panel("", ERROR, y, best_of_each(curves, cheapest))
+    title = f"{count(float(rows['trajectories'].max()))} trajectories on one core"
+    fine = rows[rows["solution_error"] < 1e-6]
+    least = 1e6 * fine.groupby(fine["family"] == CONTACT)["each"].min()
+    if len(least) == 2:
+        title += f", errors below 10⁻⁶: {least[True]:.2g} µs each by a contact method, {least[False]:.2g} µs by another"
+    caption = "One core; fixed-step methods share one step size. In colour: the cheapest of each family."
+    return Figure("ensemble", title, (panel,), caption)
+
+
+def parts(frames: Frames) -> list[Part | None]:
+    frame = with_rates(frames["ensemble"])
     called = "Time of a whole call per trajectory, one core."
     more = "Time of one more trajectory, one core: from calls with a quarter of them and all."
-    bad = every[every["status"] != "ok"][["method", "engine", "setting", "status", "message"]]
-    views = (
+    return [
         error_view(frame, WHOLE_CALLS, "ensemble_error", "A trajectory at equal error", called),
         error_view(frame, MARGINAL, "ensemble_marginal", "One more trajectory at equal error", more),
         arithmetic_view(frame),
         growth_view(frame, "size", "trajectories", "With the number of trajectories"),
         growth_view(frame, "cores", "cores", "With the number of cores"),
-        View("ensemble_endings", "Runs that did not end ok", bad, "", SOURCE),
-    )
-    drawn = figures.figure(frame)
-    return [*(view for view in views if len(view.frame)), *([drawn] if drawn else [])]
+        figure(frame),
+    ]
 
 
 TITLE, QUESTION = "Ensembles", "How fast are many trajectories at once?"

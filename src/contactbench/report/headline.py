@@ -9,34 +9,30 @@ from typing import Any
 import pandas as pd
 
 from contactbench.report import claims, convergence, laws, work_precision
-from contactbench.report.chapters import (
-    CHAPTERS,
-    Chapter,
-    Frames,
-    Part,
-    Section,
-    Text,
-    chapters,
-    once,
-    summary,
-)
-from contactbench.report.equal_cost import mission_view
-from contactbench.report.figures import work_precision as figures
-from contactbench.report.numbers import how_often, names
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, chapters, summary
+from contactbench.report.laws import cost_cells, law_label, with_bounds
+from contactbench.report.numbers import DASH, how_often, names
 from contactbench.report.views import Cell, View, frame_of
 from contactbench.results.contest import OTHER
+from contactbench.results.judgement import law_rows
 
 NAME = "headline"
 #: the scene whose work–precision picture stands here
 PICTURED = "particle"
 #: a column of the result with the laws that a reader asks about first
 PROMISED = {"momentum_law": "J", "contact_drift": "the contact form"}
+#: the scenes of the mission, the methods that a reader knows, and the laws; that of J where a method claims it
+SCENES = ("oscillator", "particle", "rigid_body")
+METHODS = ["contact-printed", "contact-strang", "contact-rkn4", "contact-rkn8", "contact-o8", "herglotz2"]
+METHODS += ["rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf", "cyrk-vern8", "diffrax-dopri8"]
+METHODS += ["heyoka-taylor"]
+LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 
 # -- six answers -----------------------------------------------------------------------------------
 def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
     """Return whether J and the contact form are kept where that is promised."""
-    rows = once(laws.judged_rows, frames)
+    rows = laws.structural_rows(frames)
     promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
     found = [(PROMISED[str(law)], own) for law, own in promised.groupby("law", sort=False)]
     answer = ", ".join(f"{label} {how_often(*laws.kept_of(own))}" for label, own in found)
@@ -46,7 +42,7 @@ def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
 
 def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
     """Return on which scenes another method is cheaper at every error, compiled."""
-    won = once(work_precision.all_contests, frames)["compiled"].contests
+    won = work_precision.all_contests(frames)["compiled"].contests
     judged = won[won["winner"] != ""]
     if not len(judged):
         return None
@@ -59,16 +55,15 @@ def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
 
 
 def answers(frames: Frames) -> pd.DataFrame:
-    """Return the answers that stand in the project's README."""
     asked = [structure_answer(frames)]
     if len(frames["convergence"]):
-        asked += rows_of(once(convergence.answers, frames))
+        asked += rows_of(convergence.answers(frames))
     if len(frames["work_precision"]):
-        costs = {row[0]: row for row in rows_of(once(work_precision.answers, frames))}
+        costs = {row[0]: row for row in rows_of(work_precision.answers(frames))}
         asked += [costs.get(work_precision.QUESTIONS[kind]) for kind in ("compiled", "evaluations")]
         asked.append(loss_answer(frames))
     if len(frames["claims"]):
-        asked += rows_of(once(claims.answers, frames))[:1]
+        asked += rows_of(claims.answers(frames))[:1]
     return summary(*(row for row in asked if row is not None))
 
 
@@ -77,14 +72,49 @@ def rows_of(frame: pd.DataFrame) -> list[tuple[str, str, str]]:
 
 
 # -- results/README.md -----------------------------------------------------------------------------
-def documents_view(frames: Frames) -> View:
-    """Return the documents, and the question each answers."""
-    rows: list[tuple[object, ...]] = [
-        (Cell(chapter.file, link=chapter.file), chapter.question)
-        for chapter in chapters(frames)
-        if chapter.name != NAME
+def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the cost that most methods can meet; of equals the largest."""
+    met = frame[frame["status"] == "ok"].groupby("cost").size()
+    return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
+
+
+def mission_view(frames: Frames) -> View | None:
+    rows = with_bounds(most_met_cost(frames["decay_laws"]))
+    rows = rows[rows["scene"].isin(SCENES) & rows["method"].isin(METHODS)]
+    if not len(rows):
+        return None
+    momentum = law_rows(frames, "momentum_law")
+    claimed = set(momentum[momentum["claimed"]]["scene"])
+    laws_of = {
+        scene: [law for law in LAWS if law != "momentum_law" or scene in claimed]
+        for scene in SCENES
+        if scene in set(rows["scene"])
+    }
+    by_pair = {(row["method"], row["scene"]): row for row in rows.to_dict("records")}
+    lines = []
+    for method in sorted(set(rows["method"]), key=METHODS.index):
+        cells: list[Cell] = []
+        for scene, own in laws_of.items():
+            cells += cost_cells(frames, by_pair.get((method, scene), {"status": DASH}), own)
+        lines.append((method, *cells))
+    labels = [("", "method")]
+    labels += [
+        (s, name) for s, own in laws_of.items() for name in ("evaluations", "order", *map(law_label, own))
     ]
-    rows.append((Cell("glossary.md", link="glossary.md"), "What is each method, scene and column?"))
+    legend = (
+        "Largest deviation over the run, every method as near to the same number of evaluations as its steps and "
+        "tolerances allow. Bold: at round-off. ≤: an upper bound, by differences of the solver. "
+        "[All methods, scenes and costs](laws.md#at-equal-cost)."
+    )
+    return View(
+        "mission", "Order, laws and drifts at equal cost", frame_of(lines, labels), legend, "decay_laws.csv"
+    )
+
+
+def documents_view(frames: Frames) -> View:
+    found = {chapter.file: chapter.question for chapter in chapters(frames) if chapter.name != NAME}
+    found["glossary.md"] = "What is each method, scene and column?"
+    rows = [(Cell(file, link=file), question) for file, question in found.items()]
     return View("documents", "All tables", frame_of(rows, ["document", "question"]))
 
 
@@ -103,14 +133,15 @@ def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
     return [Section("Who is cheapest where", (Text(legend), *tables)), lost]
 
 
-def parts(frames: Frames) -> list[Part]:
-    mission, work = mission_view(frames), frames["work_precision"]
-    found: list[Part] = [mission] if mission else []
-    if len(work):
-        drawn = figures.figure(work, PICTURED)
-        found += [replace(drawn, caption="")] if drawn else []
-        contests = once(work_precision.all_contests, frames).values()
-        found += cheapest_parts([own for own in contests if len(own.contests)])
+def parts(frames: Frames) -> list[Part | None]:
+    found: list[Part | None] = [mission_view(frames)]
+    if len(frames["work_precision"]):
+        drawn = work_precision.figure(frames["work_precision"], PICTURED)
+        contests = work_precision.all_contests(frames).values()
+        found += [
+            drawn and replace(drawn, caption=""),
+            *cheapest_parts([c for c in contests if len(c.contests)]),
+        ]
     return [*found, documents_view(frames)]
 
 

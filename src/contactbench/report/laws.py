@@ -2,44 +2,65 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
-from contactbench.report.equal_cost import equal_cost_view
-from contactbench.report.figures import laws as figures
-from contactbench.report.figures.structure import structure
-from contactbench.report.law_cells import LEGEND, law_label, range_cell
-from contactbench.report.numbers import DASH, how_often, names, readable, scientific, times
-from contactbench.report.views import Cell, Mark, Show, View, frame_of, matrix
+from contactbench.measure.round_off import UNSURE, decide
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.curves import (
+    ROUND_OFF,
+    above,
+    best_of_each,
+    by_method,
+    decade,
+    family_and_order,
+    floats,
+    in_colour,
+    like,
+    lowest,
+)
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.look import look
+from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
+from contactbench.report.views import Cell, Mark, Show, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
-from contactbench.results.judgement import law_rows, laws_in, structural_laws
-from contactbench.results.schema import Column, Rule
+from contactbench.results.judgement import bound, law_rows, laws_at_equal_cost, laws_in, structural_laws
+from contactbench.results.schema import Column
 from contactbench.results.tables import LAWS_TABLE
 
 SOURCE = "laws.csv"
+DAGGER, DOUBLE_DAGGER = "†", "‡"
+LEGEND = (
+    f"Bold: at round-off. ≤ and ±: by differences of the solver, with their error bar. {DAGGER}: the quantity has all "
+    f"but vanished. {DOUBLE_DAGGER}: too ill-conditioned to tell. [How to read it](../docs/reading.md#laws)."
+)
 
 
-def judged_rows(frames: Frames) -> pd.DataFrame:
-    """Return the judged runs of every structural law, with its name in a column."""
-    rows = pd.concat([law_rows(frames, law).assign(law=law) for law in structural_laws()], ignore_index=True)
-    return rows[rows["judged"]].assign(label=lambda rows: rows["law"].map(law_label))
+@lru_cache(2)
+def structural_rows(frames: Frames) -> pd.DataFrame:
+    """Return the runs of every structural law, judged or not, with its name and label in columns."""
+    rows = [law_rows(frames, law).assign(law=law, label=law_label(law)) for law in structural_laws()]
+    return pd.concat(rows, ignore_index=True)
 
 
 def kept_of(rows: pd.DataFrame) -> tuple[int, int]:
     """Return in how many runs a law is kept, and how many decide."""
-    return int(rows["kept"].sum()), int((~rows["undecided"]).sum())
+    return int(rows["kept"].sum()), int((rows["judged"] & ~rows["undecided"]).sum())
 
 
 def counts(rows: pd.DataFrame) -> str:
-    """Return kept of decided, and the undecided beside them: 3 of 4 runs (2 more undecided)."""
     kept, decided = kept_of(rows)
-    left = len(rows) - decided
-    return f"{kept} of {decided} runs" + (f" ({left} more undecided)" if left else "")
+    idle = {"undecided": int(rows["undecided"].sum()), "not judged": int((~rows["judged"]).sum())}
+    beside = ", ".join(f"{number} {word}" for word, number in idle.items() if number)
+    return f"{kept} of {decided} runs" + (f" ({beside})" if beside else "")
 
 
 def answers(frames: Frames) -> pd.DataFrame:
-    """Return for each law whether it is kept wherever it is claimed."""
-    rows = once(judged_rows, frames)
+    rows = structural_rows(frames)
     return summary(
         *(
             (f"{label}: at round-off where claimed?", how_often(*kept_of(own)), counts(own))
@@ -48,109 +69,207 @@ def answers(frames: Frames) -> pd.DataFrame:
     )
 
 
+# -- cells -----------------------------------------------------------------------------------------
+def law_label(law: str) -> str:
+    known = LAWS_TABLE.columns.get(law)
+    return known.label if known and known.label else law.replace("_", " ")
+
+
+def with_bounds(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the frame with a column `LAW_bound` for each structural law it has: up to what it is round-off."""
+    return frame.assign(**{f"{law}_bound": bound(frame, law) for law in structural_laws() if law in frame})
+
+
+def drift_cell(row: Any, law: str) -> Cell:
+    """Return one deviation of a row that is `with_bounds`, with its error bar where that is a tenth of it or more."""
+
+    def number(name: str) -> float:
+        value = row.get(name)
+        return 0.0 if value is None or pd.isna(value) else float(value)
+
+    if pd.isna(row.get(law)):
+        return Cell(DASH)
+    value, error, limit = (number(name) for name in (law, f"{law}_uncertainty", f"{law}_bound"))
+    kept, ill = decide(value, limit) if limit else (False, False)
+    unsure = error > 0 and value <= UNSURE * error
+    bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
+    signs = (DAGGER if number(f"{law}_clamped") > 0 else "") + (DOUBLE_DAGGER if ill else "")
+    return Cell(
+        f"{'≤ ' if unsure else ''}{scientific(value)}{bar}{signs}", value, Mark.kept if kept else None
+    )
+
+
+def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
+    """Return the smallest and the largest value of some rows of a law; only this where all judged are kept."""
+    low, high, judged = rows["value"].min(), rows["value"].max(), rows[rows["judged"]]
+    kept = len(judged) > 0 and bool(judged["kept"].all())
+    text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
+    sign = DAGGER if (rows["clamped"] > 0).any() else ""
+    return Cell(text + sign, high, Mark.kept if kept else None)
+
+
+def cost_cells(frames: Frames, row: Any, laws: Sequence[str]) -> list[Cell]:
+    """Return what one run at equal cost came to: evaluations, order, laws; or only how it ended."""
+    if row["status"] != "ok":
+        return [Cell(str(row["status"]), mark=Mark.none), *[Cell(DASH)] * (len(laws) + 1)]
+    spent = as_cell(row["rhs_equivalents"], count)
+    return [spent, order_cell(frames, row), *(drift_cell(row, law) for law in laws)]
+
+
+def order_cell(frames: Frames, row: Any) -> Cell:
+    """Return the measured order of a row's method on its scene; why not, where there is none."""
+    if row["control"] != "step":
+        return Cell({"rtol": "adaptive"}.get(row["control"], str(row["control"])))
+    orders = frames["convergence"]
+    here = orders[(orders["method"] == row["method"]) & (orders["scene"] == row["scene"])]
+    return as_cell(here["order"].iloc[0] if len(here) else None, "{:.2f}".format)
+
+
 # -- views -----------------------------------------------------------------------------------------
 def claims_view(rows: pd.DataFrame) -> View:
-    """Return how often each law is kept: where it is claimed, by contact methods where it is not, by the others."""
-    groups = (
-        rows["family"].eq(CONTACT).map({True: "contact methods, not claimed", False: "others, not claimed"})
-    )
-    rows = rows.assign(who=groups.where(~rows["claimed"], "claimed")).rename(columns={"label": "what"})
-    frame = matrix(
-        rows.sort_values("who", key=lambda who: who != "claimed", kind="stable"), "what", "who", counts
-    )
+    contact = rows["family"].eq(CONTACT)
+    groups = contact.map({True: "contact methods, not claimed", False: "others, not claimed"})
+    rows = rows.assign(who=groups.where(~rows["claimed"], "claimed"))
+    rows = rows.sort_values("who", key=lambda who: who != "claimed", kind="stable")
+    frame = matrix(rows.rename(columns={"label": "law or drift"}), "law or drift", "who", counts)
     legend = (
-        "Runs that keep the law to round-off, of those that decide. "
+        "Runs that keep it to round-off, of those that decide. Not judged: the solution is off by more than a tenth. "
         "[Why a law is not claimed](../docs/reading.md#laws)."
     )
-    return View("law_claims", "Who keeps which law", frame.rename(columns={"what": "law"}), legend, SOURCE)
+    return View("law_claims", "Who keeps what", frame, legend, SOURCE)
 
 
 def broken_view(rows: pd.DataFrame) -> View:
-    """Return where a claimed law is broken, by which methods, and by how much at most."""
-    broken = rows[rows["claimed"] & rows["broken"]]
     lines = []
-    for (label, scene), own in broken.groupby(["label", "scene"], sort=False):
+    for (label, scene), own in rows[rows["claimed"] & rows["broken"]].groupby(["label", "scene"], sort=False):
         over = own["value"] / own["bound"]
         worst = own.loc[over.idxmax()]
         held = int((own["frozen"] <= own["bound"]).sum())
-        methods, place = (
-            names(list(dict.fromkeys(own["method"])), 3),
-            f"{worst['method']}, {worst['setting']}",
-        )
+        methods = names(list(dict.fromkeys(own["method"])), 3)
+        place = f"{worst['method']}, {worst['setting']}"
         lines.append((label, f"`{scene}`", methods, len(own), held, over.max(), worst["value"], place))
-    labels = [
-        "law",
-        "scene",
-        "methods",
-        "runs",
-        "kept with steps held fixed",
-        "over the bound",
-        "deviation",
-        "worst",
-    ]
+    labels = ["law or drift", "scene", "methods", "runs", "kept with steps held fixed"]
+    labels += ["over the bound", "deviation", "worst"]
     show: dict[str, Show] = {"over the bound": times, "deviation": scientific}
     legend = "Claimed, and not kept; the worst run by its deviation over the bound of round-off."
     return View("law_exceptions", "Exceptions", frame_of(lines, labels), legend, SOURCE, show)
 
 
-def keepers_view(rows: pd.DataFrame) -> View:
-    """Return in how many runs each method keeps each law."""
-
-    def cell(own: pd.DataFrame) -> Cell:
-        kept, decided = kept_of(own)
-        share = f"{kept} of {decided}"
-        return Cell(share, kept / decided, Mark.kept if kept == decided else None) if decided else Cell(DASH)
-
-    legend = "Runs that keep the law to round-off, of those that decide, claimed or not. Bold: all of them."
-    return View("law_keepers", "Method by method", matrix(rows, "method", "label", cell), legend, SOURCE)
-
-
-def modified_view(frames: Frames) -> View:
-    """Return how much nearer the modified Hamiltonian is to its decay than H itself, in the same runs."""
-    plain, modified = (law_rows(frames, law) for law in ("hamiltonian_law", "modified_hamiltonian"))
-    pairs = plain.merge(modified, on=["scene", "method", "setting"], suffixes=("", "_modified"))
-    pairs = pairs[pairs["value"] > 10 * pairs["bound"]]
-    gain = (pairs["value"] / pairs["value_modified"]).groupby(pairs["method"], sort=False)
-    frame = gain.agg(["size", "min", "median", "max"]).reset_index()
-    frame.columns = pd.Index(["method", "runs", "least", "median", "largest"])
-    legend = "How many times nearer to e^{−γt} the modified Hamiltonian is than H, in runs in which H is off."
-    show = dict.fromkeys(("least", "median", "largest"), times)
-    return View("modified", "The modified Hamiltonian", frame, legend, SOURCE, show)
+def equal_cost_view(part: pd.DataFrame, frames: Frames) -> View:
+    scene, cost = str(part["scene"].iloc[0]), part["cost"].iloc[0]
+    laws = [law for law in laws_at_equal_cost() if law in part and part[law].notna().any()]
+    rows = []
+    for row in with_bounds(part).to_dict("records"):
+        evaluations, order, *drifts = cost_cells(frames, row, laws)
+        error = as_cell(row["solution_error"], scientific)
+        rows.append((row["method"], row["engine"], row["setting"], evaluations, order, error, *drifts))
+    labels = ["method", "engine", "setting", "evaluations", "order", "solution error", *map(law_label, laws)]
+    title = f"{scene}, {cost:g} evaluations per unit of time"
+    return View(f"equal_cost_{scene}_{cost:g}", title, frame_of(rows, labels), "", "decay_laws.csv")
 
 
 def law_view(frames: Frames, law: str, column: Column) -> View:
-    """Return the range of one law over the settings, methods × scenes."""
     rows = law_rows({"laws": frames["laws"]}, law)
     show = readable if column.type == "whole" else scientific
-    structural = column.rule is Rule.structure
-    frame = matrix(rows, "method", "scene", lambda own: range_cell(own, structural, show))
+    frame = matrix(rows, "method", "scene", lambda own: range_cell(own, show))
     return View(f"law_{law}", law_label(law), frame, f"{column.meaning}.", SOURCE)
 
 
-def parts(frames: Frames) -> list[Part]:
-    rows, time = once(judged_rows, frames), frames["laws_time"]
-    drawn = structure(frames["laws"])
+def parts(frames: Frames) -> list[Part | None]:
+    rows, time = structural_rows(frames), frames["laws_time"]
     equal = frames["decay_laws"].groupby(["scene", "cost"], sort=False)
     ranges = [law_view(frames, law, column) for law, column in laws_in(LAWS_TABLE).items()]
     scenes = dict.fromkeys(time[time["status"] == "ok"]["scene"])
-    along = (Section(s, (figures.along_time(time, s, frames["laws"]),), "scene") for s in scenes)
-    modified = modified_view(frames)
+    along = (Section(s, (along_time(time, s),)) for s in scenes)
+    shown = [equal_cost_view(part, frames) for _, part in equal]
+    ranging = f"Smallest … largest over all settings. {LEGEND}"
     return [
         claims_view(rows),
         broken_view(rows),
-        *([drawn] if drawn else []),
-        keepers_view(rows),
-        *([modified] if len(modified.frame) else []),
-        Section("At equal cost", (Text(LEGEND), *(equal_cost_view(part, frames) for _, part in equal))),
-        Section(
-            "Law by law", (Text(f"Smallest … largest over all settings. {LEGEND}"), *filter(has_rows, ranges))
-        ),
+        structure(frames["laws"]),
+        Section("At equal cost", (Text(LEGEND), *shown)) if shown else None,
+        Section("One by one", (Text(ranging), *ranges)),
         Section("Along time", tuple(along)),
     ]
 
 
-def has_rows(view: View) -> bool:
-    return len(view.frame) > 0
+# -- structure against accuracy: one point a run ---------------------------------------------------
+#: the scene, and the law: of the contact form, of the derivative of the map
+SCENE, LAW = "central", "contact_drift"
+#: families: the label, and the method whose marker stands for it
+FAMILIES = {
+    "contact": ("contact methods", "contact-strang"),
+    "adaptive": ("contact, adaptive steps", "contact-rkn6"),
+    "rk4": ("RK4", "rk4"),
+    "herglotz": ("Herglotz", "herglotz1"),
+    "scipy": ("SciPy", "scipy-dop853"),
+    "sundials": ("SUNDIALS", "cvode-bdf"),
+    "cyrk": ("CyRK", "cyrk-dop853"),
+    "diffrax": ("diffrax", "diffrax-tsit5"),
+    "heyoka": ("heyoka (Taylor)", "heyoka-taylor"),
+}
+
+
+def structure(frame: pd.DataFrame) -> Figure | None:
+    rows = frame[(frame["scene"] == SCENE) & (frame["status"] == "ok") & frame[LAW].notna()]
+    if not len(rows):
+        return None
+    claims = rows[f"{LAW}_claimed"].eq(True)
+    kept = rows[claims][f"{LAW}_kept"].dropna()
+    families = [
+        "adaptive" if family == CONTACT and not claimed else look(str(method), str(family)).family
+        for method, family, claimed in zip(rows["method"], rows["family"], claims, strict=True)
+    ]
+    curves = [
+        Curve(
+            floats(own["solution_error"]),
+            above(own[LAW]),
+            *FAMILIES.get(name, ("others", "other")),
+            line=False,
+        )
+        for name, own in rows.groupby(families, sort=False)
+    ]
+    x = Axis("error of the solution (more accurate to the right)", "log", inverted=True)
+    panel = Panel("", x, Axis("deviation of the contact form", "log"), tuple(curves), (ROUND_OFF,))
+    title = (
+        f"Contact methods keep the contact form at any error ({int(kept.sum())} of {len(kept)} runs), "
+        "others only as well as they solve"
+    )
+    return Figure("structure", title, (panel,), f"Every method and setting on `{SCENE}`. Shaded: round-off.")
+
+
+# -- along time ------------------------------------------------------------------------------------
+DECAYED = r"e^{-\int\Gamma'} η"
+#: columns of the table along time: panel, axis
+ALONG_TIME = {
+    "energy_deviation": ("energy $H_0$", r"$|H_0 / H_0^\ast - 1|$"),
+    "hamiltonian_deviation": ("contact Hamiltonian $H$", r"$|e^{\int\Gamma'} H - H(0)| \,/\, |H(0)|$"),
+    "momentum_deviation": (
+        "momentum map $J$",
+        r"$\Vert e^{\int\Gamma'} J - J(0)\Vert \,/\, \Vert J(0)\Vert$",
+    ),
+    "contact_deviation": (
+        "contact form $η$",
+        rf"$\Vert Φ^\ast η - {DECAYED}\Vert \,/\, \Vert {DECAYED}\Vert$",
+    ),
+}
+
+
+def along_time(frame: pd.DataFrame, scene: str) -> Figure:
+    rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
+    closest = in_colour(best_of_each(by_method(rows, "t", "energy_deviation"), lowest, family_and_order))
+    panels = tuple(
+        Panel(title, Axis("t"), Axis(label, "log"), like(closest, by_method(rows, "t", column)), (ROUND_OFF,))
+        for column, (title, label) in ALONG_TIME.items()
+        if rows[column].notna().any()
+    )
+    worst = rows.groupby("method")["energy_deviation"].max()
+    title = f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"
+    caption = (
+        f"Settings: {', '.join(dict.fromkeys(rows['setting']))}. Shaded: round-off. Asterisk: the true motion. In "
+        "colour: of each family and order, up to eight, the closest to the true $H_0$."
+    )
+    return Figure(f"laws_{scene}", title, panels, caption)
 
 
 TITLE, QUESTION = "Decay laws and drifts", "Which methods keep the laws of the motion?"

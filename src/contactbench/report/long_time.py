@@ -2,34 +2,42 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pandas as pd
 
 from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.statistics import RUNG, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
-from contactbench.report.figures import long_time as figures
+from contactbench.report.curves import ROUND_OFF, by_method, decade
+from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.numbers import DASH, names, scientific
-from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix, pick
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
+from contactbench.results.contest import CONTACT
 from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM
 
 SOURCE = "long_time.csv"
 #: how far an average may be off, as a part of it
 ALLOWED = {ENERGY: 0.1, EXPONENT: 0.05, DIMENSION: 0.01}
-AVERAGES = (ENERGY, EXPONENT, DIMENSION)
-#: error bars on either side of an average in which the true one surely is
+#: error bars that count as a deviation
 SURE = 2.0
-#: settings stand up to so far apart: methods whose least cost differs by less tie
-RUNG = 1.5
+
+
+def of(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """Return the rows of a quantity that have a number, cheap to dear."""
+    rows = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
+    return rows.sort_values("evaluations_per_time", kind="stable")
 
 
 def deviations(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the rows of a quantity that are not the reference, cheap to dear.
+    """Return the rows of an average that are not the reference, cheap to dear.
 
     off, bar : the difference from the reference and its error bar, in parts of what is allowed.
     """
-    part = figures.of(frame, quantity)
+    part = of(frame, quantity)
     reference, own = part[part["reference"]], part[~part["reference"]]
-    if not len(reference) or quantity not in ALLOWED:
+    if not len(reference):
         return own.assign(off=np.nan, bar=np.nan)
     true = reference.iloc[0]
     allowed = ALLOWED[quantity] * abs(true["mean"])
@@ -45,46 +53,38 @@ def right_from(rows: pd.DataFrame, right: pd.Series) -> float:
 
 
 def least(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the evaluations from which on each method has an average right, the fewest first.
+    """Return the evaluations from which on each method surely has an average right, the fewest first.
 
-    surely : from where it is, its noise taken against it; perhaps : the noise taken for it.  bound : 1 where that is
-    its cheapest setting.  first : 1 where neither a rung nor the noise tells it from the cheapest.
+    bound : that is its cheapest setting.  first : it is within a rung of the fewest.
     """
-    found = {
-        name: {
-            "surely": (surely := right_from(own, own["off"] + SURE * own["bar"] <= 1)),
-            "perhaps": right_from(own, own["off"] - SURE * own["bar"] <= 1),
-            "bound": surely == own["evaluations_per_time"].iloc[0],
-        }
-        for name, own in deviations(frame, quantity).groupby("method", sort=False)
-    }
-    columns = ["surely", "perhaps", "bound"]
-    costs = pd.DataFrame.from_dict(found, orient="index", columns=columns).astype(float).dropna()
-    costs = costs.sort_values(["surely", "perhaps"], kind="stable")
-    return costs.assign(first=costs["perhaps"] <= RUNG * costs["surely"].min())
+    found = {}
+    for name, own in deviations(frame, quantity).groupby("method", sort=False):
+        cost = right_from(own, own["off"] + SURE * own["bar"] <= 1)
+        found[name] = cost, cost == own["evaluations_per_time"].iloc[0]
+    costs = pd.DataFrame.from_dict(found, orient="index", columns=["cost", "bound"]).dropna()
+    costs = costs.sort_values("cost", kind="stable")
+    return costs.assign(first=ties(costs["cost"], costs["cost"].min(), RUNG))
 
 
 def cost_text(cost: pd.Series) -> str:
-    """Return 7.8; 7.8 to 15 where the noise does not tell; ≤ 7.8 where nothing cheaper was measured."""
-    low, high = f"{cost['perhaps']:.2g}", f"{cost['surely']:.2g}"
-    return f"≤ {low}" if cost["bound"] else low if low == high else f"{low} to {high}"
+    return f"{'≤ ' if cost['bound'] else ''}{cost['cost']:.2g}"
 
 
 def pairing(frame: pd.DataFrame) -> pd.Series:
     """Return the largest pairing defect of each method."""
-    rows = figures.of(frame, SUM)
-    worst = rows.groupby("method")["pairing_defect"].max()
+    worst = of(frame, SUM).groupby("method")["pairing_defect"].max()
     return worst.reindex([m for m in dict.fromkeys(frame["method"]) if m in worst.index])
 
 
 def answers(frames: Frames) -> pd.DataFrame:
     frame, lines = frames["long_time"], []
-    for quantity in AVERAGES:
+    for quantity in ALLOWED:
         costs = least(frame, quantity)
         if len(costs):
             first = [str(name) for name in costs.index[costs["first"]]]
+            question = f"Which methods need the fewest evaluations for the right {quantity}?"
             cost = f"{cost_text(costs.iloc[0])} evaluations per unit of time"
-            lines.append((f"Who has the {quantity} right for the fewest evaluations?", names(first, 4), cost))
+            lines.append((question, names(first, 4), cost))
     defects = pairing(frame)
     if len(defects):
         kept = [str(name) for name in defects.index[defects <= STRUCTURE]]
@@ -95,60 +95,65 @@ def answers(frames: Frames) -> pd.DataFrame:
 
 # -- views -----------------------------------------------------------------------------------------
 def costs_view(frame: pd.DataFrame) -> View:
-    """Return the evaluations from which on each method has each average right."""
     found = pd.concat(
-        [least(frame, q).rename_axis("method").reset_index().assign(average=q) for q in AVERAGES]
+        [least(frame, q).rename_axis("method").reset_index().assign(average=q) for q in ALLOWED]
     )
+    alone = found.groupby("average")["first"].sum() == 1
 
     def cell(rows: pd.DataFrame) -> Cell:
         cost = rows.iloc[0]
-        alone = found[found["average"] == cost["average"]]["first"].sum() == 1
-        mark = (Mark.best if alone else Mark.tie) if cost["first"] else None
-        return Cell(cost_text(cost), float(cost["surely"]), mark)
+        mark = Mark.best if alone[cost["average"]] else Mark.tie
+        return Cell(cost_text(cost), float(cost["cost"]), mark if cost["first"] else None)
 
     allowed = names([f"{100 * part:g} % ({quantity})" for quantity, part in ALLOWED.items()])
     true = frame[frame["reference"]]
     reference = f" ({true['method'].iloc[0]}, {true['setting'].iloc[0]})" if len(true) else ""
     legend = (
         f"Evaluations per unit of time from which on an average stays within {allowed} of the reference{reference}; "
-        f"two numbers where {SURE:g} error bars decide; ≤: at its cheapest setting. A factor {RUNG:g} is a tie. "
+        f"{SURE:g} error bars included; ≤: at its cheapest setting. A factor {RUNG:g} is a tie. "
         f"{DASH}: wrong at every setting, or not measured. [How to read it](../docs/reading.md#long-chaotic-runs)."
     )
     table = matrix(found, "method", "average", cell)
     return View("long_time_costs", "The least that has the averages right", table, legend, SOURCE)
 
 
-def calm_view(frame: pd.DataFrame) -> View:
-    """Return the settings at which a map is on the whole not chaotic."""
-    rows = figures.of(frame, EXPONENT)
-    labels = {"method": "method", "setting": "setting", "evaluations_per_time": "evaluations per time"}
-    labels |= {"mean": "largest exponent", "error": "error bar"}
-    table = pick(rows[rows["mean"] <= SURE * rows["error"]], labels)
-    legend = "Most or all trajectories of the coarse map end on a periodic orbit."
-    return View("long_time_calm", "Exceptions: no chaos", table, legend, SOURCE)
-
-
 def pairs_view(frame: pd.DataFrame) -> View:
-    """Return the pairing defect of each method, and from where on its sum is below the noise."""
     rows = []
     for method in pairing(frame).index:
         own = frame[frame["method"] == method]
-        sums, bars = figures.of(own, SUM), figures.of(own, EXPONENT).set_index("setting")["error"]
+        sums, bars = of(own, SUM), of(own, EXPONENT).set_index("setting")["error"]
         kept = Mark.kept if (sums["pairing_defect"] <= STRUCTURE).all() else None
         ends = (as_cell(sums["pairing_defect"].iloc[k], scientific, kept) for k in (0, -1))
-        hidden = right_from(sums, sums["mean"].abs() <= sums["setting"].map(bars))
-        rows.append((method, *ends, as_cell(hidden, "{:.2g}".format)))
-    labels = ["method", "defect, cheapest setting", "defect, dearest setting", "hidden from"]
+        right = right_from(sums, sums["mean"].abs() <= sums["setting"].map(bars))
+        rows.append((method, *ends, as_cell(right, "{:.2g}".format)))
+    labels = ["method", "defect, cheapest setting", "defect, dearest setting", "sum right from"]
     legend = (
-        "Deviation of σ₁σ₂ from e^{−γt}. Hidden from: evaluations per unit of time from which on the sum of the "
+        "Deviation of σ₁σ₂ from e^{−γt}. Sum right from: evaluations per unit of time from which on the sum of the "
         "exponents is off by less than the error bar of the largest."
     )
     return View("long_time_pairs", "Pairs of exponents", frame_of(rows, labels), legend, SOURCE)
 
 
-def parts(frames: Frames) -> list[Part]:
+def figure(frame: pd.DataFrame) -> Figure | None:
+    rows = of(frame, SUM)
+    rows = rows[~rows["reference"] & rows["pairing_defect"].notna()]
+    own = rows["family"] == CONTACT
+    ours, theirs = rows[own]["pairing_defect"].max(), rows[~own]["pairing_defect"].min()
+    if math.isnan(ours) or math.isnan(theirs):
+        return None
+    title = (
+        f"Contact methods pair the Lyapunov exponents to {decade(ours, math.ceil)} at any cost, "
+        f"others to {decade(theirs, math.floor)} at best, but for the reference"
+    )
+    curves = by_method(rows, "evaluations_per_time", "pairing_defect")
+    x, y = Axis("evaluations per unit of time", "log"), Axis("pairing defect per unit of time", "log")
+    caption = "Root mean square of $λ_1 + λ_2 + γ$ over one period. Shaded: round-off."
+    return Figure("pairing", title, (Panel("", x, y, curves, (ROUND_OFF,)),), caption)
+
+
+def parts(frames: Frames) -> list[Part | None]:
     frame = frames["long_time"]
-    return [costs_view(frame), calm_view(frame), pairs_view(frame), *figures.pairs(frame)]
+    return [costs_view(frame), pairs_view(frame), figure(frame)]
 
 
 TITLE, QUESTION = "Long chaotic runs", "Which averages of long chaotic runs are right, and at what cost?"

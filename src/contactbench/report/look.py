@@ -38,23 +38,12 @@ class Look(NamedTuple):
 
     @property
     def color(self) -> str:
-        """Its shade of the family."""
         if self.family == "contact":
             return SHADES.get(self.order or 8, FAMILIES["contact"])
         return FAMILIES[self.family]
 
-    @property
-    def filled(self) -> bool:
-        """Whether its markers are."""
-        return self.family == "contact"
 
-    @property
-    def dash(self) -> tuple[float, ...]:
-        """On and off, in line widths."""
-        return DASHES.get(self.order, ())
-
-
-#: by order; the eighth order and what has no fixed one are solid
+#: on and off, in line widths, by order; the eighth order and what has no fixed one are solid
 DASHES: dict[int | None, tuple[float, ...]] = {
     1: (1, 1.5),
     2: (3, 1.5),
@@ -104,7 +93,7 @@ def look(method: str, family: str = "") -> Look:
     return known or Look(family if family in FAMILIES else "other", spare)
 
 
-BLUE, ORANGE, GREEN, GREY, BLACK = "#0077BB", "#CC3311", "#009988", "#888888", "#000000"
+BLACK, BLUE, ORANGE = "#000000", "#0077BB", "#CC3311"
 
 #: what is no method, as matplotlib line properties
 ROLES: dict[str, dict[str, Any]] = {
@@ -117,9 +106,7 @@ ROLES: dict[str, dict[str, Any]] = {
     "flow": {"color": "#999999", "linewidth": 0.7},
     "stable": {"color": BLUE, "marker": "o"},
     "unstable": {"color": ORANGE, "marker": "X"},
-    "neutral": {"color": GREY, "marker": "s"},
-    **{
-        f"shade {i}": {"color": color, "linewidth": 1.2}
-        for i, color in enumerate((BLACK, BLUE, "#33BBEE", GREEN, "#EE7733"))
-    },
+    "neutral": {"color": "#888888", "marker": "s"},
 }
+SHADED = (BLACK, BLUE, "#33BBEE", "#009988", "#EE7733")
+ROLES |= {f"shade {i}": {"color": color, "linewidth": 1.2} for i, color in enumerate(SHADED)}

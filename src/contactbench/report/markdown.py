@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import pandas as pd
 
@@ -15,14 +15,11 @@ from contactbench.report.views import Cell, Head, Mark, View
 WRITTEN = {Mark.best: "**{}**", Mark.kept: "**{}**", Mark.tie: "*{}*", Mark.exception: "{} !"}
 #: a longer cell is not worth lining its column up for
 PADDED = 40
-#: columns in a table; groups of columns that would make it wider are written one below the other
-WIDEST = 14
 
 
 def without_html(text: str) -> str:
     """Return inline Markdown in which nothing is HTML: the texts of tables are a user's, or anybody's."""
-    parts = re.split(r"(`[^`]*`)", text)  # code is shown as it is
-    return "".join(part if i % 2 else part.replace("<", "&lt;") for i, part in enumerate(parts))
+    return re.sub(r"`[^`]*`|<", lambda found: "&lt;" if found[0] == "<" else found[0], text)  # code stays
 
 
 def escaped(text: str) -> str:
@@ -30,13 +27,13 @@ def escaped(text: str) -> str:
     return " ".join(without_html(text).replace("|", "\\|").split())
 
 
-def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterable[bool] = ()) -> str:
+def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterable[bool]) -> str:
     """Return a GitHub table; the first column and columns of words left, the others right aligned.
 
     Columns are padded to line up in the source unless a cell is longer than PADDED.
     """
     lines = [list(header), *([str(cell) for cell in row] for row in rows)]
-    left = [i == 0 or word for i, word in enumerate([*words, *[False] * len(lines[0])][: len(lines[0])])]
+    left = [True, *list(words)[1:]]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     widths = [width if width <= PADDED else 0 for width in widths]
     rule = [f":{'-' * (w + 1)}" if l else f"{'-' * (w + 1)}:" for w, l in zip(widths, left, strict=True)]
@@ -60,43 +57,16 @@ def label(head: Head) -> str:
     return escaped(f"{head.group}: {head.label}" if head.group else head.label)
 
 
-def split(columns: Sequence[Head]) -> list[list[int]]:
-    """Return indices of columns, one list per table: those without a group in each, groups as they fit."""
-    own = [i for i, head in enumerate(columns) if not head.group]
-    groups: dict[str, list[int]] = {}
-    for i, head in enumerate(columns):
-        if head.group:
-            groups.setdefault(head.group, []).append(i)
-    if len(columns) <= WIDEST or len(groups) < 2:
-        return [list(range(len(columns)))]
-    tables: list[list[int]] = []
-    for indices in groups.values():
-        if tables and len(own) + len(tables[-1]) + len(indices) <= WIDEST:
-            tables[-1] += indices
-        else:
-            tables.append(list(indices))
-    return [[own[0], *indices] if n else [*own, *indices] for n, indices in enumerate(tables)]
-
-
 def table(item: View) -> str:
-    """Return the view's table, without title and legend."""
-    if not item.rows:
-        return "None."
-    return "\n\n".join(
-        grid(
-            [label(item.columns[i]) for i in indices],
-            [[cell(row[i]) for i in indices] for row in item.rows],
-            [item.columns[i].words for i in indices],
-        )
-        for indices in split(item.columns)
-    )
+    words = [head.words for head in item.columns]
+    return grid(map(label, item.columns), [map(cell, row) for row in item.rows], words)
 
 
 def view(item: View, depth: int) -> str:
     return "\n\n".join(filter(None, [heading(item.title, depth), without_html(item.legend), table(item)]))
 
 
-def text(item: Text, depth: int = 0) -> str:
+def text(item: Text, depth: int) -> str:
     lines = "\n".join(f"- {' '.join(without_html(entry).split())}" for entry in item.items)
     return "\n\n".join(filter(None, [without_html(item.body), lines]))
 
@@ -117,19 +87,16 @@ def heading(title: str, depth: int) -> str:
 WRITERS: dict[type, Callable[..., str]] = {Section: section, View: view, Text: text, Figure: figure}
 
 
-def parts(items: Iterable[Part], depth: int = 2) -> str:
-    """Return parts one below the other; headings from `depth` down."""
+def parts(items: Iterable[Part | None], depth: int = 2) -> str:
     return "\n\n".join(filter(None, (WRITERS[type(item)](item, depth) for item in items)))
 
 
 def answers(summary: pd.DataFrame) -> str:
-    """Return a summary as a table."""
     rows = [[escaped(str(entry)) for entry in row] for row in summary.itertuples(index=False)]
-    return grid(summary.columns, rows, [True] * len(summary.columns)) if rows else ""
+    return grid(summary.columns, rows, [True] * 3) if rows else ""
 
 
 def document(item: Contents) -> str:
-    """Return a chapter: its title, its answers, its parts.  Those of the first stand in the project's README."""
     own = "" if item.chapter.document else answers(item.summary)
     blocks = [f"# {item.chapter.title}", own, parts(item.parts)]
     return "\n\n".join(filter(None, blocks)) + "\n"

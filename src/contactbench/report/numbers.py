@@ -33,11 +33,6 @@ def times(ratio: float) -> str:
     return f"×{ratio:.2f}" if ratio < 9.995 else f"×{float(f'{ratio:.2g}'):.0f}"
 
 
-def percent(margin: float) -> str:
-    """A ratio as what it is more than one: 5 % for 1.05."""
-    return f"{100 * (margin - 1):.0f} %"
-
-
 def count(value: float) -> str:
     """A whole number; from 10 000 on in groups of three digits."""
     if pd.isna(value):
@@ -52,8 +47,6 @@ def power(value: float) -> str:
 
 def readable(value: float) -> str:
     """Whole numbers in full, moderate ones with four digits, the others scientifically."""
-    if pd.isna(value):
-        return DASH
     if value == round(value) and abs(value) < 1e6:
         return count(value)
     return f"{value:.4g}" if 1e-2 <= abs(value) < 1e4 else scientific(value)
@@ -66,16 +59,11 @@ def names(items: list[str], most: int = 0) -> str:
     return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
 
 
-def upper(text: str) -> str:
-    """The text with a capital first letter; symbols stay as they are."""
-    return text[:1].upper() + text[1:]
-
-
 def how_often(part: int, whole: int) -> str:
-    """Return a share in words: always, nearly always (nine in ten), mostly (six), about half the time (four), rarely,
-    never."""
-    if part >= whole:
-        return "always" if whole else "not measured"
+    """Return a share in words: always, nearly always (nine in ten), mostly (six), rarely (under four), never; in
+    between as a count."""
+    if part in (0, whole):
+        return "never" if whole and not part else "always" if whole else "not measured"
     share = part / whole
-    words = {0.9: "nearly always", 0.6: "mostly", 0.4: "about half the time"}
-    return next((word for least, word in words.items() if share >= least), "rarely" if part else "never")
+    words = {0.9: "nearly always", 0.6: "mostly", 0.4: f"{part} of {whole}"}
+    return next((word for least, word in words.items() if share >= least), "rarely")

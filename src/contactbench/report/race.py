@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from base64 import b64encode
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,12 @@ import pandas as pd
 
 from contactbench.measure.round_off import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.report.chapters import Chapter, Contents, Part, Text, summary
-from contactbench.report.curves import by_method, number_axis
-from contactbench.report.drawing import Axis, Figure, Live, Panel
-from contactbench.report.figures.best import best_of_each, cheapest
-from contactbench.report.law_cells import law_label
-from contactbench.report.numbers import DASH, count, duration, names, percent, scientific, times
+from contactbench.report.chapters import Chapter, Contents, Text, summary
+from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
+from contactbench.report.draw import svg
+from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.laws import law_label
+from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.page import page
 from contactbench.report.views import Cell, Mark, View, frame_of
 from contactbench.results.judgement import structural_laws
@@ -25,39 +25,22 @@ from contactbench.results.tables import LAWS_TABLE
 
 TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 ALIKE = ("tie", "undecided")
-#: an axis of costs ends at so many times the least cost of the smallest error
-CONTEST = 300.0
 
 
-# -- answers and notes -----------------------------------------------------------------------------
-def answers(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return who is cheapest at each error."""
-    lines = []
-    for (kind, error), rows in frame[frame["verdict"] != ""].groupby(["kind", "error_asked"], sort=False):
-        first = rows[rows["verdict"].isin(["win", *ALIKE])].sort_values("time_s")
-        if len(first):
-            who = names(list(first["method"]), 4)
-            least = duration(first["time_s"].min())
-            lines.append((f"{TITLES[str(kind)]}, error {error:g}: who is cheapest?", who, least))
-    return summary(*lines)
-
-
+# -- notes -----------------------------------------------------------------------------------------
 def notes(frame: pd.DataFrame) -> Iterator[str]:
     """Yield how the reference is known, how ties are told, and what was not compared, and why."""
     reference = frame.attrs["reference"]
     second = reference["confirmed"]
-    checked = (
-        "two precisions of one engine agree"
-        if second is None
-        else f"{second} of them confirmed by a second engine"
-    )
+    agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
+    checked = agreed if second is None else confirmed
     yield (
         f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
         f"{reference['error']:.1e} are not claimed."
     )
     yield (
         "Times are least rounds. Two within their margin tie: what the halves of their visits differ by here, and two "
-        f"processes elsewhere ({percent(PROCESSES)}); within a margin wider than {percent(WIDEST)} they are undecided."
+        f"processes elsewhere ({PROCESSES - 1:.0%}); within a margin wider than {WIDEST - 1:.0%} they are undecided."
     )
     yield from cuts(frame)
     if unrefined := frame.attrs["unrefined"]:
@@ -85,21 +68,14 @@ def cuts(frame: pd.DataFrame) -> Iterator[str]:
 
 # -- tables ----------------------------------------------------------------------------------------
 def laws_of(frame: pd.DataFrame) -> list[str]:
-    """Return the columns of laws."""
     return list(frame.columns[frame.columns.get_loc("reason") + 1 : -1])
 
 
 def has_laws(rows: pd.DataFrame) -> pd.Series:
-    """Return the rows where some law was measured."""
     return rows[laws_of(rows)].notna().any(axis=1)
 
 
-def label(law: str) -> str:
-    return law_label(law) if law in LAWS_TABLE.columns else law.replace("_", " ")
-
-
 def time_cell(row: Any) -> Cell:
-    """Return the time at one error and how it compares; or why there is none."""
     if row.status != "ok":
         return Cell(row.status)
     if math.isnan(row.time_s):
@@ -117,19 +93,17 @@ def kept_by(rows: pd.DataFrame) -> str:
     kept, unknown = [], []
     for law in (name for name in laws_of(rows) if name in LAWS_TABLE.columns):
         known = done.loc[done[law].notna(), "laws_kept"]
-        if (
-            known.empty and law in structural_laws() and law not in OF_THE_STATE
-        ):  # needs the derivative of the map
-            unknown.append(label(law))
-        elif len(known) and all(label(law) in text.split(", ") for text in known):
-            kept.append(label(law))
+        needs_derivative = law in structural_laws() and law not in OF_THE_STATE
+        if known.empty and needs_derivative:
+            unknown.append(law_label(law))
+        elif len(known) and all(law_label(law) in text.split(", ") for text in known):
+            kept.append(law_label(law))
     if unknown:
         return f"{', '.join(kept)}{'; ' if kept else ''}not measured: {', '.join(unknown)}"
     return ", ".join(kept) or "none"
 
 
 def times_view(frame: pd.DataFrame, kind: str) -> View:
-    """Return the times of one kind: a row for each method, a column for each error."""
     rows = []
     for method, part in frame[frame["kind"] == kind].groupby("method", sort=False):
         if not (part["status"] == "unsupported").all():
@@ -145,7 +119,6 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
 
 
 def settings_view(frame: pd.DataFrame) -> View:
-    """Return at which setting each method reaches each error, and the error it has there."""
     errors = list(dict.fromkeys(frame["error_asked"]))
     rows = []
     for method, part in frame[frame["status"] == "ok"].groupby("method", sort=False):
@@ -156,12 +129,11 @@ def settings_view(frame: pd.DataFrame) -> View:
 
 
 def laws_view(frame: pd.DataFrame) -> View:
-    """Return how far every method is from every law, at each setting timed."""
     laws = laws_of(frame)
     table = frame[frame["status"] == "ok"][["method", "error_asked", "setting", *laws]]
-    table.columns = pd.Index(["method", "error", "setting", *map(label, laws)])
+    table.columns = pd.Index(["method", "error", "setting", *map(law_label, laws)])
     show = {"error": "{:g}".format, "": scientific}
-    return View("race_laws", "Laws", table, "Deviations over the run, at five times.", show=show)
+    return View("race_laws", "Laws and drifts", table, "Deviations over the run, at five times.", show=show)
 
 
 def views(frame: pd.DataFrame) -> list[View]:
@@ -170,67 +142,49 @@ def views(frame: pd.DataFrame) -> list[View]:
 
 
 # -- figure ----------------------------------------------------------------------------------------
-def cost_axis(name: str, errors: pd.Series, costs: pd.Series) -> Axis:
-    """Return an axis of costs that ends where the contest does."""
-    most = CONTEST * float(costs[errors <= errors.min() * 1e3].min())
-    return replace(number_axis(name), within=(None, most))
-
-
 def figure(frame: pd.DataFrame) -> Figure | None:
-    """Return error against cost: times of what was timed, evaluations of every setting tried."""
-    panels = []
-    for kind, title in TITLES.items():
-        timed = frame[(frame["kind"] == kind) & frame["time_s"].notna()]
-        panels += panel(
-            timed.assign(ms=1e3 * timed["time_s"]), title, "error_reached", "ms", "time per solve, ms"
-        )
-    tried = pd.DataFrame(frame.attrs["runs"])
-    if len(tried):
-        ok = tried[(tried["status"] == "ok") & tried["evaluations"].notna()]
-        ok = ok.assign(error=np.maximum(ok["error"], frame.attrs["reference"]["error"]))
-        panels += panel(ok, "Evaluations", "error", "evaluations", "evaluations")
+    timed = frame[frame["time_s"].notna()]
+    timed = timed.assign(error=timed["error_reached"], cost=1e3 * timed["time_s"])
+    tried = pd.DataFrame(frame.attrs["runs"], columns=["method", "setting", "status", "error", "evaluations"])
+    ok = tried[(tried["status"] == "ok") & tried["evaluations"].notna()]
+    ok = ok.assign(error=np.maximum(ok["error"], frame.attrs["reference"]["error"]), cost=ok["evaluations"])
+    found = [(title, timed[timed["kind"] == kind], "time per solve, ms") for kind, title in TITLES.items()]
+    panels = tuple(panel(*one) for one in (*found, ("Evaluations", ok, "evaluations")) if len(one[1]))
     if not panels:
         return None
     scene = frame["scene"].iloc[0]
     caption = "More accurate to the right, cheaper below. Engines of different panels are not compared."
-    return Figure(f"compare_{scene}", f"{scene}: cost against error", tuple(panels), caption)
+    return Figure(f"compare_{scene}", f"{scene}: cost against error", panels, caption)
 
 
-def panel(rows: pd.DataFrame, title: str, error: str, cost: str, name: str) -> list[Panel]:
-    """Return a panel of error against cost, or none without rows."""
-    part = front(rows, error, cost)
-    if not len(part):
-        return []
-    curves = best_of_each(by_method(part, error, cost), cheapest)
-    return [Panel(title, number_axis("error", True), cost_axis(name, part[error], part[cost]), curves)]
+def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
+    curves = by_method(front(rows), "error", "cost")
+    cost = contest_end(Axis(name, "log"), curves)
+    return Panel(title, Axis("error", "log", True), cost, best_of_each(curves, cheapest))
 
 
-def front(tried: pd.DataFrame, error: str, cost: str) -> pd.DataFrame:
+def front(tried: pd.DataFrame) -> pd.DataFrame:
     """Return of each method the runs that no cheaper one is as accurate as, from coarse to fine.
 
     Settings too coarse for the order to show are accurate by chance, or not; joined by lines they tell nothing.
     """
-    ordered = tried.sort_values([cost, error], kind="stable")
-    best = ordered.groupby("method")[error].transform(lambda errors: errors.cummin().shift(fill_value=np.inf))
-    return ordered[ordered[error] < best]
+    ordered = tried.sort_values(["cost", "error"], kind="stable")
+    least = ordered.groupby("method")["error"].transform(
+        lambda errors: errors.cummin().shift(fill_value=np.inf)
+    )
+    return ordered[ordered["error"] < least]
 
 
 # -- documents -------------------------------------------------------------------------------------
 def html(frame: pd.DataFrame) -> str:
-    """Return one page that needs no network."""
     scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
-    live = (
-        Live(drawn.title, {(scene, panel.title): panel for panel in drawn.panels}, drawn.caption)
-        if drawn
-        else None
-    )
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    parts: list[Part] = [
-        *views(frame),
-        laws_view(frame),
-        Text(items=tuple(notes(frame))),
-    ]
-    return page([Contents(chapter, answers(frame), tuple(parts))], live=live)
+    parts = (drawn, *views(frame), laws_view(frame), Text(items=tuple(notes(frame))))
+    return page([Contents(chapter, summary(), tuple(filter(None, parts)))], picture=embed)
+
+
+def embed(figure: Figure) -> str:
+    return f"data:image/svg+xml;base64,{b64encode(svg(figure).encode()).decode()}"
 
 
 def text(frame: pd.DataFrame) -> str:

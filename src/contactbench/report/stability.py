@@ -1,33 +1,33 @@
-"""Hard scenes: how every method ends, and at what error and cost."""
+"""Hard scenes: how every method ends, and at what error and cost; and the stability limits of the oscillator."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
-from contactbench.report.law_cells import LEGEND, drift_cell, law_label, with_bounds
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.curves import best_of_each, by_method, family_and_order, highest
+from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.laws import LEGEND, drift_cell, law_label, with_bounds
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
-from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix, pick
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
 from contactbench.results.contest import EVALUATIONS
 from contactbench.results.judgement import laws_in
 from contactbench.results.schema import numbers
 from contactbench.results.tables import STABILITY
 
-SOURCE = "stability.csv"
+SOURCE, LIMITS = "stability.csv", "stability_limits.csv"
 #: above this condition number the round-off of a solution is more than round-off
 WELL_CONDITIONED = 1e3
-LADDER = (
-    "Columns are settings, coarse to fine: h/n, the time that an evaluation of a fixed-step method is worth, and the "
-    "tolerance of an adaptive one."
-)
+LADDER = "Settings from coarse to fine; h/n: the time that an evaluation of a fixed-step method is worth."
 
 
+@lru_cache(2)
 def hard_contest(frames: Frames) -> Contest:
-    """Return who needs the fewest evaluations on the hard scenes."""
     return contest(frames["stability"], EVALUATIONS)
 
 
@@ -43,11 +43,10 @@ def started_runs(hard: pd.DataFrame) -> pd.DataFrame:
 
 
 def answers(frames: Frames) -> pd.DataFrame:
-    rows, won = started_runs(frames["stability"]), once(hard_contest, frames).contests
+    rows, won = started_runs(frames["stability"]), hard_contest(frames).contests
     right = int(rows["right"].sum())
-    lines = [
-        ("Do runs end as the true motion does?", how_often(right, len(rows)), f"{right} of {len(rows)} runs")
-    ]
+    ends = how_often(right, len(rows)), f"{right} of {len(rows)} runs"
+    lines = [("Do runs end as the true motion does?", *ends)]
     if len(won):
         lines.append(("Does a contact method need the fewest evaluations on hard scenes?", *tally(won)))
     return summary(*lines)
@@ -55,7 +54,6 @@ def answers(frames: Frames) -> pd.DataFrame:
 
 # -- views -----------------------------------------------------------------------------------------
 def endings_view(rows: pd.DataFrame) -> View:
-    """Return how many runs of each method end as the motion does, and how the others end."""
     kinds = list(dict.fromkeys(rows[~rows["right"]]["status"]))
     lines = []
     for method, own in rows.groupby("method", sort=False):
@@ -70,34 +68,27 @@ def endings_view(rows: pd.DataFrame) -> View:
 
 def rungs(rows: pd.DataFrame) -> list[str]:
     """Return the settings of a scene's ladder, coarse to fine."""
-    rung = rows.groupby(["method", "engine"]).cumcount()
     heads = []
-    for _, part in rows.groupby(rung):
-        steps, rtols = part[part["control"] == "step"], part[part["control"] == "rtol"]["value"]
+    for _, part in rows.groupby(rows.groupby(["method", "engine"]).cumcount()):
+        steps, rtol = part[part["control"] == "step"], part[part["control"] == "rtol"]["value"].max()
         each = (steps["end_time"] / steps["rhs_equivalents"]).max()
-        head = [f"h/n {each:.3g}"] * pd.notna(each) + [f"rtol {scientific(rtols.max(), 0)}"] * bool(
-            len(rtols)
-        )
-        heads.append(", ".join(head) or "setting")
+        known = {f"h/n {each:.3g}": each, f"rtol {scientific(rtol, 0)}": rtol}
+        heads.append(", ".join(text for text, value in known.items() if pd.notna(value)))
     return heads
 
 
 def ending(run: pd.Series) -> Cell:
-    """Return the error of a run, or how it ended."""
     if run["status"] == "ok":
         return as_cell(run["solution_error"], lambda error: scientific(error, 0))
     right = run["status"] == "diverged" and not pd.isna(run["blow_up_time"])
     return Cell(str(run["status"]), mark=Mark.right if right else Mark.bad)
 
 
-def scene_view(frame: pd.DataFrame, scene: str) -> View:
-    """Return one hard scene: the ladder of errors, the worst of each law, the cost of the finest run."""
-    here = frame[frame["scene"] == scene]
-    rows = with_bounds(here[here["status"] != "unsupported"])
+def scene_view(here: pd.DataFrame, scene: str) -> View:
+    unsupported = here["status"] == "unsupported"
+    rows = with_bounds(here[~unsupported])
     steps, ok = rungs(rows), rows[rows["status"] == "ok"]
-    laws = [
-        law for law in laws_in(STABILITY, "stability") if law != "solution_error" and ok[law].notna().any()
-    ]
+    laws = [n for n in laws_in(STABILITY, "stability") if n != "solution_error" and ok[n].notna().any()]
     lines = []
     for method, own in rows.groupby("method", sort=False):
         runs = own.to_dict("records")
@@ -107,12 +98,12 @@ def scene_view(frame: pd.DataFrame, scene: str) -> View:
         lines.append((method, *ladder, *(worst_cell(good, law) for law in laws), as_cell(finest, count)))
     labels = [("", "method"), *(("solution error", step) for step in steps)]
     labels += [*(("worst", law_label(law)) for law in laws), ("", "evaluations")]
-    condition, left = numbers(rows, "condition_number").max(), here[here["status"] == "unsupported"]["method"]
-    notes = [f"Out of reach of {names(list(dict.fromkeys(left)))}."] * bool(len(left))
+    condition, left = numbers(rows, "condition_number").max(), here[unsupported]["method"].unique()
+    notes = f"Out of reach of {names(list(left))}. " if len(left) else ""
     if condition > WELL_CONDITIONED:
         round_off = scientific(condition * np.finfo(float).eps)
-        notes.append(f"Condition number {scientific(condition)}: round-off comes to {round_off}.")
-    return View(f"hard_{scene}", "Errors and laws", frame_of(lines, labels), " ".join(notes), SOURCE)
+        notes += f"Condition number {scientific(condition)}: round-off comes to {round_off}."
+    return View(f"hard_{scene}", scene, frame_of(lines, labels), notes.strip(), SOURCE)
 
 
 def worst_cell(runs: list[dict[str, object]], law: str) -> Cell:
@@ -125,14 +116,75 @@ def worst_cell(runs: list[dict[str, object]], law: str) -> Cell:
 
 
 def parts(frames: Frames) -> list[Part]:
-    hard, own = frames["stability"], once(hard_contest, frames)
-    scenes = (Section(s, (scene_view(hard, s),), "scene") for s in dict.fromkeys(hard["scene"]))
-    found: list[Part] = [endings_view(started_runs(hard))]
+    hard, own = frames["stability"], hard_contest(frames)
+    contests: list[Part] = []
     if len(own.contests):
         lost = {own.kind.title: own.contests}
-        found += [winners_view(own, "hard_winners", SOURCE), losses_view(lost, "hard_losses", SOURCE)]
-    return [*found, Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes))]
+        contests = [winners_view(own, "hard_winners", SOURCE), losses_view(lost, "hard_losses", SOURCE)]
+    scenes = (scene_view(here, str(scene)) for scene, here in hard.groupby("scene", sort=False))
+    return [
+        endings_view(started_runs(hard)),
+        *contests,
+        Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes)),
+    ]
 
 
 TITLE, QUESTION = "Numerical stability on hard scenes", "How does every method end on the hard scenes?"
 CHAPTERS.add(Chapter("stability", TITLE, QUESTION, 50, ("stability",), parts, answers))
+
+
+# -- the chapter of limits ---------------------------------------------------------------------------
+def limit_cell(rows: pd.DataFrame) -> Cell:
+    """Return one limit with theory in parentheses, marked where larger steps are stable again."""
+    row = rows.iloc[0]
+    cell, theory = (as_cell(row[name], "{:.4g}".format) for name in ("limit", "theory"))
+    text = cell.text if theory.value is None else f"{cell.text} ({theory.text})"
+    return replace(cell, text=text, mark=Mark.exception if row["windows"] else None)
+
+
+def limit_views(frame: pd.DataFrame) -> list[View]:
+    """Return the limits at ω = 1, methods × damping, and the intervals of unstable steps below larger stable ones."""
+    one = frame[(frame["omega"] == 1.0) & frame["limit"].notna()].sort_values("gamma", kind="stable")
+    table = matrix(one, "method", "gamma", limit_cell, "γ = {:g}".format)
+    legend = (
+        "Largest stable step of q'' + γq' + q = 0. In parentheses: theory. Marked: larger steps are stable again, see "
+        "the windows. Columns `limit_kernel` and `limit_saved`: processed methods saved at the end only, at every step."
+    )
+    rows = frame[(frame["omega"] == 1.0) & (frame["windows"] != "")]
+    windows = pick(rows, "method", gamma="γ", limit="first loss of stability", windows="unstable steps")
+    short = (
+        "ω = 1. Intervals of stable steps no longer than 1 % of the step at which they begin are left out."
+    )
+    return [
+        View("limit", "First loss of stability", table, legend, LIMITS),
+        View("windows", "Windows of instability", windows, short, LIMITS),
+    ]
+
+
+def stability_map(frame: pd.DataFrame) -> Figure:
+    rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
+    rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
+    rows = rows.assign(scaled=rows["per_evaluation"] * rows["omega"])
+    curves = best_of_each(by_method(rows, "ratio", "scaled"), highest, family_and_order)
+    last = rows[rows["ratio"] == rows["ratio"].max()].set_index("method")["scaled"]
+    title = "First loss of stability"
+    if len(finite := last[np.isfinite(last)]):
+        free = ", ".join(last.index[np.isinf(last)])
+        title = (
+            f"At γ = {rows['ratio'].max():g} ω {finite.idxmax()} is stable to {finite.max():.3g}/ω an evaluation, the "
+            f"median method to {last.median():.2g}/ω" + (f"; {free} at any step" if free else "")
+        )
+    panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), curves)
+    caption = (
+        "$q'' + γq' + ω^2q = 0$. Larger is better; a curve that ends: no limit found. In colour: the best of each "
+        "family and order."
+    )
+    return Figure("stability_map", title, (panel,), caption)
+
+
+def limit_parts(frames: Frames) -> list[Part]:
+    return [*limit_views(frames["stability_limits"]), stability_map(frames["stability_limits"])]
+
+
+TITLE, QUESTION = "Stability limits", "Up to which step does a bounded motion stay bounded?"
+CHAPTERS.add(Chapter("limits", TITLE, QUESTION, 52, ("stability_limits", "one_step"), limit_parts))

@@ -91,7 +91,8 @@ class View:
     @cached_property
     def columns(self) -> tuple[Head, ...]:
         """The heads; a column without a number holds words."""
-        words = [all(row[i].value is None for row in self.rows) for i in range(len(self.labels))]
+        columns = list(zip(*self.rows, strict=True)) or [()] * len(self.labels)
+        words = (all(cell.value is None for cell in column) for column in columns)
         return tuple(
             Head(label, word, group) for (group, label), word in zip(self.labels, words, strict=True)
         )
@@ -123,9 +124,9 @@ def frame_of(
     return pd.DataFrame(list(rows), columns=pd.Index(labels, tupleize_cols=False), dtype=object)
 
 
-def pick(frame: pd.DataFrame, labels: Mapping[str, str]) -> pd.DataFrame:
-    """Return some columns of a frame under their labels."""
-    return frame[list(labels)].rename(columns=labels)
+def pick(frame: pd.DataFrame, *same: str, **others: str) -> pd.DataFrame:
+    """Return columns of a frame under their own names, then others under labels: COLUMN=LABEL."""
+    return frame[[*same, *others]].rename(columns=others)
 
 
 def matrix(

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, once, summary
-from contactbench.report.figures import work_precision as figures
-from contactbench.report.numbers import DASH, count, duration, how_often, power, scientific, times
-from contactbench.report.views import Cell, Mark, Show, View, matrix, pick
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
+from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.numbers import DASH, count, duration, how_often, power, times
+from contactbench.report.views import Cell, Mark, View, matrix
 from contactbench.results import contest as judge
-from contactbench.results.contest import CONTACT, KINDS, LIMIT, OTHER, Kind, contestants
+from contactbench.results.contest import COMPILED, CONTACT, EVALUATIONS, KINDS, OTHER, Kind, contestants
 
 SOURCE = "work_precision.csv"
 LEGEND = (
@@ -41,13 +44,12 @@ class Contest:
 
 
 def contest(work: pd.DataFrame, kind: Kind) -> Contest:
-    """Return the contest of one kind over the scenes of a table."""
     found = judge.costs(contestants(work), kind)
     return Contest(kind, judge.standings(found), judge.contests(found))
 
 
+@lru_cache(2)
 def all_contests(frames: Frames) -> dict[str, Contest]:
-    """Return the contests of every kind, by its name."""
     return {kind.name: contest(frames["work_precision"], kind) for kind in KINDS}
 
 
@@ -56,18 +58,15 @@ def tally(won: pd.DataFrame) -> tuple[str, str]:
     judged = won[won["winner"] != ""]
     counted = judged["winner"].value_counts()
     others = judged[judged["winner"] == OTHER]["other"].value_counts()
-    counts = [f"{counted.get(CONTACT, 0)} of {len(judged)} pairs of scene and error"]
-    counts += [
-        f"{counted[w]} {word}" for w, word in (("tie", "tied"), ("undecided", "undecided")) if w in counted
-    ]
+    text = f"{counted.get(CONTACT, 0)} of {len(judged)} pairs of scene and error"
+    for winner, word in (("tie", "tied"), ("undecided", "undecided")):
+        text += f", {counted[winner]} {word}" if winner in counted else ""
     rest = ", ".join(f"{method} {n}" for method, n in others.items())
-    return how_often(counted.get(CONTACT, 0), len(judged)), ", ".join(counts) + (
-        f"; others: {rest}" if rest else ""
-    )
+    return how_often(counted.get(CONTACT, 0), len(judged)), text + (f"; others: {rest}" if rest else "")
 
 
 def answers(frames: Frames) -> pd.DataFrame:
-    found = {name: own.contests for name, own in once(all_contests, frames).items() if len(own.contests)}
+    found = {name: own.contests for name, own in all_contests(frames).items() if len(own.contests)}
     return summary(*((QUESTIONS[name], *tally(won)) for name, won in found.items()))
 
 
@@ -90,7 +89,6 @@ def cost_cell(rows: pd.DataFrame, show: Callable[[float], str] = duration) -> Ce
 
 
 def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
-    """Return the cheapest method at each error, with the best contact method's factor where it is another."""
     winner = own.contests.set_index(["scene", "error"])["winner"]
     reached = own.standings[own.standings["scene"].isin(own.contests["scene"])]
     reached = reached[reached.groupby("scene")["cost"].transform("min").notna()]
@@ -122,9 +120,8 @@ def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE
             return Cell("" if len(judged) else DASH)
         worst = lost.loc[lost["ratio"].idxmin()]
         by = "alone" if worst["ratio"] == 0 else times(1 / worst["ratio"])
-        return Cell(
-            f"{len(lost)} of {len(judged)}: {power(worst['error'])} {worst['other']} {by}", float(len(lost))
-        )
+        text = f"{len(lost)} of {len(judged)}: {power(worst['error'])} {worst['other']} {by}"
+        return Cell(text, float(len(lost)))
 
     every = pd.concat([own.assign(kind=title) for title, own in won.items()])
     lost = every[every["scene"].isin(every[every["winner"] == OTHER]["scene"])]
@@ -139,77 +136,82 @@ def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE
 
 # -- scene by scene --------------------------------------------------------------------------------
 def costs_view(own: Contest, scene: str) -> View:
-    """Return the cost of each error for each method on a scene."""
-    here = own.standings[own.standings["scene"] == scene].sort_values(
-        ["method", "error"], ascending=[True, False]
-    )
+    here = own.standings[own.standings["scene"] == scene]
+    here = here.sort_values(["method", "error"], ascending=[True, False])
     show = duration if own.kind.timed else count
     frame = matrix(here, "method", "error", lambda rows: cost_cell(rows, show), error_label)
     return View(f"{own.kind.name}_{scene}", own.kind.title, frame, "", SOURCE)
 
 
-def kernels_view(work: pd.DataFrame) -> View:
-    """Return the time per gradient of compiled fixed-step methods beside the same arithmetic as a plain C loop."""
-    ok = work[work["status"] == "ok"]
-    own = contestants(ok)
-    own = own[judge.COMPILED.compares(own)]
-    keys = ["scene", "control", "value"]
-    pairs = ok[ok["family"] == LIMIT].merge(
-        own, left_on=[*keys, "variant"], right_on=[*keys, "method"], suffixes=("_c", "")
-    )
-    c, whole = (1e9 * pairs[f"time_min_s{s}"] / pairs[f"evaluations{s}"] for s in ("_c", ""))
-    labels = {
-        "scene": "scene",
-        "method": "method",
-        "engine": "engine",
-        "setting": "setting",
-        "evaluations": "gradients",
-    }
-    frame = pick(pairs, labels).assign(**{"C loop, ns": c, "whole call, ns": whole, "ratio": whole / c})
-    show = {"gradients": count, "ratio": times, "": "{:.2f}".format}
-    legend = "Nanoseconds per gradient, least round, one thread. Short runs compare the two calls as well."
-    return View("kernels", "Compiled kernels beside a C loop", frame, legend, SOURCE, show)
-
-
-def chosen_view(work: pd.DataFrame) -> View:
-    """Return the error that a tolerance asked of a fixed-step method gives, pilots included."""
-    part = work[(work["variant"] == "chosen") & (work["status"] == "ok")]
-    labels = {
-        "scene": "scene",
-        "method": "method",
-        "engine": "engine",
-        "value": "rtol",
-        "solution_error": "error",
-        "rhs_equivalents": "evaluations",
-        "time_min_s": "time",
-    }
-    frame = pick(part, labels).assign(**{"error / rtol": part["solution_error"] / part["value"]})
-    show: dict[str, Show] = dict.fromkeys(("rtol", "error"), scientific)
-    show |= {"time": duration, "error / rtol": times, "": count}
-    legend = "The step is chosen from pilot runs, which count."
-    return View("chosen", "A step chosen from a tolerance", frame, legend, SOURCE, show)
-
-
-def endings_view(work: pd.DataFrame) -> View:
-    """Return how many runs did not end ok, and how."""
-    bad = contestants(work)[lambda rows: rows["status"] != "ok"]
-    frame = matrix(bad, "method", "scene", lambda rows: ", ".join(dict.fromkeys(rows["status"])))
-    return View("endings", "Runs that did not end ok", frame, "Why: column `message`.", SOURCE)
-
-
 def parts(frames: Frames) -> list[Part]:
-    work, found = frames["work_precision"], once(all_contests, frames)
-    scenes = []
-    for scene in dict.fromkeys(work["scene"]):
-        views = [costs_view(own, scene) for own in found.values() if scene in set(own.standings["scene"])]
-        drawn = figures.figure(work, scene)
-        scenes.append(Section(scene, (*([drawn] if drawn else []), *views), "scene"))
-    views = [kernels_view(work), chosen_view(work), endings_view(work)]
+    work, found = frames["work_precision"], all_contests(frames).values()
+    scenes = [
+        Section(scene, (figure(work, scene), *(costs_view(own, scene) for own in found)))
+        for scene in dict.fromkeys(work["scene"])
+    ]
     return [
         Text("Who is cheapest where, and where the contact methods lose: [README.md](README.md)."),
         Section("Scene by scene", (Text(LEGEND), *scenes)),
-        *(view for view in views if len(view.frame)),
     ]
+
+
+# -- figures ---------------------------------------------------------------------------------------
+#: beyond an error of two there is nothing left of the motion, below round-off nothing is known
+ERROR = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=(1e-16, 2.0))
+#: the axis of each cost, and its scale
+AXES = {EVALUATIONS: ("evaluations", 1.0), COMPILED: ("time of a solve, ms", 1e3)}
+
+
+def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
+    """Return error on x, cost on y; the axis of cost ends where the contest ends.
+
+    named : methods to be in colour, whatever others of their families cost.
+    """
+    label, size = AXES[kind]
+    curves = by_method(rows, "solution_error", kind.cost, size)
+
+    def score(curve: Curve, own: Sequence[Curve]) -> float:
+        return cheapest(curve, own) + len(TARGETS) * (curve.method in named)
+
+    return Panel(kind.title, ERROR, contest_end(Axis(label, "log"), curves), best_of_each(curves, score))
+
+
+def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
+    """Return the rows of a scene that compete in a kind of cost, each method on its fastest engine."""
+    rows = contestants(work)
+    rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
+    rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
+    totals = rows.groupby(["method", "engine"])[kind.cost].transform("median")
+    best = rows.assign(total=totals).groupby("method")["total"].transform("min")
+    return rows[totals == best].drop_duplicates(["method", "setting"])
+
+
+def figure(work: pd.DataFrame, scene: str) -> Figure | None:
+    title, named = message(work, scene)
+    found = {kind: compared(work, scene, kind) for kind in (COMPILED, EVALUATIONS)}
+    panels = tuple(panel(rows, kind, named) for kind, rows in found.items() if len(rows))
+    caption = (
+        "Cheaper below. In colour: the method of each family that is cheapest at most errors; thin and grey: the "
+        "others. Costs beyond 30 times the least of the contest are outside the panels."
+    )
+    return Figure(f"work_precision_{scene}", title, panels, caption) if panels else None
+
+
+def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
+    """Return the title and the methods it names: the best contact method beside the best other, compiled, at the
+    middle of the errors that both reach."""
+    rows = contestants(work)
+    table = judge.contests(judge.costs(rows[rows["scene"] == scene], COMPILED))
+    table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
+    if not len(table):
+        return f"{scene}: cost against error", []
+    row = table.iloc[(len(table) - 1) // 2]
+    at, both, ratio = f"at {power(row['error'])}", [row["contact"], row["other"]], row["ratio"]
+    if row["winner"] not in (CONTACT, OTHER):
+        return f"{scene}: {both[0]} and {both[1]} take about the same time {at}", both
+    if row["winner"] == OTHER:
+        both, ratio = both[::-1], 1 / ratio
+    return f"{scene}: {both[0]} needs {1 / ratio:.0%} of the time of {both[1]} {at}", both
 
 
 TITLE, QUESTION = "Cost at equal error", "What does an error cost?"

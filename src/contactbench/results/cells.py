@@ -49,33 +49,28 @@ class Cells:
     """The cells of one run, which one or several processes finish, and those of the runs before it.
 
     profile, selection : what is run, and which part of it was asked for (empty: all).  A cell is done if it was
-    finished since a run with this selection last began anew.  A run in several goes (first what is not timed, then,
-    resumed, what is) begins with the first of them.
+    finished since a run with this selection last began anew.
     """
 
     def __init__(self, results: Path, profile: str, run: str, selection: str = "") -> None:
         self.results, self.profile, self.run, self.selection = results, profile, run, selection
         self.folder = results / FOLDER / profile
+        self.mark = self.folder / f"{_digest(selection)}{BEGUN}"
 
     # -- one cell ----------------------------------------------------------------------------------
     def save(
         self, rows: Iterable[tuple[Table, Mapping[str, Any]]], cell: Cell, finished: bool = True
     ) -> None:
         """Keep the rows of a cell: no kill takes them away when this returns (a failure of power may)."""
-        entry = {
-            "run": self.run,
-            "cell": cell if finished else None,
-            "rows": [[table.name, dict(row)] for table, row in rows],
-        }
+        named = [[table.name, dict(row)] for table, row in rows]
+        entry = {"run": self.run, "cell": cell if finished else None, "rows": named}
         with replacing(self.folder / f"{_digest(*cell)}-{self.run}{NEW}", sync=False) as file:
-            json.dump(entry, file, default=_plain)
+            json.dump(entry, file, default=np.generic.item)
 
     def rows(self, cell: Cell) -> Rows | None:
         """Return the rows of a cell that is done, None of another one."""
-        for path in (
-            self.folder / f"{_digest(*cell)}-{self.run}{NEW}",
-            self.folder / f"{_digest(*cell)}{DONE}",
-        ):
+        for name in (f"{_digest(*cell)}-{self.run}{NEW}", f"{_digest(*cell)}{DONE}"):
+            path = self.folder / name
             if path.exists() and path.stat().st_mtime >= self._begun() and (entry := _read(path)):
                 return entry.rows
         return None
@@ -90,34 +85,33 @@ class Cells:
     def begin_anew(self) -> None:
         """Take no cell for done, whatever an earlier run of this selection has finished."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._mark().touch()
+        self.mark.touch()
 
     def done(self) -> dict[Cell, Rows]:
-        """Return the cells that are done, with their rows."""
-        begun = self._begun()
-        files = (path for path in self.folder.glob(f"*{DONE}") if path.stat().st_mtime >= begun)
+        files = (path for path in self.folder.glob(f"*{DONE}") if path.stat().st_mtime >= self._begun())
         return {entry.cell: entry.rows for entry in map(_read, files) if entry and entry.cell}
 
     def merge(self, expected: Iterable[Cell] = ()) -> None:
-        """Put all new cells into the tables, whichever run has finished them.
-
-        expected : all cells of the experiments that are run as a whole.
-        """
+        """Put all new cells into the tables, whichever run finished them; expected : all cells of a whole run."""
         (self.results / FOLDER).mkdir(parents=True, exist_ok=True)
         with FileLock(self.results / FOLDER / "lock"):
             paths = sorted((self.results / FOLDER).glob(f"*/*{NEW}"), key=lambda path: path.stat().st_mtime)
             entries = [entry for entry in map(_read, paths) if entry]
-            rows: dict[str, list[dict[str, Any]]] = {}
-            for entry in entries:
-                for name, row in entry.rows:
-                    rows.setdefault(name, []).append(row)
+            rows = _by_table(entry.rows for entry in entries)
             whole = self._whole(set(expected), entries)
             profiles = PROFILES[: PROFILES.index(self.profile) + 1]
             for name in [each for each in TABLES if each in rows or each in whole]:
                 made = keys(TABLES[name], whole[name]) if name in whole else None
                 merge(TABLES[name], rows.get(name, ()), self.results, made, profiles)
             for run in sorted({entry.run for entry in entries} | {self.run}):
-                self._save_run(run, entries, whole if run == self.run else {}, profiles)
+                if (record := self._record(run)).exists():
+                    made_by = {name for entry in entries if entry.run == run for name, _ in entry.rows}
+                    # rows of a larger profile stay, and with them the run that made them
+                    alone = [
+                        n for n in whole if read(TABLES[n], self.results)["profile"].isin(profiles).all()
+                    ]
+                    known = json.loads(record.read_text(encoding="utf-8"))
+                    save_run(run, known, made_by, alone if run == self.run else (), self.results)
             for entry in entries:
                 if entry.cell:
                     os.replace(entry.path, entry.path.with_name(f"{_digest(*entry.cell)}{DONE}"))
@@ -126,40 +120,26 @@ class Cells:
 
     def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
         """Return the rows of tables whose experiments are all done, by table; every table is made by one file."""
-        if not expected:
-            return {}
-        done = self.done()
+        done = self.done() if expected else {}
         done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
         unfinished = {file for file, name in expected if (file, name) not in done}
-        rows: dict[str, list[dict[str, Any]]] = {}
-        for cell in expected:
-            for name, row in done[cell] if cell[0] not in unfinished else ():
-                rows.setdefault(name, []).append(row)
-        return rows
-
-    def _save_run(
-        self, run: str, entries: Iterable[Entry], whole: Iterable[str], profiles: Iterable[str]
-    ) -> None:
-        record = self._record(run)
-        if record.exists():
-            made = {name for entry in entries if entry.run == run for name, _ in entry.rows}
-            # rows of a larger profile stay, and with them the run that made them
-            alone = [n for n in whole if read(TABLES[n], self.results)["profile"].isin(profiles).all()]
-            save_run(run, json.loads(record.read_text(encoding="utf-8")), made, alone, self.results)
+        return _by_table(done[cell] for cell in expected if cell[0] not in unfinished)
 
     def _record(self, run: str) -> Path:
         return self.results / FOLDER / f"{run}.json"
 
-    def _mark(self) -> Path:
-        return self.folder / f"{_digest(self.selection)}{BEGUN}"
-
     def _begun(self) -> float:
-        mark = self._mark()
-        return mark.stat().st_mtime if mark.exists() else 0.0
+        return self.mark.stat().st_mtime if self.mark.exists() else 0.0
+
+
+def _by_table(cells: Iterable[Rows]) -> dict[str, list[dict[str, Any]]]:
+    found: dict[str, list[dict[str, Any]]] = {}
+    for name, row in (each for rows in cells for each in rows):
+        found.setdefault(name, []).append(row)
+    return found
 
 
 def _digest(*names: str) -> str:
-    """Return a file name for names of whatever length and letters."""
     return hashlib.sha256("\n".join(names).encode()).hexdigest()[:24]
 
 
@@ -167,13 +147,5 @@ def _read(path: Path) -> Entry | None:
     """Return what a file says; None where a failure of power has left nothing to read."""
     with contextlib.suppress(json.JSONDecodeError, FileNotFoundError):
         entry = json.loads(path.read_text(encoding="utf-8"))
-        cell = entry["cell"] and tuple(entry["cell"])
-        return Entry(path, entry["run"], cell, entry["rows"])
+        return Entry(path, entry["run"], entry["cell"] and tuple(entry["cell"]), entry["rows"])
     return None
-
-
-def _plain(value: Any) -> Any:
-    """Return NumPy scalars as JSON has them."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{value!r} cannot be put in a table")

@@ -13,7 +13,15 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from contactbench.measure.statistics import Verdict, envelope, interpolate, margin, process_spread, verdict
+from contactbench.measure.statistics import (
+    COUNTED,
+    Verdict,
+    envelope,
+    interpolate,
+    margin,
+    process_spread,
+    verdict,
+)
 from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST
 
 #: errors at which methods are compared
@@ -31,8 +39,6 @@ UNTIMED = ("mpmath",)
 CUT = ("budget", "timeout")
 #: one integrator of two makers: where engines do not matter one contestant
 SAME_INTEGRATOR = {"scipy-dop853": "dop853", "cyrk-dop853": "dop853"}
-#: two numbers of evaluations tie up to this ratio: counts repeat, but between two settings they are interpolated
-COUNTED = 1.15
 #: cells of an engine timed by two processes from which on it has a spread of its own
 ENOUGH = 8
 #: the difference of two times is resolved where its own halves agree within this; else it is noise of what is fixed
@@ -43,9 +49,8 @@ RESOLVED = 1.5
 class Kind:
     """A kind of cost.
 
-    cost : its column.  halves, processes : columns of the ratio of the cell's own halves, and of a second process to
-    the first.  resolved : a cost whose halves differ by more than `RESOLVED` takes no part; nor does a closed form,
-    which costs the same for any span.
+    cost, halves, processes : columns: of it, the ratio of the cell's own halves, and of a second process to the first.
+    resolved : neither a cost whose halves differ by more than `RESOLVED` takes part, nor a closed form.
     """
 
     name: str
@@ -59,7 +64,6 @@ class Kind:
     resolved: bool = False
 
     def compares(self, rows: pd.DataFrame) -> pd.Series:
-        """Return which rows take part."""
         called_back, chosen = rows["engine"].isin(CALLBACKS), ~rows["engine"].isin(UNTIMED)
         if self.engines != "any":
             chosen &= called_back if self.engines == "callbacks" else ~called_back
@@ -69,8 +73,7 @@ class Kind:
         return chosen
 
     def process_spread(self, rows: pd.DataFrame, engine: str = "") -> float:
-        """Return by what factor two processes differ on an engine; on all of them where few of its cells were timed
-        twice."""
+        """Return by what factor two processes differ on an engine; on all where few of its cells were timed twice."""
         if not self.timed:
             return COUNTED
         own = rows[rows["engine"] == engine]
@@ -152,7 +155,6 @@ def costs(
 
 
 def _preference(row: dict[str, Any]) -> tuple[bool, float]:
-    """Return the order of engines: the cheapest, then those that were cut off."""
     reached = not math.isnan(row["cost"])
     return not reached, row["cost"] if reached else not row["reason"]
 
@@ -211,32 +213,32 @@ def standings(costs: pd.DataFrame, by: Sequence[str] = ("scene", "error")) -> pd
 
     Columns beside theirs: ratio and margin, to the least; verdict: of the least *win*, or *tie* or *undecided* where
     it is not alone; of the others *tie*, *undecided* or *loss*; blank where the error is not reached.
+
+    at_least : a column, if there is one, of the least that those cost which were cut off before they reached the error,
+    else nan: where one of them may cost less than the least, nobody wins.
     """
     parts = []
     for _, part in costs.groupby(list(by), sort=False):
         part = part.sort_values("cost", kind="stable")
-        ratios, margins, verdicts = [], [], []
         least = next(part.itertuples())
-        for row in part.itertuples():
-            reached = not math.isnan(row.cost)
-            ratio = row.cost / least.cost if reached else math.nan
-            most = pair_margin(row, least) if reached else math.nan
-            ratios.append(ratio)
-            margins.append(most)
-            verdicts.append(str(verdict(ratio, most)) if reached else "")
+        ratios = part["cost"] / least.cost
+        margins = [pair_margin(row, least) if row.cost == row.cost else math.nan for row in part.itertuples()]
+        pairs = zip(ratios, margins, strict=True)
+        verdicts = [str(verdict(ratio, most)) if ratio == ratio else "" for ratio, most in pairs]
         if verdicts[0]:
             alike = {Verdict(v) for v in verdicts[1:] if v} - {Verdict.loss}
             verdicts[0] = str(max(alike, key=list(Verdict).index, default=Verdict.win))
+        if "at_least" in part and (part["at_least"] <= least.cost).any():
+            verdicts = [v if v in ("", "loss") else "undecided" for v in verdicts]
         parts.append(part.assign(ratio=ratios, margin=margins, verdict=verdicts))
     return pd.concat(parts, ignore_index=True) if parts else costs.assign(ratio=[], margin=[], verdict=[])
 
 
 def contests(costs: pd.DataFrame) -> pd.DataFrame:
-    """Return the best contact method beside the best other, one row per scene and error.
+    """Return the best contact method beside the best other, one row per error and scene on which both kinds ran.
 
-    Only scenes on which both kinds of method ran.  Columns: contact, contact_cost, other, other_cost (blank and nan
-    where none reaches the error); ratio: the other's cost over the contact method's, inf and 0 where one is alone;
-    margin; winner: contact, other, tie, undecided, or blank where nobody reaches the error.
+    ratio : the other's cost over the contact method's, inf and 0 where one is alone.  winner : contact, other, tie,
+    undecided, or blank where nobody reaches the error.
     """
     rows = []
     for scene, here in costs.groupby("scene", sort=False):

@@ -81,8 +81,7 @@ def _judged(rows: pd.DataFrame, law: str) -> pd.DataFrame:
         frozen=numbers(rows, law + FROZEN),
         unsure=(uncertainty > 0) & (value <= UNSURE * uncertainty),
     )
-    if f"{law}_bound" in rows:
-        columns = {name: rows[f"{law}_{name}"] for name in JUDGEMENT}
-        flags = {name: column.fillna(False) for name, column in columns.items() if name != "bound"}
-        return rows.assign(**flags, bound=columns["bound"], judged=columns["bound"].notna())
-    return rows.assign(bound=bound(rows, law), **dict.fromkeys(FLAGS, False))
+    if f"{law}_bound" not in rows:
+        return rows.assign(bound=bound(rows, law), **dict.fromkeys(FLAGS, False))
+    flags = {name: rows[f"{law}_{name}"].fillna(False) for name in JUDGEMENT if name != "bound"}
+    return rows.assign(**flags, bound=rows[f"{law}_bound"], judged=rows[f"{law}_bound"].notna())

@@ -20,25 +20,23 @@ from pathlib import Path
 from typing import Any
 
 from contactbench.errors import BadInput
+from contactbench.measure.clock import SEED
 from contactbench.plugins import LOADED
 from contactbench.results.schema import TABLES
 from contactbench.results.store import replacing
 
-SOLVERS = ("numba", "llvmlite", "jax", "jaxlib", "diffrax", "scikit-sundae", "heyoka", "cyrk")
-PACKAGES = ("contactbench", "numpy", "scipy", *SOLVERS, "pandas", "matplotlib", "mpmath")
+PACKAGES = "contactbench numpy scipy pandas matplotlib mpmath"
+SOLVERS = "numba llvmlite jax jaxlib diffrax scikit-sundae heyoka cyrk"
 #: what decides the tables
 SOURCES = ("src", "bench", "references", "pyproject.toml", "constraints.txt", "tox.ini")
 CHANGES = ("status", "--porcelain", "--untracked-files=no", "--", *SOURCES)
-THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")] + [
-    "XLA_FLAGS",
-    "JAX_PLATFORMS",
-]
+THREADS = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
+THREADS += ["XLA_FLAGS", "JAX_PLATFORMS"]
 
 
-def environment(profile: str, seed: int) -> dict[str, Any]:
-    """Where and with what a run is made."""
+def environment(profile: str) -> dict[str, Any]:
     versions = {}
-    for name in PACKAGES:
+    for name in f"{PACKAGES} {SOLVERS}".split():
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
     root = Path(__file__).parents[3]
@@ -46,7 +44,7 @@ def environment(profile: str, seed: int) -> dict[str, Any]:
     return {
         "utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "profile": profile,
-        "shuffle_seed": seed,
+        "shuffle_seed": SEED,
         "python": sys.version.split()[0],
         "packages": versions,
         "cpu": _cpu(),
@@ -80,13 +78,10 @@ def _instructions() -> str:
 
 
 def _git(root: Path, *arguments: str) -> str:
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=20
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return done.stdout.strip()
+    command = ["git", "-C", str(root), *arguments]
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20).stdout.strip()
+    return ""
 
 
 def new_run_id() -> str:
@@ -119,7 +114,6 @@ TYPES = {str: "run profile utc commit isa references", dict: "packages tables th
 
 
 def fault(listed: Any) -> str:
-    """Return what is wrong with a list of records, empty where nothing is."""
     if not isinstance(listed, list) or not listed:
         return "no list of runs"
     for k, run in enumerate(listed, start=1):
@@ -142,17 +136,12 @@ def save_run(
     if not own:
         return
     mine = {"run": name, **record, "tables": own | dict.fromkeys(alone, "whole")}
-    before = []
+    before, clock = [], {"run": "", "utc": ""}
     for run in others.values():
-        if not alike(run, mine):
+        # what differs in nothing but when it was, the later one speaks for both
+        if {**run, **clock} != {**mine, **clock}:
             kept = {table: part for table, part in run["tables"].items() if table in TABLES.keys() - alone}
             before += [{**run, "tables": kept}] if kept else []
     with replacing(results / "environment.json") as file:
         json.dump({"runs": [*before, mine]}, file, indent=1, sort_keys=True)
         file.write("\n")
-
-
-def alike(run: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether two runs differ in nothing but when they were: the later one speaks for both."""
-    clock = {"run": "", "utc": ""}
-    return {**run, **clock} == {**other, **clock}

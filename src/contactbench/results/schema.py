@@ -59,11 +59,9 @@ class Rule(Enum):
 class Column:
     """One fact about a row.
 
-    meaning : what it is, a phrase.  rule : how it may differ between two runs; ungated : why it has no
-    rule and is not compared (a key needs neither, nor what a clock said).  timed : it comes from a clock.
-    exact : a number that is an input and is written in full; others have six significant digits.
-    label : short name for headings.
-    shown : the views that show the column, for columns (the laws) that say so themselves.
+    meaning : what it is, a phrase.  rule : how it may differ between two runs; ungated : why it has no rule (a key
+    needs neither, nor what a clock said).  timed : it comes from a clock.  exact : an input, written in full; other
+    numbers have six significant digits.  label : short name for headings.  shown : the views that show it, of a law.
     infinite : infinity is a value of it (a limit there is none of); elsewhere it is a damaged file.
     """
 
@@ -114,7 +112,6 @@ class Table:
 
     @property
     def columns(self) -> Mapping[str, Column]:
-        """The table's own columns."""
         return self.declared() if callable(self.declared) else self.declared
 
     @cached_property
@@ -124,17 +121,14 @@ class Table:
 
     @property
     def timed(self) -> list[str]:
-        """The columns that come from a clock."""
         return [name for name, column in self.columns.items() if column.timed]
 
     @property
     def rules(self) -> dict[str, Rule]:
-        """How each compared column may differ between two runs."""
         columns = self.every_column.items()
         return {name: column.rule for name, column in columns if column.rule is not None}
 
     def files(self, results: Path) -> dict[Path, list[str]]:
-        """The table's files in a folder, and the columns of each."""
         untimed = [name for name, column in self.every_column.items() if not column.timed]
         files = {self.path(results): untimed}
         if self.timed:
@@ -152,7 +146,6 @@ TABLES: dict[str, Table] = Registry("table", Table)
 
 
 def table(name: str, about: str, columns: Any, **options: Any) -> Table:
-    """Register a table and return it."""
     return TABLES.add(Table(name, about, columns, **options))  # type: ignore[attr-defined]
 
 

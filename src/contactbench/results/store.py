@@ -96,16 +96,11 @@ def require(path: Path, wrong: pd.Series, why: str) -> None:
 
 @cache
 def note(message: str) -> None:
-    """Log a message once."""
     LOG.warning(message)
 
 
 def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """Return the frame with its columns in the types of the table.
-
-    Blanks are missing; missing text is empty, a missing flag is not set.  Infinity is blank as well, where it is no
-    value of the column.
-    """
+    """Return the frame in the types of the table: a missing flag is not set, infinity is blank where it is no value."""
     found = {}
     for name, values in frame.items():
         column = table.every_column[str(name)]
@@ -133,7 +128,6 @@ def parse(values: pd.Series, column: Column) -> pd.Series:
 
 
 def lost(values: pd.Series, typed: pd.Series) -> pd.Series:
-    """Return which entries are missing that were not."""
     missing = typed.isna()
     return missing & values.notna() & (values.astype(object) != "") if missing.any() else missing
 
@@ -183,7 +177,6 @@ def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
-    """Return the key of each row as it stands in the table."""
     named = pd.DataFrame([{name: row.get(name) for name in table.key} for row in rows], columns=[*table.key])
     return list(index(round_digits(set_types(named, table), table), list(table.key)))
 

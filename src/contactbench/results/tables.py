@@ -19,7 +19,6 @@ FOLLOWS = "it follows from the deviation, which is compared, and what round-off 
 
 
 def column(meaning: str, rule: str | None = None, **more: Any) -> Column:
-    """Return a column as it is declared in tables.toml."""
     return Column(meaning, rule=Rule[rule] if rule else None, **more)
 
 
@@ -33,7 +32,6 @@ COMMON, COUNTS, TIMING = (
 
 
 def law_column(law: Law) -> Column:
-    """Return the column of a law: how it is gated and where it is shown, the law says."""
     label, counts = law.label or law.name.replace("_", " "), law.gate.value == "count"
     kind: Any = "whole" if counts else "number"
     return Column(law.definition, kind, Rule[law.gate.value], label=label, shown=law.shown)
@@ -53,7 +51,6 @@ def law_columns() -> dict[str, Column]:
 
 
 def drift_column(name: str, meaning: str) -> Column:
-    """Return a column that belongs to the drifts: error bars, clamps, and where the derivative is from."""
     if name.endswith("_clamped"):
         return Column(meaning, "whole", Rule.count)
     if name.endswith("_uncertainty"):
@@ -80,7 +77,6 @@ def columns(declared: Mapping[str, Any]) -> dict[str, Column]:
 
 
 def declare(name: str) -> Table:
-    """Register a table as it is declared."""
     given = DECLARED["tables"][name]
     own = given["columns"]
     by_law = any(entry.startswith("+laws") for entry in own)

@@ -25,6 +25,5 @@ from contactbench.scene.algebra import (
 from contactbench.scene.base import Scene, System
 from contactbench.scene.definition import verify
 from contactbench.scene.driven import Driven, DrivenState
-from contactbench.scene.general_damping import GeneralDamping
-from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.mechanical import GeneralDamping, Mechanical
 from contactbench.scene.rigid_body import RigidBody

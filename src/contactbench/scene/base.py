@@ -41,19 +41,16 @@ Check = Callable[[str, Any], Any]
 
 
 def optional(check: Check) -> Check:
-    """Return a check that lets None pass."""
     return lambda name, value: None if value is None else check(name, value)
 
 
 def experiment_names(name: str, value: Any) -> tuple[str, ...]:
-    """Return names of experiments, or raise `BadInput`."""
     if isinstance(value, tuple) and all(isinstance(e, str) and e in EXPERIMENTS for e in value):
         return value
     raise BadInput(f"{name} = {excerpt(value)}: must be a tuple of names among {', '.join(EXPERIMENTS)}")
 
 
 def named_numbers(name: str, value: Any) -> dict[str, float]:
-    """Return finite numbers by name, or raise `BadInput`."""
     if isinstance(value, Mapping) and all(isinstance(key, str) and key.isidentifier() for key in value):
         return {key: finite(key, number) for key, number in value.items()}
     raise BadInput(f"{name} = {excerpt(value)}: must be a dict of numbers by name")
@@ -159,13 +156,11 @@ class System(ABC):
     def identity(self) -> Hashable | None:
         """What compiled code depends on besides the numbers; None where nobody can tell, and nothing is kept.
 
-        A user's function counts by the operations it was recorded with, as do the equations of a kind of scene
-        of a user's own.
+        A user's function counts by the operations it was recorded with; what a kind of a user's own does is not known.
         """
         given = (getattr(self, name) for name in self.functions)
-        if not all(f is None or isinstance(f, Formula) or is_ours(f) for f in given):
-            return None
-        return self.structure if is_ours(type(self)) else self._equations()
+        known = is_ours(type(self)) and all(f is None or isinstance(f, Formula) or is_ours(f) for f in given)
+        return self.structure if known else None
 
     @property
     def own_equations(self) -> str | None:
@@ -178,21 +173,6 @@ class System(ABC):
         return (
             f"its flows are those of {self.kind}, and {type(self).__name__} has {', '.join(anew)} of its own"
         )
-
-    def _equations(self) -> Hashable | None:
-        carry, names = self.optional, ("rhs", "jacobian", "energy", "hamiltonian", "momentum", "gradient_at")
-
-        def everything(y: Any, *numbers: Any) -> list[Any]:
-            twin = self.with_numbers(numbers)
-            x = twin.unpack(y, carry)
-            values = [getattr(twin, name)(x) for name in names if hasattr(twin, name)]
-            return [leaf for value in values for leaf in leaves(value)]
-
-        sizes = (len(self.labels(carry)), *[0] * len(self.numbers()))
-        try:
-            return type(self), self.kind, formula(everything, sizes, ())
-        except CannotRecord:
-            return None
 
     def recorded(self) -> Self:
         """Return the scene with its user's functions as formulas: what they compute now.
@@ -217,13 +197,11 @@ class System(ABC):
         return copyreg.__newobj__, (type(self),), scene.__dict__  # type: ignore[attr-defined]
 
     def _start(self, name: str) -> tuple[list[Any], dict[str, float]]:
-        """Return the arguments of a user's function at the start."""
         given, wanted = {"xp": math, "h": TRIED * self.t_end}, self.functions[name]
         plain = [given[each] if each in given else getattr(self, each) for each in wanted if each != "**"]
         return plain, dict(getattr(self, "parameters", {})) if "**" in wanted else {}
 
     def _value(self, name: str) -> Any:
-        """Return the value of a user's function at the start."""
         plain, parameters = self._start(name)
         with their_code(f"scene {self.name!r}"):
             return getattr(self, name)(*plain, **parameters)
@@ -464,7 +442,6 @@ class Scene(System):
         """Return the size of the terms that η(dx) is the difference of."""
 
     def energy_terms(self, x: Any) -> Any:
-        """Return the size of the terms that H0 is the sum of."""
         return abs(self.energy(x))
 
     @abstractmethod

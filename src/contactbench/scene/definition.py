@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import isfinite
-from typing import Any, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from contactbench.errors import BadInput, excerpt, is_number
 from contactbench.scene.base import Scene
 from contactbench.scene.cache import Cache, key
 from contactbench.scene.driven import Driven
-from contactbench.scene.general_damping import GeneralDamping
-from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.mechanical import GeneralDamping, Mechanical
 from contactbench.trace.formula import Formula
 
 #: points near the initial one, and how far from it, in parts of the size of each component
@@ -52,18 +51,17 @@ def verify(scene: Scene) -> None:
 
 def verify_along(scene: Scene) -> None:
     """Raise `BadInput` unless they fit along the motion, as far as some thousand evaluations lead."""
-    _once(scene, "along the motion", lambda scene: _check(scene, _motion(scene)))
+    _once(scene, "along the motion", lambda scene: _check(scene, _motion(scene), _claims))
 
 
 def verify_at(scene: Scene, y: np.ndarray) -> None:
     """Raise `BadInput` unless they fit at packed states (k, d)."""
     if _has_functions(scene):
         with their_code(f"scene {scene.name!r}"), np.errstate(all="ignore"):
-            _check(scene, y)
+            _check(scene, y, _claims)
 
 
 def _has_functions(scene: Scene) -> TypeGuard[Mechanical]:
-    """Return whether a user has written any of them."""
     given = (getattr(scene, name) for name in scene.functions)
     return isinstance(scene, Mechanical) and not all(part is None or is_ours(part) for part in given)
 
@@ -93,28 +91,20 @@ def _within_the_domain() -> Iterator[None]:
         return
 
 
-def _is_given(function: Any) -> bool:
-    """Return whether a function was not derived from another one."""
-    return function is not None and not (isinstance(function, Formula) and function.live is None)
-
-
 # -- states ----------------------------------------------------------------------------------------
 def _verify(scene: Mechanical) -> None:
     """Compare near the start, the Hessian too; what is wrong with the scene's own data is reported."""
     carry, n, rng = scene.carry(("s",)), len(scene.q), np.random.default_rng(1)
     start = np.array(scene.pack(scene.initial(carry)))
-    _potential(scene, *_place(scene, start))
+    _potential(scene, start[:n], _time(scene, start))
     states = np.tile(start, (POINTS, 1))
     states[:, :n] += SPREAD * _size(start[:n]) * rng.uniform(-1, 1, (POINTS, n))
     states[:, -1] += SPREAD * rng.uniform(-1, 1, POINTS)
-    _check(scene, states)
-    for y in states if _is_given(scene.hessian) else ():
-        with _within_the_domain():
-            _hessian(scene, y[:n])
+    _check(scene, states, _claims)
+    _check(scene, states, _hessian)
 
 
 def _motion(scene: Mechanical) -> np.ndarray:
-    """Return packed states (k, d) along the motion, by a solver of its own."""
     from scipy.integrate import DOP853
 
     carry = scene.carry(("s",))
@@ -133,27 +123,44 @@ def _motion(scene: Mechanical) -> np.ndarray:
     return np.concatenate(path)
 
 
-def _check(scene: Mechanical, states: np.ndarray) -> None:
-    """Compare the gradient at packed states (k, d), and symmetry and damping at some of them."""
+class Claim(NamedTuple):
+    """That one function is the derivative of another.
+
+    f : of x, (n,), m numbers.  given : what is claimed to be its derivative at x, (m, n).  size : of each component
+    of x.  says, of, where : parts of the message, "{says} 1.0 at {where}, the derivative of the {of} there 1.1".
+    """
+
+    f: Callable[[np.ndarray], Any]
+    x: Any
+    given: Any
+    size: Any
+    says: str
+    of: str
+    where: str
+
+
+def _check(
+    scene: Mechanical, states: np.ndarray, claims: Callable[[Mechanical, np.ndarray], Iterator[Claim]]
+) -> None:
     some = states[:: max(1, len(states) // SOME)]
-    for y in some if _is_given(scene.gradient) else ():
-        with _within_the_domain():
-            _gradient(scene, *_place(scene, y))
-    if scene.has_momentum_law:
-        _symmetry(scene, some[:, : len(scene.q)])
     for y in some:
         with _within_the_domain():
-            _damping(scene, y)
+            for claim in claims(scene, y):
+                _compare(scene, claim)
+    if scene.has_momentum_law:
+        _symmetry(scene, some[:, : len(scene.q)])
 
 
-# -- gradient, Hessian, symmetry -------------------------------------------------------------------
-def _place(scene: Mechanical, y: np.ndarray) -> tuple[np.ndarray, list[float]]:
-    """Return the coordinates of a packed state, and what else potential and gradient take: the time, or nothing."""
-    return y[: len(scene.q)], [] if scene.clock is None else [float(y[scene.clock])]
+# -- what is claimed -------------------------------------------------------------------------------
+def _is_given(function: Any) -> bool:
+    return function is not None and not (isinstance(function, Formula) and function.live is None)
+
+
+def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
+    return [] if scene.clock is None else [float(y[scene.clock])]
 
 
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
-    """Return V, a real number."""
     value = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
         raise BadInput(
@@ -163,33 +170,59 @@ def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
 
 
 def _force(scene: Mechanical, q: np.ndarray, time: list[float]) -> np.ndarray:
-    """Return ∇V, n real numbers; a number of another length is told as soon as the scene is made."""
     return np.array(scene.dV(tuple(q.tolist()), *time), dtype=float)
 
 
-def _gradient(scene: Mechanical, q: np.ndarray, time: list[float]) -> None:
-    """Raise `BadInput` unless the gradient is the potential's."""
-
-    def potential(q: np.ndarray) -> np.ndarray:
-        return np.array([_potential(scene, q, time)])
-
-    _compare(scene, WRONG_GRADIENT, potential, q, _force(scene, q, time)[None], _size(q), f"q = {_at(q)}")
-
-
-def _hessian(scene: Mechanical, q: np.ndarray) -> None:
-    """Raise `BadInput` unless the Hessian at q is n rows of n numbers, the derivative of the gradient."""
-    assert scene.hessian is not None
-    n, given = len(q), scene.hessian(tuple(q.tolist()), **scene.parameters)
-    try:
-        rows = np.array([list(row) for row in given])
-    except (TypeError, ValueError):
-        rows = np.empty(0)
-    if rows.shape != (n, n) or rows.dtype.kind not in "fiub":
-        raise BadInput(
-            f"scene {scene.name!r}: its Hessian is {excerpt(given)}: must be {n} rows of {n} real numbers"
+def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
+    q, time, h = y[: len(scene.q)], _time(scene, y), LATER * scene.t_end
+    if _is_given(scene.gradient):
+        says = "its gradient is not the potential's: component {j} is"
+        force = [_force(scene, q, time)]
+        yield Claim(
+            lambda q: [_potential(scene, q, time)], q, force, _size(q), says, "potential", f"q = {_at(q)}"
         )
-    where = f"q = {_at(q)}"
-    _compare(scene, WRONG_HESSIAN, lambda q: _force(scene, q, []), q, rows.astype(float), _size(q), where)
+    if isinstance(scene, GeneralDamping):
+        s, flow, where = float(y[-1]), scene.damping_flow, f"s = {y[-1]:.6g}"
+        says = "damping_slope is not the damping's: it is"
+        slope = [[scene.damping_slope(s)]]
+        yield Claim(lambda s: [scene.damping(float(s[0]))], [s], slope, [1.0], says, "damping", where)
+        if flow is not None:
+            rate = -scene.damping(flow(s, h, math))
+            yield _flow(scene, "damping_flow", lambda h: flow(s, float(h[0]), math), s, h, rate, where)
+    if isinstance(scene, Driven) and scene.span is not None:
+        (t,), spent, where = time, scene.spent, f"t = {time[0]:.6g}"
+        rates = scene.rate_at(t + h), math.exp(-spent(t, h, math)[0])
+        yield _flow(scene, "span[0]", lambda h: spent(t, float(h[0]), math)[0], 0.0, h, rates[0], where)
+        yield _flow(scene, "span[1]", lambda h: spent(t, float(h[0]), math)[1], 0.0, h, rates[1], where)
+
+
+def _flow(
+    scene: Mechanical, name: str, f: Callable[[Any], Any], start: float, h: float, rate: float, where: str
+) -> Claim:
+    """Return the claim that f has the slope `rate` at h; raise `BadInput` unless it begins with `start`."""
+    begun = f([0.0])
+    if abs(begun - start) > TOLERANCE * max(abs(start), abs(f([h]))):
+        raise BadInput(f"scene {scene.name!r}: {name} is {begun:.6g} at {where}, h = 0: must be {start:.6g}")
+    says = f"{name} has not the slope of its definition: this is"
+    return Claim(lambda h: [f(h)], [h], [[rate]], [h / 2], says, "function by h", f"{where}, h = {h:.6g}")
+
+
+def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
+    """Yield what a Hessian claims; raise `BadInput` unless it is n rows of n numbers."""
+    if scene.hessian is None or not _is_given(scene.hessian):
+        return
+    n = len(scene.q)
+    q, rows = y[:n], scene.hessian(tuple(y[:n].tolist()), **scene.parameters)
+    try:
+        given = np.array([list(row) for row in rows])
+    except (TypeError, ValueError):
+        given = np.empty(0)
+    if given.shape != (n, n) or given.dtype.kind not in "fiub":
+        raise BadInput(
+            f"scene {scene.name!r}: its Hessian is {excerpt(rows)}: must be {n} rows of {n} real numbers"
+        )
+    says = "its Hessian is not the gradient's derivative: entry ({i}, {j}) is"
+    yield Claim(lambda q: _force(scene, q, []), q, given, _size(q), says, "gradient", f"q = {_at(q)}")
 
 
 def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
@@ -209,93 +242,26 @@ def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
             )
 
 
-# -- damping ---------------------------------------------------------------------------------------
-def _damping(scene: Mechanical, y: np.ndarray) -> None:
-    """Raise `BadInput` unless the parts of a damping that is the user's fit each other at a packed state."""
-    h = LATER * scene.t_end
-    if isinstance(scene, GeneralDamping):
-        s, flow = float(y[-1]), scene.damping_flow
-        _slope(scene, WRONG_SLOPE, scene.damping, s, 1.0, scene.damping_slope(s), f"s = {s:.6g}")
-        if flow is not None:
-            rate = -scene.damping(flow(s, h, math))
-            _flow(scene, "damping_flow", lambda h: flow(s, h, math), s, h, rate, f"s = {s:.6g}")
-    if isinstance(scene, Driven) and scene.span is not None:
-        t, where = float(y[scene.clock]), f"t = {y[scene.clock]:.6g}"
-        rates = (scene.rate_at(t + h), math.exp(-scene.spent(t, h, math)[0]))
-        for i, rate in enumerate(rates):
-            _flow(scene, f"span[{i}]", lambda h, i=i: scene.spent(t, h, math)[i], 0.0, h, rate, where)  # type: ignore[misc]
-
-
-def _flow(
-    scene: Mechanical, name: str, f: Callable[[float], Any], start: float, h: float, rate: float, where: str
-) -> None:
-    """Raise `BadInput` unless a function of h begins with `start` and has a slope at h."""
-    if abs(f(0.0) - start) > TOLERANCE * max(abs(start), abs(f(h))):
-        raise BadInput(f"scene {scene.name!r}: {name} is {f(0.0):.6g} at {where}, h = 0: must be {start:.6g}")
-    says = (f"{name} has not the slope of its definition: this is", "function by h")
-    _slope(scene, says, f, h, h / 2, rate, f"{where}, h = {h:.6g}")
-
-
-def _slope(
-    scene: Mechanical,
-    says: tuple[str, str],
-    f: Callable[[float], Any],
-    x: float,
-    size: float,
-    given: float,
-    where: str,
-) -> None:
-    """Raise `BadInput` unless `given` is the derivative of f at x."""
-
-    def vector(x: np.ndarray) -> np.ndarray:
-        return np.array([f(float(x[0]))], dtype=float)
-
-    _compare(scene, says, vector, np.array([x]), np.array([[given]]), np.array([size]), where)
-
-
 # -- derivatives -----------------------------------------------------------------------------------
-#: what is wrong, and what it is not the derivative of
-WRONG_GRADIENT = ("its gradient is not the potential's: component {j} is", "potential")
-WRONG_HESSIAN = ("its Hessian is not the gradient's derivative: entry ({i}, {j}) is", "gradient")
-WRONG_SLOPE = ("damping_slope is not the damping's: it is", "damping")
+def _compare(scene: Mechanical, claim: Claim) -> None:
+    def f(x: np.ndarray) -> np.ndarray:
+        return np.array(claim.f(x), dtype=float)
 
-
-def _compare(
-    scene: Mechanical,
-    says: tuple[str, str],
-    f: Callable[[np.ndarray], np.ndarray],
-    x: np.ndarray,
-    given: np.ndarray,
-    size: np.ndarray,
-    where: str,
-) -> None:
-    """Raise `BadInput` unless `given` (m, n) is the derivative of f, (m,), at x (n,), or differences cannot tell."""
+    x, given, size = (np.array(part, dtype=float) for part in (claim.x, claim.given, claim.size))
     rng = np.random.default_rng(1)
     direction = size * rng.uniform(0.5, 1, len(x)) * rng.choice([-1, 1], len(x))
     found, error = difference(f, x, direction)
     if not (np.isfinite(given).all() and np.isfinite(found).all()):
-        raise FloatingPointError
+        return
     off = np.abs(found - given @ direction).max()
     scale = max((np.abs(given) @ np.abs(direction)).max(), np.abs(found).max())
-    if off > TOLERANCE * scale + SAFETY * error and error <= UNSURE * scale:
-        columns = [difference(f, x, unit)[0] / unit[j] for j, unit in enumerate(np.diag(size))]
-        _refuse(scene, says, given, np.array(columns).T, size, where)
-
-
-def _refuse(
-    scene: Mechanical,
-    says: tuple[str, str],
-    given: np.ndarray,
-    found: np.ndarray,
-    size: np.ndarray,
-    where: str,
-) -> None:
-    """Raise `BadInput` that names the entry of a derivative that is farthest off."""
-    i, j = np.unravel_index(np.argmax(np.abs(found - given) * size), given.shape)
-    entry, function = says
+    if off <= TOLERANCE * scale + SAFETY * error or error > UNSURE * scale:
+        return
+    true = np.array([difference(f, x, unit)[0] / unit[j] for j, unit in enumerate(np.diag(size))]).T
+    i, j = np.unravel_index(np.argmax(np.abs(true - given) * size), given.shape)
     raise BadInput(
-        f"scene {scene.name!r}: {entry.format(i=i + 1, j=j + 1)} {given[i, j]:.6g} at {where}, "
-        f"the derivative of the {function} there {found[i, j]:.6g}"
+        f"scene {scene.name!r}: {claim.says.format(i=i + 1, j=j + 1)} {given[i, j]:.6g} at {claim.where}, "
+        f"the derivative of the {claim.of} there {true[i, j]:.6g}"
     )
 
 
@@ -318,7 +284,6 @@ def difference(
 
 
 def _size(q: np.ndarray) -> np.ndarray:
-    """Return the size of each component, the largest for those that are zero."""
     return np.where(q == 0, np.abs(q).max() or 1.0, np.abs(q))
 
 

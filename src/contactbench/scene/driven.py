@@ -154,7 +154,6 @@ class Driven(Mechanical):
         return self.rate is not None
 
     def rate_at(self, t: Any) -> Any:
-        """Return γ(t)."""
         return self.gamma if self.rate is None else self.rate(t, **self.parameters)
 
     def spent(self, t: Any, h: Any, xp: Any) -> tuple[Any, Any]:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, positive, switch, vector
+from contactbench.errors import BadInput, excerpt, finite, function, positive, require_number, switch, vector
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm
 from contactbench.scene.base import Check, Scene, named_numbers, optional
@@ -117,7 +117,6 @@ class Mechanical(Scene):
 
     @property
     def nonlinear_damping(self) -> bool:
-        """Whether Γ has its quadratic term."""
         return self.kappa_sign != 0
 
     @property
@@ -147,7 +146,6 @@ class Mechanical(Scene):
 
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
-        """Return T(p) = ‖p‖²/2m."""
         return dot(p, p) * self.inverse_mass / 2
 
     def V(self, q: Vector) -> Any:
@@ -163,24 +161,19 @@ class Mechanical(Scene):
         return self.dV(x.q)
 
     def damping_at(self, x: Any) -> Any:
-        """Return γ at a state."""
         return self.gamma
 
     def energy(self, x: State) -> Any:
-        """Return H0 = T + V."""
         return self.kinetic(x.p) + self.potential_at(x)
 
     def dissipation(self, s: Any) -> Any:
-        """Return Γ(s) = γ s + ½ κ s²."""
         linear = self.gamma * s
         return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
 
     def dissipation_rate(self, s: Any) -> Any:
-        """Return Γ'(s) = γ + κ s."""
         return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
 
     def hamiltonian(self, x: State) -> Any:
-        """Return H = H0 + Γ(s); needs s."""
         return self.energy(x) + self.dissipation(x.s)
 
     def rhs(self, x: State) -> State:
@@ -196,7 +189,6 @@ class Mechanical(Scene):
         return self.hessian is not None
 
     def jacobian(self, x: State) -> list[list[Any]] | None:
-        """Return ∂(rhs)/∂(state) in packed order, or None when the scene has no Hessian."""
         if self.hessian is None:
             return None
         n = len(x.q)
@@ -240,26 +232,88 @@ class Mechanical(Scene):
         return not self.nonlinear_damping and self.gamma >= 0
 
     def energy_terms(self, x: State) -> Any:
-        """Return T + |V|."""
         return self.kinetic(x.p) + abs(self.potential_at(x))
 
     def contact_form(self, x: State, dx: State) -> Any:
-        """Return η(dx) = ds − p·dq at x."""
         return dx.s - dot(x.p, dx.q)
 
     def contact_terms(self, x: State, dx: State) -> Any:
-        """Return |ds| + ‖p‖‖dq‖."""
         return abs(dx.s) + norm(x.p) * norm(dx.q)
 
     def hamiltonian_terms(self, x: State) -> Any:
-        """Return |T| + |V + Γ|."""
         kinetic = self.kinetic(x.p)
         return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
 
     def momentum_terms(self, x: State) -> Any:
-        """Return ‖q‖‖p‖."""
         return norm(x.q) * norm(x.p)
 
     @property
     def conformal_rate(self) -> Any:
         return None if self.nonlinear_damping else self.gamma
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeneralDamping(Mechanical):
+    """H = ‖p‖²/2m + V(q) + Γ(s) for any smooth Γ, on the three-part splitting: kick, drift and damping.
+
+    Nyström tables, Herglotz's recursion and `contact-adaptive` refuse it: their flows need a Γ at most quadratic.
+
+        GeneralDamping(name="cubic", potential=V, gradient=dV, q=(1.0,), p=(0.0,), s=0.5, t_end=10.0,
+                       damping=lambda s: 0.1 * s + s**3, damping_slope=lambda s: 0.1 + 3 * s * s)
+
+    Parameters
+    ----------
+    damping, damping_slope
+        ``Γ(s) -> number`` and ``Γ'(s) -> number``, plain arithmetic like the force.
+    damping_flow
+        ``(s, h, xp) -> s(h)``, the solution of s' = −Γ(s) where it is known in closed form; by default it is found
+        by quadrature (`splitting.dissipation`), many evaluations of Γ a step.
+
+    Raises
+    ------
+    BadInput
+        As `Mechanical` does, and for a gamma or kappa beside Γ.
+    """
+
+    damping: Callable[[Any], Any]
+    damping_slope: Callable[[Any], Any]
+    damping_flow: Callable[[Any, Any, Any], Any] | None = None
+
+    kind: ClassVar[str] = "general damping"
+    functions: ClassVar[dict[str, tuple[str, ...]]] = {
+        **Mechanical.functions,
+        **dict.fromkeys(("damping", "damping_slope"), ("s",)),
+        "damping_flow": ("s", "h", "xp"),
+    }
+
+    coefficients: ClassVar[tuple[str, ...]] = ("mass",)
+    checks: ClassVar[dict[str, Check]] = {
+        **Mechanical.checks,
+        "damping": function,
+        "damping_slope": function,
+        "damping_flow": optional(function),
+    }
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.gamma or self.kappa:
+            raise BadInput(f"gamma = {self.gamma!r}, kappa = {self.kappa!r}: Γ has them in it")
+        for name in ("damping", "damping_slope", "damping_flow"):
+            if getattr(self, name) is not None:
+                require_number(name, self._value(name))
+
+    required = ("s",)
+
+    nonlinear_damping = True
+
+    def dissipation(self, s: Any) -> Any:
+        return self.damping(s)
+
+    def dissipation_rate(self, s: Any) -> Any:
+        return self.damping_slope(s)
+
+    #: Γ'' is not asked for: solvers difference
+    has_jacobian = False
+
+    def jacobian(self, x: State) -> None:
+        """Return None."""

@@ -26,7 +26,6 @@ UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def moments(name: str, value: Any) -> Vector:
-    """Return three numbers > 0, or raise `BadInput`."""
     given = vector(name, value, 3)
     if min(given) <= 0:
         raise BadInput(f"{name} = {excerpt(given)}: all three moments must be > 0")
@@ -143,7 +142,6 @@ class RigidBody(Scene):
 
     # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:
-        """Return Ω = I⁻¹ M."""
         return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
 
     def damp_matrix_function(self, M: Vector, f: Callable[[Any], Any]) -> Vector:
@@ -157,11 +155,9 @@ class RigidBody(Scene):
         return tuple(dot(row, modal) for row in self.axes)
 
     def energy(self, x: BodyState) -> Any:
-        """Return H0 = ½ M·I⁻¹M."""
         return dot(x.M, self.angular_velocity(x.M)) / 2
 
     def hamiltonian(self, x: BodyState) -> Any:
-        """Return H = H0 + γ s; needs s."""
         return self.energy(x) + self.gamma * x.s
 
     def rhs(self, x: BodyState) -> BodyState:
@@ -182,27 +178,23 @@ class RigidBody(Scene):
         return BodyState(dM, dR, ds)
 
     def jacobian(self, x: BodyState) -> list[list[Any]]:
-        """Return ∂(rhs)/∂(state) in packed order."""
-        inv = self.inverse_inertia
-        omega = self.angular_velocity(x.M)
-        width = 3 + (4 if x.R is not None else 0) + (1 if x.s is not None else 0)
+        inv, omega = self.inverse_inertia, self.angular_velocity(x.M)
+        width = len(self.pack(x))
         rows = [[0.0] * width for _ in range(width)]
         for j, e in enumerate(UNIT):
             gyroscopic = cross(x.M, tuple(inv[k] * e[k] for k in range(3)))
-            other = cross(e, omega)
-            damped = self.damp_matrix_function(e, lambda rate: rate)
+            other, damped = cross(e, omega), self.damp_matrix_function(e, lambda rate: rate)
             for i in range(3):
                 rows[i][j] = other[i] + gyroscopic[i] - damped[i]
         if x.R is not None:
-            for j, e in enumerate(UNIT):
-                column = quaternion_product(x.R, (0.0, *(inv[j] * c / 2 for c in e)))
-                for i in range(4):
-                    rows[3 + i][j] = column[i]
+            columns = [
+                quaternion_product(x.R, (0.0, *(inv[j] * c / 2 for c in e))) for j, e in enumerate(UNIT)
+            ]
+            half = (0.0, *(w / 2 for w in omega))
             for j in range(4):
-                e4 = tuple(1.0 if i == j else 0.0 for i in range(4))
-                column = quaternion_product(e4, (0.0, *(w / 2 for w in omega)))
-                for i in range(4):
-                    rows[3 + i][3 + j] = column[i]
+                columns.append(quaternion_product(tuple(1.0 if i == j else 0.0 for i in range(4)), half))
+            for i in range(4):
+                rows[3 + i][:7] = [column[i] for column in columns]
         if x.s is not None:
             rows[-1][:3] = list(omega)
             rows[-1][-1] = -self.gamma
@@ -234,12 +226,10 @@ class RigidBody(Scene):
         return abs(dx.s) + 2 * norm(x.M) * norm(dx.R)
 
     def hamiltonian_terms(self, x: BodyState) -> Any:
-        """Return |H0| + |γs|."""
         energy = self.energy(x)
         return abs(energy) + abs(self.hamiltonian(x) - energy)
 
     def momentum_terms(self, x: BodyState) -> Any:
-        """Return ‖M‖."""
         return norm(x.M)
 
     def displaced(self, x: BodyState, v: BodyState, amount: float) -> BodyState:

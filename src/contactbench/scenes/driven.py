@@ -96,7 +96,6 @@ def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
 
 
 def oscillation(scene: Driven, omega: Any, gamma: Any, t: Any, mp: Any) -> DrivenState:
-    """`forced_oscillator` where no denominator vanishes."""
     m, force = scene.mass, scene.parameters["force"]
     square, turn = omega * omega, mp.mpc(0, scene.parameters["drive"])
     start = mp.exp(turn * scene.t)

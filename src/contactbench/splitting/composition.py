@@ -52,12 +52,10 @@ class Composition:
 
     @property
     def palindromic(self) -> bool:
-        """Whether the stages read the same backwards, which makes the method time-symmetric."""
         return self.stages == self.stages[::-1]
 
     @property
     def two_part(self) -> bool:
-        """Whether it is a splitting into kicks and merged drifts."""
         return {name for name, _ in self.stages} == {"kick", "drift_damp"}
 
     def alphas(self) -> list[Fraction]:
@@ -68,7 +66,6 @@ class Composition:
         return alphas
 
     def run(self, n: int) -> tuple[Stage, ...]:
-        """Return the stages of n steps, one list from start to end."""
         return merge((*self.processor, *self.stages * n, *reversed(self.processor)))
 
 
@@ -103,7 +100,6 @@ def strang_composition(gammas: Iterable[Any]) -> tuple[Stage, ...]:
 
 
 def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
-    """Add up neighbours of the same flow."""
     out: list[Stage] = []
     for name, coefficient in stages:
         if out and out[-1][0] == name:
@@ -114,7 +110,6 @@ def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
 
 
 def number(coefficient: Fraction, xp: Any) -> Any:
-    """Return a coefficient as a number of the namespace: exact in mpmath, else a Python float."""
     if abilities(xp).digits:
         return xp.mpf(coefficient.numerator) / coefficient.denominator
     return float(coefficient)
@@ -142,7 +137,6 @@ ON_BODY = {"drift": "free", "damp": "damp"}
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
-    """Return the stages of one step on a scene."""
     if {name for name, _ in composition.stages} <= flows_of(scene).keys():
         return composition.stages
     if composition.two_part:
@@ -164,8 +158,6 @@ class Plan:
     joint: tuple[Stage, ...]
 
     def count(self, flows: dict[str, Flow], kinds: Collection[str], n: int) -> int:
-        """Return how many operations of some kinds n steps take."""
-
         def cost(stages: tuple[Stage, ...]) -> int:
             return sum(flows[name].costs.get(kind, 0) for name, _ in stages for kind in kinds)
 
@@ -202,7 +194,6 @@ def advance(
     rolled = repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
-        """Apply the stages one after another: written out, or a loop over the period of their flows."""
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
             return run(stages[1:], run(stages[:1], x))
         flows_in_turn = [name for name, _ in stages]
@@ -241,7 +232,6 @@ def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp:
 
 
 def shortest_period(names: list[str]) -> int:
-    """Return the length of the shortest list whose repetition is `names`."""
     size = len(names)
     return next(p for p in range(1, size + 1) if size % p == 0 and names == names[:p] * (size // p))
 
@@ -285,7 +275,6 @@ def entry(constants: Any, i: Any) -> Any:
 
 
 def by_the_clock(composition: Composition, scene: Scene) -> bool:
-    """Return whether `advance_by_the_clock` applies."""
     odd = len(composition.stages) % 2 == 1  # its turns end as they begin
     return composition.two_part and odd and scene.kind == "isotropic body"
 
@@ -336,7 +325,6 @@ def advance_by_the_clock(
 
 
 def scale(coefficients: Iterable[Fraction], factor: Any, xp: Any) -> Any:
-    """Return the coefficients times a factor: one vector for array namespaces, else a list."""
     values = [number(c, xp) for c in coefficients]
     if abilities(xp).vectors:
         return xp.multiply.outer(xp.asarray(values), factor)

@@ -69,9 +69,7 @@ class Flow(NamedTuple):
 def damped_time(gamma: Any, h: Any, xp: Any) -> Any:
     """Return φ(h) = (1 − e^{−γh})/γ, the time a damped momentum is worth; exactly h when γ = 0."""
     undamped = gamma == 0
-    if abilities(xp).branch:
-        return h if undamped else -xp.expm1(-gamma * h) / gamma
-    return xp.where(undamped, h, -xp.expm1(-gamma * h) / xp.where(undamped, 1.0, gamma))
+    return choose(undamped, h, -xp.expm1(-gamma * h) / choose(undamped, 1.0, gamma, xp), xp)
 
 
 #: above this γh the decay is applied as a factor, below it as a small loss
@@ -87,9 +85,7 @@ def damping(gamma: Any, h: Any, xp: Any) -> tuple[Any, Any]:
     """
     strong = gamma * h > STRONG
     factor, loss = xp.exp(-gamma * h), -xp.expm1(-gamma * h)
-    if abilities(xp).branch:
-        return (factor, 0.0) if strong else (1.0, loss)
-    return xp.where(strong, factor, 1.0), xp.where(strong, 0.0, loss)
+    return choose(strong, factor, 1.0, xp), choose(strong, 0.0, loss, xp)
 
 
 # -- mechanical scenes ---------------------------------------------------------------------------
@@ -126,13 +122,11 @@ def damp(scene: Mechanical, x: State, constants: Any, xp: Any) -> State:
 
 
 def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
-    """Return 1/D of `damp`, infinite where D ≤ 0."""
     D = 1 + half_kappa * x.s
     return choose(D > 0, 1 / choose(D > 0, D, 1.0, xp), xp.inf, xp)
 
 
 def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    """Return −∫Γ'(s) along the flow C: −γh − 2 log D."""
     linear = -scene.gamma * h
     if not scene.nonlinear_damping:
         return linear
@@ -195,7 +189,6 @@ def _pinney(scene: Mechanical, x: State, constants: Any, xp: Any) -> tuple[Any, 
 
 
 def drift_damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    """Return −∫Γ'(s) along the flow AC: −γh − log y."""
     linear = linear_log_factor(scene, x, h, xp)
     if not scene.nonlinear_damping:
         return linear
@@ -217,7 +210,6 @@ MECHANICAL = {
 # Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the clock depend on neither p
 # nor s: Nyström tables keep their order.
 def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
-    """Return −G."""
     return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
 
 
@@ -262,7 +254,6 @@ NODES, ITERATIONS, PANELS = 16, 6, 2
 
 @cache
 def rule() -> tuple[list[float], list[float]]:
-    """Return points and weights of Gauss's rule on [0, 1]; computed when first used."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     return ((1 + x) / 2).tolist(), (w / 2).tolist()
 
@@ -277,7 +268,6 @@ def decay(scene: Any, s: Any, h: Any, xp: Any) -> Any:
 
 
 def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
-    """Return s(h) by quadrature in one panel."""
     start = scene.dissipation(s)
     r = scene.dissipation_rate(s - start * damped_time(scene.dissipation_rate(s), h / 2, xp))
     resting = start == 0
@@ -286,14 +276,12 @@ def by_quadrature(scene: Any, s: Any, h: Any, xp: Any) -> Any:
         return s - start * damped_time(r, tau, xp)
 
     def pace(tau: Any) -> Any:
-        """Return k."""
         there = scene.dissipation(at(tau))
         gone = there == 0
         ratio = choose(resting, 1.0, start, xp) / choose(gone, 1.0, there, xp)
         return choose(resting, 1.0, choose(gone, 1.0, xp.exp(-r * tau) * ratio, xp), xp)
 
     def elapsed(tau: Any) -> Any:
-        """Return the integral of k up to tau."""
         if abilities(xp).digits:
             return xp.quad(pace, [0, tau])
         return tau * sum(w * pace(tau * x) for x, w in zip(*rule(), strict=True))
@@ -327,7 +315,6 @@ def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
 
 
 def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
-    """Return −∫Γ'(s) along it."""
     return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
 
@@ -384,13 +371,9 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
     if x.R is None:
         return BodyState(x.M, None, s)
     still = square == 0
-    if abilities(xp).branch:
-        size = xp.sqrt(square)
-        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
-    else:
-        size = xp.sqrt(xp.where(still, 1.0, square))  # 1: no derivative of √0 is taken
-        scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
-        cos = xp.where(still, 1.0, xp.cos(a * size / 2))
+    size = xp.sqrt(choose(still, 1.0, square, xp))  # 1: no derivative of √0 is taken
+    scale = choose(still, a / 2, xp.sin(a * size / 2) / size, xp)
+    cos = choose(still, 1.0, xp.cos(a * size / 2), xp)
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
     return settle(BodyState(x.M, R, s), xp)
 

@@ -56,13 +56,11 @@ class Course(NamedTuple):
 
 
 def handedness(scene: RigidBody) -> int:
-    """Return 1 if the axes of smallest, middle and largest moment are right-handed in this order, else −1."""
     smallest, middle, _ = scene.by_inertia
     return 1 if middle == (smallest + 1) % 3 else -1
 
 
 def course(scene: RigidBody, z: Vector, xp: Any) -> Course:
-    """Return the motion that starts at the direction z of M."""
     I1, I2, I3 = (scene.inertia[axis] for axis in scene.by_inertia)
     z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
     a12, a23, a13 = (I2 - I1) / (I1 * I2), (I3 - I2) / (I2 * I3), (I3 - I1) / (I1 * I3)
@@ -120,13 +118,11 @@ def polar(v: Vector, xp: Any) -> tuple[Any, Vector, Any]:
 
 
 def components(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
-    """Return the components of z along axes i, 2, k."""
     z1, z2, z3 = (z[axis] for axis in scene.by_inertia)
     return choose(motion.first, z1, z3, xp), z2, choose(motion.first, z3, z1, xp)
 
 
 def clamp(v: Any, xp: Any) -> Any:
-    """Return v, but no farther than FARTHEST."""
     return choose(v > FARTHEST, FARTHEST, choose(v < -FARTHEST, -FARTHEST, v, xp), xp)
 
 
@@ -141,7 +137,6 @@ class Argument(NamedTuple):
 
 
 def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> tuple[Vector, Argument]:
-    """Return the direction of M at time tau, and the elapsed argument."""
     _, _, i2, k2, ik, _, _, rate, m, m1, still = motion
     zi, z2, zk = components(scene, motion, z, xp)
     v = choose(zi == 0, clamp(rate * tau, xp), rate * tau, xp)
@@ -190,7 +185,6 @@ def precession(
 
 
 def phase(scene: RigidBody, motion: Course, z: Vector, xp: Any) -> tuple[Any, Any, Any]:
-    """Return sn, cn, dn at z."""
     zi, z2, zk = components(scene, motion, z, xp)
     sn, cn = z2 * xp.sqrt(motion.i2), zk * xp.sqrt(motion.ik)
     square = sn * sn + cn * cn
@@ -211,7 +205,6 @@ def attitude(scene: RigidBody, motion: Course, z: Vector, turned: Vector, angle:
     on_smallest = sense(motion, xp) > 0
 
     def local(y: Vector) -> Vector:
-        """Return the components along e and the two axes after it."""
         return tuple(choose(on_smallest, y[(smallest + j) % 3], y[(largest + j) % 3], xp) for j in range(3))
 
     w, *v = frame(local(z), xp)

@@ -37,7 +37,6 @@ DEGREE = 5
 
 
 def product(a: Words, b: Words) -> Words:
-    """Return the product, words longer than `DEGREE` left out."""
     found: Words = {}
     for left, c in a.items():
         for right, d in b.items():
@@ -47,7 +46,6 @@ def product(a: Words, b: Words) -> Words:
 
 
 def flow_of(stages: Iterable[Stage]) -> Words:
-    """Return the product of the exponentials of the stages."""
     whole: Words = {"": Fraction(1)}
     for name, c in stages:
         powers = {LETTERS[name] * k: c**k / factorial(k) for k in range(DEGREE + 1)}
@@ -56,7 +54,6 @@ def flow_of(stages: Iterable[Stage]) -> Words:
 
 
 def logarithm(series: Words) -> Words:
-    """Return the log of a series that begins with one."""
     rest = {word: c for word, c in series.items() if word}
     found: Words = {}
     power: Words = {"": Fraction(1)}
@@ -101,7 +98,6 @@ def bracket(scene: Mechanical, letters: str) -> Function:
 
 
 def lift(x: Any, direction: Any) -> tuple[Dual, ...]:
-    """Return x as dual numbers, for a derivative along a direction."""
     return tuple(map(Dual, x, direction))
 
 

@@ -5,9 +5,11 @@ mpmath is imported when it is first used: its import would be a quarter of the c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from decimal import Decimal, localcontext
 from typing import Any
+
+from contactbench.scene import Scene
 
 Rows = list[list[Any]]  #: one list of components per time
 
@@ -17,10 +19,14 @@ def scales(rows: Rows) -> list[Any]:
     return [max(abs(x) for x in column) or 1 for column in zip(*rows, strict=True)]
 
 
+def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """Return max |a − b|."""
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+
+
 def disagreement(a: Rows, b: Rows) -> list[Any]:
     """Return max_k |a − b| of every column."""
-    pairs = zip(zip(*a, strict=True), zip(*b, strict=True), strict=True)
-    return [max(abs(x - y) for x, y in zip(p, q, strict=True)) for p, q in pairs]
+    return [distance(p, q) for p, q in zip(zip(*a, strict=True), zip(*b, strict=True), strict=True)]
 
 
 def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
@@ -53,17 +59,6 @@ def place(value: Any, digits: int) -> int:
     return digits if value == 0 else digits - 1 - int(mpmath.floor(mpmath.log10(abs(value))))
 
 
-def print_columns(rows: Rows, digits: int) -> list[list[str]]:
-    """Return every column to `digits` digits of its scale."""
-    places = [place(scale, digits) for scale in scales(rows)]
-    return [[rounded(x, p) for x, p in zip(row, places, strict=True)] for row in rows]
-
-
-def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """Return max |a − b|."""
-    return max(abs(x - y) for x, y in zip(a, b, strict=True))
-
-
 def decimal_context(digits: int) -> Any:
     """Return an mpmath context of its own, so that nobody's global precision is touched."""
     import mpmath
@@ -71,3 +66,13 @@ def decimal_context(digits: int) -> Any:
     context = mpmath.MPContext()
     context.dps = digits
     return context
+
+
+def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
+    """Return the scene with every float x, initial data included, replaced by ``number(repr(x))``."""
+
+    def convert(value: Any) -> Any:
+        return tuple(map(convert, value)) if isinstance(value, tuple) else number(repr(float(value)))
+
+    start = {name: convert(getattr(scene, name)) for name in scene.initial_fields}
+    return scene.with_numbers([convert(x) for x in scene.numbers()])._replaced(**start)

@@ -1,19 +1,62 @@
-"""The truth as stored: decimal strings in files whose digests are known."""
+"""The truth as stored: decimal strings in files whose digests are known, and which scene they belong to."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import json
+from collections.abc import Iterator
+from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from contactbench.boundary import is_ours
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.base import digest
+from contactbench.scene.many import Many
+from contactbench.trace.formula import Formula
+
+
+def name_of(function: Any) -> list[str]:
+    """Return a function of this package by its name; a user's by what it computes, or, unknown, as none other."""
+    if is_ours(function):
+        return [function.__module__, function.__qualname__]
+    return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
+
+
+def fingerprint(value: Any) -> Any:
+    """Return numbers as the decimals they print as; of an array, which may have millions, its hash."""
+    if isinstance(value, np.ndarray):
+        return hashlib.sha256(value.tobytes()).hexdigest()
+    return [repr(float(x)) for x in np.ravel(value)]
+
+
+def digest(scene: Scene) -> str:
+    """Return the SHA-256 of what determines the trajectory: kind, functions, numbers and initial data.
+
+    The scene's own name, its end time, and the Hessian and closed form (which follow from the rest)
+    do not count.
+    """
+    functions = [
+        [f.name, *name_of(value)]
+        for f in fields(scene)
+        if f.name not in ("exact", "hessian") and callable(value := getattr(scene, f.name))
+    ]
+    kind = type(scene)
+    package = ".".join(kind.__module__.split(".")[:2])  # where it is imported from, not where it is written
+    definition = [
+        f"{package}.{kind.__qualname__}",
+        functions,
+        list(getattr(scene, "parameters", {})),
+        [repr(float(x)) for x in scene.numbers()],
+        [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
+    ]
+    if isinstance(scene, Many):
+        definition += [scene.sites, getattr(scene, "boundary", ""), *map(fingerprint, scene.constants.values())]
+    return hashlib.sha256(json.dumps(definition).encode()).hexdigest()
 
 
 def frozen_folder() -> Path | None:
@@ -41,14 +84,18 @@ def table(path: Path, sha256: str) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
+def entries(scene: Scene) -> Iterator[dict[str, Any]]:
+    """Yield the manifest's entries of this very scene, whatever its name and end."""
+    folder, wanted = frozen_folder(), digest(scene)
+    for entry in manifest(folder).values() if folder else ():
+        if entry["scene_digest"] == wanted:
+            yield entry
+
+
 def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
     """Return decimals, digits and source from the frozen file of this very scene, if it has these times."""
-    folder = frozen_folder()
-    wanted = digest(scene)
-    for entry in manifest(folder).values() if folder else ():
-        if entry["scene_digest"] != wanted:
-            continue
-        header, rows = table(folder / entry["file"], entry["sha256"])  # type: ignore[operator]
+    for entry in entries(scene):
+        header, rows = table(frozen_folder() / entry["file"], entry["sha256"])  # type: ignore[operator]
         grid = np.array([float(row[0]) for row in rows])
         nearest = np.searchsorted((grid[1:] + grid[:-1]) / 2, t)
         labels = scene.labels(carry)
@@ -58,14 +105,6 @@ def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
     return None
 
 
-def frozen_entry(scene: Scene) -> dict[str, Any] | None:
-    """Return the manifest's entry of this very scene, whatever its name, or None."""
-    folder, wanted = frozen_folder(), digest(scene)
-    entries = manifest(folder).values() if folder else ()
-    return next((entry for entry in entries if entry["scene_digest"] == wanted), None)
-
-
 def condition_number(scene: Scene) -> float | None:
     """Return max_t ‖∂x(t)/∂x(0)‖₂ along the true trajectory: what errors grow to.  None where it is not stored."""
-    entry = frozen_entry(scene)
-    return entry.get("condition_number") if entry else None
+    return next((entry.get("condition_number") for entry in entries(scene)), None)

@@ -14,7 +14,7 @@ import numpy as np
 
 from contactbench.errors import BadInput
 from contactbench.scene import Scene
-from contactbench.truth.base import Stopwatch
+from contactbench.truth.engines import Stopwatch
 
 #: numbers of a state up to which its components are solved to 30 digits
 FEW = 128

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
@@ -16,35 +16,71 @@ import numpy as np
 
 from contactbench.boundary import is_ours, plain_function
 from contactbench.boundary import place as place_of
-from contactbench.errors import BadInput, excerpt, is_real, one_line
+from contactbench.errors import BadInput, array, excerpt, is_real, one_line
 from contactbench.scene import Scene, verify
 from contactbench.scene.cache import Cache, key
 from contactbench.scene.definition import verify_along
 from contactbench.scene.many import Many
 from contactbench.scenes import scene_of
-from contactbench.truth.base import NEVER, BlowUp, Reference, checked_times, digest
-from contactbench.truth.closed_form import closed_form, closed_form_columns
 from contactbench.truth.digits import (
     Rows,
     agreeing_digits,
     decimal_context,
     disagreement,
+    distance,
     matching_digits,
     place,
     rounded,
     scales,
+    with_decimals,
 )
-from contactbench.truth.extrapolation import extrapolation
-from contactbench.truth.frozen import frozen, frozen_entry
+from contactbench.truth.engines import NEVER, BlowUp, extrapolation, heyoka_reads_rhs, taylor
+from contactbench.truth.frozen import digest, entries, frozen
 from contactbench.truth.many import FEW, doubles
-from contactbench.truth.taylor import heyoka_reads_rhs, taylor
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
 LIVE_BITS = (140, 300, 600)
-
-
 #: seconds that a live reference may take unless more are allowed
 LIVE_SECONDS = 300.0
+
+
+@dataclass(frozen=True, repr=False)
+class Reference:
+    """The true states of a scene at given times.
+
+    t : (k,).  y : (k, d) float64, correctly rounded, columns as in ``scene.labels(carry)``.
+    decimals : the same numbers as k rows of d decimal strings with every digit that is known.
+    digits : decimal digits known to be right, relative to the largest entry of a column, the
+    worst column.  source : "closed form", "frozen" or "live".
+    """
+
+    scene: Scene
+    carry: tuple[str, ...]
+    t: np.ndarray
+    y: np.ndarray
+    decimals: list[list[str]]
+    digits: int
+    source: str
+
+    def __repr__(self) -> str:
+        """Return one line: of what, how much of it, how well it is known."""
+        what = f"{len(self.t)} states to t = {self.t.max():g}, {self.digits} digits, {self.source}"
+        return f"<Reference of {self.scene.name}: {what}>"
+
+    def states(self) -> Any:
+        """Return the states as one NamedTuple of arrays over time."""
+        return self.scene.unpack(self.y.T, self.carry)
+
+
+def checked_times(times: Any) -> np.ndarray:
+    """Return `times` as a new float array of shape (k,), k ≥ 1, or `BadInput`."""
+    t = np.array(array("times", times, "finite numbers ≥ 0"), ndmin=1)  # a copy
+    if t.ndim != 1 or not t.size:
+        raise BadInput(f"times: must be one number or a flat list of numbers, not of shape {t.shape}")
+    for wrong in t[~(np.isfinite(t) & (t >= 0))][:1].tolist():
+        raise BadInput(f"times contain {wrong!r}: must be finite numbers ≥ 0")
+    return t
+
 
 _cache: Cache[Reference] = Cache(1024)
 
@@ -88,33 +124,100 @@ def reference(
         y.setflags(write=False)  # shared by every caller through the cache
         return Reference(scene, carry, t, y, decimals, digits, source)
 
-    known = scene.exact is None or is_ours(scene.exact)
-    return _cache.get(
-        key(scene.identity if known else None, digest(scene), scene.exact, carry, t.tobytes()), make
-    )
+    identity = scene.identity if scene.exact is None or is_ours(scene.exact) else None
+    return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
 
 
 def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
-    """Return the truth of a scene of many sites: of few of them, component by component, to many digits."""
+    """Return the truth of a scene of many sites: of few of them component by component, to many digits."""
     if scene.motion <= FEW and scene.exact is None:
-        found = reference(scene.unrolled(), t, carry, seconds)
-        return replace(found, scene=scene)
+        return replace(reference(scene.unrolled(), t, carry, seconds), scene=scene)
     unique, back = np.unique(t, return_inverse=True)
     if scene.exact is not None:
-        rows = [scene.pack(_carried(scene.exact(scene, time, np), carry)) for time in unique.tolist()]
+        states = [scene.exact(scene, time, np) for time in unique.tolist()]
+        rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
         y, digits, source = np.array(rows), 13, "closed form"
     else:
-        y, digits = doubles(scene, unique, carry, perf_counter() + seconds)
-        source = "live"
-    y = y[back]
-    y.setflags(write=False)
-    return Reference(scene, carry, t, y, [], digits, source)
+        (y, digits), source = doubles(scene, unique, carry, perf_counter() + seconds), "live"
+    return Reference(scene, carry, t, y[back], [], digits, source)
 
 
-def _carried(x: Any, carry: tuple[str, ...]) -> Any:
-    return x if "s" in carry else x._replace(s=None)
+# -- closed forms ------------------------------------------------------------------------------------
+CLOSED_FORM_DIGITS = 50
 
 
+def closed_form(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
+    """Return decimals, digits and source from the scene's closed form, or None if it lacks a field."""
+    probe = closed_form_columns(scene, t[:1], carry)  # elliptic functions at every time are slow
+    if probe is None or None in probe or (columns := closed_form_columns(scene, t, carry)) is None:
+        return None
+    digits = min(known for _, known in columns)
+    return [list(row) for row in zip(*(c for c, _ in columns), strict=True)], digits, "closed form"
+
+
+def closed_form_columns(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> list | None:
+    """Return decimals and digits of every column of the closed form; None for a column it lacks.
+
+    Evaluated at two precisions; every entry keeps its own agreeing significant digits.  None where
+    the scene has no closed form, or has one that does not solve its equations (as after a change
+    of a parameter the formula leaves out).
+    """
+    if scene.exact is None or not solves_equations(scene, float(t.max())):
+        return None
+    low, high = (closed_form_rows(scene, t, carry, CLOSED_FORM_DIGITS + extra) for extra in (0, 15))
+    columns: list = []
+    for a, b in zip(zip(*low, strict=True), zip(*high, strict=True), strict=True):
+        if b[0] is None:
+            columns.append(None)
+            continue
+        digits = [agreeing_digits([[x]], [[y]], CLOSED_FORM_DIGITS) for x, y in zip(a, b, strict=True)]
+        decimals = [rounded(y, place(y, max(n, 1))) for y, n in zip(b, digits, strict=True)]
+        columns.append((decimals, agreeing_digits([[x] for x in a], [[y] for y in b], CLOSED_FORM_DIGITS)))
+    return columns
+
+
+def closed_form_rows(scene: Scene, t: np.ndarray, carry: tuple[str, ...], digits: int) -> Rows:
+    """Return the closed form in mpmath numbers of so many digits, None for what it does not know."""
+    context = decimal_context(digits)
+    twin = with_decimals(scene, context.mpf)
+    start = twin.initial(carry)
+    rows = []
+    for time in t.tolist():
+        state = twin.exact(twin, context.mpf(repr(time)), context)  # type: ignore[misc]
+        row: list[Any] = []
+        for known, part in zip(state, start, strict=True):
+            if part is not None:  # carried
+                row += [None] * len(twin.pack((part,))) if known is None else twin.pack((known,))
+        rows.append(row)
+    return rows
+
+
+def solves_equations(scene: Scene, end: float) -> bool:
+    """Return whether the closed form starts at the initial data and obeys the right-hand side.
+
+    Central differences of step 10⁻²⁰ at 65 digits, so a right formula passes with room to spare.
+    """
+    if scene.conformal_rate is None and scene.clock is None:
+        return False  # κ ≠ 0 or a matrix D: no closed form of ours covers it
+    context = decimal_context(CLOSED_FORM_DIGITS + 15)
+    twin = with_decimals(scene, context.mpf)
+    exact = lambda t: twin.exact(twin, t, context)  # type: ignore[misc]  # noqa: E731
+    step = context.mpf(10) ** -20
+    start = [0 if part is None else part for part in twin.initial(scene.optional)]
+    for known, part in zip(exact(context.mpf(0)), start, strict=True):
+        if known is not None and distance(twin.pack((known,)), twin.pack((part,))) > step:
+            return False
+    for time in (end / 3, end):
+        t = context.mpf(repr(time))
+        slope = twin.pack(twin.rhs(exact(t)))
+        before, after = twin.pack(exact(t - step)), twin.pack(exact(t + step))
+        difference = [(b - a) / (2 * step) for a, b in zip(before, after, strict=True)]
+        if distance(slope, difference) > 1e-15 * max(map(abs, slope)):
+            return False
+    return True
+
+
+# -- live --------------------------------------------------------------------------------------------
 def live(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float = NEVER) -> tuple:
     """Return decimals, digits and source from two precisions, keeping the digits that agree.
 
@@ -163,10 +266,8 @@ def computations(
                     break
                 yield rows, taylor(scene, times, carry, bits, deadline=deadline)
         for digits in (28, 70):
-            more, fewer = (
-                extrapolation(scene, times, carry, n, deadline=deadline) for n in (digits + 8, digits)
-            )
-            yield more, fewer
+            rows = extrapolation(scene, times, carry, digits + 8, deadline)
+            yield rows, extrapolation(scene, times, carry, digits, deadline)
     except BadInput:
         raise
     except Exception as error:
@@ -176,10 +277,6 @@ def computations(
         ) from error
 
 
-#: digits that the second engine is asked for
-CONFIRMED_DIGITS = 20
-
-
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
     """Return the digits of a reference that extrapolation, independent of Taylor series, confirms; at most 20.
 
@@ -187,16 +284,14 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
     """
     if found.source == "live" and importlib.util.find_spec("heyoka") is None:
         return None
-    times = [repr(x) for x in found.t.tolist()]
+    times, digits = [repr(x) for x in found.t.tolist()], 20
     try:
-        rows = extrapolation(
-            found.scene, times, found.carry, CONFIRMED_DIGITS, deadline=perf_counter() + seconds
-        )
+        rows = extrapolation(found.scene, times, found.carry, digits, perf_counter() + seconds)
     except BadInput:
         return None
-    context = decimal_context(CONFIRMED_DIGITS + 15)
+    context = decimal_context(digits + 15)
     own = [[context.mpf(x) for x in row] for row in found.decimals]
-    return agreeing_digits(rows, own, CONFIRMED_DIGITS)
+    return agreeing_digits(rows, own, digits)
 
 
 #: a step this small against the span tells the time of blow-up to as many digits, less a few
@@ -212,8 +307,7 @@ def blow_up_time(scene: Scene) -> tuple[str, int] | None:
     """
     if scene.exact is not None:
         return None
-    entry = frozen_entry(scene)
-    if entry is not None:
+    for entry in entries(scene):
         known = entry.get("blow_up")
         return (known["time"], known["digits"]) if known else None
     low, high = (taylor_blow_up(scene, bits) for bits in (200, 260))

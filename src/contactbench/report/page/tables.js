@@ -47,7 +47,7 @@
     return sign * (typeof a === "number" ? a - b : a.localeCompare(b, "en", { numeric: true }));
   }
   function drawTable(details) {
-    const view = data.views[details.dataset.view];
+    const view = data[details.dataset.view];
     if (!view || details.querySelector("table")) return;
     const words = view.heads.map((head) => head[1]);
     const rows = view.rows.map((cells) => ({ cells, node: html("tr", {}, ...cells.map((cell, i) => entry(cell, words[i]))) }));
@@ -81,17 +81,5 @@
   for (const details of all("details.view")) {
     details.addEventListener("toggle", () => drawTable(details));
     if (details.open) drawTable(details);
-  }
-
-  // -- alternatives: one choice of a name for the whole page ----------------------------------------------
-  for (const group of all("[data-choice]")) {
-    group.querySelector("select").addEventListener("change", (event) => {
-      for (const same of all(`[data-choice="${group.dataset.choice}"]`)) {
-        const options = all(":scope > [data-option]", same);
-        if (!options.some((option) => option.dataset.option === event.target.value)) continue; // it stays as it is
-        for (const option of options) option.hidden = option.dataset.option !== event.target.value;
-        same.querySelector("select").value = event.target.value;
-      }
-    });
   }
 

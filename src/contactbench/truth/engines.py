@@ -1,0 +1,203 @@
+"""The two engines of high precision: heyoka's Taylor series, and extrapolation, which shares nothing with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from importlib.util import find_spec
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from contactbench.errors import BadInput
+from contactbench.numbers.series import NO_SERIES, equations
+from contactbench.scene import Scene
+from contactbench.truth.digits import Rows, decimal_context, distance, with_decimals
+
+#: a moment that never comes, on the clock of `perf_counter`
+NEVER = math.inf
+#: seconds after which the rest of a computation is foreseen, and how many times its budget it may still need
+FORESEEN, HOPELESS = 2.0, 4.0
+MAX_STEPS = 1_000_000
+#: a step this small against the whole span means a singularity ahead, not a fast motion
+COLLAPSE = 1e-12
+
+
+class BlowUp(BadInput):
+    """The trajectory reaches infinity at `time`, an mpmath number."""
+
+    def __init__(self, scene: Scene, time: Any) -> None:
+        super().__init__(
+            f"no reference for scene {scene.name!r}: the trajectory blows up at t = {float(time):.6g}"
+        )
+        self.time = time
+
+
+class OutOfTime(BadInput):
+    """A computation that was given so much time and needs more."""
+
+
+class Stopwatch:
+    """The time of one computation of a scene over a span, and what all of it would take."""
+
+    def __init__(self, scene: Scene, span: float, deadline: float) -> None:
+        self.scene, self.span, self.deadline, self.begun = scene, span, deadline, perf_counter()
+
+    def is_over(self, t: float) -> bool:
+        """Return whether the deadline has passed, or, seen from t, will pass long before the end."""
+        now = perf_counter()
+        spent = now - self.begun
+        hopeless = spent * self.span > HOPELESS * (self.deadline - self.begun) * t
+        return now > self.deadline or (spent > FORESEEN and hopeless)
+
+    def check(self, t: float) -> None:
+        """Raise `OutOfTime` if it is over."""
+        if self.is_over(t):
+            faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
+            raise OutOfTime(
+                f"no reference for scene {self.scene.name!r} in the time it was given (t = {t:.3g} of "
+                f"{self.span:.3g} so far): allow it more, or choose an earlier t_end{faster}"
+            )
+
+
+# -- Taylor series -----------------------------------------------------------------------------------
+def taylor_system(scene: Scene, carry: tuple[str, ...], bits: int) -> tuple[list, list]:
+    """Return the scene as heyoka expressions with numbers of `bits` bits, and its initial state."""
+    import heyoka
+
+    twin = with_decimals(scene, lambda text: heyoka.real(text, bits))
+    variables = heyoka.make_vars(*(f"y{i}" for i in range(len(scene.labels(carry)))))
+    slopes = equations(twin, variables, carry)
+    return list(zip(variables, slopes, strict=True)), twin.pack(twin.initial(carry))
+
+
+def taylor(
+    scene: Scene,
+    times: list[str],
+    carry: tuple[str, ...],
+    bits: int,
+    collapse: float = COLLAPSE,
+    start: list[str] | None = None,
+    deadline: float = NEVER,
+) -> Rows:
+    """Return states at increasing times ≥ 0 (decimal strings) by heyoka's Taylor series, as mpmath numbers.
+
+    start : packed initial state as decimal strings, by default the scene's own.  Raises `BlowUp` when
+    a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of `perf_counter`).
+    Biscani, Izzo, Mon. Not. R. Astron. Soc. 504, 2614 (2021), doi:10.1093/mnras/stab1032.
+    """
+    import heyoka
+
+    system, own = taylor_system(scene, carry, bits)
+    origin_state = own if start is None else [heyoka.real(x, bits) for x in start]
+    integrator = heyoka.taylor_adaptive(
+        system, np.array(origin_state), fp_type=heyoka.real, prec=bits, compact_mode=True
+    )
+    origin = [] if float(times[0]) == 0 else ["0.0"]
+    grid = np.array([heyoka.real(t, bits) for t in [*origin, *times]])
+    end = float(times[-1])
+    watch = Stopwatch(scene, end, deadline)
+
+    def keep_going(integrator: Any) -> bool:
+        t, shortest = float(integrator.time), collapse * end
+        return not watch.is_over(t) and (end - t <= shortest or float(integrator.last_h) > shortest)
+
+    context = decimal_context(bits * 3 // 10 + 5)
+    outcome, *_, states = integrator.propagate_grid(grid, callback=keep_going, max_steps=MAX_STEPS)
+    if outcome == heyoka.taylor_outcome.step_limit:
+        raise BadInput(f"no reference for scene {scene.name!r}: more than {MAX_STEPS} Taylor steps needed")
+    if outcome != heyoka.taylor_outcome.time_limit:
+        watch.check(float(integrator.time))
+        if math.isnan(float(integrator.time)):
+            raise BadInput(
+                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; {NO_SERIES}"
+            )
+        raise BlowUp(scene, context.mpf(str(integrator.time)))
+    return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
+
+
+def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool:
+    """Return whether heyoka and mpmath evaluate the same right-hand side at y to 35 digits.
+
+    They do not where a force divides by an integer that is no power of two: heyoka turns ``x / 3``
+    into a product with the double nearest to 1/3.
+    """
+    import heyoka
+
+    bits = 160
+    variables, slopes = zip(*taylor_system(scene, carry, bits)[0], strict=True)
+    compiled = heyoka.cfunc(slopes, vars=variables, fp_type=heyoka.real, prec=bits, compact_mode=True)
+    context = decimal_context(48)
+    state = [context.mpf(x) for x in y]
+    theirs = compiled(np.array([heyoka.real(str(x), bits) for x in state]))
+    twin = with_decimals(scene, context.mpf)
+    ours = twin.pack(twin.rhs(twin.unpack(state, carry)))
+    return distance([context.mpf(str(x)) for x in theirs], ours) <= 1e-35 * max(map(abs, [*ours, *state]))
+
+
+# -- extrapolation -----------------------------------------------------------------------------------
+def extrapolation(
+    scene: Scene, times: list[str], carry: tuple[str, ...], digits: int, deadline: float = NEVER
+) -> Rows:
+    """Return states at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
+
+    Raises `BlowUp` when a step falls below `COLLAPSE` of the span, `OutOfTime` after the deadline (a time of
+    `perf_counter`).
+
+    Modified midpoint rule with 2, 4, 6, … substeps, extrapolated in h² until two neighbours agree
+    to `digits` digits: no Taylor series and no heyoka, only evaluations of ``scene.rhs``.
+    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §II.9.
+    """
+    context = decimal_context(digits + 15)  # extrapolation amplifies round-off
+    twin = with_decimals(scene, context.mpf)
+    most = 4 + digits // 2
+    tolerance = context.mpf(10) ** -digits
+
+    def slope(y: list[Any]) -> list[Any]:
+        return twin.pack(twin.rhs(twin.unpack(y, carry)))
+
+    now, y = context.mpf(0), twin.pack(twin.initial(carry))
+    shortest, trial = COLLAPSE * context.mpf(times[-1]), context.mpf(times[-1])
+    rows, watch = [], Stopwatch(scene, float(times[-1]), deadline)
+    for time in map(context.mpf, times):
+        while now < time:
+            watch.check(float(now))
+            step = min(trial, time - now)
+            try:
+                column, result = extrapolated(slope, y, step, most, tolerance)
+            except ArithmeticError:  # it lands on a singularity
+                column, result = most, None
+            if result is None:
+                trial = step / 2
+                if trial < shortest:
+                    raise BlowUp(scene, now)
+                continue
+            now, y = (time if step == time - now else now + step), result
+            if column < 0.7 * most:
+                trial = max(trial, step * 3 / 2)
+        rows.append(list(y))
+    return rows
+
+
+def extrapolated(
+    slope: Callable[[list[Any]], list[Any]], y: list[Any], step: Any, most: int, tolerance: Any
+) -> tuple[int, list[Any] | None]:
+    """Return one extrapolated step and the number of columns it took; None if `most` are not enough."""
+    first = slope(y)
+    previous: Rows = []
+    for j in range(1, most + 1):
+        h = step / (2 * j)
+        old, mid = y, [a + h * f for a, f in zip(y, first, strict=True)]
+        for _ in range(2 * j - 1):
+            old, mid = mid, [a + 2 * h * f for a, f in zip(old, slope(mid), strict=True)]
+        row = [mid]
+        for k, below in enumerate(previous, start=1):  # Aitken–Neville in h²
+            weight = (step * 0 + j * j) / (j - k) ** 2 - 1
+            row.append([a + (a - b) / weight for a, b in zip(row[-1], below, strict=True)])
+        if j > 2 and distance(row[-1], row[-2]) <= tolerance * max(map(abs, y)):
+            return j, row[-1]
+        if max(map(abs, mid)) > 1e6 * (1 + max(map(abs, y))):
+            return j, None  # hopeless at this step, and the numbers would only grow
+        previous = row
+    return most, None
