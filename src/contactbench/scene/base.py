@@ -31,7 +31,7 @@ from contactbench.trace.formula import Formula, formula
 #: by how much a function of floats may differ from its formula: powers are products there
 SAME = 1e-6
 #: what a scene may ask to be run by
-EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
+EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability", "scaling")
 #: what the functions of scenes, and step maps, are called with besides the parameters
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time

@@ -107,13 +107,14 @@ class Many(Scene):
         size = self.sites * self.dimensions
         if callable(given):
             index = np.arange(self.sites)
+            number = (self.sites,) if len(signature(given).parameters) > 1 else ()
             with their_code(f"scene {self.name!r}"):
                 try:
-                    values = np.asarray(given(index), dtype=float)
-                except (TypeError, ValueError):
-                    values = None
-                if values is None or values.shape[:1] != (self.sites,):
-                    values = np.array([given(int(i)) for i in index], dtype=float)
+                    values = np.asarray(given(index, *number), dtype=float)
+                except (TypeError, ValueError):  # of one index at a time
+                    values = np.empty(0)
+                if values.shape[:1] != (self.sites,):
+                    values = np.array([given(int(i), *number) for i in index], dtype=float)
             given = values
         shape = f"{self.sites} × {self.dimensions} numbers" if self.dimensions > 1 else f"{size} numbers"
         values = array(name, given, f"{shape}, or a function of the index")
@@ -343,7 +344,7 @@ class Lattice(Many):
     gamma
         Linear damping.
     q, p
-        n numbers each, or functions of the index 0 … n − 1.
+        n numbers each, or functions of the index 0 … n − 1, or of the index and n.
     parameters
         Numbers by name that the potentials take.
 

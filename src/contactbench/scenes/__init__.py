@@ -6,10 +6,11 @@ from contactbench.errors import BadInput, Registry, excerpt
 from contactbench.scene import Scene
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
+from contactbench.scenes.many import MANY
 from contactbench.scenes.standard import STANDARD
 
 SCENES = Registry("scene", Scene)
-for _scene in (*STANDARD, *DRIVEN, *HARD):
+for _scene in (*STANDARD, *DRIVEN, *HARD, *MANY):
     SCENES.add(_scene)
 
 
