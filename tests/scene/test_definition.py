@@ -21,12 +21,12 @@ def beyond(x, edge):
     return above * above * above
 
 
-def driven(span):
+def spherical(total=lambda t, h: 0, time=lambda t, h: 0):
+    """The damping 2/t, its span spoilt by what is added to its parts."""
     return cb.Driven(
         potential=lambda q, t: q[0] * q[0] / 2,
-        gradient=lambda q, t: (q[0],),
         rate=lambda t: 2 / t,
-        span=span,
+        span=lambda t, h, xp: (2 * xp.log1p(h / t) + total(t, h), t * h / (t + h) + time(t, h)),
         t=1.0,
         **SPRING,
     )
@@ -34,15 +34,8 @@ def driven(span):
 
 def general(slope=lambda s: 0.1 + 0.2 * s, flow=None):
     """Γ = 0.1 s + 0.1 s², s' = −Γ solved by e^{−h/10}s/(1 + s(1 − e^{−h/10})); s falls from 3."""
-    return cb.GeneralDamping(
-        potential=lambda q: q[0] * q[0] / 2,
-        gradient=lambda q: (q[0],),
-        s=3.0,
-        damping=lambda s: 0.1 * s + 0.1 * s * s,
-        damping_slope=slope,
-        damping_flow=flow,
-        **SPRING,
-    )
+    functions = {"damping": lambda s: 0.1 * s + 0.1 * s * s, "damping_slope": slope, "damping_flow": flow}
+    return cb.GeneralDamping(potential=lambda q: q[0] * q[0] / 2, s=3.0, **functions, **SPRING)
 
 
 def central(**changes):
@@ -56,11 +49,6 @@ def central(**changes):
 def decay(s, h, xp):
     e = xp.exp(-h / 10)
     return s * e / (1 + s * (1 - e))
-
-
-def spherical(total=lambda t, h: 0, time=lambda t, h: 0):
-    """The damping 2/t, its span spoilt by what is added to its parts."""
-    return driven(lambda t, h, xp: (2 * xp.log1p(h / t) + total(t, h), t * h / (t + h) + time(t, h)))
 
 
 RIGHT = [spherical(), general(), general(flow=decay)]

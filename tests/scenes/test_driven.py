@@ -12,14 +12,12 @@ from cases import by_name, pairs, saved
 from contactbench.measure.laws import laws_of, row
 from contactbench.measure.order import error_at, order_at
 from contactbench.numbers import quadrature
-from contactbench.scene import Driven
 from contactbench.scenes.driven import (
     DRIVEN,
     DUFFING,
     FORCED_OSCILLATOR,
     FORCED_PULSATING,
     LANE_EMDEN,
-    spherical,
     spherical_span,
 )
 from contactbench.splitting.flows import flows_of
@@ -39,34 +37,6 @@ def test_closed_forms_are_those_of_the_textbook():
         found = cb.reference(scene, saved(scene))
         assert (found.source, found.digits >= 40) == ("closed form", True)
         np.testing.assert_allclose(found.y[:, 0], theta(scene.t + saved(scene)), rtol=0, atol=1e-15)
-
-
-#: Boyd, Numer. Math. Theor. Meth. Appl. 4, 142 (2011), as quoted by Dedalus's example of the Lane–Emden equation
-@pytest.mark.parametrize(("index", "zero"), [(1.5, 3.65375373621912608), (3.0, 6.896848619376960)])
-def test_published_zeros_of_the_lane_emden_functions(index, zero):
-    """The first zeros of n = 1.5 and n = 3, to nine digits: what the straight line at the end leaves."""
-    start = 0.01  # θ = 1 − t²/6 + n t⁴/120 − …, the next term is 10⁻¹³ there
-    theta = 1 - start**2 / 6 + index * start**4 / 120
-    slope = -start / 3 + index * start**3 / 30
-
-    scene = Driven(
-        name="before_the_zero",
-        potential=lambda q, t: abs(q[0]) ** (index + 1) / (index + 1),
-        gradient=lambda q, t: (abs(q[0]) ** index,),
-        rate=spherical,
-        span=spherical_span,
-        q=(theta,),
-        p=(slope,),
-        t=start,
-        t_end=zero - 1e-3 - start,
-    )
-    step = scene.t_end / 4000
-    solution = cb.solve(scene, "contact-rkn6", step=step, carry=(), engine="python")
-    q, p, t = solution.y[-1]
-    # from there a straight line with the curvature −2p/t, the force being nothing at the zero
-    d = -q / p
-    found = t + d * (1 + d / t)
-    assert found == pytest.approx(zero, abs=2e-9)
 
 
 # -- what the authors of contact integrators print ---------------------------------------------------

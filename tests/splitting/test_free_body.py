@@ -22,15 +22,6 @@ BODY = cb.SCENES["rigid_body"]
 EPSILON = 2.0**-53
 
 
-# -- special functions -----------------------------------------------------------------------------
-COMPLEMENTS = ["1", "0.999999999999", "0.7", "0.1", "1e-3", "1e-9", "1e-16", "1e-25", "1e-120"]
-
-
-@pytest.mark.parametrize("m1", COMPLEMENTS)
-def test_jacobi_functions_are_mpmaths(m1, mp50):
-    assert properties.jacobi_functions_are_right([mp50.mpf(m1)])
-
-
 # -- the flow --------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["rigid_body", "tumbling", "needle", "underflow"])
 def test_closed_form_agrees_with_the_frozen_references(name):

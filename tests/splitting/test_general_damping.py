@@ -69,6 +69,17 @@ def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
     np.testing.assert_allclose(accurate.y, solution.y, rtol=0, atol=1e-6)
 
 
+def test_a_derived_hessian_is_no_jacobian():
+    functions = {
+        "potential": lambda q: q[0] ** 4 / 4,
+        "damping": lambda s: s**3,
+        "damping_slope": lambda s: 3 * s * s,
+    }
+    scene = cb.GeneralDamping(name="mine", q=(1.0,), p=(0.0,), s=0.3, t_end=3.0, **functions)
+    runs = [cb.solve(scene, name, rtol=1e-8, save_at=[3.0]) for name in ("scipy-radau", "scipy-dop853")]
+    np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("engine", ["numba", "python"])
 def test_blow_up_ends_as_diverged_with_the_time(engine):
     """Γ = −s³ feeds s until it is infinite: ds/dt = s³ from 1 ends at t = ½."""

@@ -186,7 +186,7 @@ def is_right(composition):
 
 @pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
 def test_every_wrong_coefficient_is_noticed(composition):
-    missed = [m.run(1) for m in unbalanced(composition) if not notices(lambda m=m: is_right(m))]
+    missed = [properties.run(m, 1) for m in unbalanced(composition) if not notices(lambda m=m: is_right(m))]
     assert missed == []
 
 
@@ -199,4 +199,6 @@ def test_a_wrong_coefficient_that_keeps_the_sum_is_noticed_by_the_order(composit
     for mutant in wrong:
         assert properties.consistent(mutant)
         method = contact_method(mutant)
-        assert notices(lambda m=method: properties.has_its_local_order(m, PARTICLE)), mutant.run(1)
+        assert notices(lambda m=method: properties.has_its_local_order(m, PARTICLE)), properties.run(
+            mutant, 1
+        )

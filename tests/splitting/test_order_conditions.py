@@ -19,6 +19,7 @@ from mpmath import mp
 
 from contactbench.splitting.composition import Composition
 from contactbench.splitting.tables import COMPOSITIONS
+from properties import run
 
 #: of fixed-point numbers: 66 digits after the point
 BITS = 220
@@ -56,7 +57,7 @@ def expanded(composition: Composition, steps: int, degree: int) -> dict[str, mp.
     In integer multiples of 2^−BITS: each of some 10⁵ products is off by one at most.
     """
     x = {"": 1 << BITS}
-    for name, c in composition.run(steps):
+    for name, c in run(composition, steps):
         letter = LETTERS[name]
         series = [
             (letter * k, (c.numerator**k << BITS) // (c.denominator**k * factorial(k)))

@@ -75,6 +75,10 @@ class System(ABC):
     functions: ClassVar[dict[str, tuple[str, ...]]] = {}
     #: optional state fields, in packing order
     optional: ClassVar[tuple[str, ...]] = ("s",)
+    #: those that the dynamics cannot do without
+    required: ClassVar[tuple[str, ...]] = ()
+    #: whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise
+    has_jacobian: ClassVar[bool] = True
 
     # -- packing -------------------------------------------------------------------------------
     def carry(self, names: Sequence[str] | None = None) -> tuple[str, ...]:
@@ -87,11 +91,6 @@ class System(ABC):
         if not all(isinstance(name, str) and name in self.optional for name in given):
             raise BadInput(f"carry = {excerpt(names)}: must be {wanted}")
         return tuple(name for name in self.optional if name in given or name in self.required)
-
-    @property
-    def required(self) -> tuple[str, ...]:
-        """Optional fields the dynamics cannot do without."""
-        return ()
 
     @abstractmethod
     def labels(self, carry: Sequence[str]) -> list[str]:
@@ -249,11 +248,6 @@ class System(ABC):
     def jacobian(self, x: Any) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
 
-    @property
-    def has_jacobian(self) -> bool:
-        """Whether `jacobian` is written out; solvers that want one difference the right-hand side otherwise."""
-        return True
-
     def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
@@ -314,6 +308,16 @@ class Scene(System):
     }
     #: its state has coordinates q and p of the same number, and η = ds − p dq
     canonical: ClassVar[bool] = False
+    #: what its equations or flows choose by, computed once of the numbers it was made with
+    decided: ClassVar[tuple[Any, ...]] = ()
+    #: φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant
+    rate_changes: ClassVar[bool] = False
+    #: J' = −Γ'(s) J
+    has_momentum_law: ClassVar[bool] = False
+    #: one component of J obeys J' = −γJ + torque instead, at a constant γ
+    has_torque: ClassVar[bool] = False
+    #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
+    may_gain_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
@@ -370,13 +374,10 @@ class Scene(System):
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        functions = tuple(getattr(self, name) for name in self.functions)
-        return (self.kind, *functions, *self.labels(self.optional), *self.number_names(), *self.decided)
-
-    @property
-    def decided(self) -> tuple[Any, ...]:
-        """What its equations or flows choose by, computed once of the numbers it was made with."""
-        return ()
+        functions = (getattr(self, name) for name in self.functions)
+        values = ((name, getattr(self, name)) for name in (*self.initial_fields, *self.coefficients))
+        sizes = ((name, len(value) if isinstance(value, tuple) else 1) for name, value in values)
+        return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
         """Return the names of the fields of its states that are integrated."""
@@ -475,23 +476,3 @@ class Scene(System):
     def bounds_energy(self) -> bool:
         """H0 never exceeds what it was at the start."""
         return not self.may_gain_energy
-
-    @property
-    def rate_changes(self) -> bool:
-        """φ_t*η = e^{−∫Γ'} η with a Γ' that is not constant."""
-        return False
-
-    @property
-    def has_momentum_law(self) -> bool:
-        """J' = −Γ'(s) J."""
-        return False
-
-    @property
-    def has_torque(self) -> bool:
-        """One component of J obeys J' = −γJ + torque instead, at a constant γ."""
-        return False
-
-    @property
-    def may_gain_energy(self) -> bool:
-        """H0 need not decay: no damping, negative damping, or damping whose sign follows the motion."""
-        return False

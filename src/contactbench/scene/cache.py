@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any
 
@@ -12,7 +11,7 @@ class Cache[Made]:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self.items: OrderedDict[Hashable, Made] = OrderedDict()
+        self.items: dict[Hashable, Made] = {}
 
     def __len__(self) -> int:
         return len(self.items)
@@ -24,8 +23,8 @@ class Cache[Made]:
         made = self.items.get(key)
         if made is None:
             made = self.items[key] = make()
-            while len(self.items) > self.size:
-                self.items.popitem(last=False)
+            if len(self.items) > self.size:
+                del self.items[next(iter(self.items))]
         return made
 
 

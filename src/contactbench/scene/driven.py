@@ -150,7 +150,7 @@ class Driven(Mechanical):
         return self.gamma if self.rate is None else None
 
     @property
-    def rate_changes(self) -> bool:
+    def rate_changes(self) -> bool:  # type: ignore[override]
         return self.rate is not None
 
     def rate_at(self, t: Any) -> Any:

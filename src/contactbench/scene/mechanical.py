@@ -108,7 +108,7 @@ class Mechanical(Scene):
         vector(f"q = {excerpt(self.q)}, where gradient", force, len(self.q))
 
     @property
-    def required(self) -> tuple[str, ...]:
+    def required(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("s",) if self.kappa else ()
 
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
@@ -120,7 +120,7 @@ class Mechanical(Scene):
         return self.kappa_sign != 0
 
     @property
-    def decided(self) -> tuple[Any, ...]:
+    def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return (self.kappa_sign,)
 
     def recorded(self) -> Self:
@@ -185,7 +185,7 @@ class Mechanical(Scene):
         return State(velocity, force, self.kinetic(x.p) - self.V(x.q) - self.dissipation(x.s))
 
     @property
-    def has_jacobian(self) -> bool:
+    def has_jacobian(self) -> bool:  # type: ignore[override]
         return self.hessian is not None
 
     def jacobian(self, x: State) -> list[list[Any]] | None:
@@ -212,19 +212,19 @@ class Mechanical(Scene):
         return cross(q, p) if len(q) == 3 else None
 
     @property
-    def has_momentum_law(self) -> bool:
+    def has_momentum_law(self) -> bool:  # type: ignore[override]
         return self.rotation_invariant and len(self.q) in (2, 3)
 
     @property
-    def has_torque(self) -> bool:
+    def has_torque(self) -> bool:  # type: ignore[override]
         return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
     @property
-    def rate_changes(self) -> bool:
+    def rate_changes(self) -> bool:  # type: ignore[override]
         return self.nonlinear_damping
 
     @property
-    def may_gain_energy(self) -> bool:
+    def may_gain_energy(self) -> bool:  # type: ignore[override]
         return self.nonlinear_damping or self.gamma <= 0
 
     @property

@@ -137,7 +137,7 @@ class RigidBody(Scene):
         return ("inertia", "rates") if self.axes is None else ("inertia", "rates", "axes")
 
     @property
-    def decided(self) -> tuple[Any, ...]:
+    def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return self.by_inertia
 
     # -- physics -------------------------------------------------------------------------------
@@ -205,11 +205,11 @@ class RigidBody(Scene):
         return None if x.R is None else rotate(x.R, x.M)
 
     @property
-    def has_momentum_law(self) -> bool:
+    def has_momentum_law(self) -> bool:  # type: ignore[override]
         return self.isotropic
 
     @property
-    def may_gain_energy(self) -> bool:
+    def may_gain_energy(self) -> bool:  # type: ignore[override]
         return self.isotropic and self.gamma <= 0
 
     def contact_form(self, x: BodyState, dx: BodyState) -> Any:

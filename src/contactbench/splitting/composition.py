@@ -1,17 +1,14 @@
 """Compositions of subflows as data, and the loop that runs them all.
 
 A composition is the list of its stages, in the order in which they act, with exact coefficients.
-Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is
-also a composition of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with
-b1 = α1, a1 = α1 + α2, b2 = α2 + α3, … (McLachlan 1995, doi:10.1137/0916010), which is how it is read
-where a scene comes in more than two parts: a body with anisotropic damping.  Neighbouring stages of one
-flow are merged, within a step and from one step to the next (first same as last), so that for example
-Strang costs one gradient per step.
+Most are two-part splittings: kicks b and merged drifts a in turn, b1 a1 b2 a2 … b1.  Such a list is also a composition
+of a first-order method χ and its adjoint, χ(α1 h) χ*(α2 h) χ(α3 h) … with b1 = α1, a1 = α1 + α2, b2 = α2 + α3, …
+(McLachlan 1995, doi:10.1137/0916010), which is how it is read where a scene comes in more than two parts.  Neighbouring
+stages of one flow are merged, within a step and from one to the next, so that Strang costs one gradient per step.
 
-A composition may be processed: stages π before the first step, the same ones in reverse order π* after
-the last, so that n steps are π χⁿ π*.  The kernel χ then need only be conjugate to a method of the
-order, which leaves it far fewer conditions, and it is the kernel that is paid for at every step
-(Blanes, Casas, Ros, SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
+A composition may be processed: n steps are π χⁿ π*, π* the stages π in reverse order.  The kernel χ, paid for at every
+step, need only be conjugate to a method of the order, which leaves it far fewer conditions (Blanes, Casas, Ros,
+SIAM J. Sci. Comput. 21, 711 (1999), doi:10.1137/S1064827598332497).
 """
 
 from __future__ import annotations
@@ -19,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import chain
+from itertools import accumulate, chain, groupby
 from itertools import repeat as repeated
 from typing import Any
 
@@ -60,13 +57,7 @@ class Composition:
 
     def alphas(self) -> list[Fraction]:
         """Return the coefficients of χ and χ* in turn (two-part compositions)."""
-        alphas: list[Fraction] = []
-        for _, coefficient in self.stages[:-1]:
-            alphas.append(coefficient - (alphas[-1] if alphas else 0))
-        return alphas
-
-    def run(self, n: int) -> tuple[Stage, ...]:
-        return merge((*self.processor, *self.stages * n, *reversed(self.processor)))
+        return list(accumulate((c for _, c in self.stages[:-1]), lambda alpha, c: c - alpha))
 
 
 def palindrome(first: str, second: str, half: Sequence[Any]) -> tuple[Stage, ...]:
@@ -93,20 +84,13 @@ def balance(first: str, second: str, coefficients: Sequence[Any]) -> tuple[Stage
 
 def strang_composition(gammas: Iterable[Any]) -> tuple[Stage, ...]:
     """Return Strang steps of sizes γ1, γ2, … one after another, neighbouring kicks merged."""
-    stages: list[Stage] = []
-    for gamma in map(Fraction, gammas):
-        stages += [("kick", gamma / 2), ("drift_damp", gamma), ("kick", gamma / 2)]
-    return merge(stages)
+    steps = ((("kick", c / 2), ("drift_damp", c), ("kick", c / 2)) for c in map(Fraction, gammas))
+    return merge(chain.from_iterable(steps))
 
 
 def merge(stages: Iterable[Stage]) -> tuple[Stage, ...]:
-    out: list[Stage] = []
-    for name, coefficient in stages:
-        if out and out[-1][0] == name:
-            out[-1] = (name, out[-1][1] + coefficient)
-        else:
-            out.append((name, coefficient))
-    return tuple(out)
+    neighbours = groupby(stages, lambda stage: stage[0])
+    return tuple((name, sum((c for _, c in same), Fraction(0))) for name, same in neighbours)
 
 
 def number(coefficient: Fraction, xp: Any) -> Any:
@@ -284,11 +268,10 @@ def advance_by_the_clock(
 ) -> BodyState:
     """Advance the free body and isotropic damping together, without splitting the two.
 
-    Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ,
-    dτ = e^{−γt} dt, of which a step from t takes e^{−γt} φ(h).  What is left of damping is one factor on M
-    and s at the end; and the spin commutes with all else, so that one for all steps does.  The last step
-    is like the others, joined to the opening of a next one, which is then taken back: what a compiled
-    program has beside its loops costs it more than a rotation.
+    Damping only rescales the free body's clock: m = e^{γt} M and R move as if undamped in the time τ, dτ = e^{−γt} dt,
+    of which a step from t takes e^{−γt} φ(h).  One factor on M and s at the end is left of it, and one spin for all
+    steps, since it commutes with all else.  The last step is joined to the opening of a next one, which is then taken
+    back: what a compiled program has beside its loops costs it more than a rotation.
     """
     stages, gamma, decay = stages_on(composition, scene), scene.gamma, xp.exp(-scene.gamma * h)
     tau = damped_time(gamma, h, xp)

@@ -1,18 +1,13 @@
 """The exact subflows every contact integrator is composed of.
 
-Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A
-flow is split in two so that its transcendental coefficients leave the time loop:
-``constants(scene, h, xp)`` once per step size, ``apply(scene, x, constants, xp)`` once per step.
-`xp` is the number namespace: `math`, `numpy`, `jax.numpy` or an mpmath context.
+Each is the time-h flow of one part of the Hamiltonian, and an exact (conformal) contact map.  A flow is split in two so
+that its transcendental coefficients leave the time loop: ``constants(scene, h, xp)`` once per step size,
+``apply(scene, x, constants, xp)`` once per step; `xp` is the namespace of the numbers.
 
-For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of
-its own (`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.
-
-Nyström tables keep their order on these two parts.  In the Jacobi bracket
-{f, g} = f_q·g_p − f_p·g_q + f_s (p·g_p − g) − g_s (p·f_p − f) the potential acts as the derivation
-{V, g} = ∇V·g_p + V g_s, whose coefficients depend on q alone: it lowers the degree of a polynomial in
-(p, s) by one.  T + Γ is of degree two in (p, s), hence {V, {V, {V, T + Γ}}} = 0, which is the one
-bracket that Nyström order conditions leave out.  A cubic term in Γ would break it.
+For H_A = T, H_B = V, H_C = Γ(s) see the paper, eqs. A-flow, B-flow, C-flow.  H_A + H_C has a flow of its own
+(`drift_damp`) for every Γ(s) = γs + ½κs², so that mechanical scenes come in two parts.  On these Nyström tables keep
+their order: {V, {V, {V, T + Γ}}} = 0, since V lowers the degree in (p, s) by one and T + Γ is of degree two
+(docs/mathematics.md).  A cubic term in Γ would break it.
 """
 
 from __future__ import annotations
@@ -205,10 +200,9 @@ MECHANICAL = {
 
 
 # -- scenes with time in them ----------------------------------------------------------------------
-# The damping advances the time, the kick uses the one it finds.  Autonomous in (q, p, t, s): A is T, B is V(q, t) at a
-# fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact however A, B and C alternate.
-# Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the clock depend on neither p
-# nor s: Nyström tables keep their order.
+# A is T, B is V(q, t) at a fixed t, and C is γ(t) s with the clock t' = 1, so that G = ∫γ over the step is exact
+# however they alternate.  Where A and C are merged, φ = ∫e^{−∫γ} is the time a momentum is worth.  V(q, t) and the
+# clock depend on neither p nor s: Nyström tables keep their order.
 def driven_log_factor(scene: Driven, x: DrivenState, h: Any, xp: Any) -> Any:
     return -(scene.gamma * h if scene.rate is None else scene.spent(x.t, h, xp)[0])
 
@@ -371,9 +365,13 @@ def spin(x: BodyState, a: Any, xp: Any) -> BodyState:
     if x.R is None:
         return BodyState(x.M, None, s)
     still = square == 0
-    size = xp.sqrt(choose(still, 1.0, square, xp))  # 1: no derivative of √0 is taken
-    scale = choose(still, a / 2, xp.sin(a * size / 2) / size, xp)
-    cos = choose(still, 1.0, xp.cos(a * size / 2), xp)
+    if abilities(xp).branch:
+        size = xp.sqrt(square)
+        scale, cos = a / 2 if still else xp.sin(a * size / 2) / size, xp.cos(a * size / 2)
+    else:
+        size = xp.sqrt(xp.where(still, 1.0, square))  # 1: no derivative of √0 is taken
+        scale = xp.where(still, a / 2, xp.sin(a * size / 2) / size)
+        cos = xp.where(still, 1.0, xp.cos(a * size / 2))
     R = quaternion_product(x.R, (cos, *(scale * m for m in x.M)))
     return settle(BodyState(x.M, R, s), xp)
 

@@ -126,22 +126,13 @@ def clamp(v: Any, xp: Any) -> Any:
     return choose(v > FARTHEST, FARTHEST, choose(v < -FARTHEST, -FARTHEST, v, xp), xp)
 
 
-class Argument(NamedTuple):
-    """The argument v = λ·tau, sn, cn and dn of it, and the quarter period K."""
-
-    v: Any
-    sn: Any
-    cn: Any
-    dn: Any
-    K: Any
-
-
-def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> tuple[Vector, Argument]:
+def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> tuple[Vector, Vector]:
+    """Return the direction of M at time tau; the argument v = λ·tau, its sn, cn and dn, and the quarter period K."""
     _, _, i2, k2, ik, _, _, rate, m, m1, still = motion
     zi, z2, zk = components(scene, motion, z, xp)
     v = choose(zi == 0, clamp(rate * tau, xp), rate * tau, xp)
     sn, cn, dn, K = jacobi(v, m, m1, xp)
-    passed = Argument(v, sn, cn, dn, K)
+    passed = (v, sn, cn, dn, K)
     S, cn, dn = (choose(still, a, b, xp) for a, b in ((tau, sn / rate), (1.0, cn), (1.0, dn)))
     side = handedness(scene) * S
     over = 1 / (cn * cn + ik * i2 * zi * zi * S * S)
@@ -155,7 +146,7 @@ def momentum(scene: RigidBody, motion: Course, z: Vector, tau: Any, xp: Any) -> 
 
 
 def precession(
-    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Argument, xp: Any
+    scene: RigidBody, motion: Course, z: Vector, turned: Vector, tau: Any, passed: Vector, xp: Any
 ) -> Any:
     """Return ψ, the angle by which the frame has turned about M.
 

@@ -60,7 +60,7 @@ def logarithm(series: Words) -> Words:
     for k in range(1, DEGREE + 1):
         power = product(power, rest)
         for word, c in power.items():
-            found[word] = found.get(word, Fraction(0)) - c * Fraction((-1) ** k, k)
+            found[word] = found.get(word, 0) - c * Fraction((-1) ** k, k)
     return found
 
 
@@ -77,10 +77,7 @@ def weights(stages: tuple[Stage, ...]) -> Words:
     return {word: c for word, c in found.items() if c and not word.endswith("BB")}
 
 
-Function = Callable[[Any, Any], Any]
-
-
-def bracket(scene: Mechanical, letters: str) -> Function:
+def bracket(scene: Mechanical, letters: str) -> Callable[[Any, Any], Any]:
     """Return {w₁, {w₂, … {w_k, {A, B}}}} as a function of q and p."""
     if not letters:
         return lambda q, p: -(dot(scene.dV(q), p) * scene.inverse_mass + scene.gamma * scene.V(q))
@@ -102,7 +99,7 @@ def lift(x: Any, direction: Any) -> tuple[Dual, ...]:
 
 
 def has_modified_hamiltonian(composition: Composition) -> bool:
-    """Return whether n steps are the flow of one H̃: nothing before the first and after the last of them."""
+    """Return whether n steps are the flow of one H̃."""
     return composition.two_part and composition.palindromic and not composition.processor
 
 
