@@ -36,7 +36,7 @@ from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request,
 from contactbench.numbers.control import XlaNumbers, choose
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Mechanical, Scene, Vector
+from contactbench.scene import Mechanical, Scene, Vector, scaled
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
@@ -56,7 +56,7 @@ SLOWEST = 0.25
 
 # -- the step density --------------------------------------------------------------------------------
 def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
-    """‖∇²V‖²_F at q and its rate of change along v."""
+    """‖M^{-1/2} ∇²V M^{-1/2}‖²_F at q and its rate of change along v, less 1/m² where there is one mass."""
     if scene.hessian is not None:
         rows = scene.hessian(tuple(map(Dual, q, v)), **scene.parameters)
         entries = [entry for row in rows for entry in row]
@@ -65,16 +65,17 @@ def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
         for j in range(len(q)):
             column = scene.dV(tuple(Dual(x, float(i == j)) for i, x in enumerate(moving)))
             entries += [slope(entry) for entry in column]
-    total = Dual(0.0, 0.0)
-    for entry in entries:
-        total = total + entry * entry
+    total, over_m = Dual(0.0, 0.0), scene.inverse_mass
+    weights = [a * b for a in over_m for b in over_m] if isinstance(over_m, tuple) else [1.0] * len(entries)
+    for entry, weight in zip(entries, weights, strict=True):
+        total = total + entry * entry * weight
     return Dual(value(total), slope(total))
 
 
 def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
     """ω, and d ln ω/dt along the motion."""
-    square = scene.inverse_mass * scene.inverse_mass
-    curvature = squared_curvature(scene, x.q, tuple(p * scene.inverse_mass for p in x.p))
+    square = 1.0 if isinstance(scene.inverse_mass, tuple) else scene.inverse_mass * scene.inverse_mass
+    curvature = squared_curvature(scene, x.q, scaled(scene.inverse_mass, x.p))
     damping = scene.gamma * scene.gamma / 64
     fourth = curvature.a * square + damping * damping + 1 / (span * span * span * span)
     return fourth**0.25, curvature.b * square / (4 * fourth)

@@ -13,7 +13,7 @@ import numpy as np
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import BadInput, excerpt, finite, function, positive, require_number, switch, vector
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene.algebra import State, Vector, cross, dot, norm
+from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.trace.formula import Formula, formula
 
@@ -24,6 +24,13 @@ LARGEST_HESSIAN = 32
 #: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
 derived_gradient = lru_cache(256)(Formula.gradient)
 derived_jacobian = lru_cache(256)(Formula.jacobian)
+
+
+def masses(name: str, value: Any) -> Any:
+    """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
+    if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
+        return positive(name, value)
+    return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +52,7 @@ class Mechanical(Scene):
     gamma, kappa
         Damping; κ ≠ 0 makes s part of the dynamics.
     mass
-        > 0.
+        > 0; one number, or one for every component.
     parameters
         Numbers by name that the functions take.
     rotation_invariant
@@ -63,7 +70,7 @@ class Mechanical(Scene):
     p: Vector
     gamma: float = 0.0
     kappa: float = 0.0
-    mass: float = 1.0
+    mass: Any = 1.0
     hessian: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
@@ -88,7 +95,7 @@ class Mechanical(Scene):
         "p": vector,
         "gamma": finite,
         "kappa": finite,
-        "mass": positive,
+        "mass": masses,
         "rotation_invariant": switch,
         "parameters": named_numbers,
     }
@@ -97,6 +104,8 @@ class Mechanical(Scene):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
+        if isinstance(self.mass, tuple) and len(self.mass) != len(self.q):
+            raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {len(self.q)}")
         if len(self.q) != len(self.p):
             raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
@@ -146,6 +155,8 @@ class Mechanical(Scene):
 
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
+        if isinstance(self.inverse_mass, tuple):
+            return dot(p, scaled(self.inverse_mass, p)) / 2
         return dot(p, p) * self.inverse_mass / 2
 
     def V(self, q: Vector) -> Any:
@@ -178,7 +189,7 @@ class Mechanical(Scene):
 
     def rhs(self, x: State) -> State:
         rate = self.dissipation_rate(x.s)
-        velocity = tuple(p * self.inverse_mass for p in x.p)
+        velocity = scaled(self.inverse_mass, x.p)
         force = tuple(-g - rate * p for g, p in zip(self.dV(x.q), x.p, strict=True))
         if x.s is None:
             return State(velocity, force)
@@ -195,13 +206,14 @@ class Mechanical(Scene):
         hess = self.hessian(x.q, **self.parameters)
         rate = self.dissipation_rate(x.s)
         tail: list[Any] = [] if x.s is None else [0.0]
-        rows = [[0.0] * n + [self.inverse_mass if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
+        over_m = scaled(self.inverse_mass, [1.0] * n)
+        rows = [[0.0] * n + [over_m[i] if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
             damping = [-rate if i == j else 0.0 for j in range(n)]
             column = [] if x.s is None else [-self.kappa * x.p[i] if self.nonlinear_damping else 0.0]
             rows.append([-hess[i][j] for j in range(n)] + damping + column)
         if x.s is not None:
-            rows.append([-g for g in self.dV(x.q)] + [p * self.inverse_mass for p in x.p] + [-rate])
+            rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])
         return rows
 
     def momentum(self, x: State) -> Vector | None:
