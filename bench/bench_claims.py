@@ -18,10 +18,10 @@ def some(names, profile):
 @cells(lambda profile: some(CLAIMS, profile))
 def test_claim(cell, record):
     row = CLAIMS[cell[0]].row()
-    record(CLAIMS_TABLE, **row)
+    record(CLAIMS_TABLE, row)
     assert row["status"] == "ok", row["message"]
 
 
 @cells(lambda profile: some(FIGURES, profile))
-def test_paper_figure(cell, record_all):
-    record_all(PAPER_FIGURES, rows(cell[0]))
+def test_paper_figure(cell, record):
+    record(PAPER_FIGURES, *rows(cell[0]))

@@ -88,5 +88,5 @@ def test_decay_laws(cell, profile, record):
     row = outcome(solution, solution.counts) | {"cost": cost, "control": method.control, "value": value}
     if solution.ok:
         row |= laws_row(scene, method, value, budget)
-    record(DECAY_LAWS, **row)
+    record(DECAY_LAWS, row)
     assert row["status"] == "ok" or row["message"]

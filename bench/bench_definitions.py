@@ -11,4 +11,4 @@ from contactbench.results.tables import DEFINITIONS
 @cells(lambda profile: [("scene", name) for name in cb.SCENES] + [("method", name) for name in cb.METHODS])
 def test_definition(cell, record):
     kind, name = cell
-    record(DEFINITIONS, **row(cb.SCENES[name] if kind == "scene" else cb.METHODS[name]))
+    record(DEFINITIONS, row(cb.SCENES[name] if kind == "scene" else cb.METHODS[name]))

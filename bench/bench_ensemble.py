@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from c_loops import KERNELS, SHAPES, ensemble_kernel
+from c_loops import SHAPES, ensemble_kernel
 from cells import cells, key
 from clock import usable_cores
 from contactbench.ensembles import ENGINES
@@ -28,20 +28,12 @@ pytestmark = pytest.mark.timed
 SAMPLE = 4
 #: of the trajectories: a second call, which tells what every call costs from what every trajectory does
 FEWER = 1 / 4
-STEPS = {
-    "contact-strang": (0.1, 0.02, 0.004, 0.001),
-    "contact-bm4": (0.8, 0.4, 0.16, 0.05),
-    "contact-rkn6": (1.25, 0.8, 0.4, 0.16, 0.08),
-    "contact-rkn8": (1.25, 0.8, 0.4, 0.2, 0.16),
-    "rk4": (0.2, 0.08, 0.04, 0.01),
-}
-PEERS = [
-    *((f"diffrax-{solver}", "jax", shape) for solver in ("tsit5", "dopri8") for shape in ("vmap", "shared")),
-    ("heyoka-taylor", "llvm", "batch"),
-    ("cyrk-dop853", "c++", "loop"),
-    ("cyrk-vern8", "c++", "loop"),
-    ("cvode-adams", "c", "loop"),
-]
+STEPS = {"contact-strang": (0.1, 0.02, 0.004, 0.001), "contact-bm4": (0.8, 0.4, 0.16, 0.05)}
+STEPS |= {"contact-rkn6": (1.25, 0.8, 0.4, 0.16, 0.08), "contact-rkn8": (1.25, 0.8, 0.4, 0.2, 0.16)}
+STEPS |= {"rk4": (0.2, 0.08, 0.04, 0.01)}
+PEERS = [(f"diffrax-{name}", "jax", shape) for name in ("tsit5", "dopri8") for shape in ("vmap", "shared")]
+PEERS += [("heyoka-taylor", "llvm", "batch"), ("cyrk-dop853", "c++", "loop"), ("cyrk-vern8", "c++", "loop")]
+PEERS += [("cvode-adams", "c", "loop")]
 #: trajectories of a peer that takes one after the other: more of them take no less each
 LOOPED = 256
 #: steps with which both methods evaluate so often that a call's own millisecond is lost
@@ -57,21 +49,13 @@ SMOKE = {
 }
 
 
-def core_counts():
-    total = len(usable_cores())
-    return [*(2**k for k in range(total.bit_length()) if 2**k < total), total]
-
-
 def ladder(profile):
     """(question, scene, method, engine, variant, control, value, trajectories, cores)."""
     smoke, rows = profile.points == 1, []
-    for method in KERNELS:
-        step = ARITHMETIC[method]
-        rows += [("arithmetic", "particle_long", method, e, "", "step", step, 1024, 1) for e in ENGINES]
-        rows += [
-            ("arithmetic", "particle_long", "limit-c", "c", f"{method} {shape}", "step", step, 1024, 1)
-            for shape in SHAPES
-        ]
+    for method, step in ARITHMETIC.items():
+        runs = [(method, engine, "") for engine in ENGINES]
+        runs += [("limit-c", "c", f"{method} {shape}") for shape in SHAPES]
+        rows += [("arithmetic", "particle_long", *run, "step", step, 1024, 1) for run in runs]
     for method, steps in STEPS.items():
         rows += [("error", "particle", method, ENGINES[0], "", "step", h, 4096, 1) for h in steps]
     for method, engine, variant in PEERS:
@@ -81,7 +65,9 @@ def ladder(profile):
         return [row for row in rows if (row[2], row[4], row[6]) in SMOKE]
     sizes = [10**k for k in range(3, 8 if profile.name == "full" else 7)]
     rows += [("size", "particle", OURS, ENGINES[0], "", "step", 0.4, n, 1) for n in sizes]
-    rows += [("cores", "particle", OURS, ENGINES[0], "", "step", 0.1, 200_000, k) for k in core_counts()]
+    most = len(usable_cores())
+    cores = [*(2**k for k in range(most.bit_length()) if 2**k < most), most]
+    rows += [("cores", "particle", OURS, ENGINES[0], "", "step", 0.1, 200_000, k) for k in cores]
     return rows
 
 
@@ -115,16 +101,12 @@ SOLVERS = {"diffrax-tsit5": ("Tsit5", 6), "diffrax-dopri8": ("Dopri8", 13)}
 
 
 def contact(scene, method, engine, value, y0):
-    start = scene.unpack(tuple(np.ascontiguousarray(y0)), ())
-
-    def run():
-        return scene.pack(solved(start).final)
-
-    def solved(start):
+    def solve(start):
         return cb.ensemble(scene, method, start, step=value, carry=(), progress=False, engine=engine)
 
-    counts = solved(scene.unpack(tuple(y0[:, :1]), ())).counts
-    return run, lambda: (counts.steps, counts.evaluations, counts.kind)
+    start = scene.unpack(tuple(np.ascontiguousarray(y0)), ())
+    counts = solve(scene.unpack(tuple(y0[:, :1]), ())).counts
+    return lambda: scene.pack(solve(start).final), lambda: (counts.steps, counts.evaluations, counts.kind)
 
 
 @cache

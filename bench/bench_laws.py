@@ -19,7 +19,7 @@ def ladder(profile):
 
 
 @cells(ladder)
-def test_laws(cell, profile, record, record_all):
+def test_laws(cell, profile, record):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     values = {"step": steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])
     shown = values[1:2] or values
@@ -27,9 +27,9 @@ def test_laws(cell, profile, record, record_all):
         budget = step_budget(profile, scene, method, method.engines[0])
         options = {"save_at": save_times(scene), "max_steps": budget, **keywords(method.control, value)}
         solution = cb.solve(scene, method.name, **options)
-        record(LAWS_TABLE, **outcome(solution), saved_times=len(solution.t), **row(solution))
+        record(LAWS_TABLE, outcome(solution) | {"saved_times": len(solution.t)} | row(solution))
         if value in shown and solution.ok:
-            record_all(LAWS_TIME, along_time(solution))
+            record(LAWS_TIME, *along_time(solution))
 
 
 #: of the time table

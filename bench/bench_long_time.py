@@ -93,7 +93,7 @@ def row(method, kind, value, quantity, average, spent, lost, count=TRAJECTORIES)
 
 
 @cells(methods)
-def test_long_time(cell, record_all):
+def test_long_time(cell, record):
     method = cb.METHODS[cell[1]]
     rows = []
     for kind, value in settings(method):
@@ -104,5 +104,5 @@ def test_long_time(cell, record_all):
             rows += [each for each in found if kind == "step" or each["quantity"] != ENERGY]
     if method.name == REFERENCE:
         rows += with_tangents(method, "rtol", REFERENCE_RTOL, REFERENCE_TRAJECTORIES)
-    record_all(LONG_TIME, rows)
+    record(LONG_TIME, *rows)
     assert all(each["status"] == "ok" or each["message"] for each in rows)

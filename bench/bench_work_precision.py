@@ -145,7 +145,7 @@ def evaluations_spread(run, own):
 
 @cells(ladder)
 def test_work_precision_errors(cell, profile, record):
-    record(WORK_PRECISION, **errors(cell, profile))
+    record(WORK_PRECISION, errors(cell, profile))
 
 
 @pytest.mark.timed
@@ -155,7 +155,7 @@ def test_work_precision(cell, profile, record, clock, untimed):
     if row["status"] == "ok":
         clock.time(WORK_PRECISION, row, runs, *options(cell, profile))
     else:
-        record(WORK_PRECISION, **row)
+        record(WORK_PRECISION, row)
 
 
 #: blocks of calls of each kind that `added` compares, of runs shorter than this: in longer ones it is lost

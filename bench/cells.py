@@ -20,10 +20,8 @@ SMOKE, EVERYWHERE = "particle", ("contact-strang", "rk4")
 def cells(ladder: Any, times: Any = None) -> Callable[..., Any]:
     """Attach to a test the function that lists its cells for a profile.
 
-    times : the untimed test of the same cells to whose rows this one adds times; a run without a clock
-    leaves this one out.
-    The tables a test writes are written by no other file: when all cells of a file are done, rows of its
-    tables that none of them has made are removed.
+    times : the untimed test of the same cells to whose rows this one adds times; a run without a clock leaves this one
+    out.  The tables a test writes are written by no other file: when all cells of a file are done, other rows go.
     """
 
     def attach(test: Any) -> Any:
@@ -53,24 +51,18 @@ def small(scene: str, method: str, main: str = SMOKE, everywhere: Iterable[str] 
 #: what XLA compiles and what calls back into Python takes seconds on every scene
 DEAR = ("jax", "python")
 #: where it runs nevertheless, of the scenes that not every experiment runs
-DEAR_CELLS = {
-    ("laws", "forced_oscillator", name) for name in ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
-}
+FORCED = ("scipy-dop853", "diffrax-tsit5", "diffrax-dopri8")
+DEAR_CELLS = {("laws", "forced_oscillator", name) for name in FORCED}
 
 
 def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[str]:
     """Which of some methods an experiment runs on a scene: all of them where every experiment runs it."""
-    return [
-        method
-        for method in methods
-        if not scene.experiments
-        or METHODS[method].engines[0] not in DEAR
-        or (experiment, scene.name, method) in DEAR_CELLS
-    ]
 
+    def runs(method: str) -> bool:
+        dear = bool(scene.experiments) and METHODS[method].engines[0] in DEAR
+        return not dear or (experiment, scene.name, method) in DEAR_CELLS
 
-#: where an engine that is nobody's first choice is timed too
-CROSS_CHECKED = "particle"
+    return list(filter(runs, methods))
 
 
 #: of the other scenes a method is timed on one in so many by the smoke profile
@@ -80,15 +72,13 @@ SOME = 3
 def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     """Every (method, engine) to be timed on a scene.
 
-    A method's first engine, and what calls back into Python; others (fixed steps on jax, the cross-check of
-    numba) on one scene only.  Of a scene that not every experiment runs, the first engine, unless it is dear.
-    The smoke profile has everything on that one scene, but few of the cross-checks, and elsewhere a part that
-    depends on no other scene or method, without JAX, which takes seconds a program.  What a user brings is left
-    out by no profile.
+    A method's first engine, and what calls back into Python; others (the cross-checks) on one scene only.  Of a scene
+    that not every experiment runs, the first engine, unless it is dear.  The smoke profile has everything on that one
+    scene but few of the cross-checks, and elsewhere a part without JAX.  What a user brings no profile leaves out.
     """
 
     def chosen(name: str, engine: str) -> bool:
-        first, here = engine == METHODS[name].engines[0], scene.name == CROSS_CHECKED
+        first, here = engine == METHODS[name].engines[0], scene.name == SMOKE
         if scene.experiments and (not first or engine in DEAR):
             return False
         brought = scene.name not in OWN or name not in OWN
@@ -98,12 +88,8 @@ def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
         part = name in EVERYWHERE or crc32(f"{scene.name} {name}".encode()) % SOME == 0
         return part and engine != "jax" and (first or "python" in engine)
 
-    return [
-        (name, engine)
-        for name, method in METHODS.items()
-        for engine in method.engines
-        if chosen(name, engine)
-    ]
+    every = [(name, engine) for name, method in METHODS.items() for engine in method.engines]
+    return [each for each in every if chosen(*each)]
 
 
 #: the profile's budget is meant for scenes up to this long; longer ones get more, but not without end
@@ -158,11 +144,9 @@ def right_hand_sides(solution) -> float:
 def tolerance_at(cost: Callable[[float], float], target: float, rtol_range: tuple[float, float]) -> float:
     """The tolerance at which a run costs `target`, by bisection in log(rtol).
 
-    cost : evaluations at a tolerance, more for less, but for jumps; 0 for a run that came to a bad end, which
-    so loose a tolerance may lead to, inf for one that spent its budget.
-    Of the tolerances looked at, the one whose cost is nearest, as a ratio, the tightest of equals.  A method
-    that costs more at its loosest tolerance gets the tightest that costs hardly more than that: the loosest
-    buys nothing.
+    cost : evaluations at a tolerance; 0 for a run that came to a bad end, inf for one that spent its budget.
+    Of the tolerances looked at, the one whose cost is nearest, as a ratio, the tightest of equals.  A method that costs
+    more at its loosest tolerance gets the tightest that costs hardly more than that: the loosest buys nothing.
     """
     low, high = (math.log10(rtol) for rtol in rtol_range)
     costs: dict[float, float] = {}

@@ -169,7 +169,7 @@ class Clock:
         """Time a cell; the function gives what its row says beside `row`, and its call, None where it cannot be run."""
         more, call = function(*arguments)
         if call is None or self.timetable is None:
-            self.record(table, **row | more)
+            self.record(table, row | more)
             return
         call.warm_up()
         sampled = self.cell in self.timetable.sample
@@ -179,7 +179,7 @@ class Clock:
 
     def time_on(self, cores: list[int], table: Any, function: Callable[..., Any], *arguments: Any) -> None:
         if self.timetable is None:
-            self.record(table, **function(*arguments)[0])
+            self.record(table, function(*arguments)[0])
             return
         call = self.timetable.remote(cores, cores, function, *arguments)
         record = self.later(table, call.prepared.result()[1])

@@ -110,13 +110,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
     """The cells of a test by their names; none for a test of times alone in a run without times."""
-
-    def name(cell: tuple) -> str:
-        return "-".join(f"{part:.6g}" if isinstance(part, float) else str(part) for part in cell)
-
-    return (
-        {} if test.times and not config.timed else {name(cell): cell for cell in test.cells(config.profile)}
-    )
+    cells = [] if test.times and not config.timed else test.cells(config.profile)
+    return {"-".join(f"{p:.6g}" if isinstance(p, float) else str(p) for p in cell): cell for cell in cells}
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -128,7 +123,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.controls:
         items.sort(key=lambda item: (item.path.name, item.get_closest_marker("timed") is not None))
     else:
-        items.sort(key=lambda item: str(item.callspec.params["cell"][:2]))
+        items.sort(key=lambda item: str(item.callspec.params["cell"]))
 
 
 @pytest.hookimpl(tryfirst=True)  # before a worker of pytest-xdist says what it has collected
@@ -202,10 +197,8 @@ def full_disk() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = f" ({error.filename})" if error.filename else ""
-        pytest.exit(
-            f"{error.strerror}{where}: finished cells are kept; make room, then --resume", returncode=2
-        )
+        where = f"{error.strerror} ({error.filename})" if error.filename else error.strerror
+        pytest.exit(f"{where}: finished cells are kept; make room, then --resume", returncode=2)
 
 
 @cache
@@ -221,25 +214,17 @@ def complete(request: pytest.FixtureRequest) -> Callable[..., dict[str, Any]]:
     profile = next(name for name in NAMES if cell in cells_of(request.function, name))
 
     def complete(which: Any, row: dict[str, Any]) -> dict[str, Any]:
-        family = {}
-        if "family" in which.columns and row["method"] in METHODS:
-            family = {"family": METHODS[row["method"]].family}
+        known = "family" in which.columns and row["method"] in METHODS
+        family = {"family": METHODS[row["method"]].family} if known else {}
         return {**family, **row, "profile": profile}
 
     return complete
 
 
 @pytest.fixture
-def record_all(
-    request: pytest.FixtureRequest, complete: Callable[..., dict[str, Any]]
-) -> Callable[..., None]:
-    """``record_all(table, rows)`` adds many rows at once."""
-    return lambda which, rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
-
-
-@pytest.fixture
-def record(record_all: Callable[..., None]) -> Callable[..., None]:
-    return lambda which, **row: record_all(which, [row])
+def record(request: pytest.FixtureRequest, complete: Any) -> Callable[..., None]:
+    """``record(table, *rows)`` adds rows to a result table."""
+    return lambda which, *rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
 
 
 @pytest.fixture
@@ -271,12 +256,7 @@ def timetable(request: pytest.FixtureRequest) -> Iterator[Timetable | None]:
 
 
 @pytest.fixture
-def clock(
-    request: pytest.FixtureRequest,
-    timetable: Timetable | None,
-    record: Callable[..., None],
-    complete: Callable[..., dict[str, Any]],
-) -> Clock:
+def clock(request: pytest.FixtureRequest, timetable: Timetable | None, record: Any, complete: Any) -> Clock:
     item = request.node
 
     def later(which: Any, row: dict[str, Any]) -> Callable[[dict[str, Any]], None]:

@@ -100,11 +100,6 @@ def folder(path, change=same, run=RUN, keep=lambda row: True):
     return path
 
 
-def setting(which, method, **values):
-    """A change of one method's rows in one table."""
-    return lambda t, row: {**row, **values} if t == which and row["method"] == method else row
-
-
 def git(root, *arguments):
     who = ["-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "commit.gpgsign=false"]
     command = ["git", "-C", str(root), *who, *arguments]

@@ -7,24 +7,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import contactbench as cb
 from contactbench.methods import METHODS
-from contactbench.methods.contact import ContactMethod, contact_method
+from contactbench.methods.contact import contact_method
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.prepared import Prepared, Request
-from contactbench.numbers.control import Repeat, repeat
-from contactbench.scene import Scene
-from contactbench.splitting.composition import ONE, Composition
+from contactbench.splitting.composition import Composition
 from contactbench.splitting.tables import STRANG
 
 LARGER = Fraction(1001, 1000)
-#: the contact method that most faults are planted in
-PLANTED = STRANG.name
 
 
 def plugin(path: Path, call: str) -> Path:
@@ -45,11 +41,6 @@ def put(method: Any) -> None:
     dict.__setitem__(METHODS, method.name, method)
 
 
-def remade(kind: type, method: Any) -> Any:
-    """A registered method as one of another class with the same fields."""
-    return kind(**{field.name: getattr(method, field.name) for field in fields(method)})
-
-
 # -- coefficients ----------------------------------------------------------------------------------
 def faulty(composition: Composition) -> list[Composition]:
     """The composition with one coefficient a part in a thousand larger, for each of them."""
@@ -65,41 +56,6 @@ def faulty(composition: Composition) -> list[Composition]:
 def wrong_coefficient(k: int) -> None:
     """The k-th coefficient of the contact method is a part in a thousand larger."""
     put(contact_method(faulty(STRANG)[k]))
-
-
-# -- other faults ----------------------------------------------------------------------------------
-def order_one() -> None:
-    """The composition of order 2 replaced by one of order 1, under its name and with its claims."""
-    lie = replace(STRANG, stages=(("kick", ONE), ("drift_damp", ONE)))
-    put(replace(contact_method(lie), symmetric=True))
-
-
-def joints_left_apart() -> None:
-    """Neighbouring stages are not merged from step to step: a gradient more for each step."""
-    of = METHODS[PLANTED]
-    claims = {"kind": "gradient", "family": "contact", "contact": True, "symmetric": True}
-    put(FixedStep(of.name, of.order, of.step, evaluations=2, about=of.about, **claims))
-
-
-class Refusing(ContactMethod):
-    def refuses(self, scene: Scene) -> str:
-        return "planted"
-
-
-def refusal() -> None:
-    """A method refuses every scene."""
-    put(remade(Refusing, METHODS[PLANTED]))
-
-
-class StrongerDamping(ContactMethod):
-    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
-        gamma, *rest = scene.numbers()
-        return super().advance(scene.with_numbers([gamma * (1 + 1e-9), *rest]), x, h, n, xp, repeat)
-
-
-def stronger_damping() -> None:
-    """A mechanical scene is damped more strongly by a part in 10⁹."""
-    put(remade(StrongerDamping, METHODS[PLANTED]))
 
 
 # -- speed -----------------------------------------------------------------------------------------

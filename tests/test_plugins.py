@@ -1,13 +1,19 @@
-"""A user's own methods and scenes: the README's example as it stands, files that fail, entry points."""
+"""A user's own methods, scenes, laws and questions: the README's example as it stands, files that fail, entry points.
+
+Each is one file, and then everywhere by the registries.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import contactbench as cb
@@ -21,6 +27,8 @@ from contactbench.results.store import read
 from contactbench.results.tables import WORK_PRECISION
 
 MINE = ("my-method", "double-well")
+REGISTRIES = {"methods": cb.METHODS, "scenes": cb.SCENES}
+EXTENSIONS = [Path(__file__).parent / "extensions" / f"{name}.py" for name in ("law", "question")]
 
 
 @pytest.fixture(scope="module")
@@ -48,11 +56,18 @@ def search(folder):
 
 
 @pytest.fixture(scope="module")
-def results(example, tmp_path_factory):
-    """The benchmark with the plug-in, for real, on a small part."""
+def given(example):
+    """What names all of them to a command."""
+    return [argument for file in (example, *EXTENSIONS) for argument in ("--plugin", str(file))]
+
+
+@pytest.fixture(scope="module")
+def results(given, tmp_path_factory):
+    """The benchmark with all of them, for real, on a small part."""
     folder = tmp_path_factory.mktemp("results")
     keyword = "my-method and (double-well or particle and not long) or double-well and cvode-bdf"
-    finished(bench(folder, keyword, "--plugin", str(example)))
+    finished(bench(folder, f"{keyword} or rk4 and test_laws and particle and not long", *given))
+    subprocess.run([sys.executable, EXTENSIONS[-1], folder], cwd=REPOSITORY, check=True, timeout=120)
     return folder
 
 
@@ -67,16 +82,44 @@ def test_the_readmes_example_has_its_rows_in_the_tables(results):
     # the truth of the user's scene was computed live: a tolerance is met against it
     assert work.loc[("double-well", "cvode-bdf", "c+python"), "solution_error"] < 1e-3
     assert list(dict.fromkeys(work.index.get_level_values("scene"))) == ["particle", "double-well"]
-    assert [list(run["plugins"]) for run in runs(results)] == [["my.py"]]
+    assert [set(run["plugins"]) for run in runs(results)] == [{"my.py", "law.py", "question.py"}]
 
 
 def test_it_is_in_documents_figures_and_page_without_being_loaded(results):
     assert not set(MINE) & {*cb.METHODS, *cb.SCENES}
-    assert "work_precision_double-well.svg" in {path.name for path in write.report(results, {})}
+    assert "work_precision_double-well.svg" in {path.name for path in write.report(results, REGISTRIES)}
     for name in ("work_precision.md", "convergence.md", "report.html"):
         assert "my-method" in (results / name).read_text()
     assert "## double-well" in (results / "work_precision.md").read_text()
     assert "my-method" in (results / "figures" / "work_precision_particle.svg").read_text()
+
+
+@pytest.mark.slow
+def test_a_law_and_a_question_have_their_documents_and_are_gated(results, given, tmp_path):
+    def contactbench(*arguments, code=0):
+        done = run("contactbench", *arguments, *given)
+        assert done.returncode == code, done.stdout + done.stderr
+        return done.stdout
+
+    contactbench("report", "--results", results)
+    assert "mean_position" in contactbench("list")
+    laws = pd.read_csv(results / "laws.csv")
+    assert (laws.loc[laws["method"] == "rk4", "mean_position"] > 0).all()
+    names = ("laws.md", "report.html", "half_life.md", "README.md")
+    document, page, answer, front = ((results / name).read_text() for name in names)
+    assert "mean q" in document
+    assert all(word in page for word in ("mean q", "Half-life of the energy"))
+    assert "When is half of the energy gone?" in answer
+    assert "half_life.md" in front
+    assert (results / "figures" / "half_life.svg").is_file()
+    gate = ("gate", "--only", "accuracy", "--baseline", results, "--fresh")
+    contactbench(*gate, results)
+    for file, column in (("laws", "mean_position"), ("half_life", "half_life")):
+        fresh = shutil.copytree(results, tmp_path / file)
+        moved = pd.read_csv(fresh / f"{file}.csv")
+        moved[column] *= 10
+        moved.to_csv(fresh / f"{file}.csv", index=False)
+        assert column in contactbench(*gate, fresh, code=1)
 
 
 @pytest.mark.slow

@@ -60,7 +60,6 @@ def _is_package(module: object) -> bool:
 
 
 def frame_of(error: BaseException) -> traceback.FrameSummary | None:
-    """The innermost frame of a user's own code on the way to an error, or None."""
     theirs = [
         frame
         for frame in traceback.extract_tb(error.__traceback__)

@@ -77,7 +77,7 @@ def test_another_process_prepares_and_times_what_it_is_told():
 def test_without_times_the_row_is_recorded_at_once_and_so_is_what_cannot_be_run():
     rows = []
 
-    def record(table, **row):
+    def record(table, row):
         rows.append((table, row))
 
     def refuse(cell):

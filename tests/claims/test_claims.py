@@ -21,7 +21,7 @@ from contactbench.claims.ledger import Claim, at_least, at_most
 from contactbench.cli import main
 from contactbench.methods import METHODS, contact_adaptive, fixed_step_run, jax_engine
 from contactbench.methods.contact import contact_method
-from contactbench.peers import c_functions
+from contactbench.peers import compiled as compiled_peers
 from contactbench.report import claims as chapter
 from contactbench.report import markdown, paper
 from contactbench.results.schema import BEYOND
@@ -57,7 +57,7 @@ def fresh(monkeypatch):
     monkeypatch.setattr(jax_engine, "_programs", Cache(64))
     for module in (fixed_step_run, contact_adaptive):
         monkeypatch.setattr(module, "_loops", Cache(64))
-    monkeypatch.setattr(c_functions, "_compiled", Cache(64))
+    monkeypatch.setattr(compiled_peers, "_compiled", Cache(64))
 
 
 # -- the rows --------------------------------------------------------------------------------------
@@ -84,14 +84,14 @@ def test_row(name):
 #: other parameters than the table's: the verdict must not hang on those
 OTHERS = [
     ("C01", {"seed": 1}),
-    ("C04", {"seed": 1, "gamma": 0.4}),
+    ("C04", {"seed": 1}),
     ("C05", {"seed": 3, "gamma": 0.5}),
     ("C06", {"seed": 3, "gamma": 0.5}),
     ("C08", {"gamma": 1.5, "overdamped": 5.0, "start": (0.3, -0.7)}),
     ("C10", {"seed": 3}),
     ("C11", {"seed": 3, "gamma": 0.3}),
     ("C13", {"gamma": 0.4}),
-    ("C14", {"seed": 2, "gamma": 0.3}),
+    ("C14", {"gamma": 0.3}),
     ("C15", {"seed": 2, "gamma": 1.0, "inertia": (0.5, 2.5, 1.0)}),
     ("C16", {"seed": 2, "gamma": 0.3, "inertia": (2.0, 1.0, 2.5)}),
     ("C17", {"gamma": 0.3, "inertia": (0.7, 1.0, 1.5)}),

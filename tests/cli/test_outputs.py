@@ -72,8 +72,4 @@ def test_a_report_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch,
     readme.write_text("nothing to fill in")
     assert cli.main(["report", "--results", str(tmp_path), "--readme", str(readme)]) == 2
     assert cli.main(["report", "--results", str(tmp_path), "--readme", str(tmp_path / "none")]) == 2
-    monkeypatch.setattr(parsing.tempfile, "NamedTemporaryFile", full)
-    assert cli.main(["report", "--results", str(tmp_path)]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 3
-    assert lines[-1] == f"contactbench: --results {tmp_path}: cannot be written: Read-only file system"
+    assert len(capsys.readouterr().err.splitlines()) == 2

@@ -111,17 +111,9 @@ LIMIT = {"method": "rk4", "gamma": 1.0, "omega": 1.0, "profile": "smoke"}
 POINT = {"figure": "f", "panel": "p", "curve": "c", "kind": "method", "profile": "smoke", "point": 0}
 MEMBERS = row(question="error", trajectories=8, cores=1, member_deviation=1e-15)
 LOWER = {**CLAIM, "relation": "≥", "bound": 1.9, "measured": 2.0}
-
-
 UPPER = {**CLAIM, "relation": "≤", "bound": 0.01, "measured": 2e-3}
-
-
 CURVE = [{**POINT, "x": 1.0, "y": 1e-9}, {**POINT, "point": 1, "x": 0.0, "y": 1.0}]
-
-
 ILL = row(end_error=1e-9, condition_number=1e6)
-
-
 #: rows of a table, what moves in the first of them, how far it may, and what is too far
 MOVES = {
     "round-off of an error": ("laws", [row(solution_error=2e-16)], "solution_error", 2e-14, 1e-13),

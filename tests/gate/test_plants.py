@@ -1,4 +1,4 @@
-"""Methods that are not what they were, planted in real runs of the benchmark: the gate must find each of them."""
+"""A method that is not what it was, planted in real runs of the benchmark: the gate must find it."""
 
 from __future__ import annotations
 
@@ -8,19 +8,8 @@ import planted_faults
 from cases import bench, finished
 from contactbench.gate.compare import compare_folders
 
-#: what is planted in contact-strang, and the measures that give it away
-PLANTS = {
-    "wrong_coefficient(1)": {"solution_error", "pairwise_order", "order", "last_slope"},
-    "order_one()": {"solution_error", "pairwise_order", "order", "last_slope"},
-    "joints_left_apart()": {"evaluations"},
-    "refusal()": {"status"},
-    "stronger_damping()": {"contact_drift"},
-}
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("plants") / "whole")
+#: the measures that give away a coefficient of contact-strang that is a part in a thousand larger
+MOVED = {"solution_error", "pairwise_order", "order", "last_slope"}
 
 
 def run(results, *options):
@@ -30,10 +19,9 @@ def run(results, *options):
     return results
 
 
-@pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.slow
-def test_a_plant_is_found_in_real_runs(plant, whole, tmp_path):
-    fault = planted_faults.plugin(tmp_path / "fault.py", plant)
-    moved = compare_folders(whole, run(tmp_path / "planted", "--plugin", str(fault))).moved
+def test_a_plant_is_found_in_real_runs(tmp_path):
+    fault = planted_faults.plugin(tmp_path / "fault.py", "wrong_coefficient(1)")
+    moved = compare_folders(run(tmp_path / "a"), run(tmp_path / "b", "--plugin", str(fault))).moved
     assert set(moved["method"]) == {"contact-strang"}
-    assert PLANTS[plant] <= set(moved["measure"])
+    assert set(moved["measure"]) >= MOVED

@@ -110,14 +110,6 @@ def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
     assert calls["run"] == 2
 
 
-def test_every_sweep_visits_all_in_an_order_of_its_own():
-    race = Race([Scripted(*[[1.0]] * 4) for _ in range(6)])
-    orders = [tuple(race.sweep()) for _ in range(4)]
-    assert all(sorted(order) == list(range(6)) for order in orders)
-    assert len(set(orders)) == 4
-    assert [len(visits) for visits in race.visits] == [4] * 6
-
-
 @pytest.mark.parametrize(
     ("budget", "visits", "rounds"),
     [(0.0, VISITS, 1), (2.2 * VISITS * 2, VISITS, 2), (1e9, MOST_VISITS, ROUNDS)],

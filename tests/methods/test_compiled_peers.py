@@ -8,13 +8,14 @@ import importlib.util
 import sys
 from pathlib import Path
 
+import CyRK
 import numpy as np
 import pytest
 
 import contactbench as cb
 from cases import ALL_SCENES, USER, by_name, counts_memory, handed_out, random_state
-from contactbench.peers import abi, c_functions, sundials
-from contactbench.peers.variational import derivative
+from contactbench.peers import abi, compiled
+from contactbench.peers.base import derivative
 from contactbench.solution import Status
 from contactbench.testing.method import CASES
 
@@ -30,7 +31,7 @@ C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_v
 # -- the scene as C functions ----------------------------------------------------------------------
 def called(scene, x, carry):
     """What the C functions make of a state, and how often they say they were called."""
-    functions = c_functions.c_functions(scene, carry)
+    functions = compiled.c_functions(scene, carry)
     y = np.array(scene.without_clock(scene.pack(x)))
     data, slopes, matrix = functions.data(scene.numbers()), np.empty(len(y)), np.zeros((len(y), len(y)))
     for address, out in ((functions.rhs, slopes), (functions.jacobian, matrix)):
@@ -68,9 +69,9 @@ def test_a_force_without_a_hessian_has_an_exact_jacobian():
 
 
 def test_other_numbers_take_the_same_machine_code():
-    first = c_functions.c_functions(PARTICLE, ("s",))
+    first = compiled.c_functions(PARTICLE, ("s",))
     other = PARTICLE.with_(gamma=0.7, mass=3.0, coupling=-0.2)
-    assert c_functions.c_functions(other, ("s",)) is first
+    assert compiled.c_functions(other, ("s",)) is first
     x = random_state(other, 1)
     np.testing.assert_allclose(called(other, x, ("s",))[0], other.pack(other.rhs(x)), rtol=1e-13)
 
@@ -203,31 +204,23 @@ def load_anew(monkeypatch):
 
 @pytest.mark.usefixtures("load_anew")
 @pytest.mark.parametrize(
-    ("place", "name", "value", "reason"),
+    ("method", "place", "name", "value", "reason"),
     [
-        (sundials, "MAJOR", 99, "its C interface is known for version 99 only"),
-        (importlib.util, "find_spec", lambda name: None, "scikit-sundae is not installed"),
-        (Path, "glob", lambda self, pattern: [], "CVODE library is not in"),
+        ("cvode-bdf", compiled, "MAJOR", 99, "its C interface is known for version 99 only"),
+        ("cvode-bdf", importlib.util, "find_spec", lambda name: None, "scikit-sundae is not installed"),
+        ("cvode-bdf", Path, "glob", lambda self, pattern: [], "CVODE library is not in"),
+        ("cyrk-dop853", CyRK, "__version__", "0.21.0", "CyRK 0.21.0 may have another C interface"),
     ],
-    ids=["another version", "not installed", "no library"],
+    ids=["another version", "not installed", "no library", "another CyRK"],
 )
-def test_without_its_library_cvode_in_c_is_unsupported(monkeypatch, place, name, value, reason):
+def test_without_its_library_a_peer_is_unsupported(monkeypatch, method, place, name, value, reason):
+    engine = cb.METHODS[method].engines[0]
     monkeypatch.setattr(place, name, value)
-    solution = cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c")
+    solution = cb.solve(PARTICLE, method, rtol=1e-6, engine=engine)
     assert solution.status is Status.unsupported
     assert reason in solution.message
     monkeypatch.undo()
-    assert cb.solve(PARTICLE, "cvode-bdf", rtol=1e-6, engine="c+python").ok
-
-
-@pytest.mark.usefixtures("load_anew")
-def test_a_cyrk_with_another_interface_is_unsupported(monkeypatch):
-    from CyRK.nb import numba_solver
-
-    monkeypatch.setattr(numba_solver, "solve_func_sig", ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p))
-    solution = cb.solve(PARTICLE, "cyrk-dop853", rtol=1e-6)
-    assert solution.status is Status.unsupported
-    assert "another C interface" in solution.message
+    assert cb.solve(PARTICLE, method, rtol=1e-6, engine=cb.METHODS[method].engines[-1]).ok
 
 
 # -- memory and threads ----------------------------------------------------------------------------

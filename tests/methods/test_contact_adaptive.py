@@ -9,6 +9,7 @@ import contactbench as cb
 from cases import STANDARD, USER, in_mp, random_state
 from contactbench.methods.contact_adaptive import frequency, next_density, squared_curvature
 from contactbench.scenes import scenes_of
+from contactbench.splitting.composition import advance
 from contactbench.splitting.tables import RKN6
 
 NAME = "contact-adaptive"
@@ -68,17 +69,15 @@ def test_saving_does_not_disturb_the_steps():
 def test_a_step_with_its_density_undoes_itself(mp50):
     """Φ and the density, reversed in time, retrace their way: the whole control is time-symmetric."""
     scene, x = in_mp(KEPLER, KEPLER.initial(()))
-    method, epsilon, span = RKN6, mp50.mpf("0.3"), mp50.mpf(100)
-    from contactbench.splitting.composition import advance
-
+    epsilon, span = mp50.mpf("0.3"), mp50.mpf(100)
     density = frequency(scene, x, span)[0]
     start = (x, density)
     for _ in range(12):
-        x = advance(method, scene, x, epsilon / density, 1, mp50)
+        x = advance(RKN6, scene, x, epsilon / density, 1, mp50)
         density = next_density(scene, x, density, epsilon, span, mp50)
     for _ in range(12):
         density = next_density(scene, x, density, -epsilon, span, mp50)
-        x = advance(method, scene, x, -epsilon / density, 1, mp50)
+        x = advance(RKN6, scene, x, -epsilon / density, 1, mp50)
     gap = max(abs(a - b) for a, b in zip(scene.pack(x), scene.pack(start[0]), strict=True))
     assert gap < mp50.mpf(10) ** -40
     assert abs(density - start[1]) < mp50.mpf(10) ** -40
@@ -100,15 +99,8 @@ def test_curvature_with_and_without_a_hessian_and_by_differences(scene):
 
 
 def test_free_motion_needs_few_steps():
-    free = cb.Mechanical(
-        name="free",
-        potential=lambda q: 0 * q[0],
-        gradient=lambda q: (0 * q[0],),
-        gamma=0.0,
-        q=(0.0,),
-        p=(1.0,),
-        t_end=10.0,
-    )
+    flat = {"potential": lambda q: 0 * q[0], "gradient": lambda q: (0 * q[0],)}
+    free = cb.Mechanical(name="free", **flat, gamma=0.0, q=(0.0,), p=(1.0,), t_end=10.0)
     solution = cb.solve(free, NAME, rtol=1e-10, save_at=[10.0], engine="python")
     assert solution.y[-1, 0] == pytest.approx(10.0, rel=1e-14)
     assert solution.counts.steps < 100

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contactbench.peers.counting import count_callbacks
+from contactbench.peers.diffrax import count_callbacks
 from contactbench.xla import jax, jnp, lax
 
 LIMIT = 100.0

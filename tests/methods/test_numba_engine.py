@@ -13,7 +13,7 @@ from cases import ALL_SCENES, REPOSITORY, USER, by_name, pairs, random_state
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import loop_of
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.callback import record_function
+from contactbench.peers.base import record_function
 from contactbench.solution import Status
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import FUNCTIONS
@@ -134,7 +134,7 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
         run, plain = (cb.prepare(scene, method.name, engine=e, **options) for e in ("numba", "python"))
         spans = list(zip(plain.h.tolist(), plain.n.tolist(), strict=True))
         written = np.array(plain.as_written(plain.start.tolist(), spans))
-        assert plain.loop is not None
+        assert plain.program is not None
         for solution in run(), plain():
             assert (solution.status, solution.counts) == (Status.ok, plain.totals)
             np.testing.assert_allclose(solution.y, written, rtol=0, atol=2e-14 * np.abs(written).max())
@@ -254,25 +254,19 @@ def test_a_folder_that_cannot_be_written_to_is_no_obstacle(tmp_path):
 
 
 # -- ensembles -------------------------------------------------------------------------------------
-@pytest.mark.parametrize("method", ["contact-bm4", "herglotz2", "rk4"])
-@by_name([scene for scene in ALL_SCENES if scene.name in ("particle", "rigid_body", "tilted", "user")])
+@pairs(
+    [cb.METHODS[name] for name in ("contact-bm4", "herglotz2", "rk4")],
+    [scene for scene in ALL_SCENES if scene.name in ("particle", "rigid_body", "tilted", "user")],
+)
 @pytest.mark.quick(scene="rigid_body", method="contact-bm4")
 @pytest.mark.quick(scene="particle", method="herglotz2")
-def test_an_ensemble_on_jax_is_the_same(method, scene, monkeypatch):
+def test_an_ensemble_on_jax_is_the_same(method, scene):
     """1000 trajectories: several tiles, the last one not full, on as many threads as there are devices."""
-    if cb.METHODS[method].refuses(scene):
-        pytest.skip(cb.METHODS[method].refuses(scene))
     field = "M" if scene.name in ("rigid_body", "tilted") else "p"
     rng = np.random.default_rng(3)
     data = {field: tuple(c + 0.1 * rng.normal(size=1000) for c in getattr(scene, field))}
     options = {"step": 0.1, "measure_at": [1.0, 2.0], "chunk": 300}
-    ours = cb.ensemble(scene, method, data, **options)
-
-    def refused(*_):
-        raise CannotRecord("for this test")
-
-    monkeypatch.setattr("contactbench.ensembles.chunks.loop_of", refused)
-    theirs = cb.ensemble(scene, method, data, **options)
+    ours, theirs = (cb.ensemble(scene, method.name, data, engine=e, **options) for e in ("numba", "jax"))
     for a, b in zip(scene.pack(ours.final), scene.pack(theirs.final), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-14)
     assert ours.endings == theirs.endings

@@ -61,6 +61,20 @@ def test_many_saved_times_are_no_reason_to_stop_early(method, rtol):
         assert cb.LAWS["solution_error"](solution) < 2 * rtol
 
 
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-8])
+@pytest.mark.parametrize("times", [[20.0], np.linspace(0.5, 20.0, 40)], ids=len)
+def test_no_run_is_made_twice(times, rtol, monkeypatch):
+    """On many saved times the step chosen is often that of a pilot: its states are the result."""
+    run = cb.prepare("particle", "contact-rkn6", rtol=rtol, save_at=times, engine="python")
+    whole, taken = run.run.intervals, []
+    monkeypatch.setattr(run.run, "intervals", lambda y0, h, n: taken.append(tuple(n)) or whole(y0, h, n))
+    solution = run()
+    assert len(set(taken)) == len(taken)
+    assert solution.counts.steps in map(sum, taken)
+    evaluations = sum(run.run.cost(np.array(n)).evaluations for n in taken)
+    assert solution.counts.evaluations == evaluations
+
+
 @pytest.mark.parametrize(("method", "rtol"), [("contact-o8", 1e-6), ("contact-rkn6", 1e-7), ("rk4", 1e-8)])
 def test_steps_that_saved_times_shorten_are_not_taken_for_halved_ones(method, rtol):
     """On 200 saved times the pilots do not halve: by nominal steps the error was 12, 6 and 2 times the tolerance."""

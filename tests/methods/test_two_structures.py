@@ -32,39 +32,26 @@ def stiffer_force(q):
     return tuple(2 * c for c in q)
 
 
+START = {"q": (0.8,), "p": (0.3,), "s": 0.4, "t_end": 2.0}
+FORCE = {"potential": quartic, "gradient": force}
+SHAKEN = {
+    "potential": lambda q, t: quartic(q) - 0.3 * q[0] * cb.math.cos(t),
+    "gradient": lambda q, t: (force(q)[0] - 0.3 * cb.math.cos(t),),
+}
+
+
 def driven(rate):
-    return cb.Driven(
-        name="driven",
-        potential=lambda q, t: quartic(q) - 0.3 * q[0] * cb.math.cos(t),
-        gradient=lambda q, t: (force(q)[0] - 0.3 * cb.math.cos(t),),
-        rate=rate,
-        q=(0.8,),
-        p=(0.3,),
-        s=0.1,
-        t_end=2.0,
-    )
+    return cb.Driven(name="driven", **SHAKEN, rate=rate, **START)
 
 
 def damped(damping, slope):
-    return cb.GeneralDamping(
-        name="damped",
-        potential=quartic,
-        gradient=force,
-        damping=damping,
-        damping_slope=slope,
-        q=(0.8,),
-        p=(0.3,),
-        s=0.4,
-        t_end=2.0,
-    )
+    return cb.GeneralDamping(name="damped", **FORCE, damping=damping, damping_slope=slope, **START)
 
 
 BODY = cb.SCENES["rigid_body"].with_(
     inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=2.0
 )
-WELL = cb.Mechanical(
-    name="well", potential=quartic, gradient=force, gamma=0.2, q=(0.8,), p=(0.3,), s=0.4, t_end=2.0
-)
+WELL = cb.Mechanical(name="well", **FORCE, gamma=0.2, **START)
 SPRING = cb.SCENES["stiff_spring"].with_(t_end=2.0)
 #: what differs: two scenes or more, and the fields each is to carry
 PAIRS = {
@@ -106,20 +93,14 @@ ON_JAX = [
     ("sign of kappa", "contact-strang"),
     ("fields", "diffrax-tsit5"),
 ]
+ENGINES = [(name, "numba") for name in ("contact-strang", "contact-adaptive", "contact-exact")]
+ENGINES += [("cvode-bdf", "c"), ("cyrk-tsit5", "c++"), ("heyoka-taylor", "llvm")]
+ENGINES += [("contact-strang", "jax"), ("diffrax-tsit5", "jax")]
 SOLVES = [
     (what, k, name, engine)
     for what, scenes in PAIRS.items()
     for k in range(len(scenes))
-    for name, engine in (
-        ("contact-strang", "numba"),
-        ("contact-adaptive", "numba"),
-        ("contact-exact", "numba"),
-        ("cvode-bdf", "c"),
-        ("cyrk-tsit5", "c++"),
-        ("heyoka-taylor", "llvm"),
-        ("contact-strang", "jax"),
-        ("diffrax-tsit5", "jax"),
-    )
+    for name, engine in ENGINES
     if cb.METHODS[name].refuses(scenes[k][0]) is None and (engine != "jax" or (what, name) in ON_JAX)
 ]
 
@@ -136,15 +117,13 @@ def last_state(what, k, name, engine):
 
 def both_ways():
     """What each solve ends in, in two processes: one after the other forwards, and backwards."""
-    started = [
-        subprocess.Popen(
-            [sys.executable, __file__, order],
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        )
-        for order in ("forwards", "backwards")
-    ]
+    options = {
+        "stdout": subprocess.PIPE,
+        "text": True,
+        "env": os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    }
+    orders = ("forwards", "backwards")
+    started = [subprocess.Popen([sys.executable, __file__, order], **options) for order in orders]
     outputs = [process.communicate(timeout=500)[0] for process in started]
     assert [process.returncode for process in started] == [0, 0]
     return [{tuple(solve): np.array(y) for solve, y in json.loads(output)} for output in outputs]

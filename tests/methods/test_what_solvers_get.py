@@ -18,7 +18,7 @@ from CyRK import pysolve_ivp
 
 import bench_ensemble
 import contactbench as cb
-from contactbench.peers import c_functions
+from contactbench.peers import compiled
 from contactbench.solution import Status
 from contactbench.xla import jnp
 
@@ -150,7 +150,7 @@ C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_v
 
 def from_python(request):
     """A scene's C functions, callable as Python's: ``(t, y) -> slopes`` and ``(t, y) -> Jacobian``."""
-    functions = c_functions.c_functions(request.scene, request.carry)
+    functions = compiled.c_functions(request.scene, request.carry)
     data = functions.data(request.scene.numbers())
 
     def called(address, shape):

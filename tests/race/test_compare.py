@@ -159,34 +159,6 @@ def test_control_c_ends_it_with_what_there_is(monkeypatch):
     assert list(rows.loc[["contact-strang", "herglotz2"], "status"]) == ["interrupted", "interrupted"]
 
 
-def test_what_a_cheap_method_leaves_goes_to_the_others(monkeypatch):
-    """Every turn is that of the method that has had the least time, and no method has a fixed share."""
-    costs = {"rk4": 0.1, "contact-strang": 1.0, "herglotz2": 5.0}
-    lengths = {"rk4": 3, "contact-strang": 4, "herglotz2": 99}
-    turns = []
-
-    def spent():
-        return sum(map(costs.get, turns))
-
-    def scripted(scout):
-        for _ in range(lengths[scout.method.name]):
-            turns.append(scout.method.name)
-            scout.attempts.append(Attempt(1.0, "step=1", Status.ok, "", 0.1, error=0.3))
-            yield
-
-    monkeypatch.setattr(Scout, "turns", scripted)
-    monkeypatch.setattr("contactbench.race.comparison.perf_counter", spent)
-    race = Comparison(cb.SCENES["particle"], list(costs), (1e-2,), 60.0, False)
-    race.scout()
-    assert turns[:3] == ["rk4", "contact-strang", "herglotz2"]
-    assert turns[3:8] == ["rk4", "rk4", "contact-strang", "contact-strang", "contact-strang"]
-    assert 5.0 * turns.count("herglotz2") > 25.0  # all that was left, more than an equal share
-    assert spent() - costs["herglotz2"] <= comparison.SCOUTING * 60.0
-    why = {each.method.name: each.why for each in race.scouts}
-    assert why["rk4"] is None
-    assert why["herglotz2"][0] == "budget"
-
-
 def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so(monkeypatch):
     race = Comparison(cb.SCENES["particle"], ["rk4", "contact-strang"], (1e-2,), 60.0, False)
     quick, slow = (Attempt(1.0, "step=1", Status.ok, "", seconds, error=1e-3) for seconds in (1e-3, 100.0))

@@ -16,13 +16,11 @@ from contactbench.scenes import SCENES
 from contactbench.xla import jax, jnp
 
 Field = Callable[[Any], Any]
-
 SEED = 20
 #: sums of a few dozen products of numbers of size one, differentiated by AD: a few hundred ulp
 ROUND_OFF = 1e-12
 #: bound and reason of what holds identically
 IDENTITY = ROUND_OFF, "round-off of automatic differentiation on numbers of size one"
-LARGE_NUMBERS = 10 * ROUND_OFF, "round-off of AD on numbers of size up to 100"
 
 
 def points(dimension: int, count: int = 64, seed: int = SEED) -> np.ndarray:
@@ -31,7 +29,6 @@ def points(dimension: int, count: int = 64, seed: int = SEED) -> np.ndarray:
 
 
 def everywhere(function: Field, at: np.ndarray) -> np.ndarray:
-    """Return the function at many points, compiled once."""
     return np.asarray(jax.jit(jax.vmap(function))(jnp.asarray(at)))
 
 
@@ -48,9 +45,7 @@ def canonical(y: Any) -> State:
 
 
 def pack(x: Any) -> Any:
-    """Return a state as a JAX vector."""
-    parts = [jnp.ravel(jnp.asarray(part, dtype=float)) for part in x if part is not None]
-    return jnp.concatenate(parts)
+    return jnp.concatenate([jnp.ravel(jnp.asarray(part, dtype=float)) for part in x if part is not None])
 
 
 def eta(y: Any) -> Any:
@@ -76,7 +71,6 @@ def lie_derivative(field: Field, form: Field, y: Any) -> Any:
 
 
 def along(field: Field, function: Field, y: Any) -> Any:
-    """Return X(f), the derivative of f along X."""
     return jax.jvp(function, (y,), (field(y),))[1]
 
 
@@ -108,10 +102,8 @@ def contact_equations(hamiltonian: Field) -> Field:
 
 # -- scenes in coordinates -------------------------------------------------------------------------
 def vector_field(scene: Mechanical) -> Field:
-    """Return the scene's right-hand side on (q, p, s)."""
     return lambda y: pack(scene.rhs(canonical(y)))
 
 
 def function_of(measure: Callable[[State], Any]) -> Field:
-    """Return a function of the state as one of (q, p, s)."""
     return lambda y: measure(canonical(y))

@@ -9,27 +9,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from contactbench.claims.body_stability import criterion, growths
-from contactbench.claims.experiment import ENERGY_LADDER, NOMINAL, energy_errors
+from contactbench.claims.experiment import ENERGY_LADDER, NOMINAL, energy_errors, numerical
 from contactbench.claims.integrator import ABC, PAPER_STEP, PARTICLE, PRINTED, RK4, STRANG, slope
 from contactbench.claims.rigid_body import EIGENVALUES, INERTIA, direction_growths, momentum_rate
-from contactbench.methods import solve
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 
 Row = tuple[str, str, str, float, float, float]
-FIGURES: dict[str, Callable[[], Iterator[Row]]] = {}
-
-
-def figure(draw: Callable[[], Iterator[Row]]) -> Callable[[], Iterator[Row]]:
-    """Register the data of a figure under the function's name."""
-    FIGURES[draw.__name__] = draw
-    return draw
 
 
 def rows(name: str) -> Iterator[dict[str, Any]]:
@@ -42,20 +34,17 @@ def rows(name: str) -> Iterator[dict[str, Any]]:
 
 
 def curve(
-    panel: str, name: str, kind: str, x: Iterable[Any], y: Iterable[Any], z: Any = None
+    panel: str,
+    name: str,
+    kind: str,
+    x: Iterable[Any],
+    y: Iterable[Any],
+    z: Iterable[Any] = itertools.repeat(math.nan),
 ) -> Iterator[Row]:
-    """Yield the rows of one curve."""
-    for point in zip(x, y, itertools.repeat(math.nan) if z is None else z, strict=False):
+    for point in zip(x, y, z, strict=False):
         yield (panel, name, kind, *point)
 
 
-def numerical(scene: Any, method: str, step: float, count: int) -> Any:
-    """Return a run saved at `count` equal intervals, start included."""
-    t = np.linspace(0, scene.t_end, count + 1)
-    return solve(scene, method, step=step, save_at=t, carry=(), engine="python")
-
-
-@figure
 def paper_2() -> Iterator[Row]:
     """Yield the phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
     orbit, spiral = np.linspace(0, 2 * math.pi, 161), np.linspace(0, 25.0, 301)
@@ -68,7 +57,6 @@ def paper_2() -> Iterator[Row]:
             yield from curve("phase", f"λ = {gamma:g}, q(0) = {q0:g}", kind, truth.q[0], truth.p[0])
 
 
-@figure
 def paper_3() -> Iterator[Row]:
     """Yield the momentum map of a rotation-invariant force along time, measured and by the law."""
     for gamma in (0.0, 0.05, 0.1, 0.2, 0.4):
@@ -80,7 +68,6 @@ def paper_3() -> Iterator[Row]:
         yield from curve("decay", f"λ = {gamma:g}, {STRANG}", "method", run.t, J / J[0])
 
 
-@figure
 def paper_4() -> Iterator[Row]:
     """Yield trajectories of the damped body in momentum space, from near each principal axis."""
     tilt = 0.08
@@ -92,7 +79,6 @@ def paper_4() -> Iterator[Row]:
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
 
-@figure
 def paper_5() -> Iterator[Row]:
     """Yield directions of the momentum: the flow of M/‖M‖, and its six equilibria with their stability."""
     scene = SCENES["rigid_body"]
@@ -118,7 +104,6 @@ def paper_5() -> Iterator[Row]:
                 yield from curve("sphere", name, "flow", *path[: once + 1].T)
 
 
-@figure
 def paper_7() -> Iterator[Row]:
     """Yield, left, H0 along time at h = 0.01.  Right, the error of H0 against the step, with fitted orders."""
     scene = PARTICLE
@@ -144,7 +129,6 @@ def paper_7() -> Iterator[Row]:
         )
 
 
-@figure
 def paper_8() -> Iterator[Row]:
     """Yield the splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
@@ -162,7 +146,6 @@ def paper_8() -> Iterator[Row]:
 REACH = (3.0, 1.0, 1.0)
 
 
-@figure
 def paper_stability() -> Iterator[Row]:
     """Yield the growth rate at M* = e_i in ker D, I = (1, 2, 3), over two slices of the symmetric D ≥ 0.
 
@@ -197,3 +180,7 @@ def paper_stability() -> Iterator[Row]:
     ab = -criterion(np.zeros((3, 3)), unit[1])[1]  # det = d₁d₃ − ab there
     d = np.linspace(ab / 0.6, 0.6, 61)
     yield from curve("axis 2, diagonal", "det = 0", "criterion", d, ab / d)
+
+
+DRAWN = paper_2, paper_3, paper_4, paper_5, paper_7, paper_8, paper_stability
+FIGURES = {draw.__name__: draw for draw in DRAWN}

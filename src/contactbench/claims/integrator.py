@@ -12,7 +12,6 @@ import scipy  # its parts are loaded when first used
 
 from contactbench.claims.calculus import (
     IDENTITY,
-    LARGE_NUMBERS,
     ROUND_OFF,
     SEED,
     canonical,
@@ -75,7 +74,6 @@ def exact_order(name: str, **changes: Any) -> float:
 
 
 def one_step(method: Any, scene: Any, h: float) -> Any:
-    """Return Φ_h as a JAX map of (q, p, s)."""
     return lambda y: pack(method.advance(scene, canonical(y), h, 1, jnp))
 
 
@@ -102,12 +100,10 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
         omega = jnp.kron(jnp.array([[0.0, 1.0], [-1.0, 0.0]]), jnp.eye(2))
         return derivative.T @ omega @ derivative - omega
 
-    reached, gradient = jax.jit(jax.value_and_grad(action))(q[1:-1])
+    gradient = jax.jit(jax.grad(action))(q[1:-1])
     defect = largest(symplectic_defect, points(5, seed=seed))
     first, second = exact_order("herglotz1"), exact_order("herglotz2")
-    rounding = ROUND_OFF, "round-off of 20 steps"
     yield at_most("max |∂s_N/∂q_k| along a computed curve of 20 steps", np.abs(gradient).max(), *IDENTITY)
-    yield at_most("|s_N − s_N of the recursion| along it", abs(float(reached) - path[-1].s), *rounding)
     yield at_most("max |DΦᵀΩDΦ − Ω| at γ = 0", defect, *IDENTITY)
     yield CORRECTED
     yield at_most("|order − 1| of herglotz1, 50 digits", abs(first - 1), *ORDER)
@@ -115,12 +111,6 @@ def discrete_herglotz(seed: int = SEED, gamma: float = 0.1, h: float = 0.1) -> E
 
 
 # -- subflows and compositions ---------------------------------------------------------------------
-def flow_map(name: str, scene: Mechanical) -> Any:
-    """Return (h, y) ↦ φ_h(y)."""
-    flow = MECHANICAL[name]
-    return lambda h, y: pack(flow.apply(scene, canonical(y), flow.constants(scene, h, jnp), jnp))
-
-
 def flow_defect(flow: Any, hamiltonian: Any, seed: int) -> float:
     """Return max |dφ_h/dh − X_H(φ_h)|/(1 + |φ_h|) and |φ_0 − id| at random points and h: 0 for the exact flow."""
     field = contact_equations(hamiltonian)
@@ -138,7 +128,7 @@ def flow_defect(flow: Any, hamiltonian: Any, seed: int) -> float:
 def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evidence:
     """kappa : of the quadratic damping that what goes beyond the claim is measured with."""
     scene = PARTICLE.with_(gamma=gamma)
-    curved, decay = scene.with_(kappa=kappa), math.exp(-gamma * 0.7)
+    curved = scene.with_(kappa=kappa)
     hamiltonians = {
         "drift": lambda scene, x: scene.kinetic(x.p),
         "kick": lambda scene, x: scene.V(x.q),
@@ -147,13 +137,9 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
     }
 
     def part_defect(name, scene):
-        part = hamiltonians[name]
-        return flow_defect(flow_map(name, scene), lambda y: part(scene, canonical(y)), seed)
-
-    def contact_defect(name, factor):
-        flow = flow_map(name, scene)
-        form = lambda y: pullback(lambda z: flow(0.7, z), eta, y)  # noqa: E731
-        return largest(lambda y: form(y) - factor * eta(y), points(5, seed=seed))
+        part, flow = hamiltonians[name], MECHANICAL[name]
+        map_ = lambda h, y: pack(flow.apply(scene, canonical(y), flow.constants(scene, h, jnp), jnp))  # noqa: E731
+        return flow_defect(map_, lambda y: part(scene, canonical(y)), seed)
 
     def quartic(y):
         return jnp.sum(y[2:4] ** 4) / 4
@@ -167,21 +153,18 @@ def subflows(seed: int = SEED, gamma: float = 0.1, kappa: float = 0.05) -> Evide
 
         return flow_defect(flow, quartic, seed)
 
-    contact = max(contact_defect("kick", 1.0), contact_defect("drift", 1.0), contact_defect("damp", decay))
     free = LAWS["solution_error"](solve(SCENES["rigid_body"].with_(gamma=0.0), ABC, step=20.0))
     measure, nonlinear = "max |dφ_h/dh − X(φ_h)|/(1 + |φ_h|), |φ_0 − id|", f"Γ = γs + ½κs², κ = {kappa:g}"
     no_flow = 1e-3, "far above round-off: it is not the flow"
-    yield at_most(f"{measure}: A (drift)", part_defect("drift", scene), *IDENTITY)
-    yield at_most(f"{measure}: B (kick)", part_defect("kick", scene), *IDENTITY)
-    yield at_most(f"{measure}: C (damp)", part_defect("damp", scene), *IDENTITY)
-    yield at_most(f"{measure}: A and C together (drift_damp)", part_defect("drift_damp", scene), *IDENTITY)
-    yield at_most("max |φ_h*η − e^{−γh}η| (A, B: factor 1)", contact, *IDENTITY)
+    rounding = 10 * ROUND_OFF, "round-off of AD on numbers of size up to 100"
+    for label, name in (("A", "drift"), ("B", "kick"), ("C", "damp"), ("A and C together", "drift_damp")):
+        yield at_most(f"{measure}: {label} ({name})", part_defect(name, scene), *IDENTITY)
     yield CORRECTED
     yield at_most("solution_error of A alone on rigid_body, γ = 0, one step of h = 20", free, *IDENTITY)
     for label, name in (("C", "damp"), ("A and C together", "drift_damp")):
         off = part_defect(name, curved)
         yield at_most(f"the defect of a flow with {nonlinear}: {label}", off, *IDENTITY)
-    yield at_most("A with s += h (p·T_p − T) for T = ¼ Σ p⁴", quartic_defect(True), *LARGE_NUMBERS)
+    yield at_most("A with s += h (p·T_p − T) for T = ¼ Σ p⁴", quartic_defect(True), *rounding)
     yield at_least("A as printed, s += h T, for the same T", quartic_defect(False), *no_flow)
 
 
@@ -257,12 +240,10 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
         local_orders(name, PARTICLE.with_(gamma=gamma), starts) for name in (PRINTED, ABC, STRANG)
     )
 
-    def coarse(name):
-        other = SCENES[name].with_(gamma=gamma)
-        return solve(other, PRINTED, step=0.5, save_at=np.arange(1, 41) / 2, engine="python")
+    def momentum_law(name):
+        scene, t = SCENES[name].with_(gamma=gamma), np.arange(1, 41) / 2
+        return LAWS["momentum_law"](solve(scene, PRINTED, step=0.5, save_at=t, engine="python"))
 
-    central, body, law = coarse("central"), coarse("rigid_body"), LAWS["momentum_law"]
-    size = np.linalg.norm(body.M, axis=1) * np.exp(gamma * body.t) / np.linalg.norm(body.scene.M)
     exact = ROUND_OFF, "round-off of the steps taken"
     first, least = (2 - ORDER_MISS, "order 1 (C25): h² per step"), (3 - ORDER_MISS, ORDER_WHY)
     yield at_least("power of h in the error of H0 after one step, contact-printed", printed[0], *least)
@@ -271,9 +252,8 @@ def energy_and_action_decay(seed: int = SEED, gamma: float = 0.1) -> Evidence:
     yield at_least("the same for H0, contact-abc and contact-strang", min(abc[0], strang[0]), *least)
     yield at_least("the same for s, contact-abc and contact-strang", min(abc[1], strang[1]), *least)
     yield at_least("smaller of the two powers, contact-printed", min(printed), *first)
-    yield at_most("momentum_law on central at h = ½", law(central), *exact)
-    yield at_most("momentum_law on rigid_body at h = ½", law(body), *exact)
-    yield at_most("max |‖M‖ e^{γt}/‖M(0)‖ − 1| there", np.abs(size - 1).max(), *exact)
+    yield at_most("momentum_law on central at h = ½", momentum_law("central"), *exact)
+    yield at_most("momentum_law on rigid_body at h = ½", momentum_law("rigid_body"), *exact)
 
 
 @claim("C28")
@@ -343,8 +323,6 @@ def conditional_stability(gammas: Sequence[float] = (0.0, 0.1, 1.0), weak: float
         "bounded orbits need no eigenvalue beyond the unit circle; 10⁻⁷ is the square root of round-off"
     )
     bounded = 1 + SLACK, on_circle
-    short = np.linspace(0.05, 1.95, 39)
-    calm = max(float(np.max(radius(name, gamma, short))) for name in (PRINTED, ABC) for gamma in gammas)
     listed = ", ".join(f"{gamma:g}" for gamma in gammas)
     edge = border(PRINTED, weak)
     at_two = max(abs(border(ABC, gamma) - 2) for gamma in gammas)
@@ -360,7 +338,6 @@ def conditional_stability(gammas: Sequence[float] = (0.0, 0.1, 1.0), weak: float
     for name in (PRINTED, ABC):
         yield at_most(f"{all_steps}, {name}, γ = {weak:g}", largest_radius(name, weak), *bounded)
     yield CORRECTED
-    yield at_most(f"the same for ωh ≤ 1.95, both, γ = {listed}", calm, *bounded)
     yield at_most(f"max |border − 2| for contact-abc, γ = {listed}", at_two, *near)
     yield at_most(printed, by_formula, *near)
     yield at_most(every_step, start, *sampled)

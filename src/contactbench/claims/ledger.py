@@ -75,25 +75,18 @@ Evidence = Iterable[Measurement | str]
 
 
 def at_most(quantity: str, value: Any, bound: float, why: str) -> Measurement:
-    """Return a measurement that passes if the value does not exceed its bound."""
     return Measurement(quantity, float(value), "≤", float(bound), why)
 
 
 def at_least(quantity: str, value: Any, bound: float, why: str) -> Measurement:
-    """Return a measurement that passes if the value reaches its bound."""
     return Measurement(quantity, float(value), "≥", float(bound), why)
 
 
-def split(evidence: Evidence) -> tuple[list[Measurement], list[Measurement]]:
+def split(evidence: Evidence) -> tuple[list[Any], list[Any]]:
     """Return the measurements of the paper's statement and those of the corrected one."""
-    parts: tuple[list[Measurement], list[Measurement]] = [], []
-    which = 0
-    for m in evidence:
-        if isinstance(m, Measurement):
-            parts[which].append(m)
-        else:
-            which = 1
-    return parts
+    measured = list(evidence)
+    end = measured.index(CORRECTED) if CORRECTED in measured else len(measured)
+    return measured[:end], measured[end + 1 :]
 
 
 def verdict(

@@ -9,7 +9,6 @@ import numpy as np
 import scipy  # its parts are loaded when first used
 
 from contactbench.claims.calculus import IDENTITY, ROUND_OFF, SEED, contact_field, largest, pack, points
-from contactbench.claims.geometry import TRUE
 from contactbench.claims.ledger import CORRECTED, Evidence, at_least, at_most, claim
 from contactbench.methods import solve
 from contactbench.scene import BodyState, RigidBody, cross, quaternion_product
@@ -37,7 +36,6 @@ def momentum_rate(scene: RigidBody) -> Any:
 
 @claim("C15")
 def body_equations(seed: int = SEED, **changes: Any) -> Evidence:
-    """changes : of the scene, e.g. ``inertia`` or ``gamma``."""
     scene = BODY.with_(**changes)
 
     def form(y):
@@ -66,7 +64,6 @@ def body_momentum_map(seed: int = SEED, **changes: Any) -> Evidence:
 
         def component(axis):
             def rotated(angle):
-                """Return the attitude after a further rotation in space: R → Rot(axis, angle) R."""
                 half = angle / 2
                 return quaternion_product((jnp.cos(half), *(jnp.sin(half) * c for c in axis)), x.R)
 
@@ -78,16 +75,9 @@ def body_momentum_map(seed: int = SEED, **changes: Any) -> Evidence:
     def against(candidate):
         return largest(lambda y: momentum_map(y) - jnp.stack(candidate(chart(y))), points(7, seed=seed))
 
-    t = np.linspace(0, scene.t_end, 201)
-    truth = reference(scene, t).states()
-    scaled = np.array(truth.M) * np.exp(scene.gamma * t)
-    J = np.array(scene.momentum(truth)) * np.exp(scene.gamma * t)
-    of_M, of_J = (np.abs(x - x[:, :1]).max() / np.linalg.norm(scaled[:, 0]) for x in (scaled, J))
     yield at_most("max |J_ξ − M·ξ| at random (R, M), J_ξ = −ι_ξ η", against(lambda x: x.M), *IDENTITY)
-    yield at_most("max |M_i(t) e^{γt} − M_i(0)|/‖M(0)‖ along the true body", of_M, *TRUE)
     yield CORRECTED
     yield at_most("max |J_ξ − (R M)·ξ|, the suite's momentum map", against(scene.momentum), *IDENTITY)
-    yield at_most("max |(R M)_i(t) e^{γt} − (R M)_i(0)|/‖M(0)‖", of_J, *TRUE)
 
 
 @claim("C17")
@@ -110,20 +100,30 @@ def random_damping(rng: np.random.Generator, rank: int, axis: int) -> np.ndarray
     return D
 
 
-def turn_at_random(D: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return D in a random basis, symmetric to the last bit."""
+#: kinds of symmetric D ≥ 0, D ≠ 0, in turn
+DAMPINGS = (
+    "of full rank",
+    "with an axis in its kernel",
+    "with two axes in its kernel",
+    "with a separatrix plane for its kernel",
+    "with any line for its kernel",
+    "with any plane for its kernel",
+)
+SLOW = 2  #: of these, in which nothing is on an axis: M falls as t^{−1/2}
+
+
+def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Any) -> np.ndarray:
+    """Return a random D of `DAMPINGS`."""
+    rates, a = rng.uniform(0.5, 1, 3), 1 / np.asarray(inertia)
+    if kind == 3:
+        normal = np.sqrt([a[0] - a[1], 0.0, a[1] - a[2]]) * [1, 1, rng.choice([-1, 1])]
+        return rates[0] * np.outer(normal, normal) / (normal @ normal)
+    D = np.diag(rates * (rng.permutation(3) >= kind % 3))
+    if kind < 3:
+        return D
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    D = turn @ D @ turn.T
-    return (D + D.T) / 2
-
-
-def any_damping(rng: np.random.Generator, number: int) -> np.ndarray:
-    """Return a symmetric D ≥ 0: in turn diagonal, full with an axis in its kernel, and in any direction."""
-    rank = number // 3 % 3 + 1
-    if number % 3 == 1:
-        return random_damping(rng, min(rank, 2), int(rng.integers(3)))
-    D = np.diag(rng.permutation([*rng.uniform(0.1, 1, rank), 0, 0, 0][:3]))
-    return D if number % 3 == 0 else turn_at_random(D, rng)
+    turned = turn @ D @ turn.T
+    return (turned + turned.T) / 2  # symmetric to the last bit
 
 
 def residual(M: Any, inertia: Any, D: Any) -> np.ndarray:
@@ -159,7 +159,7 @@ def equilibrium_set(seed: int = 3, cases: int = 27, inertia: Sequence[float] = I
     rng = np.random.default_rng(seed)
     distances = []
     for number in range(cases):
-        D = any_damping(rng, number)
+        D = damping_of_kind(rng, number % len(DAMPINGS), inertia)
         distances += [distance_from_set(M, D) for M in equilibria(D, inertia, rng)]
     u = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
     a = -np.array([1.0, -1.0, 0.0]) / np.sqrt(2) / 4
@@ -212,28 +212,6 @@ def relative_equilibria(gamma: float = 0.1, inertia: Sequence[float] = INERTIA) 
     yield at_most("max |(H0/‖M‖²)(t)/(H0/‖M‖²)(0) − 1| along the true body", change, *rounded)
 
 
-#: kinds of symmetric D ≥ 0, D ≠ 0, in turn
-DAMPINGS = (
-    "of full rank",
-    "with an axis in its kernel",
-    "with two axes in its kernel",
-    "with a separatrix plane for its kernel",
-    "with any line for its kernel",
-    "with any plane for its kernel",
-)
-SLOW = 2  #: of these, in which nothing is on an axis: M falls as t^{−1/2}
-
-
-def damping_of_kind(rng: np.random.Generator, kind: int, inertia: Any) -> np.ndarray:
-    """Return a random D of `DAMPINGS`."""
-    rates, a = rng.uniform(0.5, 1, 3), 1 / np.asarray(inertia)
-    if kind == 3:
-        normal = np.sqrt([a[0] - a[1], 0.0, a[1] - a[2]]) * [1, 1, rng.choice([-1, 1])]
-        return rates[0] * np.outer(normal, normal) / (normal @ normal)
-    D = np.diag(rates * (rng.permutation(3) >= kind % 3))
-    return D if kind < 3 else turn_at_random(D, rng)
-
-
 def motions(D: np.ndarray, M: np.ndarray, inertia: Any, h: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Return M at t = 2000 and 4000 of many bodies, by RK4: D (k, 3, 3), M (k, 3) → (k, 3) twice."""
     a = 1 / np.asarray(inertia)
@@ -283,4 +261,3 @@ def motions_settle(seed: int = SEED, starts: int = 1200, inertia: Sequence[float
     yield CORRECTED
     yield at_most("largest M·M' at random M", -np.einsum("ki,kij,kj->k", M, D, M).min(), *IDENTITY)
     yield at_least("largest H0' there", rise.max(), 1e-2, "H0 rises")
-    yield at_least("least ‖M(4000)‖ without damping", np.sqrt(free[1].min()), 0.99, "it stays 1")

@@ -12,7 +12,7 @@ from typing import Any
 
 from contactbench.boundary import VARIABLE, limit
 from contactbench.cli import runs, tables
-from contactbench.cli.parsing import PLUGIN, Command, Intermixed, Parser
+from contactbench.cli.parsing import PLUGIN, Command, Parser
 from contactbench.errors import BadInput, one_line
 
 #: seconds that a plug-in has where nobody says otherwise
@@ -41,7 +41,7 @@ Exit status: 0 done; 1 done, but the run did not end ok; 2 bad input, or an erro
         return 0
 
     top.set_defaults(run=overview)
-    commands: Any = top.add_subparsers(dest="command", metavar="COMMAND", parser_class=Intermixed)
+    commands: Any = top.add_subparsers(dest="command", metavar="COMMAND")
 
     def command(name: str, run: Command, about: str, examples: str = "") -> argparse.ArgumentParser:
         one = commands.add_parser(name, help=about, description=about, parents=[PLUGIN], epilog=examples)
@@ -80,7 +80,11 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point; whatever goes wrong is one line on stderr and exit status 2."""
     open_streams()
     plugins, _ = PLUGIN.parse_known_args(argv)
-    arguments = parser().parse_args(argv)
+    top = parser()
+    arguments, more = top.parse_known_args(argv)
+    if more and (arguments.command != "compare" or any(word.startswith("-") for word in more)):
+        top.error(f"unrecognized arguments: {' '.join(more)}")
+    arguments.more = more  # methods that follow an option
     try:
         if plugins.plugin_timeout is not None:
             os.environ[VARIABLE] = plugins.plugin_timeout  # for worker processes too

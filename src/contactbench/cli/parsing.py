@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -22,22 +21,6 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)\n")
-
-
-class Intermixed(Parser):
-    """Takes positional arguments among the options."""
-
-    _within = False
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse by `parse_known_intermixed_args`, which calls this method in its turn."""
-        if self._within:
-            return super().parse_known_args(args, namespace)
-        self._within = True
-        try:
-            return self.parse_known_intermixed_args(args, namespace)
-        finally:
-            self._within = False
 
 
 def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
@@ -57,15 +40,6 @@ def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> Non
         raise BadInput(f"{option} {path}: cannot be written: {error.strerror}") from None
     if not there:
         path.unlink()
-
-
-def writable_folder(option: str, folder: Path) -> None:
-    """Raise `BadInput` unless files can be made in a folder."""
-    try:
-        with tempfile.NamedTemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise BadInput(f"{option} {folder}: cannot be written: {error.strerror}") from None
 
 
 def assignments(pairs: list[str]) -> dict[str, Any]:

@@ -17,9 +17,7 @@ from contactbench.errors import BadInput, unknown_name
 PICTURES = (".svg", ".png", ".pdf")
 
 
-# -- list ------------------------------------------------------------------------------------------
 def listing(arguments: argparse.Namespace) -> int:
-    """Print scenes, methods, laws and claims, or one kind without heading and indentation."""
     import contactbench as cb
     from contactbench.claims import CLAIMS
     from contactbench.measure.ladder import stepping
@@ -43,9 +41,7 @@ def listing(arguments: argparse.Namespace) -> int:
     return 0
 
 
-# -- solve -----------------------------------------------------------------------------------------
 def solve(arguments: argparse.Namespace) -> int:
-    """Solve a scene once and print where it ended."""
     writable("--plot", arguments.plot, PICTURES)
     writable("--out", arguments.out)
     import contactbench as cb
@@ -78,7 +74,6 @@ def solve(arguments: argparse.Namespace) -> int:
 
 
 def plot(solution: Any, path: Path) -> None:
-    """Draw the motion and the energies against time."""
     from contactbench.report.draw import render
     from contactbench.report.drawing import Axis, Curve, Figure, Panel
 
@@ -101,7 +96,6 @@ def plot(solution: Any, path: Path) -> None:
 
 
 def summary(solution: Any) -> dict[str, Any]:
-    """Return final state, energies, momentum, counts and status as plain JSON values; null for not reached."""
     scene, out = solution.scene, {}
     if solution.ok:
         y = solution.y[-1].tolist()
@@ -128,9 +122,7 @@ SOLVE = """examples:
 Exit status: 0 the run ended ok; 1 it did not (the status says how); 2 bad input."""
 
 
-# -- compare ---------------------------------------------------------------------------------------
 def compare(arguments: argparse.Namespace) -> int:
-    """Race the methods and print who is cheapest at each error."""
     for option, kinds in (("html", ()), ("plot", PICTURES), ("csv", ())):
         writable(f"--{option}", getattr(arguments, option), kinds)
     one_core()
@@ -138,7 +130,7 @@ def compare(arguments: argparse.Namespace) -> int:
     from contactbench.report import race
 
     scene = cb.SCENES[arguments.scene].with_(**assignments(arguments.set))
-    methods, budget = arguments.method or None, duration(arguments.budget)
+    methods, budget = arguments.method + arguments.more or None, duration(arguments.budget)
     frame = cb.compare(scene, methods, numbers(arguments.error), budget, progress=not arguments.quiet)
     if arguments.csv:
         frame.to_csv(arguments.csv, index=False, lineterminator="\n")
@@ -158,7 +150,6 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def numbers(text: str) -> list[float]:
-    """Return 1e-3,1e-6 as numbers."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
@@ -166,7 +157,6 @@ def numbers(text: str) -> list[float]:
 
 
 def duration(text: str) -> float:
-    """Return 60s, 60 or 2m in seconds."""
     units = {"s": 1.0, "m": 60.0}
     number, unit = (text[:-1], units[text[-1]]) if text[-1:] in units else (text, 1.0)
     try:
@@ -190,12 +180,10 @@ Nothing is written but the files named.  Ctrl-C ends it with what there is.
 Exit status: 0 done, 1 nothing could be timed, 2 bad input or no reference, 130 interrupted."""
 
 
-# -- check -----------------------------------------------------------------------------------------
 ROW = "{:>4}  {:30} {:9} {:24} {}"
 
 
 def check(arguments: argparse.Namespace) -> int:
-    """Follow every rule of the contract; print which, where, and what was measured."""
     import contactbench as cb
     from contactbench.testing import Violation, method_findings, scene_findings
 
@@ -220,24 +208,11 @@ def check(arguments: argparse.Namespace) -> int:
     return 0
 
 
-CHECK = """examples:
-  contactbench check my-method --plugin my.py
-  contactbench check my-method --engine python --plugin my.py
-  contactbench check double-well --plugin my.py
-
-Exit status: 0 all rules are kept, 1 one is broken (stderr says which), 2 bad input."""
-
-
-# -- options ---------------------------------------------------------------------------------------
-LIST = """examples:
-  contactbench list
-  contactbench list methods | grep adaptive
-  contactbench list scenes --plugin my.py"""
+CHECK = "Exit status: 0 all rules are kept, 1 one is broken (stderr says which), 2 bad input."
 
 
 def add(command: Command) -> None:
-    """Add the commands and their options."""
-    one = command("list", listing, "scenes, methods, laws and claims", LIST)
+    one = command("list", listing, "scenes, methods, laws and claims")
     one.add_argument("kind", nargs="?", choices=["scenes", "methods", "laws", "claims"], help="only these")
 
     one = command("solve", solve, "solve one scene with one method and print where it ended", SOLVE)
@@ -269,7 +244,6 @@ def add(command: Command) -> None:
 
 
 def add_common(parser: argparse.ArgumentParser, **files: str) -> None:
-    """Add what solve and compare have in common: parameters of the scene, files to be written, JSON."""
     about = "change a parameter: a number or a list [1,2]; may be repeated"
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=about)
     for name, text in files.items():

@@ -8,13 +8,11 @@ import signal
 import sys
 from pathlib import Path
 
-from contactbench.cli.parsing import Command, writable, writable_folder
+from contactbench.cli.parsing import Command, writable
 from contactbench.errors import BadInput, positive
 
 
-# -- claim -----------------------------------------------------------------------------------------
 def claim(arguments: argparse.Namespace) -> int:
-    """Measure one claim of the ledger and print its row; as text each measurement on a line."""
     from contactbench.claims import CLAIMS
     from contactbench.results.schema import SEPARATOR
 
@@ -33,14 +31,8 @@ LABELS = {name: name for name in ("id", "where", "claim", "scene", "method", "me
 LABELS |= {"evidence": "measured", "verdict": "verdict", "correction": "correction"}
 LABELS |= {"corrected_evidence": "measured"}
 
-CLAIM = """examples:
-  contactbench claim C25
-  contactbench claim C07 --json | jq -r .verdict"""
 
-
-# -- report ----------------------------------------------------------------------------------------
 def report(arguments: argparse.Namespace) -> int:
-    """Write markdown, figures and the page from the CSV tables, or say which are not what the tables say."""
     import contactbench as cb
     from contactbench.report import write
 
@@ -52,7 +44,6 @@ def report(arguments: argparse.Namespace) -> int:
         found = write.differing(results, readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
-    writable_folder("--results", results)
     if readme:  # refused now if it has no computed part
         write.parts_beside(readme)
         writable("--readme", readme)
@@ -61,17 +52,12 @@ def report(arguments: argparse.Namespace) -> int:
     return 0
 
 
-REPORT = """examples:
-  contactbench report
-  contactbench report --results /tmp/mine
-  contactbench report --check --readme README.md
-
-Nothing is solved: every number is read from the tables.  report.html is one page that needs no network."""
+REPORT = (
+    "Nothing is solved: every number is read from the tables.  report.html is one page that needs no network."
+)
 
 
-# -- gate ------------------------------------------------------------------------------------------
 def gate(arguments: argparse.Namespace) -> int:
-    """Compare with the committed tables and time against another revision; 1 if something regressed."""
     from contactbench.gate import judge
     from contactbench.gate.compare import compare_folders
 
@@ -110,9 +96,7 @@ BASELINE = "compare --fresh with this folder of tables instead, outside any repo
 BUDGET = "time for the speed part; inconclusive where it ends before half of the cells are decided"
 
 
-# -- references ------------------------------------------------------------------------------------
 def references(_: argparse.Namespace) -> int:
-    """Print the stored references, their digits and their digests."""
     from contactbench.truth import frozen_folder, manifest
 
     folder = frozen_folder()
@@ -126,8 +110,7 @@ def references(_: argparse.Namespace) -> int:
 
 
 def add(command: Command) -> None:
-    """Add the commands and their options."""
-    one = command("claim", claim, "measure one claim of the ledger", CLAIM)
+    one = command("claim", claim, "measure one claim of the ledger")
     one.add_argument("id", help="C01 to C42, X01, X02, in either case (contactbench list claims)")
     one.add_argument("--json", action="store_true", help="print one JSON object")
 

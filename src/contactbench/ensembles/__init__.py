@@ -1,10 +1,8 @@
 """Ensembles: many trajectories of one scene at once, with a fixed-step method.
 
-Every process integrates the trajectories it is given.  It cuts them into chunks, so that memory stays
-bounded, and divides each chunk among its devices: the cores of a CPU, or its GPUs.  On a CPU the loop is the
-one numba compiles, for so many trajectories at a time that the processor always has one to go on with; a
-thread runs on every core.  GPUs, parameters that differ from one trajectory to the next and methods that
-cannot be recorded go to JAX, tile by tile, one array per component.  Processes meet once, for the statistics.
+Every process cuts its trajectories into chunks, so that memory stays bounded, and divides each among its devices:
+the cores of a CPU, by the loop numba compiles, or its GPUs.  GPUs, parameters of each trajectory's own and methods
+that cannot be recorded go to JAX, tile by tile.  Processes meet once, for the statistics.
 """
 
 from __future__ import annotations
@@ -26,9 +24,6 @@ from contactbench.methods.fixed_step_run import Division
 from contactbench.methods.prepared import Refused
 from contactbench.scene import BodyState, DrivenState, Scene, State
 from contactbench.solution import Counts, Status
-
-#: more trajectories than fit into any memory
-MOST_AT_ONCE = 10**12
 
 
 @dataclass(frozen=True)
@@ -137,7 +132,7 @@ def ensemble(
         switch("progress", progress)
     if executor is not None and not isinstance(executor, Executor):
         raise BadInput(f"executor = {excerpt(executor)}: must be an executor, as in concurrent.futures")
-    chunk = None if chunk is None else whole("chunk", chunk, MOST_AT_ONCE)
+    chunk = None if chunk is None else whole("chunk", chunk, 10**12)
     y0, own = members(scene, request.carry, initial_conditions, {} if parameters is None else parameters)
     names = [ENERGY, *decaying(scene, request.carry)]
     end, n = request.save_at[-1], y0.shape[1]

@@ -21,10 +21,10 @@ from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.entry import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
-from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.peers.compiled import FACTS, KNOWN
-from contactbench.peers.cyrk import SUCCESS, CyrkRun
+from contactbench.peers.compiled import FACTS, KNOWN, SUCCESS
+from contactbench.peers.cyrk import CyrkRun
 from contactbench.scene import Scene
 from contactbench.trace.compiled import compile_function
 
@@ -137,10 +137,15 @@ def lyapunov(
     run = prepare(scene, method, step=step, rtol=rtol, carry=carry, save_at=[every])
     if isinstance(run, Refused):
         raise BadInput(run.why)
-    own = run.request.carry
-    given = initial_conditions
+    if isinstance(run, FixedStepRun):
+        advance = side_by_side(run)
+    elif isinstance(run, CyrkRun):
+        advance = one_by_one(run)
+    else:
+        raise BadInput(f"method = {run.method!r}: takes methods with a given step, and those of CyRK")
+    own, given = run.request.carry, initial_conditions
     x = run.start[:, None] if given is None else np.array(members(scene, own, given, {})[0])
-    advance, n = tangent_map(run), x.shape[1]
+    n = x.shape[1]
     v = np.array([run.tangents(start) for start in x.T])  # (n, m, d)
     start, first = x.copy(), np.ascontiguousarray(np.moveaxis(v, 0, 2))
     v = first.copy()
@@ -158,24 +163,16 @@ def lyapunov(
                 spent += evaluations
     rates[:, :, ~alive] = energy[:, :, ~alive] = np.nan
     kept = alive if alive.any() else ~alive
-    near_enough(rates[:, :, alive] * every, every)
+    # log of how much more one tangent grew than another
+    apart = np.ptp(rates[:, :, alive], axis=1) * every
+    if apart.size and np.mean(~(apart <= APART)) > FEW:
+        grows = f"one tangent grows more than e^{APART:g} times as much as another within that"
+        raise BadInput(f"every = {every:g}: {grows}, and rounding loses the other: take a shorter interval")
     means = blocks(rates[:, :, kept])
     exponents, total, dimension = (jackknife(means, f) for f in (np.array, np.sum, kaplan_yorke))
-    mean_energy = jackknife(blocks(energy[:, :, kept]), np.sum)
     cost, diverged = float(spent[kept].mean()) / (every * count), int((~alive).sum())
-    averages = exponents, total, dimension, mean_energy
+    averages = exponents, total, dimension, jackknife(blocks(energy[:, :, kept]), np.sum)
     return Lyapunov(scene, method, *averages, cost, diverged, rates[:, :, kept])
-
-
-def near_enough(logs: np.ndarray, every: float) -> None:
-    """Raise `BadInput` where tangents grew too far apart in more than a few intervals.
-
-    logs : log diag R of those that did not diverge, (intervals, m, n).
-    """
-    lost = ~(logs.max(axis=1, initial=-np.inf) - logs.min(axis=1, initial=np.inf) <= APART)
-    if lost.size and lost.mean() > FEW:
-        apart = f"one tangent grows more than e^{APART:g} times as much as another within that"
-        raise BadInput(f"every = {every:g}: {apart}, and rounding loses the other: take a shorter interval")
 
 
 def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -191,22 +188,13 @@ def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 # -- tangent maps ----------------------------------------------------------------------------------
-def tangent_map(run: Prepared) -> TangentMap:
-    """Return the map of states and tangents over the one interval of a run."""
-    if isinstance(run, FixedStepRun):
-        try:
-            return side_by_side(run)
-        except CannotRecord as error:
-            raise BadInput(f"method = {run.method!r}: {error}") from error
-    if isinstance(run, CyrkRun):
-        return one_by_one(run)
-    raise BadInput(f"method = {run.method!r}: takes methods with a given step, and those of CyRK")
-
-
 def side_by_side(run: FixedStepRun) -> TangentMap:
     """Return the map by dual numbers through the compiled steps: a trajectory for every tangent of every member."""
     r = run.request
-    loop = loop_of(run.method_, r.scene, r.carry, tangent=True)
+    try:
+        loop = loop_of(run.method_, r.scene, r.carry, tangent=True)
+    except CannotRecord as error:
+        raise BadInput(f"method = {run.method!r}: {error}") from error
     many = compile_function(loop.program.many, LANES)
     rows, shape = loop.rows(np.array(r.scene.numbers()), run.h, run.n)
     evaluations = run.totals.evaluations

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
-from contactbench.gate.rules import distance
+from contactbench.measure.round_off import STRUCTURE
 from contactbench.results import provenance
-from contactbench.results.schema import PROFILES, TABLES, Table
+from contactbench.results.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
 from contactbench.results.store import read
 
 #: packages that solve nothing: runs may differ in them and be of one machine
@@ -33,9 +33,7 @@ Frames = Mapping[str, pd.DataFrame]
 Runs = list[dict[str, Any]]
 
 
-# -- findings --------------------------------------------------------------------------------------
 def rows_of(*rows: dict[str, Any]) -> pd.DataFrame:
-    """Return a table of what moved from its rows, blanks filled in."""
     return pd.DataFrame([{**BLANK, **row} for row in rows], columns=[*BLANK])
 
 
@@ -59,7 +57,6 @@ class Findings:
 
     @property
     def red(self) -> int:
-        """How many rows are red."""
         return int(self.moved["red"].sum())
 
     @property
@@ -85,11 +82,88 @@ class Findings:
 
 
 def escape(text: str) -> str:
-    """Return text that stays within its cell of a markdown table."""
     return " ".join(text.replace("|", "\\|").replace("<", "&lt;").split())
 
 
-# -- one table -------------------------------------------------------------------------------------
+# -- how far a column may move: it names its rule (`schema.Rule`), `LIMITS` has what that allows -------
+#: by what factor an error may move, above its floor
+FACTOR = 2.0
+#: how far a slope or an order may move, and a quantity that is no error, relatively
+SLOPE, VALUE = 0.05, 0.01
+#: how far a count may move where a solver chooses its steps, or a run that did not end well, as a share
+SHARE = 0.1
+#: what a claim measures is round-off up to this share of its bound
+OF_BOUND = 1e-3
+
+
+def factor(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Return |log(after/before)| in parts of `FACTOR`, neither taken below the floor."""
+    with np.errstate(invalid="ignore"):
+        moved = np.abs(np.log(np.maximum(after, floor) / np.maximum(before, floor))) / math.log(FACTOR)
+    return np.where(before == after, 0.0, moved)
+
+
+def amount(before: np.ndarray, after: np.ndarray, allowed: np.ndarray | float) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(before == after, 0.0, np.abs(after - before) / allowed)
+
+
+def count(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
+    """Return |after − before|, where a solver chooses its steps in parts of a share or of twice their spread."""
+    spread = rows[SPREAD].fillna(0.0).to_numpy(dtype=float) if SPREAD in rows else 0.0
+    share = np.maximum(SHARE, 2 * spread) * before
+    return amount(before, after, np.where(rows["control"] == "rtol", np.maximum(1.0, share), 0.0))
+
+
+def point(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
+    """Return |after − before| in parts of a share of the largest coordinate along the curve of each point."""
+    curve = [rows[name] for name in ("figure", "panel", "curve")]
+    largest = pd.Series(np.abs(before), rows.index).groupby(curve).transform("max").fillna(0.0).to_numpy()
+    return amount(before, after, VALUE * largest + STRUCTURE)
+
+
+def claim(before: np.ndarray, after: np.ndarray, rows: pd.DataFrame) -> np.ndarray:
+    """Return how far what a claim measures moved: below an upper bound as an error, else as a value."""
+    bound = pd.to_numeric(rows["bound"]).to_numpy(dtype=float, na_value=0.0)
+    near = factor(before, after, np.maximum(STRUCTURE, OF_BOUND * np.abs(bound)))
+    return np.where(rows["relation"] == "≤", near, amount(before, after, VALUE * np.abs(before)))
+
+
+#: rule → how far a value moved, in parts of what is allowed, from the values before and after and the rows before
+LIMITS: dict[Rule, Callable[[np.ndarray, np.ndarray, pd.DataFrame], np.ndarray]] = {
+    Rule.error: lambda b, a, rows: factor(b, a, floor(Rule.error, rows)),
+    Rule.structure: lambda b, a, rows: factor(b, a, floor(Rule.structure, rows)),
+    Rule.count: count,
+    Rule.value: lambda b, a, rows: amount(b, a, VALUE * np.abs(b)),
+    Rule.order: lambda b, a, rows: amount(b, a, SLOPE),
+    Rule.slope: lambda b, a, rows: np.where(rows["in_fit"], amount(b, a, SLOPE), 0.0),
+    Rule.point: point,
+    Rule.end: lambda b, a, rows: amount(b, a, np.where(rows["status"] == "ok", 0.0, SHARE * np.abs(b))),
+    Rule.measured: claim,
+}
+
+
+def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame, alike: bool) -> np.ndarray:
+    """Return how far each value of a column moved, in parts of what its rule allows: red beyond 1.
+
+    alike : both were made on the same processor with the same libraries, where every count is exact.
+    A value that is blank on one side only moved beyond all limits.
+    """
+    if rule is Rule.same or (rule is Rule.count and alike):
+        moved = np.where((before == after).to_numpy(na_value=False), 0.0, math.inf)
+    elif rule is Rule.profile:
+        rank = {name: k for k, name in enumerate(PROFILES)}
+        first, then = (side.map(rank).fillna(math.inf) for side in (before, after))
+        moved = np.where((then <= first) & (then < math.inf), 0.0, math.inf)
+    else:
+        old, new = (pd.to_numeric(side).to_numpy(dtype=float, na_value=math.nan) for side in (before, after))
+        moved = LIMITS[rule](old, new, rows)
+    blank = before.isna().to_numpy(), after.isna().to_numpy()
+    moved = np.where(blank[0] & blank[1], 0.0, np.where(blank[0] ^ blank[1], math.inf, moved))
+    return np.nan_to_num(moved, nan=math.inf, posinf=math.inf)
+
+
+# -- tables ----------------------------------------------------------------------------------------
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
     """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene.
 
@@ -132,7 +206,6 @@ def locate(table: Table, rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def show(value: Any) -> str:
-    """Return a value as a cell has it."""
     return "" if pd.isna(value) else f"{value:.3g}" if isinstance(value, float | np.floating) else str(value)
 
 
@@ -140,7 +213,6 @@ def keys(table: Table, rows: pd.DataFrame) -> pd.MultiIndex:
     return pd.MultiIndex.from_frame(rows[list(table.key)])
 
 
-# -- folders ---------------------------------------------------------------------------------------
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
     """Compare fresh tables with a folder of older ones: errors, counts, structure, status, missing rows.
 

@@ -48,7 +48,6 @@ MANY_ON, MANY = "particle", 1000
 LONGEST = 3e-3
 
 
-# -- what is timed ---------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Cell:
     """One call that is timed: of a prepared run, or a public one; see `speed_worker.call`.
@@ -67,12 +66,10 @@ class Cell:
 
     @property
     def kind(self) -> str:
-        """Its method, or the public call that it is."""
         return self.method if self.call == "prepared" else self.call
 
     @property
     def setting(self) -> str:
-        """Its setting as a table has it, and what is special about it."""
         many = f", {self.saves} saved times" if self.saves > 1 else ""
         call = f", {self.call}" if self.call != "prepared" else ""
         return f"{setting_key(self.control, self.value)}{many}{call}"
@@ -101,15 +98,6 @@ def workload(work: pd.DataFrame) -> list[Cell]:
     return [*cells, *PUBLIC] if cells else []
 
 
-def kinds_first(cells: Sequence[Cell], seed: str) -> list[Cell]:
-    """Return the cells shuffled, the first of every kind in front: time may end early."""
-    count, ranked = Counter[str](), []
-    for cell in random.Random(seed).sample(cells, len(cells)):
-        ranked.append((count[cell.kind], cell))
-        count[cell.kind] += 1
-    return [cell for _, cell in sorted(ranked, key=lambda pair: pair[0])]
-
-
 def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
     """Return why the cells that were timed are no sample: below half of them, or none of a method or public call."""
     left_out = sorted({cell.kind for cell in cells} - {cells[i].kind for i in timed})
@@ -117,7 +105,6 @@ def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
     return (*few, *([f"no cell timed of {', '.join(left_out)}"] if left_out else []))
 
 
-# -- the judgement ---------------------------------------------------------------------------------
 def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | None = None) -> Findings:
     """Time the working tree in `root` against a base revision, checked out in `tree`.
 
@@ -125,11 +112,14 @@ def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | N
     Raises `BadInput` when a timing process cannot run.
     """
     start = perf_counter()
-    until = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
-    cells = kinds_first(cells, revisions.commit(root, "HEAD"))  # other cells first in every change
-    first, refused = time_pairs((tree, root), dict(enumerate(cells)), until[0])
+    ends = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
+    # time may end early: other cells first in every change, of each kind one in front
+    cells = random.Random(revisions.commit(root, "HEAD")).sample(cells, len(cells))
+    kinds = pd.Series([cell.kind for cell in cells])
+    cells = [cells[i] for i in kinds.groupby(kinds).cumcount().argsort(kind="stable")]
+    first, refused = time_pairs((tree, root), dict(enumerate(cells)), ends[0])
     suspects = {i: cells[i] for i, ratio in first.items() if ratio.low > LIMIT}
-    again = time_pairs((tree, root), suspects, until[1])[0] if suspects else {}
+    again = time_pairs((tree, root), suspects, ends[1])[0] if suspects else {}
     rows = []
     for i, ratio in first.items():
         result = decide(ratio, again.get(i))
@@ -145,13 +135,11 @@ def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | N
 
 
 def decide(first: PairedRatio, again: PairedRatio | None) -> str:
-    """Return slower, pass, or inconclusive; `again` : what fresh processes say of a cell that looks slower."""
     if first.high <= LIMIT:
         return "pass"
     return "slower" if first.low > LIMIT and again is not None and again.low > LIMIT else INCONCLUSIVE
 
 
-# -- processes -------------------------------------------------------------------------------------
 def time_pairs(
     trees: Sequence[Path], cells: dict[int, Cell], until: float | None = None
 ) -> tuple[dict[int, PairedRatio], dict[int, str]]:

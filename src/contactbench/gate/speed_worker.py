@@ -55,8 +55,6 @@ def call(cell: dict[str, Any]) -> Run:
 
 
 def quartic(c: float) -> cb.Mechanical:
-    """Return a scene of the user's own."""
-
     def potential(q: Any) -> Any:
         return c * (q[0] ** 4 + q[1] ** 2)
 

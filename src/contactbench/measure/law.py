@@ -69,6 +69,7 @@ class Measured:
 
     @property
     def bound(self) -> bool:
+        """Whether the value is an upper bound."""
         return self.uncertainty is not None and self.value <= 2 * self.uncertainty
 
 
@@ -106,6 +107,7 @@ class Law:
         return self.measured(solution).value
 
     def measured(self, solution: Solution) -> Measured:
+        """The measure with its error bar; raises as the call does."""
         found = self.along(solution)
         if not isinstance(found, Deviation):
             return Measured(found)
@@ -132,6 +134,7 @@ class Law:
             raise blame(f"law {self.name!r}", error) from error.__cause__
 
     def needs_on(self, scene: Scene) -> tuple[str, ...]:
+        """The optional fields it reads on this scene."""
         return tuple(field for field in self.needs if field in scene.optional)
 
 

@@ -386,24 +386,13 @@ Solution.judge = kept_by
 
 
 # -- all of them, as a row -------------------------------------------------------------------------
-#: what a row has beside the laws, with its meaning
-DRIFT_COLUMNS = {
-    "contact_drift_uncertainty": "error bar of contact_drift where the derivative is by differences; a "
-    "drift below its error bar is given as their sum, an upper bound",
-    "distribution_drift_uncertainty": "the same for distribution_drift",
-    "pairing_drift_uncertainty": "the same for pairing_drift",
-    "contact_drift_clamped": "saved times at which contact_drift is relative to a thousandth of the terms "
-    "that cancel instead of to e^{−∫Γ'}‖η‖",
-    "pairing_drift_clamped": "the same for pairing_drift",
-    "hamiltonian_law_clamped": "the same for hamiltonian_law",
-    "momentum_law_clamped": "the same for momentum_law",
-    "map_growth": "max ‖DΦ(t)‖₂ of the numerical map over the saved times: what round-off grows to",
-    "derivative": "how DΦ was obtained, or why it was not",
-}
+#: the laws of which a row has the error bar, and at how many saved times they were clamped
+WITH_ERROR_BAR = ("contact_drift", "distribution_drift", "pairing_drift")
+CLAMPED = ("contact_drift", "pairing_drift", "hamiltonian_law", "momentum_law")
 
 
 def row(solution: Solution, without: str = "") -> dict[str, Any]:
-    """Every law the scene has, its judgement, and `DRIFT_COLUMNS`, of one run; blank (left out) where not defined.
+    """Every law the scene has, its judgement, and how the derivative was taken; blank (left out) where not defined.
 
     without : why no derivative of the map is to be taken, for the table; "" to take it.
     """
@@ -417,8 +406,10 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
                 found[item.name] = item.measured(solution)
     columns: dict[str, Any] = {name: measured.value for name, measured in found.items()}
     for name, measured in found.items():
-        more = {f"{name}_clamped": measured.clamped, f"{name}_uncertainty": measured.uncertainty}
-        columns |= {key: value for key, value in more.items() if key in DRIFT_COLUMNS and value is not None}
+        if name in WITH_ERROR_BAR and measured.uncertainty is not None:
+            columns[f"{name}_uncertainty"] = measured.uncertainty
+        if name in CLAMPED and measured.clamped is not None:
+            columns[f"{name}_clamped"] = measured.clamped
     if scene.is_contact and without:
         columns["derivative"] = f"not taken: {without}"
     elif scene.is_contact:

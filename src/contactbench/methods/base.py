@@ -8,13 +8,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from contactbench.errors import Registry
-from contactbench.methods.prepared import Prepared, Request
+from contactbench.methods.prepared import METHODS, Prepared, Request
 from contactbench.scene import Scene
 from contactbench.solution import EXACT
 
-#: name → `Method`
-METHODS = Registry("method")
 #: what a method may be compared as: composed of exact contact flows, derived from a discrete action, or in use
 #: for differential equations at large
 FAMILIES = ("contact", "variational", "established")

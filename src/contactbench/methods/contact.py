@@ -48,7 +48,6 @@ class ContactMethod(FixedStep):
 
 
 def contact_method(composition: Composition) -> ContactMethod:
-    """The method of a composition, on every engine."""
     return ContactMethod(
         name=composition.name,
         order=composition.order,

@@ -46,6 +46,7 @@ from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Element, Function, Operation, Store
 from contactbench.trace.python import execute
 from contactbench.trace.recording import RecordedNumbers, Tape, attempt, operand_of
+from contactbench.xla import jnp, lax
 
 #: ωh of one step at rtol = 1
 AIM = 3.0
@@ -82,13 +83,11 @@ def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
 
 
 def first_density(scene: Mechanical, x: Any, epsilon: Any, span: Any, xp: Any) -> Any:
-    """ρ of the first step."""
     omega, growth = frequency(scene, x, span)
     return larger(omega + epsilon * growth / 2, SLOWEST * omega, xp)
 
 
 def next_density(scene: Mechanical, x: Any, density: Any, epsilon: Any, span: Any, xp: Any) -> Any:
-    """ρ of the step after x."""
     return larger(density + epsilon * frequency(scene, x, span)[1], SLOWEST * density, xp)
 
 
@@ -97,12 +96,14 @@ def larger(a: Any, b: Any, xp: Any) -> Any:
 
 
 # -- the loop, on every engine -------------------------------------------------------------------------
-def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pace: Any) -> Any:
+def solve(
+    scene: Any, x: Any, options: Any, times: Any, xp: Any, pace: Any, repeat_while: Any, over: Any
+) -> Any:
     """Take the sequence of steps from x, and at each of the times the shortened step off it.
 
-    options : ε, the span, the budget of steps.  loops : those of an engine, ``repeat_while(condition, body, x)``, and
-    ``over(times, body, x)`` with a body that returns x and a row, NaN where not reached.  pace(x) : what decides how
-    long steps are, x or x without its tangent.
+    options : ε, the span, the budget of steps.  pace(x) : what decides how long steps are, x or x without its tangent.
+    The loops of an engine: ``repeat_while(condition, body, x)``, and ``over(times, body, x)`` with a body that returns
+    x and a row, NaN where not reached.
     Returns what `over` does of (x, time, density, steps).
     """
     epsilon, span, budget = options
@@ -125,7 +126,7 @@ def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pac
         return x, time + h, next_density(scene, pace(x), density, epsilon, span, xp), steps + 1
 
     def interval(carried: Any, due: Any) -> Any:
-        carried = loops.repeat_while(lambda c: (next_time(c) <= due) & healthy(c), step, carried)
+        carried = repeat_while(lambda c: (next_time(c) <= due) & healthy(c), step, carried)
         x, time, _, _ = carried
         complete = (next_time(carried) > due) & healthy(carried)
         there = flat(scene.pack(advance(RKN6, scene, x, due - time, 1, xp)))
@@ -133,11 +134,10 @@ def solve(scene: Any, x: Any, options: Any, times: Any, xp: Any, loops: Any, pac
 
     density, zero = first_density(scene, pace(x), epsilon, span, xp), 0.0 * span
     time = Dual(zero, zero) if isinstance(density, Dual) else zero
-    return loops.over(times, interval, (x, time, density, zero))
+    return over(times, interval, (x, time, density, zero))
 
 
 def motion_of(scene: Any, x: Any) -> list[Any]:
-    """q and p, without their tangents."""
     return [value(c) for c in scene.pack(x)[: scene.motion]]
 
 
@@ -145,62 +145,6 @@ def flat(components: Any) -> list[Any]:
     """Numbers, and after them the derivatives of dual ones."""
     tangents = map(slope, components) if isinstance(components[0], Dual) else ()
     return [*map(value, components), *tangents]
-
-
-class PythonLoops:
-    """Plain loops, which leave what was reached before there was no number: `rows`, and the `last` state carried."""
-
-    def __init__(self, x: Any) -> None:
-        self.rows: list[list[float]] = []
-        self.last = (x, 0.0, math.nan, 0.0)
-
-    def repeat_while(self, condition: Any, body: Any, x: Any) -> Any:
-        while condition(x):
-            self.last = x = body(x)
-        return x
-
-    def over(self, times: Any, body: Any, x: Any) -> None:
-        self.last = x
-        for t in times:
-            x, row = body(x, t)
-            self.rows.append(row)
-
-
-class RecordedLoops:
-    """Loops of a recorded function of the arrays `times` and `y`, which gets the rows."""
-
-    def __init__(self, tape: Tape) -> None:
-        self.tape, self.repeat_while = tape, tape.repeat_while
-
-    def over(self, times: str, body: Any, x: Any) -> Any:
-        tape = self.tape
-
-        def interval(carried: Any) -> Any:
-            x, j = carried
-            x, row = body(x, tape.assign(Element(times, (j.name,)), "f", tape.block))
-            stores = [Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row)]
-            tape.block.statements += stores
-            return x, j + 1
-
-        return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]
-
-
-class JaxLoops:
-    """A while loop over the steps inside a scan over the saved times."""
-
-    def repeat_while(self, condition: Any, body: Any, x: Any) -> Any:
-        from contactbench.xla import lax
-
-        return lax.while_loop(condition, body, x)
-
-    def over(self, times: Any, body: Any, x: Any) -> Any:
-        from contactbench.xla import jnp, lax
-
-        def interval(x: Any, due: Any) -> Any:
-            x, row = body(x, due)
-            return x, jnp.stack(row)
-
-        return lax.scan(interval, x, times)
 
 
 def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, moving: bool = False) -> Function:
@@ -223,9 +167,19 @@ def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, movin
     def pace(x: Any) -> Any:
         return x if moving else scene.unpack(list(map(value, scene.pack(x))), carry)
 
-    x = scene.unpack(start, carry)
-    end = solve(twin, x, load("options", 3), "times", xp, RecordedLoops(tape), pace)
-    x, time, density, steps = end
+    def over(times: str, body: Any, x: Any) -> Any:
+        def interval(carried: Any) -> Any:
+            x, j = carried
+            x, row = body(x, tape.assign(Element(times, (j.name,)), "f", tape.block))
+            tape.block.statements += [
+                Store(Element("y", (j.name, i)), operand_of(c)) for i, c in enumerate(row)
+            ]
+            return x, j + 1
+
+        return tape.repeat(tape.assign(Operation("len", (times,)), "i", tape.root), interval, (x, 0))[0]
+
+    x, options = scene.unpack(start, carry), load("options", 3)
+    x, time, density, steps = solve(twin, x, options, "times", xp, pace, tape.repeat_while, over)
     facts = [value(time), value(density), steps, *flat(scene.pack(x))]
     stores = [Store(Element("facts", (i,)), operand_of(fact)) for i, fact in enumerate(facts)]
     arguments = ("start", "numbers", "options", "times", "y", "facts")
@@ -235,8 +189,6 @@ def record_loop(scene: Any, carry: tuple[str, ...], tangent: bool = False, movin
 # -- runs ----------------------------------------------------------------------------------------------
 @dataclass
 class AdaptiveContactRun(Prepared):
-    """What the engines share: how a run ends, and what it costs."""
-
     sensitivity_source = "forward-mode AD, accepted steps frozen"
     #: how `sensitivity` with frozen=False differentiates
     map_source = "forward-mode AD through the steps and their choice"
@@ -270,7 +222,12 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         time, density, steps, *last = facts
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        counts = self.cost(int(steps), reached)
+        taken, curvatures = (
+            int(steps) + reached,
+            int(steps) + 1,
+        )  # a shortened step to every saved time reached
+        evaluations = taken * self.per_step + curvatures * self.by_gradients
+        counts = Counts(taken, evaluations, 0 if self.by_gradients else curvatures, 0, "gradient")
         if reached == len(y):
             return self.finish(y0, y, counts)
         status, message = Status.budget, f"max_steps = {r.max_steps} spent (t = {time:.6g})"
@@ -279,21 +236,11 @@ class AdaptiveContactRun(Prepared):
             message = f"step {self.epsilon / density:.3g} below the resolution of time (t = {time:.6g})"
         return self.finish(y0, y[:reached], counts, status, message, (time, np.array(last)))
 
-    def cost(self, steps: int, reached: int) -> Counts:
-        """Counts of a sequence of steps, and of a shortened step to every saved time reached."""
-        taken, curvatures = steps + reached, steps + 1
-        evaluations = taken * self.per_step
-        if self.by_gradients:
-            return Counts(taken, evaluations + curvatures * self.by_gradients, 0, 0, "gradient")
-        return Counts(taken, evaluations, curvatures, 0, "gradient")
-
 
 _loops: Cache[tuple[Any, float]] = Cache(256)
 
 
 class AdaptiveNumbaLoop(AdaptiveContactRun):
-    """The loop as a program compiled by LLVM."""
-
     def __post_init__(self) -> None:
         super().__post_init__()
         r = self.request
@@ -301,7 +248,6 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         self.run, self.compile_s = self.loop()
 
     def loop(self, tangent: bool = False, moving: bool = False) -> tuple[Any, float]:
-        """The compiled loop, and the seconds it took."""
         r = self.request
 
         def make() -> tuple[Any, float]:
@@ -312,7 +258,6 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
         return _loops.get(key(r.scene.identity, r.carry, tangent, moving), make)
 
     def call(self, run: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the saved times, and the facts about the end of the sequence."""
         y, facts = np.empty((len(self.times), len(start))), np.empty(3 + len(start))
         run(start, self.numbers, self.options, self.times, y, facts)
         return y, facts
@@ -353,15 +298,27 @@ class AdaptivePythonLoop(AdaptiveContactRun):
         return self.as_written(y0)
 
     def as_written(self, y0: np.ndarray) -> Outcome:
-        """The same without a recorded loop."""
-        r, y = self.request, np.full((self._saves, len(y0)), math.nan)
+        r, rows = self.request, np.full((self._saves, len(y0)), math.nan)
         x = r.scene.unpack(y0.tolist(), r.carry)
-        loops = PythonLoops(x)
-        with suppress(*NO_NUMBER):
-            solve(r.scene, x, self.options.tolist(), r.save_at.tolist(), math, loops, lambda x: x)
-        y[: len(loops.rows)] = np.reshape(loops.rows, (-1, len(y0)))
-        x, time, density, steps = loops.last
-        return self.outcome(y0, y, (time, density, steps, *r.scene.pack(x)))
+        last = x, 0.0, math.nan, 0.0
+
+        def repeat_while(condition: Any, body: Any, x: Any) -> Any:
+            nonlocal last
+            while condition(x):
+                last = x = body(x)
+            return x
+
+        def over(times: list[float], body: Any, x: Any) -> None:
+            nonlocal last
+            last = x
+            for k, time in enumerate(times):
+                x, rows[k] = body(x, time)
+
+        with suppress(*NO_NUMBER):  # what was reached before counts
+            options = self.options.tolist(), r.save_at.tolist()
+            solve(r.scene, x, *options, math, lambda x: x, repeat_while, over)
+        x, *facts = last
+        return self.outcome(y0, rows, (*facts, *r.scene.pack(x)))
 
 
 class ScalarNumbers(XlaNumbers):
@@ -389,13 +346,19 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         return self.derivative(y0, states, "frozen" if frozen else "map")
 
     def _solve(self, y0: Any, fixed: Any, frozen: bool = True) -> Any:
-        from contactbench.xla import jnp, lax
-
         numbers, options, times = self.apart(fixed)
         scene: Any = self.request.scene.with_numbers(list(numbers))
         x = scene.unpack(list(y0), self.request.carry)
         pace = lax.stop_gradient if frozen else lambda x: x
-        (x, *facts), y = solve(scene, x, options, times, ScalarNumbers(), JaxLoops(), pace)
+
+        def over(times: Any, body: Any, x: Any) -> Any:
+            def interval(x: Any, due: Any) -> Any:
+                x, row = body(x, due)
+                return x, jnp.stack(row)
+
+            return lax.scan(interval, x, times)
+
+        (x, *facts), y = solve(scene, x, options, times, ScalarNumbers(), pace, lax.while_loop, over)
         return y, jnp.stack(facts), jnp.stack(scene.pack(x))
 
     def integrate(self, y0: np.ndarray) -> Outcome:
@@ -410,15 +373,16 @@ RUNS: dict[str, type[AdaptiveContactRun]] = {
 }
 
 
+@dataclass(frozen=True)  # its fields are its definition
 class AdaptiveContactMethod(Adaptive):
     family = "contact"
-    name = "contact-adaptive"
-    order = 6
-    about = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
-    engines = tuple(RUNS)
-    evaluations_per_step = 12
-    takes_atol = False
-    tolerance = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
+    name: str = "contact-adaptive"
+    order: int | None = 6
+    about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
+    engines: tuple[str, ...] = tuple(RUNS)
+    evaluations_per_step: int = 12
+    takes_atol: bool = False
+    tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "general damping":

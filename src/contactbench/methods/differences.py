@@ -38,7 +38,6 @@ BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 
 
 def scale(x: object, v: object) -> float:
-    """The size of the field that v moves; 1 where that is zero."""
     for field, part in zip(x, v, strict=True):  # type: ignore[call-overload]
         moved = part if isinstance(part, tuple) else (part or 0.0,)
         if any(moved):

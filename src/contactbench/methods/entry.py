@@ -35,7 +35,6 @@ SHORTEST_RUN = 1e-290
 
 
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
-    """Scene and method, each itself or by name, `UnknownName` with a suggestion otherwise."""
     chosen = method if isinstance(method, Method) else METHODS[method]
     text("method name", chosen.name)
     return scene_of(scene), chosen
@@ -135,7 +134,6 @@ def make_request(
 def setting_of(
     method: Method, step: Any, rtol: Any, atol: Any
 ) -> tuple[float | None, float | None, float | None]:
-    """Return step, rtol and atol as a method takes them, checked; None for what it does not take."""
     name = method.name
     if method.exact:
         if not step is rtol is atol is None:
@@ -168,7 +166,6 @@ def setting_of(
 
 
 def tolerance(method: Method, rtol: Any) -> float:
-    """Return an rtol that is in the method's range."""
     rtol = positive("rtol", rtol)
     low, high = method.rtol_range
     if not low <= rtol <= high:

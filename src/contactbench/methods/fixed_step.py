@@ -91,7 +91,6 @@ class FixedStep(Method):
         return n * self.evaluations
 
     def per_step(self, scene: Scene, carry: Sequence[str] | None = None) -> int:
-        """Evaluations of a step in the middle of a run."""
         return self.counts(scene, 2, carry) - self.counts(scene, 1, carry)
 
     def kind_on(self, scene: Scene) -> str:
@@ -120,7 +119,6 @@ class FixedStep(Method):
 
 
 def alike(old: Any, new: Any) -> bool:
-    """Whether a field after a step is what it was before: so many real numbers, one, or None."""
     if old is None or new is None:
         return old is new
     if isinstance(old, tuple):

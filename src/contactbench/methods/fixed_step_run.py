@@ -8,7 +8,7 @@ from collections.abc import Hashable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from contactbench.solution import DIVERGENCE, Counts, Status
 from contactbench.trace.compiled import compile_function, require_compiler
 from contactbench.trace.program import Program, record
 from contactbench.trace.python import execute
-
-if TYPE_CHECKING:
-    from contactbench.methods.fixed_step import FixedStep
 
 #: more steps than any budget allows are counted as this many
 UNCOUNTED = 2**50
@@ -51,7 +48,7 @@ def steps_in(span: Any, until: Any, step: float) -> Any:
 
 
 # -- the loop over steps, recorded from a method on a scene ------------------------------------------
-def program_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
+def program_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
     """The recorded loop of a method on a scene.
 
     tangent : packed states are followed by a tangent vector, which is carried along.
@@ -69,12 +66,12 @@ def program_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent:
     return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
 
 
-def is_fixed(method: FixedStep) -> bool:
+def is_fixed(method: Any) -> bool:
     """Whether a step map is one of this package, which computes the same tomorrow."""
     return is_ours(type(method)) and is_ours(getattr(method, "step", type(method)))
 
 
-def identity(method: FixedStep, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
+def identity(method: Any, scene: Scene, carry: tuple[str, ...]) -> Hashable | None:
     """What a compiled loop of a method on a scene depends on besides the numbers; None where nobody can tell.
 
     A user's step map counts by what it was recorded with, as the scene's functions do.
@@ -108,16 +105,14 @@ class Loop:
 
     @cached_property
     def setup(self) -> Any:
-        """What is computed ahead of a run, compiled: the same bits as in Python, whose operations are not fused."""
         elapsed = stopwatch()
         setup = compile_function(self.program.setup, fused=False)
         self.seconds += elapsed()
         return setup
 
     @cached_property
-    def in_python(self) -> tuple[Any, Any]:
-        """`setup` and `run`, run by Python."""
-        return execute(self.program.setup), execute(self.program.run)
+    def setup_in_python(self) -> Any:
+        return execute(self.program.setup)
 
     def rows(self, numbers: np.ndarray, h: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What depends on the steps only, a row for each (h, n) among the intervals; and the program's shape."""
@@ -134,7 +129,7 @@ class Loop:
             rows = [[0.0] * program.width for _ in spans]
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
                 given = (numbers, spans, program.data, program.shape)
-                self.in_python[0](*(part.tolist() for part in given), rows)
+                self.setup_in_python(*(part.tolist() for part in given), rows)
                 return np.array(rows, dtype=float)
         w = np.empty((len(spans), program.width))
         self.setup(numbers, spans, program.data, program.shape, w)
@@ -154,7 +149,7 @@ class Loop:
 _loops: Cache[Loop] = Cache(1024)
 
 
-def loop_of(method: FixedStep, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+def loop_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
     """The recorded loop of a method on a scene; one for all scenes of one identity.
 
     Raises `CannotRecord`, also where numba is told not to compile.
@@ -177,7 +172,8 @@ class FixedStepRun(Prepared):
     An engine's own class writes `intervals`, and `bare` where there is a faster way.
     """
 
-    method_: FixedStep
+    #: a `FixedStep`
+    method_: Any
 
     sensitivity_source = "forward-mode AD through the same steps, compiled"
 
@@ -211,7 +207,6 @@ class FixedStepRun(Prepared):
         return Counts(steps, evaluations, 0, 0, self.kind)
 
     def division(self, step: float) -> np.ndarray:
-        """Steps in each interval when divided by `step`."""
         return steps_in(self.marks, self.later, step)
 
     @abstractmethod
@@ -227,7 +222,6 @@ class FixedStepRun(Prepared):
         return self.judge(y0, self.intervals(y0, self.h, self.n))
 
     def judge(self, y0: np.ndarray, y: np.ndarray) -> Outcome:
-        """Return the outcome of a run with these states after the intervals."""
         out = self.finish(y0, self.from_start(y0, y), self.totals)
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
@@ -297,8 +291,6 @@ class Division(FixedStepRun):
 
 
 class NumbaLoop(FixedStepRun):
-    """The steps as one compiled loop over all intervals."""
-
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
@@ -326,6 +318,13 @@ class NumbaLoop(FixedStepRun):
         self.run(y0, *self.ahead, after)
         return after[-1]
 
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        if not self.saves_start and self.ahead is not None and self.needed <= self.request.max_steps:
+            after = np.empty(self.size)
+            if self.run(y0, *self.ahead, after) < 0:  # nothing to look for
+                return Outcome(after, self.totals, Status.ok, "", self._end, True)
+        return super().integrate(y0)
+
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         if n is not self.n or self.ahead is None:
             return self.loop.states(self.numbers, y0, h, n)
@@ -343,24 +342,27 @@ class PythonLoop(FixedStepRun):
     It takes a tenth of the time of the step map as it is written, which runs where none can be recorded.
     """
 
+    program: Program | None = None
+
     def __post_init__(self) -> None:
-        elapsed = stopwatch()
-        self.loop: Loop | None = None
-        with suppress(CannotRecord):
-            self.loop = Loop(program_of(self.method_, self.request.scene, self.request.carry), 0.0)
-            self.setup, self.run = self.loop.in_python
-            self.compile_s = elapsed()
+        self.record()
         super().__post_init__()
+
+    def record(self) -> None:
+        elapsed = stopwatch()
+        with suppress(CannotRecord):
+            program = program_of(self.method_, self.request.scene, self.request.carry)
+            self.setup, self.run = execute(program.setup), execute(program.run)
+            self.program, self.compile_s = program, elapsed()
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         spans = list(zip(h.tolist(), n.tolist(), strict=True))
-        if self.loop is not None:
+        if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                return np.array(self.run_program(self.loop.program, y0.tolist(), spans))
+                return np.array(self.run_program(self.program, y0.tolist(), spans))
         return np.array(self.as_written(y0.tolist(), spans), dtype=float)
 
     def run_program(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
-        """States after each interval, by the recorded loop."""
         numbers, data, shape = self.request.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
         for span in spans:
@@ -382,7 +384,7 @@ class PythonLoop(FixedStepRun):
         return rows + [[math.nan] * len(y)] * (len(spans) - len(rows))
 
 
-def trajectory(method: FixedStep, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
+def trajectory(method: Any, scene: Any, x: Any, spans: Any, xp: Any) -> Iterator[Any]:
     """States after each (h, n) of `spans`, on whatever numbers scene, x and xp are made of."""
     for h, n in spans:
         x = method.advance(scene, x, h, n, xp)

@@ -35,8 +35,11 @@ class Herglotz(FixedStep):
 
     sigma: Callable[[Any, Any, Any], Any] = field(kw_only=True)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "factor", lambda scene, h, xp: self.sigma(h, scene.gamma, scene.gamma))
+
     def log_factor(self, scene: Any, x: Any, h: float, n: int) -> float | None:
-        """As in `StepMap`; of steps that differ where γ depends on the time."""
+        """As in `FixedStep`; of steps that differ where γ depends on the time."""
         if self.refuses(scene) is not None or not scene.rate_changes:
             return super().log_factor(scene, x, h, n)
         rates = [scene.rate_at(x.t + k * h) for k in range(n + 1)]
@@ -66,7 +69,6 @@ def implicit_kick(scene: Mechanical, x: State, h: Any, force: Any, potential: An
 
 
 def pull(scene: Mechanical, x: State) -> tuple[Any, Any]:
-    """∇V and, where s is carried, V."""
     return scene.gradient_at(x), None if x.s is None else scene.potential_at(x)
 
 
@@ -115,16 +117,6 @@ class SecondHerglotz(Herglotz):
         return n + 1
 
 
-def sigma1(h: Any, before: Any, after: Any) -> Any:
-    """1 − γh of `herglotz1`, with γ at the start."""
-    return 1 - before * h
-
-
-def sigma2(h: Any, before: Any, after: Any) -> Any:
-    """(1 − ½γh)/(1 + ½γh) of `herglotz2`, with γ at the start and at the end."""
-    return (1 - before * h / 2) / (1 + after * h / 2)
-
-
 METHODS.add(
     Herglotz(
         "herglotz1",
@@ -133,8 +125,7 @@ METHODS.add(
         kind="gradient",
         family="variational",
         about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)",
-        factor=lambda scene, h, xp: sigma1(h, scene.gamma, scene.gamma),
-        sigma=sigma1,
+        sigma=lambda h, before, after: 1 - before * h,
     )
 )
 METHODS.add(
@@ -146,7 +137,6 @@ METHODS.add(
         family="variational",
         symmetric=True,
         about="Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767",
-        factor=lambda scene, h, xp: sigma2(h, scene.gamma, scene.gamma),
-        sigma=sigma2,
+        sigma=lambda h, before, after: (1 - before * h / 2) / (1 + after * h / 2),
     )
 )

@@ -15,6 +15,7 @@ from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
 from contactbench.scene.cache import Cache, key
 from contactbench.trace.recording import reason_of
+from contactbench.xla import jax, jnp, lax
 
 _programs: Cache[tuple[Any, float]] = Cache(1024)
 
@@ -38,7 +39,6 @@ class CompiledRun(Prepared):
 
     @property
     def identity(self) -> Hashable | None:
-        """What the program depends on of the scene, and of a user's method."""
         return self.request.scene.identity
 
     @abstractmethod
@@ -51,28 +51,22 @@ class CompiledRun(Prepared):
         return np.concatenate(vectors, dtype=float)
 
     def apart(self, fixed: Any) -> list[Any]:
-        """The arguments again, inside the program."""
         return [fixed[i:j] for i, j in pairwise([0, *self.borders, len(fixed)])]
 
     @staticmethod
     def flat(function: Callable[..., tuple[Any, Any, Any]]) -> Callable[..., Any]:
         """A function that returns saved states, facts about the run, and its last state, all in one vector."""
-        from contactbench.xla import jnp
-
         return lambda *arguments: jnp.concatenate([jnp.ravel(part) for part in function(*arguments)])
 
     def unflat(self, vector: np.ndarray, d: int) -> tuple[np.ndarray, list[float], list[float]]:
-        """The three again: saved states (k, d), facts, last state (d,)."""
         rest = vector[self.capacity * d :].tolist()
         return vector[: self._saves * d].reshape(-1, d), rest[:-d], rest[-d:]
 
     def room(self, saves: int) -> int:
-        """The number of saved times of the program for so many."""
         return next((size for size in self.capacities if size >= saves), saves)
 
     @cached_property
     def capacity(self) -> int:
-        """The number of saved times of the program."""
         return self.room(self._saves)
 
     def times(self) -> np.ndarray:
@@ -87,14 +81,9 @@ class CompiledRun(Prepared):
 
     @cached_property
     def _start_on_device(self) -> Any:
-        from contactbench.xla import jax
-
         return jax.device_put(self.start)
 
     def compile(self, states: Callable[..., Any], fixed: np.ndarray) -> None:
-        """Move the arguments to the device and compile the program of the run."""
-        from contactbench.xla import jax
-
         # on the device once: converting them at every call would cost as much as a short run
         self.fixed = jax.device_put(fixed)
         self.program, self.compile_s = self.compiled("run", states, self.start, self.fixed)
@@ -104,7 +93,6 @@ class CompiledRun(Prepared):
 
         Raises `CannotRecord` where what is traced branches on values.
         """
-        from contactbench.xla import jax
 
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
@@ -120,7 +108,6 @@ class CompiledRun(Prepared):
 
     def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
         """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
-        from contactbench.xla import jax
 
         def push(y0: Any, v: Any, fixed: Any) -> Any:
             return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
@@ -132,9 +119,6 @@ class CompiledRun(Prepared):
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-    """x after n turns of ``x = body(x)``."""
-    from contactbench.xla import lax
-
     return lax.fori_loop(0, n, lambda _, x: body(x), x)
 
 
@@ -162,7 +146,6 @@ class JaxLoop(FixedStepRun, CompiledRun):
         self.fixed = self.spans(self.h, self.n)
 
     def spans(self, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """The arguments of the program; intervals beyond those asked for have no steps."""
         padded = np.zeros((2, self.capacity))
         padded[:, : len(n)] = h, n
         return self.together(self.numbers, *padded)
@@ -175,8 +158,6 @@ class JaxLoop(FixedStepRun, CompiledRun):
         return identity(self.method_, self.request.scene, self.request.carry)
 
     def states(self, y0: Any, fixed: Any) -> Any:
-        from contactbench.xla import jnp, lax
-
         numbers, h, n = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
         scene = r.scene.with_numbers(list(numbers))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,14 +14,11 @@ import numpy as np
 from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.entry import lookup
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import is_fixed
 from contactbench.numbers.control import XlaNumbers
-from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
-from contactbench.trace.form import Element, Function, prune
-from contactbench.trace.formula import Formula, formula
-from contactbench.trace.python import SCOPE, source
-from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt
+from contactbench.trace.form import Function, Unpack, Update
+from contactbench.trace.formula import argument_names, formula
+from contactbench.trace.python import execute
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,8 +35,6 @@ class OneStep:
     scene: Scene
     method: FixedStep
     carry: tuple[str, ...]
-    #: the step of a user's map as it was when it was asked for; None for those of this package
-    recorded: Formula | None = None
 
     def __repr__(self) -> str:
         """One line: of which method and scene, and what its arguments are."""
@@ -68,54 +63,37 @@ class OneStep:
             if name not in self.names:
                 raise unknown_name(f"parameter of scene {self.scene.name!r}", name, filter(None, self.names))
             given[self.names.index(name)] = value
-        return self.apply(tuple(y), h, given, namespace(*y, h, *given))
-
-    def apply(self, y: tuple[Any, ...], h: Any, numbers: list[Any], xp: Any) -> tuple[Any, ...]:
-        """The step on the numbers of a namespace."""
         if len(y) != len(self.labels):
             raise BadInput(f"y has {len(y)} entries: must be {len(self.labels)}, {', '.join(self.labels)}")
-        if self.recorded is not None:
-            return tuple(self.recorded(y, h, numbers, xp))
-        return self.advance(y, h, numbers, xp)
+        return self.advance(tuple(y), h, given, namespace(*y, h, *given))
 
-    def advance(self, y: tuple[Any, ...], h: Any, numbers: Sequence[Any], xp: Any) -> tuple[Any, ...]:
+    def advance(self, y: Sequence[Any], h: Any, numbers: Sequence[Any], xp: Any) -> tuple[Any, ...]:
         scene = self.scene.with_numbers(numbers)
         return tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
-
-    # -- numba -------------------------------------------------------------------------------------
-    @cached_property
-    def source(self) -> str:
-        """The step as Python source, ``def step(y, h, numbers)``: straight-line arithmetic.
-
-        Raises `CannotRecord` where scene or method branch on values.
-        """
-        tape = Tape()
-        y, numbers = (
-            [tape.assign(Element(name, (i,)), "f", tape.root) for i in range(size)]
-            for name, size in (("y", len(self.labels)), ("numbers", len(self.names)))
-        )
-        h = Recorded(tape, "h", "f", tape.root)
-        end = tape.results(attempt(lambda: self.apply(tuple(y), h, numbers, RecordedNumbers(tape))))
-        own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
-        return source(Function("step", ("y", "h", own), prune(tape.root.statements, end), end))
-
-    @cached_property
-    def compiled(self) -> Any:
-        """The same as a function compiled by numba."""
-        import numba
-
-        names = dict(SCOPE)
-        exec(self.source, names)
-        return numba.njit(names["step"], error_model="numpy")
 
     @property
     def _numba_type_(self) -> Any:
         """What numba takes this for where compiled code calls it: a compiled function."""
         return self.compiled._numba_type_
 
+    @cached_property
+    def compiled(self) -> Any:
+        """The step as straight-line arithmetic, compiled by numba.
+
+        Raises `CannotRecord` where scene or method branch on values.
+        """
+        import numba
+
+        d = len(self.labels)
+        recorded = formula(self.advance, (d, 0, len(self.names), "xp"), ())
+        names = argument_names(recorded.arguments, ())
+        arguments = (Unpack(names[:d], "y"), Update((names[d],), ("h",)), Unpack(names[d + 1 :], "numbers"))
+        own = f"numbers={tuple(map(float, self.scene.numbers()))!r}"
+        step = Function("step", ("y", "h", own), (*arguments, *recorded.body), recorded.results)
+        return numba.njit(execute(step), error_model="numpy")
+
 
 def namespace(*values: Any) -> Any:
-    """The functions that go with some numbers: those of JAX, NumPy or `math`."""
     jax = sys.modules.get("jax")
     if jax is not None and any(isinstance(value, jax.Array) for value in values):
         return XlaNumbers()
@@ -139,11 +117,4 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
         raise BadInput(f"method = {method!r}: chooses its own steps, so that there is no map of a single one")
     if (why := chosen.refuses(scene)) is not None:
         raise BadInput(f"method = {method!r}: {why}")
-    step = OneStep(scene, chosen, scene.carry(carry))
-    if is_fixed(chosen):
-        return step
-    try:
-        sizes = (len(step.labels), 0, len(step.names), "xp")
-        return replace(step, recorded=formula(step.advance, sizes, ()))
-    except CannotRecord:
-        return step
+    return OneStep(scene, chosen, scene.carry(carry))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from contactbench.boundary import blame
-from contactbench.errors import BadInput, excerpt
+from contactbench.errors import BadInput, Registry, excerpt
 from contactbench.methods.differences import differences
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
@@ -28,6 +28,8 @@ from contactbench.solution import (
     setting_key,
 )
 
+#: name → method, each a `base.Method`
+METHODS = Registry("method")
 #: Python's way to say inf or nan
 NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
 
@@ -47,17 +49,14 @@ class Request:
 
     @property
     def control(self) -> str:
-        """What is set: "step", "rtol" or nothing, "exact"."""
         return "step" if self.step is not None else "rtol" if self.rtol is not None else EXACT
 
     @property
     def value(self) -> float:
-        """To what it is set; 0 for nothing."""
         return self.step or self.rtol or 0.0
 
     @cached_property
     def setting(self) -> str:
-        """The setting as it is keyed in tables."""
         return setting_key(self.control, self.value)
 
 
@@ -105,13 +104,11 @@ class Prepared(ABC):
         cls.__repr__ = Prepared.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        """One line: what a call runs."""
         r = self.request
         saved = f"{len(r.save_at)} states to t = {r.save_at[-1]:g}"
         return f"<{self.method} on {r.scene.name} ({r.engine}, {r.setting}), prepared: a call gives {saved}>"
 
     def __reduce__(self) -> Any:
-        """Pickled as what it was prepared from."""
         return prepare_again, (self.method, self.request)
 
     def __post_init__(self) -> None:
@@ -146,7 +143,6 @@ class Prepared(ABC):
 
     @property
     def atol(self) -> float | None:
-        """The absolute tolerance of the run, where its method takes one."""
         return self.request.atol
 
     @abstractmethod
@@ -263,7 +259,6 @@ class Prepared(ABC):
         return self.request.rtol is not None
 
     def tangents(self, y0: np.ndarray) -> list[np.ndarray]:
-        """Return the scene's tangent vectors at a packed state, packed."""
         r = self.request
         start = r.scene.unpack(tuple(y0.tolist()), r.carry)
         return [np.array(r.scene.pack(v), dtype=float) for v in r.scene.tangents(start)]
@@ -306,9 +301,6 @@ class Prepared(ABC):
 
 
 def prepare_again(method: str, request: Request) -> Prepared:
-    """Return a run that has come out of a pickle."""
-    from contactbench.methods.base import METHODS
-
     return METHODS[method].prepare(request)
 
 
@@ -344,6 +336,5 @@ def require_slope(scene: Scene, start: Any) -> None:
 
 
 def stopwatch() -> Any:
-    """Return a function that returns the seconds since it was made."""
     start = perf_counter()
     return lambda: perf_counter() - start

@@ -13,16 +13,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from threading import Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from contactbench.methods.fixed_step_run import FixedStepRun, total
 from contactbench.methods.prepared import Outcome, Prepared
 from contactbench.solution import Status
-
-if TYPE_CHECKING:
-    from contactbench.methods.fixed_step import FixedStep
 
 #: error aimed at, as a part of the tolerance
 AIM = 0.4
@@ -58,7 +55,8 @@ class ChosenStep(Prepared):
     #: the state decides on a whole number of steps, which a small change of it leaves as it is
     steps_follow_state = False
 
-    method_: FixedStep
+    #: a `FixedStep`
+    method_: Any
     engine_run: type[FixedStepRun]
 
     def __post_init__(self) -> None:
@@ -96,7 +94,6 @@ class ChosenStep(Prepared):
         return self.run.log_factor(y0, y)
 
     def choose(self, y0: np.ndarray) -> tuple[float, list[Pilot]]:
-        """The step for the tolerance, and the pilots that were run to find it."""
         r, order = self.request, self.method_.order
         assert r.rtol is not None
         target, step, gap, finer = AIM * r.rtol, self._end / FIRST, math.inf, 2.0

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contactbench.numbers.protocol import Abilities, Numbers, abilities
+from contactbench.xla import jnp, lax
 
 #: turns after which a loop over plain numbers is given up: a thousand digits take forty
 ENDLESS = 200
@@ -32,7 +33,6 @@ class Repeat:
 
 
 def turns(n: int, body: Callable[[Any], Any], x: Any) -> Any:
-    """x after n turns of ``x = body(x)``."""
     for _ in range(n):
         x = body(x)
     return x
@@ -52,12 +52,7 @@ def choose(condition: Any, yes: Any, no: Any, xp: Any) -> Any:
 def settle(x: Any, xp: Any) -> Any:
     """x, computed once: XLA would redo divisions and sines for every later component that reads them,
     which grows exponentially along a chain of flows."""
-    return xp.settle(x) if abilities(xp).barrier else x
-
-
-def negligible(x: Any) -> bool:
-    """Whether a plain number is lost beside 1."""
-    return 1 + x == 1
+    return lax.optimization_barrier(x) if abilities(xp).traced else x
 
 
 def scan(
@@ -68,13 +63,13 @@ def scan(
     Raises `ArithmeticError` if it never is.
     """
     can = abilities(xp)
-    if can.loops:
-        return xp.scan(body, x, turns)
+    if can.traced:
+        return lax.scan(lambda x, _: body(x), x, None, length=turns)
     outs = []
     for _ in range(ENDLESS if can.branch else turns):
         x, out = body(x)
         outs.append(out)
-        if can.branch and negligible(rest(x)):
+        if can.branch and 1 + rest(x) == 1:  # the rest is negligible
             return x, outs
     if can.branch:
         raise ArithmeticError(f"no convergence in {ENDLESS} turns")
@@ -82,9 +77,8 @@ def scan(
 
 
 def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:
-    """x after ``x = body(x, out)`` for the outs of a `scan`, last to first."""
-    if abilities(xp).loops:
-        return xp.unwind(body, x, outs)
+    if abilities(xp).traced:
+        return lax.scan(lambda x, out: (body(x, out), None), x, outs, reverse=True)[0]
     for out in reversed(outs):
         x = body(x, out)
     return x
@@ -93,25 +87,7 @@ def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:
 class XlaNumbers(Numbers):
     """`jax.numpy`, with the compiled loops and the barrier that the functions above use."""
 
-    abilities = Abilities(vectors=True, loops=True, barrier=True)
+    abilities = Abilities(vectors=True, traced=True)
 
     def __getattr__(self, name: str) -> Any:
-        from contactbench.xla import jax
-
-        return getattr(jax.numpy, name)
-
-    def settle(self, x: Any) -> Any:
-        """x, computed once."""
-        from contactbench.xla import lax
-
-        return lax.optimization_barrier(x)
-
-    def scan(self, body: Callable[[Any], tuple[Any, Any]], x: Any, turns: int) -> tuple[Any, Any]:
-        from contactbench.xla import lax
-
-        return lax.scan(lambda x, _: body(x), x, None, length=turns)
-
-    def unwind(self, body: Callable[[Any, Any], Any], x: Any, outs: Any) -> Any:
-        from contactbench.xla import lax
-
-        return lax.scan(lambda x, out: (body(x, out), None), x, outs, reverse=True)[0]
+        return getattr(jnp, name)

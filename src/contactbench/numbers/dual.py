@@ -18,8 +18,6 @@ def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Dual, Any], Any
 
 
 class Dual(Number):
-    """Value `a` and derivative `b`."""
-
     __slots__ = ("a", "b")
     __array_ufunc__ = None  # NumPy arrays leave mixed arithmetic to us
 
@@ -71,12 +69,10 @@ class Dual(Number):
 
 
 def value(x: Any) -> Any:
-    """x without its derivative."""
     return x.a if isinstance(x, Dual) else x
 
 
 def slope(x: Any) -> Any:
-    """The derivative of x, zero for a plain number."""
     return x.b if isinstance(x, Dual) else 0.0
 
 
@@ -108,8 +104,6 @@ DERIVATIVES: dict[str, Callable[[Any, Any, Any], Any]] = {
 
 
 class DualNumbers(ChoosingNumbers):
-    """A number namespace for dual numbers of the numbers of another one, `base`."""
-
     def __init__(self, base: Any) -> None:
         self.base = base
 
@@ -146,7 +140,6 @@ class DualNumbers(ChoosingNumbers):
 
 # -- the numbers in a nested state, taken out and put back ------------------------------------------
 def leaves(x: Any) -> list[Any]:
-    """The numbers of a nested state, in order."""
     if x is None:
         return []
     if isinstance(x, Dual):
@@ -157,7 +150,6 @@ def leaves(x: Any) -> list[Any]:
 
 
 def rebuild(x: Any, values: Sequence[Any]) -> Any:
-    """A nested state like x of other numbers."""
     supply = iter(values)
 
     def again(x: Any) -> Any:

@@ -20,31 +20,13 @@ import numpy as np
 
 from contactbench.numbers.protocol import Number
 
-__all__ = [
-    "acos",
-    "acosh",
-    "asin",
-    "asinh",
-    "atan",
-    "atan2",
-    "atanh",
-    "cos",
-    "cosh",
-    "exp",
-    "log",
-    "pi",
-    "sin",
-    "sinh",
-    "sqrt",
-    "tan",
-    "tanh",
-]
+__all__ = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "cos", "cosh", "exp"]
+__all__ += ["log", "pi", "sin", "sinh", "sqrt", "tan", "tanh"]
 
 pi = math.pi
 
 
 def namespace(x: Any) -> Any:
-    """The functions that fit a number: a module, or an object with the names of one."""
     if isinstance(x, int | float):
         return math
     if isinstance(x, Number):
@@ -92,12 +74,10 @@ asinh, acosh, atanh = map(function, ("asinh", "acosh", "atanh"))
 
 
 def leading(*numbers: Any) -> Any:
-    """The number that decides which functions fit: the first that is no plain one."""
     return next((x for x in numbers if not isinstance(x, int | float)), numbers[0])
 
 
 def hypot(x: Any, y: Any) -> Any:
-    """√(x² + y²)."""
     return namespace(leading(x, y)).hypot(x, y)
 
 

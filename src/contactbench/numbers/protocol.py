@@ -17,15 +17,13 @@ class Abilities(NamedTuple):
     branch : a comparison is a bool, so that `if` chooses; otherwise ``where`` chooses, entry by entry.
     vectors : ``asarray`` and ``multiply.outer`` make one vector of the constants of many stages.
     digits : as many as wanted: ``mpf``, ``dps`` and ``quad`` of mpmath.
-    loops : ``scan`` and ``unwind`` are compiled loops.
-    barrier : ``settle`` has a value computed once.
+    traced : by JAX, whose loops and barriers are to be used.
     """
 
     branch: bool = False
     vectors: bool = False
     digits: bool = False
-    loops: bool = False
-    barrier: bool = False
+    traced: bool = False
 
 
 #: the largest power that is written as a product
@@ -54,7 +52,6 @@ class ChoosingNumbers(Numbers):
 
 
 def abilities(xp: Any) -> Abilities:
-    """Return what the numbers of a namespace can do."""
     if isinstance(xp, Numbers):
         return xp.abilities
     package = getattr(xp, "__name__", type(xp).__module__).partition(".")[0]

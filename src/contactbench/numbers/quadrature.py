@@ -48,12 +48,10 @@ def gauss_on_doubles() -> Rule:
 
 
 def rule(xp: Any) -> Rule:
-    """The coefficients as numbers of a namespace: of its digits in mpmath, else Python floats."""
     return gauss(xp.dps) if abilities(xp).digits else gauss_on_doubles()
 
 
 def weigh(weights: list[Any], values: list[Any]) -> Any:
-    """Σ w_j v_j."""
     return sum(w * v for w, v in zip(weights, values, strict=True))
 
 

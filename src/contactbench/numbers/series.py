@@ -29,9 +29,6 @@ class Series(Unknown):
     def numbers(self) -> SeriesNumbers:
         return SeriesNumbers()
 
-    def __repr__(self) -> str:
-        return f"<series {self.expression}>"
-
     def __pow__(self, exponent: Any) -> Series:
         if isinstance(exponent, Series):
             return Series(self.expression**exponent.expression)
@@ -57,7 +54,6 @@ class Series(Unknown):
 
 
 def bare(x: Any) -> Any:
-    """The expression of a series; any other number as it is."""
     return x.expression if isinstance(x, Series) else x
 
 
@@ -78,8 +74,6 @@ for _name in ("add", "sub", "mul", "truediv"):
 
 
 class SeriesNumbers(Numbers):
-    """The number namespace that goes with them: heyoka's functions."""
-
     def __getattr__(self, name: str) -> Callable[..., Series]:
         import heyoka
 

@@ -1,18 +1,41 @@
-"""What the solvers of other libraries have in common."""
+"""What the solvers of other libraries have in common: their method, and their derivative.
+
+The derivative is that of the variational equations, a scene and its tangent vectors as one larger scene,
+
+    y' = f(y),   v_j' = Df(y) v_j   for every tangent vector v_j of the scene at the initial state,
+
+which any solver runs as it runs the scene itself, with the same tolerances.  The tangents are part of
+the error control, so the steps are those of the larger system and not those of the plain run.  The
+derivative belongs to the map of the larger run: contact form and drift are evaluated at the states of
+that run, which differ from the plain ones by as much as the tolerance allows (with the plain states
+the mismatch would be counted as drift; measured, up to five times the drift itself).
+
+Dieci, Van Vleck, Appl. Numer. Math. 17, 275 (1995), doi:10.1016/0168-9274(95)00033-Q, §1;
+Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, §I.14.
+"""
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Mapping
+from abc import abstractmethod
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from functools import partial
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from contactbench.methods.base import Adaptive
-from contactbench.methods.prepared import Prepared, Refused, Request
-from contactbench.peers.variational import Bundle, Variational
-from contactbench.scene import Scene
+from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
+from contactbench.numbers.dual import Dual, slope
+from contactbench.numbers.protocol import CannotRecord
+from contactbench.scene import Scene, System, dot
+from contactbench.scene.cache import key
+from contactbench.solution import Counts, Status
+from contactbench.trace.form import Function, Unpack
+from contactbench.trace.python import execute
+from contactbench.trace.recording import Recorded, Tape, attempt
 
 
 @dataclass(frozen=True)
@@ -62,7 +85,6 @@ class PeerRun(Prepared):
     sensitivity_source = "variational equations, a run of its own"
 
     def variational(self) -> Self:
-        """The same run of the scene together with its tangent vectors."""
         base = self.request.scene
         count = len(base.tangents(base.initial(self.request.carry)))
         name = f"variational equations of {base.name}"
@@ -71,10 +93,192 @@ class PeerRun(Prepared):
 
     def linearised(self, y0: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scene, d, run = self.request.scene, len(y0), self.variational()
-        larger: Any = run.request.scene
         x = scene.unpack(tuple(y0.tolist()), self.request.carry)
-        y = run.integrate(np.array(larger.pack(Bundle(x, tuple(scene.tangents(x)))), dtype=float)).y
-        v = y[:, d:].reshape(len(y), larger.count, -1)
+        start = run.request.scene.pack(Bundle(x, tangents := tuple(scene.tangents(x))))
+        y = run.integrate(np.array(start, dtype=float)).y
+        v = y[:, d:].reshape(len(y), len(tangents), -1)
         if scene.clock is not None:
             v = np.insert(v, scene.clock, np.where(np.isnan(y[:, :1]), np.nan, 0.0), axis=2)
         return y[:, :d], np.moveaxis(v, 1, 2)
+
+
+class Bundle(NamedTuple):
+    x: Any
+    v: tuple[Any, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variational(System):
+    """The variational equations of `base` with `count` tangent vectors."""
+
+    base: Scene
+    count: int
+
+    def labels(self, carry: Sequence[str]) -> list[str]:
+        own = self.base.labels(carry)
+        moved = self.base.without_clock(own)
+        return own + [f"d{j + 1} {name}" for j in range(self.count) for name in moved]
+
+    # tangents do not move the time, and have none; they may grow as they like
+    clock = property(lambda self: self.base.clock)
+    motion = property(lambda self: self.base.motion)
+
+    def initial(self, carry: Sequence[str], **data: Any) -> Bundle:
+        x = self.base.initial(carry, **data)
+        return Bundle(x, tuple(self.base.tangents(x)))
+
+    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Bundle:
+        base, d = self.base, len(self.base.labels(carry))
+        each = len(base.without_clock(y[:d]))
+        v = (base.unpack(base.with_clock(y[i : i + each], 0.0), carry) for i in range(d, len(y), each))
+        return Bundle(base.unpack(y[:d], carry), tuple(v))
+
+    def pack(self, state: Bundle) -> list[Any]:  # type: ignore[override]
+        moved = (self.base.without_clock(System.pack(v)) for v in state.v)
+        return [*System.pack(state.x), *(c for v in moved for c in v)]
+
+    def numbers(self) -> list[float]:
+        return self.base.numbers()
+
+    def with_numbers(self, numbers: Sequence[Any]) -> Self:
+        return self._replaced(base=self.base.with_numbers(numbers))
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        return (Variational, self.count, *self.base.structure)
+
+    @property
+    def identity(self) -> Hashable | None:
+        return key(self.base.identity, Variational, self.count)
+
+    def rhs(self, z: Bundle) -> Bundle:
+        base, carry = self.base, self.carried(z)
+        rows = derivative(base, z.x, carry)
+        v = (base.unpack([dot(row, flat) for row in rows], carry) for flat in map(base.pack, z.v))
+        return Bundle(base.rhs(z.x), tuple(v))
+
+    def jacobian(self, z: Bundle) -> list[list[Any]]:
+        """diag(Df, …, Df), for the implicit solvers.
+
+        What is left out, the coupling D²f(y) v_j of the tangents to the state, is strictly block
+        triangular: Newton's iteration converges all the same, the tangents one iteration after the
+        state, and the convergence test of the solver sees both.
+        """
+        rows = derivative(self.base, z.x, self.carried(z))
+        moved = [self.base.without_clock(row) for row in self.base.without_clock(rows)]
+        blocks = [rows] + [moved] * self.count
+        size, found = sum(map(len, blocks)), list[list[Any]]()
+        for block in blocks:
+            before = [0.0] * len(found)
+            found += [[*before, *row, *[0.0] * (size - len(before) - len(row))] for row in block]
+        return found
+
+    def carried(self, z: Bundle) -> tuple[str, ...]:
+        return tuple(name for name in self.base.optional if getattr(z.x, name) is not None)
+
+
+def derivative(scene: Scene, x: Any, carry: tuple[str, ...]) -> list[list[Any]]:
+    """Df at x, rows in packed order: the scene's own Jacobian, or its right-hand side on dual numbers."""
+    with suppress(NotImplementedError):
+        rows = scene.jacobian(x)
+        if rows is not None:
+            return rows
+    y = scene.pack(x)
+    columns = []
+    for j in range(len(y)):
+        moved = [Dual(c, 1.0 if i == j else 0.0) for i, c in enumerate(y)]
+        columns.append([slope(c) for c in scene.pack(scene.rhs(scene.unpack(moved, carry)))])
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+# -- solvers that call back into Python ---------------------------------------------------------------
+#: evaluations DOP853 adds for the interpolant of a step, and before the first step
+INTERPOLANT, BEFORE = 3, 2
+
+
+@dataclass
+class CallbackPeer(PeerRun):
+    """A run of a solver whose right-hand side, and Jacobian if it takes one, are Python functions of plain floats.
+
+    They are as lean as what a user would write for one problem: the scene is recorded once as a plain Python
+    function, its numbers written in as constants.  Where it cannot be recorded (a force that branches on values)
+    it is called as it is, at four times the cost.
+
+    rhs : ``(t, y) -> slopes`` and jacobian : ``(t, y) -> rows``, on a list of floats; None where there is none.
+    """
+
+    #: as how many steps the last one counts that failed
+    failure = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        scene, carry = self.request.scene, self.request.carry
+        self.rhs = record_function(scene, "rhs", carry) or (lambda t, y: scene.slopes(t, y, carry))
+        self.jacobian: Callable[[float, Any], Any] | None = None
+        if self.method_.implicit and scene.has_jacobian:
+            self.jacobian = record_function(scene, "jacobian", carry) or (
+                lambda t, y: motion_jacobian(scene, t, y, carry)
+            )
+
+    @abstractmethod
+    def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Any:
+        """A solver, with the interface of SciPy's, for the motion from a time on."""
+
+    def integrate(self, y0: np.ndarray) -> Outcome:
+        r, times, calls = self.request, self.request.save_at, [0]
+        start, y = self.split_clock(y0)
+        rows, steps, interpolated, status, message = ([y] if self.saves_start else []), 0, 0, Status.ok, ""
+
+        def counting(t: float, y: Any) -> Any:  # libraries leave out the calls that difference the Jacobian
+            calls[0] += 1
+            return self.rhs(t, y)
+
+        try:
+            solver = self.begin(start, y, counting)
+        except NO_NUMBER as error:  # the right-hand side failed at the initial state
+            message, counts = f"{type(error).__name__}: {error} (t = 0)", Counts(0, calls[0], 0, None)
+            return self.finish(y0, np.empty((0, len(y0))), counts, Status.failed, message)
+        try:
+            while len(rows) < len(times):
+                if steps == r.max_steps:
+                    status, message = Status.budget, f"max_steps = {r.max_steps} spent at t = {solver.t:.6g}"
+                    break
+                note = solver.step()
+                steps += self.failure if solver.status == "failed" else 1
+                if solver.status == "failed":
+                    status, message = Status.failed, f"{note} (t = {solver.t:.6g})"
+                    break
+                due = times[len(rows) : int(np.searchsorted(times, solver.t, side="right"))]
+                if len(due) and due[0] < solver.t:  # no interpolation at the solver's own point
+                    interpolated, interpolant = interpolated + 1, solver.dense_output()
+                own = solver.t, solver.y.copy()
+                rows += [own[1] if t == own[0] else interpolant(t) for t in due]
+        except (*NO_NUMBER, np.linalg.LinAlgError) as error:
+            status, message = Status.failed, f"{type(error).__name__}: {error} (t = {solver.t:.6g})"
+        rejected = None
+        if (stages := self.method_.stages) is not None:
+            rejected = (calls[0] - BEFORE - INTERPOLANT * interpolated) // stages - steps
+        counts, stopped = (
+            Counts(steps, calls[0], solver.njev, rejected),
+            (float(solver.t), np.array(solver.y)),
+        )
+        found = self.insert_clock(np.reshape(rows, (-1, len(y))), start, times[: len(rows)])
+        return self.finish(y0, found, counts, status, message, stopped)
+
+
+def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
+    """``f(t, y)`` on a list of floats: the slopes, or rows of a Jacobian; None if it cannot be had."""
+    tape = Tape()
+    names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
+    t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])
+    slopes = scene.slopes if what == "rhs" else partial(motion_jacobian, scene)
+    try:
+        results = tape.results(attempt(lambda: slopes(t, y, carry)))
+    except (CannotRecord, TypeError):
+        return None
+    return execute(Function(what, ("t", "y"), (Unpack(names, "y"), *tape.root.statements), results))
+
+
+def motion_jacobian(scene: System, t: Any, y: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
+    rows = scene.jacobian(scene.unpack(scene.with_clock(y, t), carry))
+    return [scene.without_clock(row) for row in scene.without_clock(rows)]

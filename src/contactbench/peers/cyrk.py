@@ -17,13 +17,11 @@ from typing import Any
 
 from contactbench.methods.base import CLAMPED, METHODS
 from contactbench.peers.base import Peer
-from contactbench.peers.compiled import CompiledPeer
+from contactbench.peers.compiled import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR, CompiledPeer
 from contactbench.solution import Counts, Status
 
 #: evaluations before the first step: at the initial state, and to choose the step
 BEFORE = 2
-#: CyRK's status codes
-SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR = 1, -52, -53
 
 
 class CyrkRun(CompiledPeer):

@@ -9,38 +9,57 @@ CVODE stops after 500 steps by default and says so only in its result: the budge
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from contactbench.methods.base import METHODS, ROUNDING, SHORTEST
-from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request
-from contactbench.peers.base import Peer
-from contactbench.peers.callback import CallbackPeer
-from contactbench.peers.compiled import CompiledPeer
-from contactbench.solution import Counts, Status
+from contactbench.methods.prepared import Prepared, Request
+from contactbench.peers.base import CallbackPeer, Peer
+from contactbench.peers.compiled import TOO_MUCH_WORK, CompiledPeer
+from contactbench.solution import Status
 
-#: the major version of SUNDIALS whose C interface is known
-MAJOR = 7
-#: what CVode returns when the budget of steps is spent
-TOO_MUCH_WORK = -1
+
+class Stepper:
+    """scikit-sundae's CVODE, one internal step at a time, with the interface of SciPy's solvers."""
+
+    def __init__(self, solver: Any, y: np.ndarray, end: float) -> None:
+        self.solver, self.end, self.status, self.njev = solver, end, "running", 0
+        self.t, self.y = 0.0, solver.init_step(0.0, y).y
+
+    def step(self) -> str:
+        result, before = None, self.t
+        while result is None or (result.success and result.t == before):
+            # after an interpolation CVODE first returns to where it was, without a step
+            result = self.solver.step(self.end, method="onestep", tstop=self.end)
+        self.t, self.y, self.njev = float(result.t), result.y, result.njev
+        self.status = "running" if result.success else "failed"
+        return str(result.message)
+
+    def dense_output(self) -> Callable[[float], np.ndarray]:
+        return lambda t: self.solver.step(float(t), tstop=self.end).y
 
 
 class CvodeRun(CallbackPeer):
     """scikit-sundae, calling back into Python."""
 
+    failure = 0
+
     def bare(self, y0: np.ndarray) -> np.ndarray:
         start, y = self.split_clock(y0)
-        solver = self.solver(start)
+        solver = self.solver(start, self.rhs)
         solver.init_step(0.0, y)
         return self.insert_clock(solver.step(self._end, tstop=self._end).y, start, self._end)
 
-    def solver(self, start: float, calls: list[int] | None = None) -> Any:
-        """CVODE for the motion from a time on.  calls : its first entry counts the evaluations."""
+    def begin(self, start: float, y: np.ndarray, rhs: Callable[[float, Any], Any]) -> Stepper:
+        return Stepper(self.solver(start, rhs), y, self._end)
+
+    def solver(self, start: float, rhs: Callable[[float, Any], Any]) -> Any:
         from sksundae.cvode import CVODE
 
-        r, rhs, jacobian = self.request, self.slopes(calls), self.jacobian
+        r, jacobian = self.request, self.jacobian
 
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
             yp[:] = rhs(start + t, y.tolist())
@@ -59,38 +78,6 @@ class CvodeRun(CallbackPeer):
             min_step=SHORTEST * self._end,
             max_step=self._end,
         )
-
-    def integrate(self, y0: np.ndarray) -> Outcome:
-        """One internal step at a time, so that steps are counted; saved times are interpolated."""
-        r, times, end, calls = self.request, self.request.save_at, self._end, [0]
-        start, y = self.split_clock(y0)
-        # CVODE's own number leaves out the calls that difference the Jacobian
-        solver = self.solver(start, calls)
-        rows, steps, reached = ([y] if self.saves_start else []), 0, 0.0
-        try:
-            result = solver.init_step(0.0, y)
-            while len(rows) < len(times) and steps < r.max_steps:
-                result = solver.step(end, method="onestep", tstop=end)
-                if not result.success:
-                    break
-                # after an interpolation CVODE first returns to where it was, without a step
-                steps += float(result.t) > reached
-                reached = float(result.t)
-                while len(rows) < len(times) and times[len(rows)] <= reached:
-                    at = float(times[len(rows)])
-                    rows.append(result.y if at == reached else solver.step(at, tstop=end).y)
-        except NO_NUMBER as error:
-            message = f"{type(error).__name__}: {error}"
-            return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.failed, message)
-        status, message = Status.ok, ""
-        if not result.success or len(rows) < len(times):
-            exhausted = result.success or result.status == TOO_MUCH_WORK
-            status = Status.budget if exhausted else Status.failed
-            reason = f"max_steps = {r.max_steps} spent" if exhausted else result.message
-            message = f"{reason} (t = {float(result.t):.6g})"
-        counts = Counts(steps, calls[0], result.njev, None)
-        stopped = (float(result.t), np.array(result.y))
-        return self.finish(y0, self.packed(rows, y, start), counts, status, message, stopped)
 
 
 class CompiledCvodeRun(CompiledPeer):
@@ -118,7 +105,6 @@ class CompiledCvodeRun(CompiledPeer):
 
 
 def cvode(name: str, request: Request, method: Peer) -> Prepared:
-    """The run of an engine."""
     if request.engine == "c+python":
         return CvodeRun(name, request, method)
     try:

@@ -389,7 +389,7 @@ class Comparison:
         frame = judge_times(frame).reindex(columns=columns).astype(COLUMNS)
         known = {"source": truth.source, "digits": truth.digits, "confirmed": self.confirmed}
         frame.attrs = {
-            "runs": Runs(run for each in self.scouts for run in each.runs()),
+            "runs": tuple(run for each in self.scouts for run in each.runs()),
             "reference": known | {"error": question.floor},
             "unrefined": self.unrefined,
             "interrupted": self.interrupted,
@@ -543,10 +543,3 @@ def judge_times(frame: pd.DataFrame) -> pd.DataFrame:
     halves = frame["time_halves_ratio"]
     costs = frame.assign(cost=frame["time_s"], halves=halves, processes=PROCESSES, place=range(len(frame)))
     return standings(costs, ("kind", "error_asked")).sort_values("place", ignore_index=True)
-
-
-class Runs(tuple):
-    """Rows that are not copied: pandas makes a deep copy of all ``attrs`` in every operation on a frame."""
-
-    def __deepcopy__(self, memo: object) -> Runs:
-        return self

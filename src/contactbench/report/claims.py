@@ -65,17 +65,9 @@ def claims_view(frame: pd.DataFrame) -> View:
     for _, row in frame.iterrows():
         verdict = str(row["verdict"] or row["status"])
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
-        rows.append(
-            (
-                Cell(row["id"], link=f"#{anchor(heading(row))}"),
-                Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad)),
-                row["claim"],
-                row["where"],
-                row["quantity"],
-                row["measured"],
-                needed,
-            )
-        )
+        named = Cell(row["id"], link=f"#{anchor(heading(row))}")
+        judged = Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad))
+        rows.append((named, judged, *row[["claim", "where", "quantity", "measured"]], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
     return View("claims", "All claims", frame_of(rows, labels), LEGEND, SOURCE, {"": "{:.2g}".format})
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
-from contactbench.report.curves import best_of_each, by_method, family_and_order, floats, in_colour, lowest
+from contactbench.report.curves import best_of_each, by_method, family_and_order, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
 from contactbench.report.views import Cell, Mark, View, matrix, pick
@@ -88,7 +88,12 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     title = f"{SCENE}: {len(off)} methods converge at their claimed order, to within {off.max():.1g}"
     curves = best_of_each(by_method(rows, "step", "solution_error"), lowest, family_and_order)
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
-    panel = Panel("", x, Axis("error of the solution", "log"), (*guides(rows, in_colour(curves)), *curves))
+    panel = Panel(
+        "",
+        x,
+        Axis("error of the solution", "log"),
+        (*guides(rows, [curve.method for curve in curves if not curve.muted]), *curves),
+    )
     caption = "Dotted: the claimed slopes. In colour: the most accurate of each family and order."
     return Figure("convergence", title, (panel,), caption)
 

@@ -84,18 +84,9 @@ def best_of_each(
         scores = [score(curve, own) for curve in own]
         if not np.isnan(scores).all():
             chosen.append(own[int(np.nanargmax(scores))].method)
-    return like(chosen[:MOST], curves)
-
-
-def like(methods: Iterable[str], curves: Iterable[Curve]) -> tuple[Curve, ...]:
-    """Return the curves, those of other methods muted and first."""
-    names = {*methods, ""}
+    names = {*chosen[:MOST], ""}
     muted = [c if c.method in names else replace(c, muted=True) for c in curves]
     return tuple(sorted(muted, key=lambda c: not c.muted))
-
-
-def in_colour(curves: Iterable[Curve]) -> list[str]:
-    return [c.method for c in curves if c.method and not c.muted]
 
 
 def cheapest(curve: Curve, own: Sequence[Curve]) -> float:

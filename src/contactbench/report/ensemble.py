@@ -46,17 +46,11 @@ def standing(frame: pd.DataFrame, kind: Kind, keys: tuple[str, ...]) -> pd.DataF
 
 def answers(frames: Frames) -> pd.DataFrame:
     calls = standing(with_rates(frames["ensemble"]), WHOLE_CALLS, ("method", "variant"))
-    first = calls[calls["verdict"].isin(["win", "tie", "undecided"])].groupby("error", sort=False)
-    return summary(
-        *(
-            (
-                f"Who takes the least time per trajectory, error {power(error)}?",
-                names(list(dict.fromkeys(own["method"])), 3),
-                duration(own["cost"].min()),
-            )
-            for error, own in first
-        )
-    )
+    lines = []
+    for error, own in calls[calls["verdict"].isin(["win", "tie", "undecided"])].groupby("error", sort=False):
+        question = f"Who takes the least time per trajectory, error {power(error)}?"
+        lines.append((question, names(list(own["method"].unique()), 3), duration(own["cost"].min())))
+    return summary(*lines)
 
 
 # -- views -----------------------------------------------------------------------------------------

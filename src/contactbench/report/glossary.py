@@ -38,10 +38,13 @@ def columns_view(name: str) -> View:
     return View(f"columns_{name}", f"{name}.csv", frame_of(rows, ["column", "type", "meaning"]), about)
 
 
+REGISTERED = {"methods": methods_view, "scenes": scenes_view}
+
+
 def glossary(registries: Registries) -> tuple[Part, ...]:
     """Return methods, scenes and columns."""
-    columns = Section("Columns", tuple(columns_view(name) for name in TABLES))
-    return methods_view(registries["methods"]), scenes_view(registries["scenes"]), columns
+    known = [view(registries[name]) for name, view in REGISTERED.items() if name in registries]
+    return *known, Section("Columns", tuple(columns_view(name) for name in TABLES))
 
 
 # -- the chapter of definitions ----------------------------------------------------------------------

@@ -11,18 +11,7 @@ import pandas as pd
 
 from contactbench.measure.round_off import UNSURE, decide
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
-from contactbench.report.curves import (
-    ROUND_OFF,
-    above,
-    best_of_each,
-    by_method,
-    decade,
-    family_and_order,
-    floats,
-    in_colour,
-    like,
-    lowest,
-)
+from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.look import look
 from contactbench.report.numbers import DASH, count, how_often, names, readable, scientific, times
@@ -257,9 +246,14 @@ ALONG_TIME = {
 
 def along_time(frame: pd.DataFrame, scene: str) -> Figure:
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
-    closest = in_colour(best_of_each(by_method(rows, "t", "energy_deviation"), lowest, family_and_order))
     panels = tuple(
-        Panel(title, Axis("t"), Axis(label, "log"), like(closest, by_method(rows, "t", column)), (ROUND_OFF,))
+        Panel(
+            title,
+            Axis("t"),
+            Axis(label, "log"),
+            best_of_each(by_method(rows, "t", column), lowest),
+            (ROUND_OFF,),
+        )
         for column, (title, label) in ALONG_TIME.items()
         if rows[column].notna().any()
     )
@@ -267,7 +261,7 @@ def along_time(frame: pd.DataFrame, scene: str) -> Figure:
     title = f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"
     caption = (
         f"Settings: {', '.join(dict.fromkeys(rows['setting']))}. Shaded: round-off. Asterisk: the true motion. In "
-        "colour: of each family and order, up to eight, the closest to the true $H_0$."
+        "colour: in each panel, of each family the closest to the true motion."
     )
     return Figure(f"laws_{scene}", title, panels, caption)
 

@@ -128,14 +128,6 @@ def settings_view(frame: pd.DataFrame) -> View:
     return View("race_settings", "Setting, and error reached", table, "Of each time above.")
 
 
-def laws_view(frame: pd.DataFrame) -> View:
-    laws = laws_of(frame)
-    table = frame[frame["status"] == "ok"][["method", "error_asked", "setting", *laws]]
-    table.columns = pd.Index(["method", "error", "setting", *map(law_label, laws)])
-    show = {"error": "{:g}".format, "": scientific}
-    return View("race_laws", "Laws and drifts", table, "Deviations over the run, at five times.", show=show)
-
-
 def views(frame: pd.DataFrame) -> list[View]:
     found = [times_view(frame, kind) for kind in TITLES if (frame["kind"] == kind).any()]
     return [each for each in [*found, settings_view(frame)] if each.rows]
@@ -179,7 +171,7 @@ def front(tried: pd.DataFrame) -> pd.DataFrame:
 def html(frame: pd.DataFrame) -> str:
     scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    parts = (drawn, *views(frame), laws_view(frame), Text(items=tuple(notes(frame))))
+    parts = (drawn, *views(frame), Text(items=tuple(notes(frame))))
     return page([Contents(chapter, summary(), tuple(filter(None, parts)))], picture=embed)
 
 

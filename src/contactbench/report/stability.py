@@ -53,19 +53,6 @@ def answers(frames: Frames) -> pd.DataFrame:
 
 
 # -- views -----------------------------------------------------------------------------------------
-def endings_view(rows: pd.DataFrame) -> View:
-    kinds = list(dict.fromkeys(rows[~rows["right"]]["status"]))
-    lines = []
-    for method, own in rows.groupby("method", sort=False):
-        bad = own[~own["right"]]["status"].value_counts()
-        share = f"{int(own['right'].sum())} of {len(own)}"
-        right = Cell(share, own["right"].mean(), None if len(bad) else Mark.best)
-        lines.append((method, right, *(int(bad.get(kind, 0)) for kind in kinds)))
-    lines.sort(key=lambda line: -line[1].value)
-    legend = "Runs that end as the true motion does, accurate or not; and the others. Budget: our own limit."
-    return View("hard_endings", "How runs end", frame_of(lines, ["method", "right", *kinds]), legend, SOURCE)
-
-
 def rungs(rows: pd.DataFrame) -> list[str]:
     """Return the settings of a scene's ladder, coarse to fine."""
     heads = []
@@ -122,11 +109,7 @@ def parts(frames: Frames) -> list[Part]:
         lost = {own.kind.title: own.contests}
         contests = [winners_view(own, "hard_winners", SOURCE), losses_view(lost, "hard_losses", SOURCE)]
     scenes = (scene_view(here, str(scene)) for scene, here in hard.groupby("scene", sort=False))
-    return [
-        endings_view(started_runs(hard)),
-        *contests,
-        Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes)),
-    ]
+    return [*contests, Section("Scene by scene", (Text(f"{LADDER} {LEGEND}"), *scenes))]
 
 
 TITLE, QUESTION = "Numerical stability on hard scenes", "How does every method end on the hard scenes?"

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from contactbench.measure.law import Law
-from contactbench.measure.laws import DRIFT_COLUMNS, LAWS
+from contactbench.measure.laws import LAWS
 from contactbench.measure.round_off import JUDGEMENT
 from contactbench.results.schema import Column, Rule, Table, table
 
 DECLARED = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
 #: why a column has no rule
-ROUND_OFF = "an estimate of round-off, no reproducible number"
 FOLLOWS = "it follows from the deviation, which is compared, and what round-off may amount to"
 
 
@@ -26,7 +25,7 @@ def number(meaning: str, rule: Rule | None = None, **more: Any) -> Column:
     return Column(meaning, "number", rule, **more)
 
 
-COMMON, COUNTS, TIMING = (
+COMMON, COUNTS, TIMING, DRIFTS = (
     {name: column(**entry) for name, entry in group.items()} for group in DECLARED["groups"].values()
 )
 
@@ -41,24 +40,12 @@ def law_columns() -> dict[str, Column]:
     """Return a column for each law that is registered by now, and of the structural ones the judgement."""
     columns = {name: law_column(law) for name, law in LAWS.items()}
     for law in filter(lambda law: law.structural, LAWS.values()):
-        for name, meaning in JUDGEMENT.items():
-            about = f"{law.name}: {meaning}"
-            columns[f"{law.name}_{name}"] = {
-                "claimed": Column(about, "flag", Rule.same),
-                "bound": number(about, ungated=FOLLOWS),
-            }.get(name, Column(about, "answer", ungated=FOLLOWS))
+        about = {what: f"{law.name}: {meaning}" for what, meaning in JUDGEMENT.items()}
+        columns[f"{law.name}_claimed"] = Column(about["claimed"], "flag", Rule.same)
+        for what in ("kept", "undecided"):
+            columns[f"{law.name}_{what}"] = Column(about[what], "answer", ungated=FOLLOWS)
+        columns[f"{law.name}_bound"] = number(about["bound"], ungated=FOLLOWS)
     return columns
-
-
-def drift_column(name: str, meaning: str) -> Column:
-    if name.endswith("_clamped"):
-        return Column(meaning, "whole", Rule.count)
-    if name.endswith("_uncertainty"):
-        return number(meaning, ungated=ROUND_OFF)
-    return Column(meaning, rule=Rule.same) if name == "derivative" else number(meaning, Rule.value)
-
-
-DRIFTS = {name: drift_column(name, meaning) for name, meaning in DRIFT_COLUMNS.items()}
 
 
 # -- tables ---------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ LARGEST_HESSIAN = 32
 
 #: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
 derived_gradient = lru_cache(256)(Formula.gradient)
-derived_jacobian = lru_cache(256)(Formula.jacobian)
+derived_hessian = lru_cache(256)(Formula.hessian)
 
 
 def masses(name: str, value: Any) -> Any:
@@ -150,7 +150,7 @@ class Mechanical(Scene):
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
             with suppress(CannotRecord):
-                scene = scene._replaced(hessian=derived_jacobian(scene.gradient, symmetric=True))
+                scene = scene._replaced(hessian=derived_hessian(scene.gradient))
         return scene
 
     # -- physics -------------------------------------------------------------------------------

@@ -82,7 +82,6 @@ class MethodCase:
         return float(np.abs(a - b).max() / np.abs(b).max())
 
     def error(self, level: str = "coarse", **options: Any) -> float:
-        """Return the error at the end of a run."""
         return LAWS["solution_error"](self.run(level, **options)())
 
     def require_below(self, bound: float, what: str, value: float, message: str) -> None:
@@ -310,7 +309,6 @@ METHOD_RULES: dict[int, Rule] = dict(enumerate((declares, refuses, *map(runs, RU
 def method_cases(
     method: Method, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
 ) -> Iterator[MethodCase]:
-    """The method on each of its engines, or some, and on scenes of every kind, or others."""
     scenes, chosen = tuple(scenes), tuple(method.engines if engines is None else engines)
     if not (chosen and scenes and set(chosen) <= set(method.engines)):
         allowed = f"must be one or more, engines of {', '.join(method.engines)}"

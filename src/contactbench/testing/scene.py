@@ -62,11 +62,9 @@ class SceneCase:
         return [self.read([self.xp.mpf(repr(c)) for c in self.scene.pack(x)]) for x in self.states]
 
     def read(self, y: Any) -> Any:
-        """Return the state, or slope, of a list of numbers."""
         return self.scene.unpack(y, self.scene.carry())
 
     def moved(self, x: Any, v: Any, amount: Any) -> Any:
-        """x + amount v, component by component."""
         pairs = zip(self.scene.pack(x), self.scene.pack(v), strict=True)
         return self.read([a + amount * b for a, b in pairs])
 
@@ -76,11 +74,9 @@ class SceneCase:
         return [(a - b) / (2 * delta) for a, b in zip(f(delta), f(-delta), strict=True)]
 
     def slope(self, f: Callable[[Any], Any], x: Any, v: Any) -> list[Any]:
-        """Return the derivative of f, a list of numbers, along v."""
         return self.derivative(lambda d: f(self.moved(x, v, d)))
 
     def rate(self, x: Any) -> Any:
-        """Γ' = ∂H/∂s."""
         along_s = self.read([self.xp.mpf(int(name == "s")) for name in self.scene.labels(self.scene.carry())])
         return self.slope(lambda x: [self.twin.hamiltonian(x)], x, along_s)[0]
 

@@ -1,6 +1,9 @@
-"""Recorded functions compiled by numba (LLVM), and kept: a program is compiled once, not once per process.
+"""Recorded functions compiled by LLVM inside a function of numba's, and kept: once, not once per process.
 
-numba is imported when the first program is compiled.
+Recorded programs are long, and numba would spend a second and more on finding out the types of every line of one.
+Here the types follow from floating-point constants, whole constants and comparisons, and the whole program is one
+intrinsic function to numba, which does all the rest: arguments, optimisation, its cache.  It is imported when the
+first program is compiled.
 """
 
 from __future__ import annotations
@@ -10,14 +13,14 @@ import importlib.util
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.trace import llvm
-from contactbench.trace.form import Function, digest
+from contactbench.trace import form
 
 #: folder for generated files and compiled programs; by default the user's cache folder
 VARIABLE = "CONTACTBENCH_CACHE"
@@ -34,8 +37,238 @@ def {name}({arguments}):
 '''
 #: the date of every generated file: one that is written anew is the same to numba's cache
 DATE = 1_000_000_000
+#: functions LLVM knows, and its names for them; all others are the C library's
+INTRINSICS = {
+    "abs": "fabs",
+    **{name: name for name in ("sqrt", "floor", "ceil", "pow", "exp", "log", "log2", "log10", "sin", "cos")},
+}
+ARITHMETIC = ("add", "sub", "mul", "div")
+COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+#: products and sums may be fused
+CONTRACT = ("contract",)
+#: arrays whose last index is that of a state in a tile
+TILED = ("starts", "ends")
 
 
+class Array(NamedTuple):
+    """A contiguous array: where it begins, its length, and the length of a row of it (None in one dimension)."""
+
+    first: Any
+    length: Any
+    row: Any = None
+
+
+class Lowering:
+    """The instructions of one function.
+
+    Variables live on the stack, from where LLVM takes them into registers.
+    lanes : how many states it runs on at a time, with a vector of LLVM's for every number of the state.  They are
+    the columns of starts (d, n) and ends (k, d, n), n a multiple of `lanes`; part : the first tile and the last.
+    """
+
+    def __init__(
+        self, builder: Any, arrays: dict[str, Array], numbers: dict[str, Any], fused: bool, lanes: int
+    ) -> None:
+        from llvmlite import ir
+
+        self.ir, self.builder, self.arrays, self.values = ir, builder, arrays, dict(numbers)
+        self.flags, self.lanes = CONTRACT if fused else (), lanes
+        self.double, self.whole, self.truth = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
+        self.wide = ir.VectorType(self.double, lanes) if lanes > 1 else self.double
+        self.variables: dict[str, Any] = {}
+        #: the first state of the tile
+        self.first: Any = None
+
+    def lower(self, function: form.Function) -> Any:
+        from numba.core.cgutils import for_range
+
+        if self.lanes == 1:
+            self.run(function.body)
+            return self.value(function.result)
+        begin, end = (self.load(form.Element("part", (i,))) for i in (0, 1))
+        with for_range(self.builder, end, begin) as turn:
+            self.first = self.builder.mul(turn.index, self.whole(self.lanes))
+            self.run(function.body)
+        return self.whole(0)
+
+    # -- statements --------------------------------------------------------------------------------
+    def run(self, body: Sequence[Any]) -> None:
+        from numba.core.cgutils import for_range
+
+        for statement in body:
+            match statement:
+                case form.Assign(target, form.Element() as element):
+                    self.values[target] = self.load(element)
+                case form.Assign(target, form.Operation(function, operands)):
+                    self.values[target] = self.operation(function, operands)
+                case form.Store(element, value):
+                    self.store(element, self.value(value))
+                case form.Update(variables, values):
+                    for name, value in zip(variables, list(map(self.value, values)), strict=True):
+                        self.update(name, value)
+                case form.Loop(counter, times, inner):
+                    with for_range(self.builder, self.value(times)) as turn:
+                        self.values[counter] = turn.index
+                        self.run(inner)
+                case form.While():
+                    self.repeat(statement)
+
+    def update(self, name: str, value: Any) -> None:
+        if value.type == self.double:
+            value = self.spread(value)  # the state may be wide from the second turn of a loop on
+        if name not in self.variables:
+            with self.builder.goto_entry_block():
+                self.variables[name] = self.builder.alloca(value.type)
+        slot = self.variables[name]
+        self.builder.store(self.floating(value) if slot.type.pointee == self.double else value, slot)
+
+    def repeat(self, loop: form.While) -> None:
+        test, body, after = (self.builder.append_basic_block(name) for name in ("test", "body", "after"))
+        self.builder.branch(test)
+        self.builder.position_at_end(test)
+        self.run(loop.test)
+        self.builder.cbranch(self.value(loop.condition), body, after)
+        self.builder.position_at_end(body)
+        self.run(loop.body)
+        self.builder.branch(test)
+        self.builder.position_at_end(after)
+
+    # -- elements of arrays ------------------------------------------------------------------------
+    def place(self, element: form.Element) -> Any:
+        """The pointer to an element, in tiles to those of all states of the tile."""
+        array, add, mul = self.arrays[element.array], self.builder.add, self.builder.mul
+        *rows, last = map(self.value, element.indices)
+        offset = last if element.shift == 0 else add(last, self.value(element.shift))
+        tiled = element.array in TILED
+        row = self.arrays["starts"].length if tiled else array.row
+        if rows:
+            offset = add(mul(rows[0], row), offset)
+        if tiled:
+            offset = add(mul(offset, self.arrays["starts"].row), self.first)
+        pointer = self.builder.gep(array.first, [offset], inbounds=True)
+        return self.builder.bitcast(pointer, self.wide.as_pointer()) if tiled else pointer
+
+    def load(self, element: form.Element) -> Any:
+        value = self.builder.load(self.place(element), align=8)
+        if element.kind == "b":
+            return self.builder.fcmp_unordered("!=", value, self.double(0.0))
+        whole = element.kind == "i" and value.type == self.double
+        return self.builder.fptosi(value, self.whole) if whole else value
+
+    def store(self, element: form.Element, value: Any) -> None:
+        if element.kind == "b":
+            value = self.builder.select(value, self.double(1.0), self.double(0.0))
+        value = self.spread(value) if element.array in TILED else self.floating(value)
+        self.builder.store(value, self.place(element), align=8)
+
+    # -- operations --------------------------------------------------------------------------------
+    def value(self, operand: form.Operand) -> Any:
+        if operand in self.variables:
+            return self.builder.load(self.variables[operand])
+        if isinstance(operand, str):
+            return self.values[operand]
+        kind = {bool: self.truth, int: self.whole, float: self.double}[type(operand)]
+        return self.ir.Constant(kind, operand)
+
+    def floating(self, value: Any) -> Any:
+        return self.builder.sitofp(value, self.double) if value.type == self.whole else value
+
+    def spread(self, value: Any) -> Any:
+        """A number as a vector of it."""
+        value = self.floating(value)
+        if value.type != self.double or self.lanes == 1:
+            return value
+        empty, index = self.ir.Constant(self.wide, self.ir.Undefined), self.ir.IntType(32)
+        one = self.builder.insert_element(empty, value, index(0))
+        zeros = self.ir.Constant(self.ir.VectorType(index, self.lanes), [0] * self.lanes)
+        return self.builder.shuffle_vector(one, empty, zeros)
+
+    def alike(self, values: Sequence[Any]) -> list[Any]:
+        wide = any(value.type == self.wide for value in values)
+        return [self.spread(value) if wide else self.floating(value) for value in values]
+
+    def operation(self, function: str, operands: Sequence[form.Operand]) -> Any:
+        if function == "len":
+            return self.arrays[str(operands[0])].length
+        x = [self.value(operand) for operand in operands]
+        whole = all(value.type == self.whole for value in x)
+        if function == "where":
+            return self.choose(*x)
+        if function in ("and", "or", "not"):
+            return getattr(self.builder, f"{function}_")(*x)
+        if function in COMPARISONS:
+            sign = COMPARISONS[function]
+            if whole:
+                return self.builder.icmp_signed(sign, *x)
+            compare = self.builder.fcmp_unordered if sign == "!=" else self.builder.fcmp_ordered
+            return compare(sign, *self.alike(x))
+        if function == "neg":
+            return self.builder.neg(*x) if whole else self.builder.fneg(*x, flags=self.flags)
+        if function in ARITHMETIC:
+            if whole and function != "div":
+                return getattr(self.builder, function)(*x)
+            return getattr(self.builder, f"f{function}")(*self.alike(x), flags=self.flags)
+        return self.call(function, *self.alike(x))
+
+    def choose(self, condition: Any, a: Any, b: Any) -> Any:
+        if isinstance(condition.type, self.ir.VectorType):
+            a, b = self.spread(a), self.spread(b)
+        elif not a.type == b.type == self.whole:
+            a, b = self.alike((a, b))
+        return self.builder.select(condition, a, b)
+
+    def call(self, name: str, *x: Any) -> Any:
+        from numba.core.cgutils import get_or_insert_function
+
+        kind = x[0].type
+        if name in INTRINSICS:
+            name = f"llvm.{INTRINSICS[name]}.{'f64' if kind == self.double else f'v{self.lanes}f64'}"
+        elif kind != self.double:
+            return self.call_each(name, *x)
+        signature = self.ir.FunctionType(kind, [kind] * len(x))
+        return self.builder.call(get_or_insert_function(self.builder.module, signature, name), x)
+
+    def call_each(self, name: str, *x: Any) -> Any:
+        """A function that LLVM has no vectors of, number by number."""
+        result = self.ir.Constant(self.wide, self.ir.Undefined)
+        for i in map(self.ir.IntType(32), range(self.lanes)):
+            each = self.call(name, *(self.builder.extract_element(v, i) for v in x))
+            result = self.builder.insert_element(result, each, i)
+        return result
+
+
+def intrinsic(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
+    """The function as a numba intrinsic.
+
+    lanes : how many states it runs on at a time.  fused : whether products and sums may be one operation.
+    Its arguments are contiguous arrays of one or two dimensions, pointers to numbers, and numbers.
+    """
+    from numba.core import cgutils, types
+    from numba.extending import intrinsic
+    from numba.np.arrayobj import make_array
+
+    def typed(typingctx: Any, *kinds: Any) -> Any:
+        def instructions(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            arrays, numbers = {}, {}
+            for name, kind, value in zip(function.arguments, signature.args, given, strict=True):
+                if isinstance(kind, types.Float):
+                    numbers[name] = value
+                elif isinstance(kind, types.CPointer):
+                    arrays[name] = Array(value, None)
+                else:
+                    array = make_array(kind)(context, builder, value)
+                    arrays[name] = Array(array.data, *cgutils.unpack_tuple(builder, array.shape)[:2])
+            return Lowering(builder, arrays, numbers, fused, lanes).lower(function)
+
+        return types.int64(*kinds), instructions
+
+    # numba reads the number of arguments off the function
+    arguments, scope = ", ".join(function.arguments), {"typed": typed}
+    exec(f"def {function.name}(typingctx, {arguments}):\n    return typed(typingctx, {arguments})", scope)
+    return intrinsic(scope[function.name])
+
+
+# -- kept in files ----------------------------------------------------------------------------------
 @cache
 def folder() -> Path:
     """Where programs are kept; a folder of this process alone where that cannot be written to."""
@@ -55,11 +288,11 @@ def folder() -> Path:
 @cache
 def back_end() -> str:
     """What a compiled program depends on besides what was recorded, and the processor."""
-    return hashlib.sha256(Path(llvm.__file__).read_bytes()).hexdigest()
+    return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 @cache
-def compile_function(function: Function, lanes: int = 1, fused: bool = True) -> Any:
+def compile_function(function: form.Function, lanes: int = 1, fused: bool = True) -> Any:
     """The function, compiled for the arrays that its arguments name.
 
     lanes : how many states it runs on at a time; see `Lanes`.  fused : whether products and sums may be one
@@ -71,17 +304,16 @@ def compile_function(function: Function, lanes: int = 1, fused: bool = True) -> 
         dimensions = ", ".join([":"] * (DIMENSIONS.get(array, 1) - 1) + ["::1"])
         kinds.append(f"{'int64' if array in WHOLE else 'float64'}[{dimensions}]")
     source = FUNCTION.format(
-        digest=digest(back_end(), function.digest, lanes, fused),
+        digest=form.digest(back_end(), function.digest, lanes, fused),
         kinds=", ".join(kinds),
         name=function.name,
         arguments=", ".join(function.arguments),
     )
-    module = import_source(source, lambda: {"lowered": llvm.intrinsic(function, lanes, fused)})
+    module = import_source(source, lambda: {"lowered": intrinsic(function, lanes, fused)})
     return getattr(module, function.name)
 
 
 def compiles() -> bool:
-    """Return whether numba compiles in this process."""
     return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
 
 

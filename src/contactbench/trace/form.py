@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -46,8 +46,6 @@ class Element(NamedTuple):
 
 
 class Assign(NamedTuple):
-    """A name for a value, once and for all."""
-
     target: str
     value: Operation | Element
 
@@ -60,8 +58,6 @@ class Update(NamedTuple):
 
 
 class Store(NamedTuple):
-    """A value written to an array."""
-
     element: Element
     value: Operand
 
@@ -89,10 +85,12 @@ class Unpack(NamedTuple):
     sequence: str
 
 
+@dataclass(frozen=True, eq=False)
 class Digested:
-    """A thing that is compared and hashed by all that it computes: `parts`."""
+    """A thing that is compared and hashed by all that it computes: `parts`, its fields."""
 
-    parts: Any
+    def parts(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, field.name) for field in fields(self) if field.compare)
 
     @cached_property
     def digest(self) -> str:
@@ -117,12 +115,8 @@ class Function(Digested):
     body: tuple[Any, ...]
     result: Results = 0
 
-    def parts(self) -> tuple[Any, ...]:
-        return self.name, self.arguments, self.body, self.result
-
 
 def digest(*parts: Any) -> str:
-    """SHA-256 of what parts of this form are."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 

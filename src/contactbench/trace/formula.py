@@ -9,29 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from contactbench.errors import BadInput
 from contactbench.numbers import functions
-from contactbench.numbers.dual import DERIVATIVES, leaves, rebuild
+from contactbench.numbers.dual import DERIVATIVES, leaves
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.trace.form import (
-    FUNCTIONS,
-    Digested,
-    Function,
-    Operand,
-    Operation,
-    Results,
-    Unpack,
-    Update,
-    prune,
-)
+from contactbench.trace import form
+from contactbench.trace.form import Operand, Operation, Results
 from contactbench.trace.python import FORMS, execute
 from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt, operand_of
-
-NAMESPACE = "xp"
 
 
 # -- how formulas are written, for numbers that may be arrays or traced ------------------------------
@@ -48,7 +37,7 @@ WRITTEN = FORMS | {
     "not": "(not {0} if isinstance({0}, bool) else ~{0})",
 }
 SCOPE: dict[str, Any] = {
-    **{name: functions.function(name) for name in FUNCTIONS},
+    **{name: functions.function(name) for name in form.FUNCTIONS},
     "atan2": functions.atan2,
     "hypot": functions.hypot,
     "where": _where,
@@ -58,7 +47,7 @@ SCOPE: dict[str, Any] = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Formula(Digested):
+class Formula(form.Digested):
     """What a function of numbers computes.
 
     arguments : of every positional argument the length of the tuple it is, 0 for a number, "xp" for a namespace of
@@ -72,10 +61,7 @@ class Formula(Digested):
     names: tuple[str, ...]
     body: tuple[Any, ...]
     results: Results
-    live: Callable[..., Any] | None = None
-
-    def parts(self) -> tuple[Any, ...]:
-        return self.arguments, self.names, self.body, self.results
+    live: Callable[..., Any] | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         name = getattr(self.live, "__name__", "derived" if self.live is None else type(self.live).__name__)
@@ -91,12 +77,12 @@ class Formula(Digested):
         supply = iter(argument_names(self.arguments, self.names))
         for i, n in enumerate(self.arguments):
             if isinstance(n, str) or not n:
-                signature.append(NAMESPACE if n else next(supply))
+                signature.append("xp" if n else next(supply))
             else:
                 signature.append(f"a{i}")
-                body.append(Unpack(tuple(next(supply) for _ in range(n)), f"a{i}"))
-        body += [Update((own,), (name,)) for own, name in zip(supply, self.names, strict=True)]
-        written = Function("formula", (*signature, *self.names), (*body, *self.body), self.results)
+                body.append(form.Unpack(tuple(next(supply) for _ in range(n)), f"a{i}"))
+        body += [form.Update((own,), (name,)) for own, name in zip(supply, self.names, strict=True)]
+        written = form.Function("formula", (*signature, *self.names), (*body, *self.body), self.results)
         return execute(written, WRITTEN, SCOPE)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
@@ -111,34 +97,26 @@ class Formula(Digested):
 
         Raises `CannotRecord` for a function whose derivative is not known.
         """
-        return self.derive(lambda tape, result, along: derivatives(tape, [result], along)[0])
+        return self.derive(lambda rows: rows[0])
 
-    def jacobian(self, symmetric: bool = False) -> Formula:
-        """The derivative of a tuple of results, a row for each; zeros are constants.
+    def hessian(self) -> Formula:
+        """The derivative of a gradient, a row for each component; it is symmetric, and zeros are constants."""
+        return self.derive(
+            lambda rows: [[rows[max(i, j)][min(i, j)] for j in range(len(rows))] for i in range(len(rows))]
+        )
 
-        symmetric : it is, so that half of it is enough.
-        """
-
-        def rows(tape: Tape, results: Results, along: Sequence[str]) -> Any:
-            found = derivatives(tape, results, along)
-            if symmetric:
-                for i in range(len(found)):
-                    found[i][i + 1 :] = [found[j][i] for j in range(i + 1, len(found))]
-            return found
-
-        return self.derive(rows)
-
-    def derive(self, derivative: Callable[[Tape, Results, Sequence[str]], Any]) -> Formula:
-        """The formula of what a function of a tape with these operations, their results and arguments records."""
+    def derive(self, choose: Callable[[list[list[Any]]], Any]) -> Formula:
+        """The formula of what is chosen of the derivatives of all results along the first argument."""
         tape, moved = Tape(), dict[Operand, Operand]()
         for target, operation in self.body:
             there = Operation(operation.function, tuple(moved.get(x, x) for x in operation.operands))
             moved[target] = tape.assign(there, "f", tape.root).name
-        results = rebuild(self.results, [moved.get(x, x) for x in leaves(self.results)])
-        along = argument_names(self.arguments[:1], ())
-        return make_formula(
-            self.arguments, self.names, tape, attempt(lambda: derivative(tape, results, along))
+        results, along = (
+            [moved.get(x, x) for x in leaves(self.results)],
+            argument_names(self.arguments[:1], ()),
         )
+        chosen = attempt(lambda: choose(derivatives(tape, results, along)))
+        return make_formula(self.arguments, self.names, tape, chosen)
 
 
 # -- reverse mode ------------------------------------------------------------------------------------
@@ -209,7 +187,6 @@ def slopes(
 
 
 def constant(x: Any) -> Amount:
-    """A number as an amount."""
     return (1.0, x) if isinstance(x, Recorded) else (float(x), 1.0)
 
 
@@ -226,13 +203,13 @@ def plus(a: Amount, b: Amount) -> Amount:
 
 
 def number(amount: Amount) -> Any:
-    """The value of an amount."""
     coefficient, x = amount
+    if not coefficient:
+        return 0.0
     return -x if coefficient == -1.0 else coefficient * x
 
 
 def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tuple[str, ...]:
-    """A name for every number in the arguments of a formula."""
     return tuple(f"v{i}" for i in range(sum(n or 1 for n in arguments if isinstance(n, int)) + len(names)))
 
 
@@ -255,4 +232,4 @@ def make_formula(
 ) -> Formula:
     """The formula of some results, without the operations that none of them needs."""
     found = tape.results(results)
-    return Formula(arguments, names, prune(tape.root.statements, found), found, live)
+    return Formula(arguments, names, form.prune(tape.root.statements, found), found, live)

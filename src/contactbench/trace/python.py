@@ -33,20 +33,17 @@ def execute(
 
 
 def source(function: form.Function, forms: Mapping[str, str] = FORMS) -> str:
-    """The function as Python source."""
     head = f"def {function.name}({', '.join(function.arguments)}):"
     return "\n".join([head, *lines(function.body, forms), f"    return {render(function.result)}", ""])
 
 
 def render(results: form.Results) -> str:
-    """Nested tuples of operands."""
     if isinstance(results, tuple):
         return f"({''.join(f'{render(part)}, ' for part in results)})"
     return text(results)
 
 
 def place(element: form.Element) -> str:
-    """An element of nested lists."""
     *rows, last = map(text, element.indices)
     if element.shift != 0:
         last = f"{last} + {text(element.shift)}"

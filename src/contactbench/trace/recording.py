@@ -38,7 +38,6 @@ class Block:
         self.known: dict[Hashable, str] = {}
 
     def within(self, other: Block) -> bool:
-        """Whether it is the other block or a part of it."""
         return self is other or (self.parent is not None and self.parent.within(other))
 
 
@@ -78,12 +77,10 @@ class Tape:
         return operand_of(x, kind)
 
     def results(self, numbers: Any) -> Results:
-        """Nested numbers as nested tuples of operands."""
         nested = isinstance(numbers, tuple | list)
         return tuple(map(self.results, numbers)) if nested else self.read(numbers, self.root)
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-        """n-fold application, recorded as a loop."""
         return self._loop(x, body, lambda inner: form.Loop("_", self.read(n, self.block, "i"), tuple(inner)))
 
     def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
@@ -103,28 +100,26 @@ class Tape:
 
     def _loop(self, x: Any, body: Callable[[Any], Any], make: Callable[[list[Any]], Any]) -> Any:
         """Record the body in a block of its own, of which `make` is to make a statement."""
-        outer = self.block
-        start = leaves(x)
+        outer, start = self.block, leaves(x)
         kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
-        inner = Block(outer)
-        names = tuple(self.name(kind) for kind in kinds)
-        carried = [Recorded(self, name, kind, inner) for name, kind in zip(names, kinds, strict=True)]
+        inner, names = Block(outer), tuple(map(self.name, kinds))
+
+        def state(block: Block) -> Any:
+            return rebuild(x, [Recorded(self, *each, block) for each in zip(names, kinds, strict=True)])
+
+        def update(values: list[Any], block: Block) -> Update:
+            return Update(names, tuple(self.read(v, block, k) for v, k in zip(values, kinds, strict=True)))
+
         self.block = inner
         try:
-            end = leaves(body(rebuild(x, carried)))
+            end = leaves(body(state(inner)))
         finally:
             self.block = outer
         if len(end) != len(start):
             raise CannotRecord("a loop whose body returns a state of another shape")
-        before, after = (
-            tuple(self.read(v, block, kind) for v, kind in zip(values, kinds, strict=True))
-            for values, block in ((start, outer), (end, inner))
-        )
-        inner.statements.append(Update(names, after))
-        outer.statements += [Update(names, before), make(inner.statements)]
-        return rebuild(
-            x, [Recorded(self, name, kind, outer) for name, kind in zip(names, kinds, strict=True)]
-        )
+        inner.statements.append(update(end, inner))
+        outer.statements += [update(start, outer), make(inner.statements)]
+        return state(outer)
 
 
 def operand_of(x: Any, kind: str = "f") -> Operand:
@@ -159,7 +154,7 @@ def _arithmetic(
     return apply
 
 
-def _comparison(function: str) -> Callable[..., Any]:
+def _truth(function: str) -> Callable[..., Any]:
     def compare(self: Recorded, other: Any) -> Any:
         if isinstance(other, Dual):
             return NotImplemented
@@ -182,9 +177,7 @@ class Recorded(Unknown):
     def __repr__(self) -> str:
         return f"<recorded {self.name}>"
 
-    @property
-    def numbers(self) -> RecordedNumbers:
-        return RecordedNumbers(self.tape)
+    numbers = property(lambda self: RecordedNumbers(self.tape))
 
     # -- arithmetic --------------------------------------------------------------------------------
     __add__ = __radd__ = _arithmetic("add", commutes=True)
@@ -208,20 +201,13 @@ class Recorded(Unknown):
         return self.tape.operation("pow", "f", base, self)
 
     # -- truth values ------------------------------------------------------------------------------
-    __eq__ = _comparison("eq")  # type: ignore[assignment]
-    __ne__ = _comparison("ne")  # type: ignore[assignment]
-    __lt__, __le__, __gt__, __ge__ = map(_comparison, ("lt", "le", "gt", "ge"))
-
-    def __and__(self, other: Any) -> Any:
-        return self.tape.operation("and", "b", self, other)
-
-    def __or__(self, other: Any) -> Any:
-        return self.tape.operation("or", "b", self, other)
+    __eq__, __ne__ = map(_truth, ("eq", "ne"))  # type: ignore[assignment]
+    __lt__, __le__, __gt__, __ge__ = map(_truth, ("lt", "le", "gt", "ge"))
+    __and__, __or__, __rand__, __ror__ = map(_truth, ("and", "or", "and", "or"))
 
     def __invert__(self) -> Any:
         return self.tape.operation("not", "b", self)
 
-    __rand__, __ror__ = __and__, __or__
     __hash__ = None  # type: ignore[assignment]
 
     # -- what cannot be recorded -------------------------------------------------------------------
@@ -253,7 +239,6 @@ OPERATORS: dict[str, Callable[..., Any]] = {
 
 
 def is_constant(x: Any, value: float) -> bool:
-    """Whether x is this number, known when recording."""
     return not isinstance(x, Recorded | Dual | np.ndarray) and x == value
 
 
@@ -313,10 +298,8 @@ def attempt(function: Callable[[], Any]) -> Any:
     """What a function records; `CannotRecord` for whatever goes wrong in it."""
     try:
         return function()
-    except CannotRecord as error:
-        raise reason_of(error) from error.__cause__
     except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise reason_of(error) from error
+        raise reason_of(error) from (error.__cause__ if isinstance(error, CannotRecord) else error)
 
 
 def reason_of(error: BaseException) -> CannotRecord:

@@ -20,12 +20,10 @@ def scales(rows: Rows) -> list[Any]:
 
 
 def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    """Return max |a − b|."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
 def disagreement(a: Rows, b: Rows) -> list[Any]:
-    """Return max_k |a − b| of every column."""
     return [distance(p, q) for p, q in zip(zip(*a, strict=True), zip(*b, strict=True), strict=True)]
 
 

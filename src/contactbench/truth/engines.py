@@ -138,11 +138,16 @@ def heyoka_reads_rhs(scene: Scene, y: list[Any], carry: tuple[str, ...]) -> bool
 
 # -- extrapolation -----------------------------------------------------------------------------------
 def extrapolation(
-    scene: Scene, times: list[str], carry: tuple[str, ...], digits: int, deadline: float = NEVER
+    scene: Scene,
+    times: list[str],
+    carry: tuple[str, ...],
+    digits: int,
+    collapse: float = COLLAPSE,
+    deadline: float = NEVER,
 ) -> Rows:
     """Return states at increasing times ≥ 0 (decimal strings) by the Gragg–Bulirsch–Stoer method in mpmath.
 
-    Raises `BlowUp` when a step falls below `COLLAPSE` of the span, `OutOfTime` after the deadline (a time of
+    Raises `BlowUp` when a step falls below `collapse` of the span, `OutOfTime` after the deadline (a time of
     `perf_counter`).
 
     Modified midpoint rule with 2, 4, 6, … substeps, extrapolated in h² until two neighbours agree
@@ -158,7 +163,7 @@ def extrapolation(
         return twin.pack(twin.rhs(twin.unpack(y, carry)))
 
     now, y = context.mpf(0), twin.pack(twin.initial(carry))
-    shortest, trial = COLLAPSE * context.mpf(times[-1]), context.mpf(times[-1])
+    shortest, trial = collapse * context.mpf(times[-1]), context.mpf(times[-1])
     rows, watch = [], Stopwatch(scene, float(times[-1]), deadline)
     for time in map(context.mpf, times):
         while now < time:

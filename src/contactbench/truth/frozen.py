@@ -70,7 +70,6 @@ def frozen_folder() -> Path | None:
 
 @lru_cache
 def manifest(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the manifest's entries by scene name."""
     return json.loads((folder / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
 
 

@@ -266,8 +266,8 @@ def computations(
                     break
                 yield rows, taylor(scene, times, carry, bits, deadline=deadline)
         for digits in (28, 70):
-            rows = extrapolation(scene, times, carry, digits + 8, deadline)
-            yield rows, extrapolation(scene, times, carry, digits, deadline)
+            rows = extrapolation(scene, times, carry, digits + 8, deadline=deadline)
+            yield rows, extrapolation(scene, times, carry, digits, deadline=deadline)
     except BadInput:
         raise
     except Exception as error:
@@ -286,7 +286,7 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
         return None
     times, digits = [repr(x) for x in found.t.tolist()], 20
     try:
-        rows = extrapolation(found.scene, times, found.carry, digits, perf_counter() + seconds)
+        rows = extrapolation(found.scene, times, found.carry, digits, deadline=perf_counter() + seconds)
     except BadInput:
         return None
     context = decimal_context(digits + 15)

@@ -13,7 +13,7 @@ import llvmlite.binding
 import numba
 from numba import types
 
-from contactbench.peers.c_functions import ORIGIN
+from contactbench.peers.compiled import ORIGIN
 
 #: v void, p pointer, a array of doubles, d double, b bool, i int, l long, q 64-bit int, z size_t
 #: as ctypes has them, and as numba does
@@ -30,14 +30,7 @@ LETTERS: dict[str, tuple[Any, Any]] = {
 }
 
 
-def signature(word: str) -> tuple[Any, tuple[Any, ...]]:
-    """The result and the arguments of a C function, as ctypes has them."""
-    result, *arguments = (LETTERS[letter][0] for letter in word)
-    return result, tuple(arguments)
-
-
 def external(name: str, address: int | None, word: str) -> Any:
-    """A C function that compiled code can call."""
     llvmlite.binding.add_symbol(name, address)
     result, *arguments = (LETTERS[letter][1] for letter in word)
     return types.ExternalFunction(name, result(*arguments))

@@ -21,17 +21,15 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from contactbench.peers.abi import external, join, signature, split
-from contactbench.peers.c_functions import JACOBIAN_CALLS, RHS_CALLS, CFunctions
-from contactbench.peers.compiled import KNOWN
-from contactbench.peers.sundials import MAJOR, TOO_MUCH_WORK
+from contactbench.peers.abi import LETTERS, external, join, split
+from contactbench.peers.compiled import JACOBIAN_CALLS, KNOWN, MAJOR, RHS_CALLS, TOO_MUCH_WORK, CFunctions
 
 #: linear multistep methods, and integration tasks
 METHODS = {"Adams": 1, "BDF": 2}
 NORMAL, ONE_STEP = 1, 2
 #: what the library's file may be called
 PATTERNS = ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.dylib")
-#: the functions used, by their signatures as `abi.signature` reads them; n is the type SUNDIALS counts with
+#: the functions used, by their signatures as words; n is the type SUNDIALS counts with
 SIGNATURES = {
     "iip": "SUNContext_Create",
     "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree",
@@ -70,7 +68,6 @@ def library_file() -> Path:
 
 
 def load() -> Any:
-    """The library, its functions with their types."""
     path = library_file()
     from sksundae._cy_common import config  # how the library was built
 
@@ -81,7 +78,7 @@ def load() -> Any:
         library = ctypes.CDLL(str(path))
         for name, word in FUNCTIONS.items():
             function = getattr(library, name)
-            function.restype, function.argtypes = signature(word.replace("n", index))
+            function.restype, *function.argtypes = (LETTERS[letter][0] for letter in word.replace("n", index))
     except (OSError, AttributeError) as error:
         raise ImportError(f"{path.name}: {error}") from error
     version, label = [c_int(), c_int(), c_int()], ctypes.create_string_buffer(16)
@@ -96,7 +93,6 @@ library = load()
 
 
 def function(name: str) -> Any:
-    """A function of the library that compiled code can call."""
     return external(name, ctypes.cast(getattr(library, name), c_void_p).value, FUNCTIONS[name])
 
 
@@ -171,7 +167,6 @@ def facts(memory, y, data, clock, flag, reached, saved):  # type: ignore[no-unty
 
 @numba.njit(cache=True)
 def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """`FACTS` and the state at the end."""
     restart(start, memory, vector, y, data, clock, end)
     set_max_steps(memory, max_steps)
     reached = np.zeros(1)
@@ -181,7 +176,6 @@ def to_end(start, memory, vector, y, data, clock, end, max_steps):  # type: igno
 
 @numba.njit(cache=True)
 def in_a_loop(starts, memory, vector, y, data, clock, end, max_steps):  # type: ignore[no-untyped-def]
-    """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
         row = to_end(starts[k], memory, vector, y, data, clock, end, max_steps)
@@ -241,8 +235,6 @@ class Memory:
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
         matrix = library.SUNDenseMatrix(size, size, context)
         linear = library.SUNLinSol_Dense(self.vector, matrix, context)
-        if not (self.vector and memory and matrix and linear):
-            raise MemoryError("CVODE could not allocate its memory")
         weakref.finalize(self, free, memory, linear, matrix, self.vector, context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
         check("CVodeSStolerances", memory, *tolerances)
@@ -255,7 +247,6 @@ class Memory:
 
 
 def check(name: str, *arguments: Any) -> None:
-    """Call a function of the library that returns 0 where all is well."""
     if flag := getattr(library, name)(*arguments):
         raise RuntimeError(f"{name} returned {flag}")
 

@@ -12,41 +12,37 @@ import numba
 import numpy as np
 from CyRK import get_error_message
 from CyRK.cy.pyhelpers import find_ode_method_int
-from CyRK.nb import numba_c_api, numba_solver
+from CyRK.nb import numba_c_api
 
-from contactbench.peers.abi import external, join, signature, split
-from contactbench.peers.c_functions import RHS_CALLS
-from contactbench.peers.compiled import KNOWN
-from contactbench.peers.cyrk import SUCCESS, TOO_MANY_STEPS, TOO_MANY_STEPS_SO_FAR
+from contactbench.peers.abi import external, join, split
+from contactbench.peers.compiled import (
+    INTERFACE,
+    KNOWN,
+    RHS_CALLS,
+    SUCCESS,
+    TOO_MANY_STEPS,
+    TOO_MANY_STEPS_SO_FAR,
+)
 
 __all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", "to_end"]
 
 
-def function(name: str, kind: str, word: str) -> Any:
-    """A C function, by its name in `CyRK.nb.numba_c_api`, its type in `CyRK.nb.numba_solver`, and its signature.
-
-    Raises `ImportError` where the type is another one.
-    """
-    result, arguments = signature(word)
-    address: Any = getattr(numba_c_api, name, None)
-    found: Any = getattr(numba_solver, kind, None)
-    known = address and found and found._argtypes_ == arguments
-    if not known or (word[0] != "a" and found._restype_ is not result):
-        raise ImportError(
-            f"CyRK {CyRK.__version__} has another C interface than 0.20, which this is written for"
-        )
-    return external(f"contactbench_cyrk_{name}", address(), word)
+if not CyRK.__version__.startswith(INTERFACE):
+    raise ImportError(
+        f"CyRK {CyRK.__version__} may have another C interface than {INTERFACE}, which this is written for"
+    )
 
 
-integrate = function("get_solve_func_ptr", "solve_func_sig", "ppddpzizzpzzzbpzppzpzpzddb")
-status_of = function("get_status_func_ptr", "int_func_sig", "ip")
-size_of = function("get_size_func_ptr", "size_func_sig", "zp")
-steps_of = function("get_steps_taken_func_ptr", "size_func_sig", "zp")
-states_of = function("get_y_func_ptr", "ptr_func_sig", "ap")
-arguments_of = function("get_args_ptr_func_ptr", "char_ptr_sig", "ap")
-time_of = function("get_t_now_func_ptr", "dbl_func_sig", "dp")
-state_of = function("get_y_now_ptr_func_ptr", "ptr_func_sig", "ap")
-free = function("get_free_func_ptr", "free_func_sig", "vp")
+def function(name: str, word: str) -> Any:
+    """A C function, by its name in `CyRK.nb.numba_c_api` and its signature."""
+    return external(f"contactbench_cyrk_{name}", getattr(numba_c_api, f"get_{name}_func_ptr")(), word)
+
+
+integrate = function("solve", "ppddpzizzpzzzbpzppzpzpzddb")
+status_of, size_of, steps_of = function("status", "ip"), function("size", "zp"), function("steps_taken", "zp")
+states_of, time_of, free = function("y", "ap"), function("t_now", "dp"), function("free", "vp")
+arguments_of = external("contactbench_cyrk_arguments", numba_c_api.get_args_ptr_func_ptr(), "ap")
+state_of = external("contactbench_cyrk_state", numba_c_api.get_y_now_ptr_func_ptr(), "ap")
 
 #: no limit on memory but the number of steps; megabytes
 UNLIMITED = 1_000_000
@@ -101,7 +97,6 @@ def separate(start, data, clock):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """`FACTS` and the state at the end."""
     y, own = separate(start, data, clock)
     result = solve(rhs, method, y, own, np.empty(0), end, rtol, atol, max_steps)
     return facts(result, y, own, clock, status_of(result) == SUCCESS)
@@ -109,7 +104,6 @@ def to_end(start, rhs, method, data, clock, end, rtol, atol, max_steps):  # type
 
 @numba.njit(cache=True)
 def in_a_loop(starts, rhs, method, data, clock, end, rtol, atol, max_steps):  # type: ignore[no-untyped-def]
-    """`to_end` for one start (n, d) after the other, a row each."""
     out = np.empty((len(starts), KNOWN + starts.shape[1]))
     for k in range(len(starts)):
         row = to_end(starts[k], rhs, method, data, clock, end, rtol, atol, max_steps)
