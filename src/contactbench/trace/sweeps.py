@@ -12,7 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from contactbench.trace import form, llvm
+from contactbench.trace import compiled as llvm
+from contactbench.trace import form
 from contactbench.trace.compiled import back_end, import_source
 from contactbench.trace.fields import Pairs, Sites
 from contactbench.trace.form import digest
