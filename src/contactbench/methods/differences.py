@@ -40,7 +40,9 @@ BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 def scale(x: object, v: object) -> float:
     for field, part in zip(x, v, strict=True):  # type: ignore[call-overload]
         moved = part if isinstance(part, tuple) else (part or 0.0,)
-        if any(moved):
+        if np.any(moved):
+            if isinstance(part, tuple) and isinstance(part[0], np.ndarray):
+                return float(np.linalg.norm(np.concatenate(field))) or 1.0  # type: ignore[arg-type]
             return norm(field if isinstance(field, tuple) else (field,)) or 1.0
     return 1.0
 

@@ -24,6 +24,18 @@ from contactbench.trace.sweeps import CHUNK, PAD, compile_sweeps
 #: sites from which on all cores share a sweep
 SHARED = 50_000
 
+def slopes_program(scene: Any, carry: tuple[str, ...]) -> FieldProgram:
+    """The recorded right-hand side."""
+    d, with_s, names = scene.dimensions, "s" in carry, tuple(scene.constants)
+
+    def slopes(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
+        twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
+        x = twin.rhs(State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None))
+        return [*x.q, *x.p, *([x.s] if with_s else [])]
+
+    return record_fields(slopes, len(scene.numbers()), 2 * d, int(with_s), len(names))
+
+
 _loops: Cache[FieldLoop] = Cache(256)
 
 
@@ -88,22 +100,19 @@ class FieldLoop(Loop):
 
     def paths(self, scene: Any, carry: tuple[str, ...], numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
         """Packed states after each interval, (k, m, size), of a state and maybe its tangent, (m, size)."""
-        program, sites, d, m = self.program, scene.sites, scene.dimensions, len(y)
-        rows, shape = self.rows(numbers, h, n)
-        known, given, half = len(program.shape), 2 * d * m, scene.sites * d
-        fields = np.zeros((program.rows, sites + 2 * PAD))
+        sites, d, m = scene.sites, scene.dimensions, len(y)
+        known, given, half = len(self.program.shape), 2 * d * m, scene.sites * d
+        arrays = self.arrays(scene, numbers, given, h, n)
+        fields, shape, kept = (arrays[name] for name in ("fields", "shape", "kept"))
         inside = fields[:, PAD:-PAD]
-        for row, constant in zip(inside[given:], scene.constants.values(), strict=False):
-            row[:] = constant
-        self.fill_ends(fields[given : given + len(scene.constants)])
-        sums, kept = np.empty((max(1, program.sums), -(-sites // CHUNK))), np.zeros(given)
         out = np.empty((len(n), *y.shape))
         for k in range(len(n)):
             # field by field: the components of q and p of the state, then those of its tangent
             inside[:given] = y[:, : 2 * half].reshape(2 * m, sites, d).swapaxes(1, 2).reshape(given, sites)
             self.fill_ends(fields[:given])
             scalars = y[:, -1].copy()
-            self.share(sites, scalars, rows, np.append(shape[:known], shape[known + k]), fields, sums, kept)
+            row = np.append(shape[:known], shape[known + k])
+            self.share(sites, scalars, arrays["w"], row, fields, arrays["sums"], kept)
             y = out[k]
             for i, row in enumerate(kept.astype(int)):
                 j, c = divmod(i, d)  # the j-th block of q or p, and the component
@@ -111,6 +120,20 @@ class FieldLoop(Loop):
             if "s" in carry:
                 y[:, -1] = scalars
         return out
+
+    def arrays(
+        self, scene: Any, numbers: np.ndarray, given: int, h: Any = (0.0,), n: Any = (1,)
+    ) -> dict[str, np.ndarray]:
+        """The arrays that `run` works on, by name; fields holds the scene's constants after `given` rows."""
+        program, sites, constants = self.program, scene.sites, scene.constants.values()
+        w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
+        fields = np.zeros((program.rows, sites + 2 * PAD))
+        for row, constant in zip(fields[given:, PAD:-PAD], constants, strict=False):
+            row[:] = constant
+        self.fill_ends(fields[given : given + len(constants)])
+        sums = np.zeros((max(1, program.sums), -(-sites // CHUNK)))
+        found = {"w": w, "shape": shape.astype(np.int64), "fields": fields, "sums": sums}
+        return found | {"kept": np.zeros(given), "scalars": np.zeros(1)}
 
     def fill_ends(self, rows: np.ndarray) -> None:
         """The neighbours beyond the ends."""
@@ -138,7 +161,7 @@ def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = Fal
     def make() -> FieldLoop:
         elapsed = stopwatch()
         program = field_program(method, scene, carry, tangent)
-        return FieldLoop(program, getattr(scene, "boundary", "free"), elapsed())
+        return FieldLoop(program, scene.boundary, elapsed())
 
     known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
     return _loops.get(key(known, carry, tangent), make)
@@ -192,11 +215,4 @@ class ArrayLoop(SweepLoop):
         return out
 
 
-class ManyJaxLoop(JaxLoop):
-    """JAX's arrays; a program for each number of saved times."""
-
-    def room(self, saves: int) -> int:
-        return saves
-
-
-MANY_RUNS: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": ManyJaxLoop, "python": ArrayLoop}
+MANY_RUNS: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": JaxLoop, "python": ArrayLoop}

@@ -11,6 +11,8 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from contactbench.boundary import is_ours, their_code
 from contactbench.errors import (
     BadInput,
@@ -123,8 +125,8 @@ class System(ABC):
         """Return a packed state as a NamedTuple of components."""
 
     def entries(self, y: Any) -> Any:
-        """Return the numbers of a traced packed state as `unpack` is to get them."""
-        return list(y)
+        """Return the numbers of a packed state, an array, as `unpack` is to get them."""
+        return y.tolist() if isinstance(y, np.ndarray) else list(y)
 
     @staticmethod
     def pack(state: Any) -> list[Any]:

@@ -500,6 +500,8 @@ class Particles(Many):
 
     masses: Any
     dimensions: int = 3  # type: ignore[assignment]
+    #: there are no neighbours
+    boundary: ClassVar[str] = "fixed"
     pair: Callable[..., Any]
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
