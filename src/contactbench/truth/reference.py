@@ -282,11 +282,12 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
 
     t ascending.  None where there was no time for it, or the reference is from that engine itself.
     """
-    if found.source == "live" and importlib.util.find_spec("heyoka") is None:
+    if not found.decimals or (found.source == "live" and importlib.util.find_spec("heyoka") is None):
         return None
+    scene = found.scene.unrolled() if isinstance(found.scene, Many) else found.scene
     times, digits = [repr(x) for x in found.t.tolist()], 20
     try:
-        rows = extrapolation(found.scene, times, found.carry, digits, deadline=perf_counter() + seconds)
+        rows = extrapolation(scene, times, found.carry, digits, deadline=perf_counter() + seconds)
     except BadInput:
         return None
     context = decimal_context(digits + 15)
