@@ -125,7 +125,7 @@ CALLS = [
     (rk4(save_at=[]), "must be finite times"),
     (rk4(carry=("R",)), "can carry s"),
     (rk4(max_steps=0), "max_steps = 0"),
-    (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "more): allow it more"),
+    (lambda: cb.reference(PARTICLE.with_(gamma=0.11), [1e9], seconds=3.0), "allow it more"),
     (reference([1.0, math.nan]), "nan"),
     (reference([]), "shape"),
     (reference("soon"), "soon"),
