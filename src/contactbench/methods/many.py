@@ -24,6 +24,7 @@ from contactbench.trace.sweeps import CHUNK, PAD, compile_sweeps
 #: sites from which on all cores share a sweep
 SHARED = 50_000
 
+
 def slopes_program(scene: Any, carry: tuple[str, ...]) -> FieldProgram:
     """The recorded right-hand side."""
     d, with_s, names = scene.dimensions, "s" in carry, tuple(scene.constants)
@@ -98,7 +99,9 @@ class FieldLoop(Loop):
     def in_python(self) -> tuple[Any, Any]:
         return execute(self.program.setup), None
 
-    def paths(self, scene: Any, carry: tuple[str, ...], numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
+    def paths(
+        self, scene: Any, carry: tuple[str, ...], numbers: np.ndarray, y: np.ndarray, h: Any, n: Any
+    ) -> np.ndarray:
         """Packed states after each interval, (k, m, size), of a state and maybe its tangent, (m, size)."""
         sites, d, m = scene.sites, scene.dimensions, len(y)
         known, given, half = len(self.program.shape), 2 * d * m, scene.sites * d

@@ -55,6 +55,4 @@ for _solver, _order, _stages, _about in (
 ):
     _name, _range = f"cyrk-{_solver.lower()}", (CLAMPED, 1e-1)
     _most = 0 if _stages else 1024
-    METHODS.add(
-        Peer(_name, _about, CyrkRun, ("c++",), _range, _solver, "CyRK", _order, _stages, most=_most)
-    )
+    METHODS.add(Peer(_name, _about, CyrkRun, ("c++",), _range, _solver, "CyRK", _order, _stages, most=_most))

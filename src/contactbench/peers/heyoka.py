@@ -60,7 +60,9 @@ class TaylorRun(PeerRun):
             return heyoka.taylor_adaptive(system, start, tol=r.rtol, compact_mode=compact), elapsed()
 
         numbers = tuple(scene.numbers())
-        program, self.compile_s = _integrators.get(key(scene.recorded().identity, numbers, r.carry, r.rtol), make)
+        program, self.compile_s = _integrators.get(
+            key(scene.recorded().identity, numbers, r.carry, r.rtol), make
+        )
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
         self.motion: Any = slice(self._clock)

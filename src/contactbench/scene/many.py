@@ -88,11 +88,15 @@ class Many(Scene):
             self._fix(name, self._field(name, getattr(self, name)))
         masses = array(self.weights, self.weight, f"one number > 0, or {self.sites}")
         if masses.shape not in ((), (self.sites,)):
-            raise BadInput(f"{self.weights} has shape {masses.shape}: must be one number > 0, or {self.sites}")
+            raise BadInput(
+                f"{self.weights} has shape {masses.shape}: must be one number > 0, or {self.sites}"
+            )
         with np.errstate(divide="ignore", over="ignore"):
             inverse = 1 / masses
         if not (np.isfinite(masses) & np.isfinite(inverse) & (masses > 0)).all():
-            raise BadInput(f"{self.weights}: must be > 0 and finite, and so 1/{self.weights}; the least is {masses.min()!r}")
+            raise BadInput(
+                f"{self.weights}: must be > 0 and finite, and so 1/{self.weights}; the least is {masses.min()!r}"
+            )
         self._fix("uniform", masses.ndim == 0)
         self._fix(self.weights, float(masses) if self.uniform else frozen(masses))
         self._fix("inverse_mass", float(inverse) if self.uniform else frozen(inverse))
@@ -121,7 +125,9 @@ class Many(Scene):
         if values.size != size or values.shape not in ((size,), (self.sites, self.dimensions)):
             raise BadInput(f"{name} has shape {values.shape}: must be {shape}, or a function of the index")
         if not np.isfinite(values).all():
-            raise BadInput(f"{name}: must be finite; entry {int(np.argmin(np.isfinite(values.ravel())))} is not")
+            raise BadInput(
+                f"{name}: must be finite; entry {int(np.argmin(np.isfinite(values.ravel())))} is not"
+            )
         return frozen(values.reshape(size))
 
     def with_(self, **changes: Any) -> Self:
@@ -378,7 +384,9 @@ class Lattice(Many):
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
                 at_rest = self.call("bond", np.zeros(1)), self.slope("bond", np.zeros(1))
             if not np.isfinite(at_rest).all():
-                raise BadInput(f"bond: must be finite at rest, r = 0, with its derivative: {at_rest[0] + 0.0}")
+                raise BadInput(
+                    f"bond: must be finite at rest, r = 0, with its derivative: {at_rest[0] + 0.0}"
+                )
 
     @property
     def sites(self) -> int:

@@ -6,7 +6,6 @@ over steps and stages are recorded around them, as in `program.py`.  A field tha
 array.  Rows have names that loops exchange: nothing is copied, and no two names ever have one row.
 """
 
-
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from contactbench.numbers.sites import parts
 from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, text
 from contactbench.trace.program import ProgramTape, RecordedArrays, setup
 from contactbench.trace.recording import Block, Recorded, attempt
+
 
 class Sites(NamedTuple):
     """A loop over the sites; stores : (row, value).  sums : (name, value), of all sites together."""
@@ -73,7 +73,9 @@ class Field(Recorded):
 
     __slots__ = ("row",)
 
-    def __init__(self, tape: FieldTape, name: str, block: Block, row: str | None = None, kind: str = "f") -> None:
+    def __init__(
+        self, tape: FieldTape, name: str, block: Block, row: str | None = None, kind: str = "f"
+    ) -> None:
         super().__init__(tape, name, kind, block)
         self.row = row
 
@@ -173,7 +175,9 @@ class FieldTape(ProgramTape):
         sweep = self.sweep((x, places))
         return Field(self, self.at_site(x, sweep, places), sweep)
 
-    def pairs(self, function: Callable[..., tuple[Any, ...]], x: Sequence[Any], weights: Sequence[Any]) -> tuple[Any, ...]:
+    def pairs(
+        self, function: Callable[..., tuple[Any, ...]], x: Sequence[Any], weights: Sequence[Any]
+    ) -> tuple[Any, ...]:
         """Return Σ_{j ≠ i} function(x_i − x_j, w_i, w_j, …), as `numbers.sites.pairs` does."""
         sweep = self.sweep(*((part, 1) for c in (*x, *weights) for part in parts(c)))
         loop = Block(sweep)
@@ -247,7 +251,9 @@ class FieldTape(ProgramTape):
         return rebuild(
             x,
             [
-                Field(self, v.name, outer, v.row) if isinstance(v, Field) else Recorded(self, v.name, v.kind, outer)
+                Field(self, v.name, outer, v.row)
+                if isinstance(v, Field)
+                else Recorded(self, v.name, v.kind, outer)
                 for v in carried
             ],
         )
@@ -262,7 +268,10 @@ class FieldTape(ProgramTape):
             raise CannotRecord("a loop ends with a field from before it")
         if isinstance(v.block, Sweep) and v.name not in v.block.rows:
             order = v.block.order
-            if not any(of is not inner or at > order or (shift and at == order) for of, at, shift in self.reads[own.row]):
+            if not any(
+                of is not inner or at > order or (shift and at == order)
+                for of, at, shift in self.reads[own.row]
+            ):
                 v.block.rows[v.name] = own.row  # in place
                 return []
         return exchange(own.row, self.stored(v))
@@ -338,7 +347,9 @@ def record_fields(
     held = [Field(tape, f"@{row}", tape.main, row) for row in rows]
     plain = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(scalars)]
     loop = Repeat(tape.repeat, over_stages=True, joint_first=True)
-    end = attempt(lambda: advance(given, h, n, held[:fields], plain, held[fields:], RecordedArrays(tape), loop))
+    end = attempt(
+        lambda: advance(given, h, n, held[:fields], plain, held[fields:], RecordedArrays(tape), loop)
+    )
     if len(end) != fields + scalars:
         raise CannotRecord("a step to a state of another shape")
     kept = [tape.stored(x) for x in end[:fields]]
@@ -346,7 +357,10 @@ def record_fields(
     tape.main.close()
     once = setup(tape)
     known = len(tape.shape)
-    loads = [Assign(name, Element("w", ("u", i), kind=kind)) for i, (name, kind) in enumerate(tape.exported.items())]
+    loads = [
+        Assign(name, Element("w", ("u", i), kind=kind))
+        for i, (name, kind) in enumerate(tape.exported.items())
+    ]
     most = max((len(s.sums) for s in sweeps(tape.main)), default=0)
     main = written(tape.main.statements)
     body = [
@@ -362,7 +376,9 @@ def record_fields(
     arguments = ("scalars", "w", "shape", "fields", "sums", "kept", "part", "sync")
     data = np.array([value for column in tape.columns for value in column.data], dtype=float)
     return FieldProgram(
-        once, Function("run", arguments, tuple(body)), data,
+        once,
+        Function("run", arguments, tuple(body)),
+        data,
         np.array([number() for number in tape.shape], dtype=np.int64),
         len(tape.exported) + sum(len(c.data) * len(c.stored) for c in tape.columns),
         len(tape.reads),

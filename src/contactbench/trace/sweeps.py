@@ -127,7 +127,9 @@ class SweepLowering(llvm.Lowering):
         b = self.builder
         self.run(sites.body)
         for row, value in sites.stores:
-            b.store(self.spread(self.value(value)), self.place(form.Element("fields", (row, "site"))), align=8)
+            b.store(
+                self.spread(self.value(value)), self.place(form.Element("fields", (row, "site"))), align=8
+            )
         for slot, (_, value) in zip(self.partial[self.wide], sites.sums, strict=False):
             b.store(b.fadd(b.load(slot), self.spread(self.value(value))), slot)
 
@@ -140,9 +142,12 @@ class SweepLowering(llvm.Lowering):
     def ends(self, sites: Sites, begin: Any, end: Any) -> None:
         """The places beyond the ends of what is stored; those of a fixed chain stay zero."""
         b, whole = self.builder, self.whole
-        low, high = (whole(PAD - 1), whole(PAD)), (
-            b.add(self.sites, whole(PAD - 1)),
-            b.add(self.sites, whole(PAD)),
+        low, high = (
+            (whole(PAD - 1), whole(PAD)),
+            (
+                b.add(self.sites, whole(PAD - 1)),
+                b.add(self.sites, whole(PAD)),
+            ),
         )
         if self.boundary == "fixed":
             return
@@ -289,7 +294,9 @@ def c_intrinsic(function: form.Function, boundary: str, sums: int, d: int, with_
             rows = {"fields": length, "sums": chunks, "w": whole(0)}
             arrays = {
                 name: llvm.Array(
-                    b.inttoptr(entry(i), (whole if name == "shape" else double).as_pointer()), None, rows.get(name)
+                    b.inttoptr(entry(i), (whole if name == "shape" else double).as_pointer()),
+                    None,
+                    rows.get(name),
                 )
                 for i, name in enumerate(ADDRESSES)
             }

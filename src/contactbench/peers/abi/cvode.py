@@ -253,7 +253,6 @@ class Memory:
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
 
-
     def choose(self, method: str, many: bool, size: int, context: Any) -> dict[str, int]:
         """Connect what solves for a step, and return it by what frees it.
 
