@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -16,52 +20,33 @@ from contactbench.methods.prepared import NO_NUMBER, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.scene import State
 from contactbench.scene.cache import Cache, key
+from contactbench.scene.many import Many
 from contactbench.trace.compiled import require_compiler
 from contactbench.trace.fields import FieldProgram, record_fields
-from contactbench.trace.python import execute
-from contactbench.trace.sweeps import CHUNK, PAD, compile_sweeps
+from contactbench.trace.sweeps import ADDRESSES, CHUNK, FIRST, PAD, WHOLE, Packing, compile_sweeps
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
+#: held by the run whose threads wait for one another: those of two runs would wait for ever
+TOGETHER = Lock()
 
 
-def slopes_program(scene: Any, carry: tuple[str, ...]) -> FieldProgram:
-    """The recorded right-hand side."""
-    d, with_s, names = scene.dimensions, "s" in carry, tuple(scene.constants)
-
-    def slopes(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
-        twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
-        x = twin.rhs(State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None))
-        return [*x.q, *x.p, *([x.s] if with_s else [])]
-
-    return record_fields(slopes, len(scene.numbers()), 2 * d, int(with_s), len(names))
-
-
-_loops: Cache[FieldLoop] = Cache(256)
-
-
-def field_program(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldProgram:
-    """The recorded loop of a method; tangent : every field and number is followed by its derivative.
+def field_program(advance: Callable[..., Any], scene: Many, packing: Packing) -> FieldProgram:
+    """Record ``advance(scene, x, h, n, xp, repeat)``; with two blocks the state's numbers are dual.
 
     Raises `CannotRecord`.
     """
-    d, with_s = scene.dimensions, "s" in carry
-    names = tuple(scene.constants)
+    (d, with_s, blocks), names = packing, tuple(scene.constants)
 
-    def advance(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
-        if tangent:
-            f, s = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else []
-            xp = DualNumbers(xp)
+    def fields(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
+        if blocks > 1:
+            f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
         twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
-        x = State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None)
-        x = method.advance(twin, x, h, n, xp, repeat)
-        fields, rest = [*x.q, *x.p], [x.s] if with_s else []
-        if not tangent:
-            return [*fields, *rest]
-        return [*map(value, fields), *map(slope, fields), *map(value, rest), *map(slope, rest)]
+        x = advance(twin, State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None), h, n, xp, repeat)
+        parts = [*x.q, *x.p], [x.s] if with_s else []
+        return [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
 
-    twice = 1 + tangent
-    return record_fields(advance, len(scene.numbers()), 2 * d * twice, with_s * twice, len(names))
+    return record_fields(fields, len(scene.numbers()), 2 * d * blocks, with_s * blocks, len(names))
 
 
 @cache
@@ -70,104 +55,107 @@ def others(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
+os.register_at_fork(after_in_child=others.cache_clear)
+
+
 def threads_for(sites: int) -> int:
     """How many threads share the sweeps: those numba is to use, for large scenes."""
     if sites < SHARED:
         return 1
     from numba import get_num_threads
 
-    return int(get_num_threads())
+    return min(int(get_num_threads()), -(-sites // CHUNK))
 
 
 class FieldLoop(Loop):
-    """A recorded loop on fields: one for all numbers of sites of a boundary."""
+    """A recorded function on fields: one for all numbers of sites of a boundary."""
 
     program: Any
 
-    def __init__(self, program: FieldProgram, boundary: str, seconds: float) -> None:
-        super().__init__(program, seconds)  # type: ignore[arg-type]
-        self.boundary = boundary
+    def __init__(self, advance: Callable[..., Any], scene: Many, packing: Packing) -> None:
+        elapsed = stopwatch()
+        self.boundary, self.packing = scene.boundary, packing
+        super().__init__(field_program(advance, scene, packing), 0.0)  # type: ignore[arg-type]
+        self.seconds = elapsed()
+
+    @cached_property
+    def compiled(self) -> Any:
+        elapsed, program = stopwatch(), self.program
+        made = compile_sweeps(program.run, self.boundary, program.sums, program.width, self.packing)
+        self.seconds += elapsed()
+        return made
 
     @cached_property
     def run(self) -> Any:
-        elapsed = stopwatch()
-        run = compile_sweeps(self.program.run, self.boundary, self.program.sums)
-        self.seconds += elapsed()
-        return run
+        pointer = ctypes.c_void_p
+        return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.compiled.address)
 
-    @cached_property
-    def in_python(self) -> tuple[Any, Any]:
-        return execute(self.program.setup), None
-
-    def paths(
-        self, scene: Any, carry: tuple[str, ...], numbers: np.ndarray, y: np.ndarray, h: Any, n: Any
-    ) -> np.ndarray:
-        """Packed states after each interval, (k, m, size), of a state and maybe its tangent, (m, size)."""
-        sites, d, m = scene.sites, scene.dimensions, len(y)
-        known, given, half = len(self.program.shape), 2 * d * m, scene.sites * d
-        arrays = self.arrays(scene, numbers, given, h, n)
-        fields, shape, kept = (arrays[name] for name in ("fields", "shape", "kept"))
-        inside = fields[:, PAD:-PAD]
-        out = np.empty((len(n), *y.shape))
-        for k in range(len(n)):
-            # field by field: the components of q and p of the state, then those of its tangent
-            inside[:given] = y[:, : 2 * half].reshape(2 * m, sites, d).swapaxes(1, 2).reshape(given, sites)
-            self.fill_ends(fields[:given])
-            scalars = y[:, -1].copy()
-            row = np.append(shape[:known], shape[known + k])
-            self.share(sites, scalars, arrays["w"], row, fields, arrays["sums"], kept)
-            y = out[k]
-            for i, row in enumerate(kept.astype(int)):
-                j, c = divmod(i, d)  # the j-th block of q or p, and the component
-                y[j // 2, (j % 2) * half + c : (j % 2 + 1) * half : d] = inside[row]
-            if "s" in carry:
-                y[:, -1] = scalars
-        return out
+    def data(self, scene: Many, arrays: dict[str, np.ndarray], rank: int = 0, threads: int = 1) -> np.ndarray:
+        """The argument `data` of the compiled function: the addresses of its arrays, which are to be kept alive."""
+        data = np.zeros(FIRST + len(ADDRESSES) + len(WHOLE))
+        addresses = (arrays[name].ctypes.data for name in ADDRESSES)
+        data.view(np.int64)[FIRST:] = [*addresses, scene.sites, rank, threads]
+        return data
 
     def arrays(
-        self, scene: Any, numbers: np.ndarray, given: int, h: Any = (0.0,), n: Any = (1,)
+        self, scene: Many, numbers: np.ndarray, h: Any = (0.0,), n: Any = (1,)
     ) -> dict[str, np.ndarray]:
-        """The arrays that `run` works on, by name; fields holds the scene's constants after `given` rows."""
+        """The arrays that the compiled function works on, by name; fields has the constants after the state."""
         program, sites, constants = self.program, scene.sites, scene.constants.values()
         w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
         fields = np.zeros((program.rows, sites + 2 * PAD))
-        for row, constant in zip(fields[given:, PAD:-PAD], constants, strict=False):
-            row[:] = constant
-        self.fill_ends(fields[given : given + len(constants)])
+        first = 2 * self.packing.dimensions * self.packing.blocks
+        for row, constant in zip(fields[first:], constants, strict=False):
+            row[PAD:-PAD] = constant
+            if self.boundary != "fixed":  # the neighbours beyond the ends
+                row[PAD - 1], row[-PAD] = constant[[-1, 0] if self.boundary == "ring" else [0, -1]]
         sums = np.zeros((max(1, program.sums), -(-sites // CHUNK)))
-        found = {"w": w, "shape": shape.astype(np.int64), "fields": fields, "sums": sums}
-        return found | {"kept": np.zeros(given), "scalars": np.zeros(1)}
+        whole = {"shape": shape.astype(np.int64), "sync": np.zeros(1, dtype=np.int64)}
+        return {"w": w, "fields": fields, "sums": sums} | whole
 
-    def fill_ends(self, rows: np.ndarray) -> None:
-        """The neighbours beyond the ends."""
-        if self.boundary != "fixed":
-            low, high = (-PAD - 1, PAD) if self.boundary == "ring" else (PAD, -PAD - 1)
-            rows[:, PAD - 1], rows[:, -PAD] = rows[:, low], rows[:, high]
+    def paths(self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
+        """Packed states after each interval, (k, blocks, size), of a state and maybe its tangent, (blocks, size)."""
+        arrays, threads, out = (
+            self.arrays(scene, numbers, h, n),
+            threads_for(scene.sites),
+            np.empty((len(n), *y.shape)),
+        )
+        which = arrays["shape"][len(self.program.shape) :].copy()
+        data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
+        y = np.ascontiguousarray(y, dtype=float)
+        for row, after in zip(which, out, strict=True):
+            arrays["shape"][len(self.program.shape)], arrays["sync"][:] = row, 0
+            calls = [(after.ctypes.data, 0.0, y.ctypes.data, each.ctypes.data) for each in data]
+            if threads == 1:
+                self.run(*calls[0])
+            else:
+                with TOGETHER:
+                    waiting = [others(threads - 1).submit(self.run, *call) for call in calls[1:]]
+                    self.run(*calls[0])
+                    for each in waiting:
+                        each.result()
+            y = after
+        return out
 
-    def share(self, sites: int, scalars: np.ndarray, *arguments: Any) -> None:
-        """Run in as many threads as are worth it; each has scalars and a list of rows of its own, all equal."""
-        threads, sync, (*shared, kept) = threads_for(sites), np.zeros(1, dtype=np.int64), arguments
-        parts = [np.array([rank, threads]) for rank in range(threads)]
-        waiting = [
-            others(threads - 1).submit(self.run, scalars.copy(), *shared, kept.copy(), part, sync)
-            for part in parts[1:]
-        ]
-        self.run(scalars, *shared, kept, parts[0], sync)
-        for each in waiting:
-            each.result()
+
+_loops: Cache[FieldLoop] = Cache(256)
 
 
-def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
+def loop_of(method: Any, scene: Any, carry: tuple[str, ...], blocks: int = 1) -> FieldLoop:
     """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
     require_compiler()
-
-    def make() -> FieldLoop:
-        elapsed = stopwatch()
-        program = field_program(method, scene, carry, tangent)
-        return FieldLoop(program, scene.boundary, elapsed())
-
+    packing = Packing(scene.dimensions, "s" in carry, blocks)
     known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
-    return _loops.get(key(known, carry, tangent), make)
+    return _loops.get(key(known, packing), lambda: FieldLoop(method.advance, scene, packing))
+
+
+def slopes_of(scene: Many, carry: tuple[str, ...]) -> FieldLoop:
+    """The right-hand side."""
+    packing = Packing(scene.dimensions, "s" in carry)
+    known = scene.equations if scene.identity is not None else None
+    return _loops.get(
+        key(known, packing), lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing)
+    )
 
 
 class SweepLoop(FixedStepRun):
@@ -177,16 +165,16 @@ class SweepLoop(FixedStepRun):
 
     def __post_init__(self) -> None:
         self.loop = loop_of(self.method_, self.request.scene, self.request.carry)
-        self.loop.run  # noqa: B018, compiled now
+        self.loop.compiled  # noqa: B018, now
         self.compile_s = self.loop.seconds
         super().__post_init__()
 
     @cached_property
     def tangent_loop(self) -> FieldLoop:  # type: ignore[override]
-        return loop_of(self.method_, self.request.scene, self.request.carry, tangent=True)
+        return loop_of(self.method_, self.request.scene, self.request.carry, blocks=2)
 
     def paths(self, loop: FieldLoop, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        return loop.paths(self.request.scene, self.request.carry, self.numbers, y, h, n)
+        return loop.paths(self.request.scene, self.numbers, y, h, n)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         return self.paths(self.loop, y0[None], h, n)[:, 0]

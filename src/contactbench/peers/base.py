@@ -66,7 +66,8 @@ class Peer(Adaptive):
 
     def refuses(self, scene: Scene) -> str | None:
         if scene.kind == "many" and self.most and scene.motion > self.most:
-            return f"{self.name} {self.reason}: scene {scene.name!r} has {scene.motion} components, more than {self.most}"
+            size = f"scene {scene.name!r} has {scene.motion} components, more than {self.most}"
+            return f"{self.name} {self.reason}: {size}"
         if self.package and importlib.util.find_spec(self.package) is None:
             return f"{self.package} is not installed (pip install contactbench[bench])"
         return None

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from inspect import Parameter, signature
+from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -17,9 +18,9 @@ from contactbench.errors import BadInput, array, excerpt, finite, function, whol
 from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total
-from contactbench.scene.algebra import State, Vector, cross, dot
+from contactbench.scene.algebra import State, Vector, cross, dot, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
-from contactbench.scene.mechanical import Mechanical
+from contactbench.scene.mechanical import Canonical, Mechanical
 from contactbench.trace.formula import Formula, formula
 
 #: sites at most: an array of so many numbers has 8 GB
@@ -38,7 +39,7 @@ def derivative(potential: Formula) -> Formula:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Many(Scene):
+class Many(Canonical):
     """What `Lattice` and `Particles` share: H = Σ ‖p_i‖²/2m_i + V(q) + γ s."""
 
     q: Any
@@ -53,6 +54,8 @@ class Many(Scene):
     state: ClassVar[Any] = State
     checks: ClassVar[dict[str, Check]] = {**Scene.checks, "gamma": finite, "parameters": named_numbers}
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
+    #: what is beyond the ends
+    boundary: ClassVar[str] = "fixed"
     #: the parameter that masses are given by
     weights: ClassVar[str] = "mass"
 
@@ -82,24 +85,24 @@ class Many(Scene):
         """Return the same scene component by component, for solvers that know no arrays."""
 
     def __post_init__(self) -> None:
+        wanted = f"one number > 0, or {self.sites}"
+        masses = array(self.weights, self.weight, wanted)
+        if masses.shape not in ((), (self.sites,)):
+            raise BadInput(f"{self.weights} has shape {masses.shape}: must be {wanted}")
+        with np.errstate(divide="ignore", over="ignore"):
+            inverse = 1 / masses
+        if not (np.isfinite(masses) & np.isfinite(inverse) & (masses > 0)).all():
+            least = float(masses.min())
+            raise BadInput(
+                f"{self.weights}: must be > 0 and finite, and so 1/{self.weights}; the least is {least!r}"
+            )
+        self._fix("uniform", masses.ndim == 0)
+        for name, numbers in ((self.weights, masses), ("inverse_mass", inverse)):
+            self._fix(name, float(numbers) if self.uniform else frozen(numbers))
         super().__post_init__()
         self._fix("_given", {name: given for name in ("q", "p") if callable(given := getattr(self, name))})
         for name in ("q", "p"):
             self._fix(name, self._field(name, getattr(self, name)))
-        masses = array(self.weights, self.weight, f"one number > 0, or {self.sites}")
-        if masses.shape not in ((), (self.sites,)):
-            raise BadInput(
-                f"{self.weights} has shape {masses.shape}: must be one number > 0, or {self.sites}"
-            )
-        with np.errstate(divide="ignore", over="ignore"):
-            inverse = 1 / masses
-        if not (np.isfinite(masses) & np.isfinite(inverse) & (masses > 0)).all():
-            raise BadInput(
-                f"{self.weights}: must be > 0 and finite, and so 1/{self.weights}; the least is {masses.min()!r}"
-            )
-        self._fix("uniform", masses.ndim == 0)
-        self._fix(self.weights, float(masses) if self.uniform else frozen(masses))
-        self._fix("inverse_mass", float(inverse) if self.uniform else frozen(inverse))
         with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
             x = self.initial(())
             start = np.array([*np.ravel(self.gradient_at(x)), self.potential_at(x)])
@@ -158,7 +161,7 @@ class Many(Scene):
         block = block.reshape(self.sites, self.dimensions, *block.shape[1:])
         return tuple(block[:, j] for j in range(self.dimensions))
 
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
+    def unpack(self, y: Any, carry: Sequence[str]) -> State:
         """Return a packed state, its components along the first axis, as a state of arrays."""
         block: Any = y if hasattr(y, "reshape") else np.array(y)
         half = self.motion // 2
@@ -189,9 +192,9 @@ class Many(Scene):
     def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("gamma", self.weights) if self.uniform else ("gamma",)
 
-    def with_numbers(self, numbers: Sequence[Any]) -> Self:
-        twin = super().with_numbers(numbers)
-        return twin._replaced(inverse_mass=1 / twin.weight) if self.uniform else twin
+    @property
+    def reciprocals(self) -> dict[str, str]:  # type: ignore[override]
+        return {self.weights: "inverse_mass"} if self.uniform else {}
 
     @property
     def structure(self) -> tuple[Any, ...]:
@@ -208,11 +211,10 @@ class Many(Scene):
         """Return the parameters that one of the scalar functions takes."""
         given = getattr(self, name)
         if isinstance(given, Formula):
-            return {key: self.parameters[key] for key in given.names}
-        taken = signature(given).parameters
-        if any(p.kind is Parameter.VAR_KEYWORD for p in taken.values()):
-            return dict(self.parameters)
-        return {key: value for key, value in self.parameters.items() if key in taken}
+            return given.taken(self.parameters)
+        accepted = signature(given).parameters
+        every = any(p.kind is Parameter.VAR_KEYWORD for p in accepted.values())
+        return {key: value for key, value in self.parameters.items() if every or key in accepted}
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Return what one of the scalar functions gives."""
@@ -243,80 +245,22 @@ class Many(Scene):
 
     # -- physics -------------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
-        """Return T(p) = Σ ‖p_i‖²/2m_i."""
-        square = p[0] * p[0]
-        for c in p[1:]:
-            square = square + c * c
         if self.uniform:
-            return total(square) * self.inverse_mass / 2
-        return total(square * like(self.inverse_mass, square)) / 2
+            return self.product(p, p) * self.inverse_mass / 2
+        return self.product(p, self.velocity(p)) / 2
 
-    @abstractmethod
-    def potential_at(self, x: State) -> Any:
-        """Return V at a state."""
+    def velocity(self, p: Vector) -> Vector:
+        return scaled(like(self.inverse_mass, p[0]), p)
 
-    @abstractmethod
-    def gradient_at(self, x: State) -> Vector:
-        """Return ∇V at a state, field by field."""
+    def product(self, a: Vector, b: Vector) -> Any:
+        """Return a·b, also of one vector with each of many."""
+        return total(dot([like(x, y) for x, y in zip(a, b, strict=True)], b))
 
-    def energy(self, x: State) -> Any:
-        """Return H0 = T + V."""
-        return self.kinetic(x.p) + self.potential_at(x)
-
-    @property
-    def nonlinear_damping(self) -> bool:
-        return False
-
-    def dissipation(self, s: Any) -> Any:
-        """Return Γ(s) = γ s."""
-        return self.gamma * s
-
-    def dissipation_rate(self, s: Any) -> Any:
-        return self.gamma
-
-    def hamiltonian(self, x: State) -> Any:
-        """Return H = H0 + γ s; needs s."""
-        return self.energy(x) + self.dissipation(x.s)
-
-    def rhs(self, x: State) -> State:
-        velocity = tuple(p * like(self.inverse_mass, p) for p in x.p)
-        force = tuple(-g - self.gamma * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
-        if x.s is None:
-            return State(velocity, force)
-        return State(velocity, force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s))
-
-    @property
-    def has_jacobian(self) -> bool:
-        return False
+    #: derivatives are by differences or dual numbers
+    has_jacobian = False
 
     def jacobian(self, x: State) -> None:
-        return None
-
-    @property
-    def may_gain_energy(self) -> bool:
-        return self.gamma <= 0
-
-    @property
-    def bounds_energy(self) -> bool:
-        return self.gamma >= 0
-
-    def energy_terms(self, x: State) -> Any:
-        """Return T + |V|."""
-        return self.kinetic(x.p) + abs(self.potential_at(x))
-
-    def hamiltonian_terms(self, x: State) -> Any:
-        """Return |T| + |V + Γ|."""
-        return self.kinetic(x.p) + abs(self.potential_at(x) + self.dissipation(x.s))
-
-    def contact_form(self, x: State, dx: State) -> Any:
-        """Return η(dx) = ds − p·dq at x."""
-        products = [like(p, dq) * dq for p, dq in zip(x.p, dx.q, strict=True)]
-        return dx.s - sum(total(product) for product in products)
-
-    def contact_terms(self, x: State, dx: State) -> Any:
-        """Return |ds| + ‖p‖‖dq‖."""
-        sizes = [sum(total(c * c) for c in part) ** 0.5 for part in (x.p, dx.q)]
-        return abs(dx.s) + sizes[0] * sizes[1]
+        """Return None."""
 
     def tangents(self, x: State) -> list[State]:
         """Return the coordinate basis of the tangent space; of a large one a few unit vectors at random."""
@@ -326,10 +270,6 @@ class Many(Scene):
             return [self.unpack(row, carry) for row in np.eye(size)]
         some = np.random.default_rng(SEED).normal(size=(SOME_TANGENTS, size))
         return [self.unpack(row / np.linalg.norm(row), carry) for row in some]
-
-    @property
-    def conformal_rate(self) -> Any:
-        return self.gamma
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -361,7 +301,7 @@ class Lattice(Many):
     """
 
     n: int
-    boundary: str = "ring"
+    boundary: str = "ring"  # type: ignore[misc]
     onsite: Callable[..., Any] | None = None
     bond: Callable[..., Any] | None = None
     mass: Any = 1.0
@@ -443,7 +383,7 @@ class Lattice(Many):
         return (force + (before - after) if self.onsite is not None else before - after,)
 
     @property
-    def has_momentum_law(self) -> bool:
+    def has_momentum_law(self) -> bool:  # type: ignore[override]
         """ΣP decays as e^{−γt} where nothing holds the chain."""
         return self.onsite is None and self.boundary != "fixed"
 
@@ -472,12 +412,12 @@ class Chain:
         V: Any = 0.0
         if self.onsite is not None:
             for c in q:
-                V = V + self.onsite(c, **taken(self.onsite, parameters))
+                V = V + self.onsite(c, **self.onsite.taken(parameters))
         if self.bond is None:
             return V
         ends = {"ring": (*q, q[0]), "fixed": (0.0, *q, 0.0), "free": q}[self.boundary]
-        for a, b in zip(ends, ends[1:], strict=False):
-            V = V + self.bond(b - a, **taken(self.bond, parameters))
+        for a, b in pairwise(ends):
+            V = V + self.bond(b - a, **self.bond.taken(parameters))
         return V
 
 
@@ -508,8 +448,6 @@ class Particles(Many):
 
     masses: Any
     dimensions: int = 3  # type: ignore[assignment]
-    #: there are no neighbours
-    boundary: ClassVar[str] = "fixed"
     pair: Callable[..., Any]
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
@@ -549,9 +487,7 @@ class Particles(Many):
 
         return pairs(force, x.q, self.masses)
 
-    @property
-    def has_momentum_law(self) -> bool:
-        return True
+    has_momentum_law = True
 
     def momentum(self, x: State) -> Vector:
         """Return the angular momentum (one component in the plane, three in space); on a line ΣP."""
@@ -584,7 +520,7 @@ class Bodies:
         for i, a in enumerate(self.masses):
             for j, b in enumerate(self.masses[:i]):
                 apart = tuple(q[d * i + k] - q[d * j + k] for k in range(d))
-                V = V + self.pair(dot(apart, apart), a, b, **taken(self.pair, parameters))
+                V = V + self.pair(dot(apart, apart), a, b, **self.pair.taken(parameters))
         return V
 
 
@@ -605,11 +541,6 @@ def unrolled(scene: Many, potential: Callable[..., Any]) -> Mechanical:
         t_end=scene.t_end,
         about=scene.about,
     )
-
-
-def taken(function: Formula, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those parameters that a formula takes."""
-    return {name: parameters[name] for name in function.names}
 
 
 def like(f: Any, other: Any) -> Any:

@@ -33,8 +33,87 @@ def masses(name: str, value: Any) -> Any:
     return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
 
 
+class Canonical(Scene):
+    """What all scenes with H = T(p) + V(q) + γ s + ½ κ s² share, however their components are kept."""
+
+    #: T(p), and V and ∇V at a state
+    kinetic: Callable[[Vector], Any]
+    potential_at: Callable[[Any], Any]
+    gradient_at: Callable[[Any], Vector]
+    gamma: Any
+    inverse_mass: Any
+    kappa: Any = 0.0
+    kappa_sign: int = 0
+
+    def velocity(self, p: Vector) -> Vector:
+        """Return p/m."""
+        return scaled(self.inverse_mass, p)
+
+    def product(self, a: Vector, b: Vector) -> Any:
+        """Return a·b."""
+        return dot(a, b)
+
+    def damping_at(self, x: Any) -> Any:
+        return self.gamma
+
+    @property
+    def nonlinear_damping(self) -> bool:
+        return self.kappa_sign != 0
+
+    def energy(self, x: State) -> Any:
+        return self.kinetic(x.p) + self.potential_at(x)
+
+    def dissipation(self, s: Any) -> Any:
+        linear = self.gamma * s
+        return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
+
+    def dissipation_rate(self, s: Any) -> Any:
+        return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
+
+    def hamiltonian(self, x: State) -> Any:
+        return self.energy(x) + self.dissipation(x.s)
+
+    def rhs(self, x: State) -> State:
+        rate = self.dissipation_rate(x.s)
+        force = tuple(-g - rate * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
+        if x.s is None:
+            return State(self.velocity(x.p), force)
+        return State(
+            self.velocity(x.p), force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
+        )
+
+    @property
+    def rate_changes(self) -> bool:  # type: ignore[override]
+        return self.nonlinear_damping
+
+    @property
+    def may_gain_energy(self) -> bool:  # type: ignore[override]
+        return self.nonlinear_damping or self.gamma <= 0
+
+    @property
+    def bounds_energy(self) -> bool:
+        return not self.nonlinear_damping and self.gamma >= 0
+
+    def energy_terms(self, x: State) -> Any:
+        return self.kinetic(x.p) + abs(self.potential_at(x))
+
+    def contact_form(self, x: State, dx: State) -> Any:
+        return dx.s - self.product(x.p, dx.q)
+
+    def contact_terms(self, x: State, dx: State) -> Any:
+        return abs(dx.s) + self.product(x.p, x.p) ** 0.5 * self.product(dx.q, dx.q) ** 0.5
+
+    def hamiltonian_terms(self, x: State) -> Any:
+        kinetic = self.kinetic(x.p)
+        return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
+
+    @property
+    def conformal_rate(self) -> Any:
+        return None if self.nonlinear_damping else self.gamma
+
+
 @dataclass(frozen=True, kw_only=True)
-class Mechanical(Scene):
+class Mechanical(Canonical):
     """H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
 
     The functions may read globals or attributes: every solve, run and reference is of what they compute when it
@@ -125,10 +204,6 @@ class Mechanical(Scene):
         return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
 
     @property
-    def nonlinear_damping(self) -> bool:
-        return self.kappa_sign != 0
-
-    @property
     def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return (self.kappa_sign,)
 
@@ -171,30 +246,6 @@ class Mechanical(Scene):
     def gradient_at(self, x: Any) -> Vector:
         return self.dV(x.q)
 
-    def damping_at(self, x: Any) -> Any:
-        return self.gamma
-
-    def energy(self, x: State) -> Any:
-        return self.kinetic(x.p) + self.potential_at(x)
-
-    def dissipation(self, s: Any) -> Any:
-        linear = self.gamma * s
-        return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
-
-    def dissipation_rate(self, s: Any) -> Any:
-        return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
-
-    def hamiltonian(self, x: State) -> Any:
-        return self.energy(x) + self.dissipation(x.s)
-
-    def rhs(self, x: State) -> State:
-        rate = self.dissipation_rate(x.s)
-        velocity = scaled(self.inverse_mass, x.p)
-        force = tuple(-g - rate * p for g, p in zip(self.dV(x.q), x.p, strict=True))
-        if x.s is None:
-            return State(velocity, force)
-        return State(velocity, force, self.kinetic(x.p) - self.V(x.q) - self.dissipation(x.s))
-
     @property
     def has_jacobian(self) -> bool:  # type: ignore[override]
         return self.hessian is not None
@@ -231,37 +282,8 @@ class Mechanical(Scene):
     def has_torque(self) -> bool:  # type: ignore[override]
         return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
-    @property
-    def rate_changes(self) -> bool:  # type: ignore[override]
-        return self.nonlinear_damping
-
-    @property
-    def may_gain_energy(self) -> bool:  # type: ignore[override]
-        return self.nonlinear_damping or self.gamma <= 0
-
-    @property
-    def bounds_energy(self) -> bool:
-        return not self.nonlinear_damping and self.gamma >= 0
-
-    def energy_terms(self, x: State) -> Any:
-        return self.kinetic(x.p) + abs(self.potential_at(x))
-
-    def contact_form(self, x: State, dx: State) -> Any:
-        return dx.s - dot(x.p, dx.q)
-
-    def contact_terms(self, x: State, dx: State) -> Any:
-        return abs(dx.s) + norm(x.p) * norm(dx.q)
-
-    def hamiltonian_terms(self, x: State) -> Any:
-        kinetic = self.kinetic(x.p)
-        return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
-
     def momentum_terms(self, x: State) -> Any:
         return norm(x.q) * norm(x.p)
-
-    @property
-    def conformal_rate(self) -> Any:
-        return None if self.nonlinear_damping else self.gamma
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.dual import Dual, leaves, rebuild, slope, value
-
+from contactbench.numbers.dual import Dual, leaves, rebuild, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import parts
-from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, text
+from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Update, text
 from contactbench.trace.program import ProgramTape, RecordedArrays, setup
 from contactbench.trace.recording import Block, Recorded, attempt
 
@@ -87,7 +86,8 @@ class Field(Recorded):
 class FieldTape(ProgramTape):
     def __init__(self) -> None:
         super().__init__()
-        self.main = self.block = Owner(self.root)
+        self.main: Any = Owner(self.root)
+        self.block = self.main
         #: at which level of which epoch of its owner a scalar is known
         self.known_at: dict[str, tuple[Owner, int, int]] = {}
         #: where each row is read: the owner of the sweep, its order, how many places off
@@ -142,7 +142,7 @@ class FieldTape(ProgramTape):
                 k = max(k, self.level(x.name, owner))
         return owner.level(k)[1]
 
-    def at_site(self, x: Any, sweep: Sweep, shift: int = 0) -> Operand:
+    def at_site(self, x: Any, sweep: Sweep, shift: int = 0) -> Any:
         """A number as an operand in a sweep."""
         if not isinstance(x, Field):
             return self.read(x, sweep)
@@ -218,7 +218,8 @@ class FieldTape(ProgramTape):
         return Recorded(self, sweep.sums[name], "f", sweep.owner)
 
     def repeat(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
-        outer, start = self.block, leaves(x)
+        outer: Any = self.block
+        start = leaves(x)
         times = n if isinstance(n, Recorded) else self.size(("times", n), lambda: n)
         inner = Owner(outer)
         carried: list[Any] = []
@@ -295,7 +296,10 @@ def exchange(a: str, b: str) -> list[tuple[str, Operand]]:
 
 
 class FieldProgram(NamedTuple):
-    """As `Program`.  rows : how many rows it needs; those given come first.  sums : how many one sweep has at most."""
+    """As `Program`; the result of `run` is the rows of all fields, and the scalars.
+
+    rows : how many it needs; those given come first.  sums : how many one sweep has at most.
+    """
 
     setup: Function
     run: Function
@@ -367,17 +371,13 @@ def record_fields(
         *tape.whole.statements,
         Assign("u", Element("shape", (known,), kind="i")),
         *loads,
-        *(Assign(f"x{i}", Element("scalars", (i,))) for i in range(scalars)),
         Update(tuple(tape.reads), tuple(range(len(tape.reads)))),
         *main,
-        *(Store(Element("kept", (j,), kind="f"), row) for j, row in enumerate(kept)),
-        *(Store(Element("scalars", (i,)), v) for i, v in enumerate(values)),
     ]
-    arguments = ("scalars", "w", "shape", "fields", "sums", "kept", "part", "sync")
     data = np.array([value for column in tape.columns for value in column.data], dtype=float)
     return FieldProgram(
         once,
-        Function("run", arguments, tuple(body)),
+        Function("run", (), tuple(body), (tuple(kept), tuple(values))),
         data,
         np.array([number() for number in tape.shape], dtype=np.int64),
         len(tape.exported) + sum(len(c.data) * len(c.stored) for c in tape.columns),

@@ -47,7 +47,7 @@ def digest(scene: Scene) -> str:
     ]
     kind = type(scene)
     package = ".".join(kind.__module__.split(".")[:2])  # where it is imported from, not where it is written
-    definition = [
+    definition: list[Any] = [
         f"{package}.{kind.__qualname__}",
         functions,
         list(getattr(scene, "parameters", {})),
@@ -57,7 +57,7 @@ def digest(scene: Scene) -> str:
     if isinstance(scene, Many):
         definition += [
             scene.sites,
-            getattr(scene, "boundary", ""),
+            scene.boundary,
             *map(fingerprint, scene.constants.values()),
         ]
     return hashlib.sha256(json.dumps(definition).encode()).hexdigest()

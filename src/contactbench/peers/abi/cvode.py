@@ -50,7 +50,8 @@ SIGNATURES = {
     "ippdp": "CVodeInit",
     "ipdp": "CVodeReInit",
     "ipdd": "CVodeSStolerances",
-    "ipp": "CVodeSetNonlinearSolver CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails CVodeGetNumStepSolveFails",
+    "ipp": "CVodeSetNonlinearSolver CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails "
+    "CVodeGetNumStepSolveFails",
     "ippp": "CVodeSetLinearSolver",
     "ppip": "SUNNonlinSol_FixedPoint",
     "ppiip": "SUNLinSol_SPGMR",
