@@ -37,6 +37,7 @@ from contactbench.numbers.control import XlaNumbers, choose
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Mechanical, Scene, Vector, scaled
+from contactbench.scene.mechanical import derived_hessian
 from contactbench.scene.cache import Cache, key
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
@@ -44,6 +45,7 @@ from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Element, Function, Operation, Store
+from contactbench.trace.formula import Formula
 from contactbench.trace.python import execute
 from contactbench.trace.recording import RecordedNumbers, Tape, attempt, operand_of
 from contactbench.xla import jnp, lax
@@ -58,8 +60,12 @@ SLOWEST = 0.25
 # -- the step density --------------------------------------------------------------------------------
 def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
     """‖M^{-1/2} ∇²V M^{-1/2}‖²_F at q and its rate of change along v, less 1/m² where there is one mass."""
-    if scene.hessian is not None:
-        rows = scene.hessian(tuple(map(Dual, q, v)), **scene.parameters)
+    hessian = scene.hessian
+    if hessian is None and isinstance(scene.gradient, Formula):
+        with suppress(CannotRecord):  # of many components most entries are often zero
+            hessian = derived_hessian(scene.gradient)
+    if hessian is not None:
+        rows = hessian(tuple(map(Dual, q, v)), **scene.parameters)
         entries = [entry for row in rows for entry in row]
     else:
         moving, entries = tuple(map(Dual, q, v)), []

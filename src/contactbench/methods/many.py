@@ -24,6 +24,7 @@ from contactbench.scene.many import Many
 from contactbench.trace.compiled import require_compiler
 from contactbench.trace.fields import FieldProgram, record_fields
 from contactbench.trace.sweeps import ADDRESSES, CHUNK, FIRST, PAD, WHOLE, Packing, compile_sweeps
+from contactbench.xla import jax, lax
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
@@ -206,4 +207,47 @@ class ArrayLoop(SweepLoop):
         return out
 
 
-MANY_RUNS: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": JaxLoop, "python": ArrayLoop}
+class MeshLoop(JaxLoop):
+    """The compiled steps; many sites are divided among all devices, of all processes, where they do so evenly.
+
+    A single process on a CPU divides them where threads would, for which it has a device each.
+    """
+
+    @cached_property
+    def mesh(self) -> Any:
+        from jax.sharding import Mesh
+
+        devices, sites = jax.devices(), self.request.scene.sites  # type: ignore[attr-defined]
+        even = sites >= SHARED and len(devices) > 1 and sites % len(devices) == 0
+        alone = jax.process_count() == 1 and devices[0].platform == "cpu" and threads_for(sites) == 1
+        return Mesh(np.array(devices), ("sites",)) if even and not alone else None
+
+    def along(self, *axes: str) -> Any:
+        from jax.sharding import NamedSharding, PartitionSpec
+
+        return self.mesh and NamedSharding(self.mesh, PartitionSpec(*axes))
+
+    @cached_property
+    def everywhere(self) -> Any:  # type: ignore[override]
+        return self.along()
+
+    def key(self) -> tuple[Any, ...]:
+        return (*super().key(), self.mesh)
+
+    def call(self, y0: np.ndarray, fixed: Any = None) -> np.ndarray:
+        given = (y0 if y0 is self.start or self.mesh is None else jax.device_put(y0, self.everywhere)), fixed
+        return super().call(*given)
+
+    def start_of(self, scene: Any, y0: Any) -> Any:
+        x, divided = super().start_of(scene, y0), self.along("sites")
+        if self.mesh is None:
+            return x
+        q, p = (tuple(lax.with_sharding_constraint(c, divided) for c in part) for part in (x.q, x.p))
+        return x._replace(q=q, p=p)
+
+    def states(self, y0: Any, fixed: Any) -> Any:
+        y = super().states(y0, fixed)
+        return y if self.mesh is None else lax.with_sharding_constraint(y, self.everywhere)
+
+
+MANY_RUNS: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": MeshLoop, "python": ArrayLoop}

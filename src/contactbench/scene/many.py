@@ -115,7 +115,7 @@ class Many(Canonical):
         if callable(given):
             index = np.arange(self.sites)
             number = (self.sites,) if len(signature(given).parameters) > 1 else ()
-            with their_code(f"scene {self.name!r}"):
+            with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
                 try:
                     values = np.asarray(given(index, *number), dtype=float)
                 except (TypeError, ValueError):  # of one index at a time
