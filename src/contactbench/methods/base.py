@@ -94,6 +94,8 @@ class Method(ABC):
     takes_atol: bool = True
     #: what rtol and atol bound
     tolerance: str
+    #: components at most that it compiles one by one: that takes some ten seconds
+    largest: int = 256
     #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
     own_time: bool = False
 

@@ -37,8 +37,8 @@ from contactbench.numbers.control import XlaNumbers, choose
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Mechanical, Scene, Vector, scaled
-from contactbench.scene.mechanical import derived_hessian
 from contactbench.scene.cache import Cache, key
+from contactbench.scene.mechanical import derived_hessian
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
@@ -75,6 +75,8 @@ def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
     total, over_m = Dual(0.0, 0.0), scene.inverse_mass
     weights = [a * b for a in over_m for b in over_m] if isinstance(over_m, tuple) else [1.0] * len(entries)
     for entry, weight in zip(entries, weights, strict=True):
+        if isinstance(entry, float) and not entry:
+            continue
         total = total + entry * entry * weight
     return Dual(value(total), slope(total))
 
@@ -387,6 +389,7 @@ class AdaptiveContactMethod(Adaptive):
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
     engines: tuple[str, ...] = tuple(RUNS)
     evaluations_per_step: int = 12
+    largest: int = 64
     takes_atol: bool = False
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 

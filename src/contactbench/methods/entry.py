@@ -15,7 +15,7 @@ from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.prepared import Prepared, Refused, Request, require_slope
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene, verify
+from contactbench.scene import Mechanical, Scene, verify
 from contactbench.scene.definition import verify_at
 from contactbench.scenes import scene_of
 from contactbench.solution import Solution
@@ -122,13 +122,22 @@ def make_request(
         raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
-    if (why := chosen.refuses(scene)) is not None:
+    if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
         return Refused(chosen.name, request, why)
     verify(scene)
     require_slope(scene, scene.initial(request.carry))
     if isinstance(chosen, FixedStep):
         chosen.try_step(scene, request.carry, step)
     return request
+
+
+def too_large(chosen: Method, request: Request) -> str | None:
+    """Why a scene has too many components to be compiled one by one, or None."""
+    scene, most = request.scene, chosen.largest
+    if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
+        return None
+    size = f"the {len(scene.q)} components of scene {scene.name!r}, more than {most}"
+    return f"{chosen.name} would compile {size}, one by one: write it as a cb.Lattice or cb.Particles, of any size"
 
 
 def setting_of(

@@ -59,6 +59,7 @@ class Peer(Adaptive):
     implicit: bool = False
     takes_atol: bool = True
     costs: Mapping[str, float] = field(default_factory=dict)
+    largest: int = Adaptive.largest
     #: components of a scene of many sites at most, and why no more
     most: int = 0
     reason: str = "has a dense Jacobian"

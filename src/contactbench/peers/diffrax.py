@@ -164,6 +164,7 @@ for _solver, _order, _stages, _implicit, _about in (
             # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
             costs={"jax": 2} if _implicit else {},
             most=1024 if _implicit else 0,
+            largest=64,
         )
     )
 
