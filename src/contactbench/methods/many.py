@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+import os
+from contextlib import nullcontext, suppress
 from functools import cache, cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from contactbench.trace.sweeps import CHUNK, PAD, compile_sweeps
 
 #: sites from which on all cores share a sweep
 SHARED = 50_000
+#: held by the run whose threads wait for one another: those of two runs would wait for ever
+TOGETHER = Lock()
 
 def slopes_program(scene: Any, carry: tuple[str, ...]) -> FieldProgram:
     """The recorded right-hand side."""
@@ -64,9 +67,14 @@ def field_program(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool
 
 
 @cache
-def others(count: int) -> ThreadPoolExecutor:
+def others(count: int) -> Any:
     """Threads beside this one."""
+    from concurrent.futures import ThreadPoolExecutor
+
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
+
+
+os.register_at_fork(after_in_child=others.cache_clear)
 
 
 def threads_for(sites: int) -> int:
@@ -145,13 +153,14 @@ class FieldLoop(Loop):
         """Run in as many threads as are worth it; each has scalars and a list of rows of its own, all equal."""
         threads, sync, (*shared, kept) = threads_for(sites), np.zeros(1, dtype=np.int64), arguments
         parts = [np.array([rank, threads]) for rank in range(threads)]
-        waiting = [
-            others(threads - 1).submit(self.run, scalars.copy(), *shared, kept.copy(), part, sync)
-            for part in parts[1:]
-        ]
-        self.run(scalars, *shared, kept, parts[0], sync)
-        for each in waiting:
-            each.result()
+        with TOGETHER if threads > 1 else nullcontext():
+            waiting = [
+                others(threads - 1).submit(self.run, scalars.copy(), *shared, kept.copy(), part, sync)
+                for part in parts[1:]
+            ]
+            self.run(scalars, *shared, kept, parts[0], sync)
+            for each in waiting:
+                each.result()
 
 
 def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
