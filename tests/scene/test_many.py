@@ -28,6 +28,10 @@ def particles(**changes):
     return lambda: bodies(3, 2, **changes)
 
 
+def ensemble(q):
+    return lambda: cb.ensemble(chain(4), "rk4", {"q": q}, step=0.5)
+
+
 #: a call, and a part of its refusal
 CALLS = [
     # how many, and where
@@ -36,7 +40,7 @@ CALLS = [
     (lambda: chain(4).with_(n=2.5), "n = 2.5: must be a whole number"),
     (lambda: chain(4).with_(n="a"), "n = 'a': must be a finite number"),
     (lambda: chain(4).with_(n=8), "q has shape (4,): must be 8 numbers, or a function of the index"),
-    (lambda: chain(4, mass=masses(4), q=np.sin, p=np.cos).with_(n=8), "mass has shape (4,): must be one number"),
+    (lambda: chain(4, mass=masses(4), q=np.sin, p=np.cos).with_(n=8), "mass has shape (4,): must be"),
     (lattice(boundary="periodic"), "boundary = 'periodic': must be one of ring, fixed, free"),
     (particles(masses=(1.0,)), "masses = (1.0,): must be 2 numbers or more"),
     (particles(masses=3), "masses = 3: must be 2 numbers or more"),
@@ -78,13 +82,13 @@ CALLS = [
     (lattice(bond=lambda r, k: k), "bond: must be one number that depends on its arguments"),
     (lattice(bond=lambda r, k: (r, k)), "bond: must be one number"),
     (lattice(bond=lambda r, k: "x"), "its bond cannot be recorded"),
-    (lattice(onsite=lambda q: cb.math.log(q - 9)), "the force or the potential of scene 'chain' is not finite"),
+    (lattice(onsite=lambda q: cb.math.log(q - 9)), "potential of scene 'chain' is not finite at the start"),
     (particles(pair=lambda r2: r2), "takes 1 positional argument but 3 were given"),
     (particles(pair=None), "pair = None: must be a function"),
     # what is done with them
     (lambda: cb.solve(chain(4), "rk4", step=0.1, carry=("R",)), "can carry s"),
-    (lambda: cb.ensemble(chain(4), "rk4", {"q": np.ones((3, 2))}, step=0.5), "q has shape (3, 2): must be (4,) or (4, n)"),
-    (lambda: cb.ensemble(chain(4), "rk4", {"q": "x"}, step=0.5), "q = 'x': must be 4 numbers, or 4 × n of them"),
+    (ensemble(np.ones((3, 2))), "q has shape (3, 2): must be (4,) or (4, n)"),
+    (ensemble("x"), "q = 'x': must be 4 numbers, or 4 × n of them"),
 ]
 
 
@@ -97,7 +101,14 @@ def test_a_call_is_refused_in_one_line(call, says):
 # -- what is taken -------------------------------------------------------------------------------------
 def test_data_are_arrays_or_functions_of_the_index():
     index = np.arange(6)
-    given = [0.1 * index, (0.1 * index)[:, None], lambda i: 0.1 * i, lambda i, n: 0.6 * i / n, lambda i: 0.1 * float(i), lambda i, a=0.1: a * i]
+    given = [
+        0.1 * index,
+        (0.1 * index)[:, None],
+        lambda i: 0.1 * i,
+        lambda i, n: 0.6 * i / n,
+        lambda i: 0.1 * float(i),
+        lambda i, a=0.1: a * i,
+    ]
     for q in given:
         np.testing.assert_allclose(chain(6, q=q, p=np.zeros(6)).q, 0.1 * index, rtol=1e-15)
     rows = bodies(3, 2, q=lambda i: (i, -i), p=np.zeros((3, 2)))
@@ -140,7 +151,9 @@ def test_it_equals_what_has_the_same_values():
     assert scene != cb.SCENES["particle"]
 
 
-@pytest.mark.parametrize("scene", [FPUT, chain(4, bond=lambda r, k: k * r * r, q=lambda i: 0.1 * i), bodies(3, 2)])
+@pytest.mark.parametrize(
+    "scene", [FPUT, chain(4, bond=lambda r, k: k * r * r, q=lambda i: 0.1 * i), bodies(3, 2)]
+)
 def test_it_is_pickled_with_its_functions(scene):
     twin = pickle.loads(pickle.dumps(scene))
     assert twin.q.tolist() == scene.q.tolist()
@@ -193,11 +206,11 @@ cb.SCENES.add(cb.Lattice(
 
 
 def test_command_line_solves_and_prints_json(capsys):
-    assert main("solve fput contact-rkn6 --step 0.1 --json".split()) == 0
+    assert main(["solve", "fput", "contact-rkn6", "--step", "0.1", "--json"]) == 0
     out = json.loads(capsys.readouterr().out)
     assert len(out["state"]) == 129
     assert out["J"][0] == pytest.approx(64 * 0.3 * math.exp(-1e-3 * 20), rel=1e-12)
-    assert main("solve fput rk4 --step 0.1 --set n=1".split()) == 2
+    assert main(["solve", "fput", "rk4", "--step", "0.1", "--set", "n=1"]) == 2
     assert "n = 1: must be a whole number ≥ 2" in capsys.readouterr().err
 
 
@@ -205,7 +218,11 @@ def test_command_line_takes_one_from_a_plug_in(capsys, tmp_path, registries):
     path = tmp_path / "mine.py"
     path.write_text(PLUGIN)
     assert main(["check", "mine", "--plugin", str(path)]) == 0
-    for line in ("solve mine contact-strang --step 0.1 --laws", "solve mine cvode-adams --rtol 1e-8 --set k=3", "list"):
+    for line in (
+        "solve mine contact-strang --step 0.1 --laws",
+        "solve mine cvode-adams --rtol 1e-8 --set k=3",
+        "list",
+    ):
         capsys.readouterr()
         assert main([*line.split(), "--plugin", str(path)]) == 0
         out = capsys.readouterr().out

@@ -40,7 +40,9 @@ def test_the_modes_of_a_ring_are_its_motion(change):
     assert found.source == "closed form"
     assert digits(found.y, true.y) > found.digits
     for carry in ((), ("s",)):
-        np.testing.assert_array_equal(cb.reference(ring, TIMES, carry).y, found.y[:, : 2 * ring.n + len(carry)])
+        np.testing.assert_array_equal(
+            cb.reference(ring, TIMES, carry).y, found.y[:, : 2 * ring.n + len(carry)]
+        )
 
 
 def test_the_closed_form_takes_any_number_of_sites():

@@ -104,17 +104,25 @@ def results(
 
 # -- by the loop numba compiles, a thread on every core ------------------------------------------------
 def on_cores(
-    run: FixedStepRun, loop: Any, names: Sequence[str], y0: np.ndarray, cores: int, chunk: int, own: Own | None = None
+    run: FixedStepRun,
+    loop: Any,
+    names: Sequence[str],
+    y0: np.ndarray,
+    cores: int,
+    chunk: int,
+    own: Own | None = None,
 ) -> Iterator[Result]:
     """Yield the results of one chunk after the other.
 
     No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
     and a few are always begun ahead of the one that is asked for.
     """
-    numbers, own = np.array(run.request.scene.numbers()), own or {}
-    if run.request.scene.kind == "many":
+    scene: Any = run.request.scene
+    numbers, own = np.array(scene.numbers()), own or {}
+    work: Any
+    if scene.kind == "many":
         chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
-        cores = cores if run.request.scene.sites < SHARED else 1
+        cores = cores if scene.sites < SHARED else 1
         work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
     else:
         many = compile_function(loop.program.many, LANES)

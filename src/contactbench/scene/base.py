@@ -121,7 +121,7 @@ class System(ABC):
         return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
 
     @abstractmethod
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
+    def unpack(self, y: Any, carry: Sequence[str]) -> Any:
         """Return a packed state as a NamedTuple of components."""
 
     def entries(self, y: Any) -> Any:
@@ -254,7 +254,7 @@ class System(ABC):
     def jacobian(self, x: Any) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
 
-    def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
+    def slopes(self, t: Any, y: Any, carry: Sequence[str]) -> Sequence[Any]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -411,9 +412,9 @@ class Lattice(Many):
         super()._check_functions()
         if self.bond is not None:
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
-                at_rest = self.call("bond", np.zeros(1)), self.slope("bond", np.zeros(1))
+                at_rest = self.call("bond", np.zeros(1)) + self.slope("bond", np.zeros(1))
             if not np.isfinite(at_rest).all():
-                raise BadInput(f"bond: must be finite at rest, r = 0, with its derivative")
+                raise BadInput("bond: must be finite at rest, r = 0, with its derivative")
 
     @property
     def sites(self) -> int:
@@ -503,7 +504,7 @@ class Chain:
         if self.bond is None:
             return V
         ends = {"ring": (*q, q[0]), "fixed": (0.0, *q, 0.0), "free": q}[self.boundary]
-        for a, b in zip(ends, ends[1:], strict=False):
+        for a, b in itertools.pairwise(ends):
             V = V + self.bond(b - a, **taken(self.bond, parameters))
         return V
 

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contactbench.numbers.control import Repeat
-from contactbench.numbers.dual import Dual, leaves, rebuild, slope, value
-
+from contactbench.numbers.dual import Dual, leaves, rebuild, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import parts
 from contactbench.trace.form import Assign, Element, Function, Loop, Operand, Operation, Store, Update, text
 from contactbench.trace.program import ProgramTape, RecordedArrays, setup
 from contactbench.trace.recording import Block, Recorded, attempt
+
 
 class Sites(NamedTuple):
     """A loop over the sites; stores : (row, value).  sums : (name, value), of all sites together."""

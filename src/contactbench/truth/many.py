@@ -25,7 +25,7 @@ TIGHTEST, COLUMNS = 1e-13, 12
 def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> tuple[np.ndarray, int]:
     """Return states (k, size) at increasing times, and how many digits of them two solvers agree on."""
     start = np.array(scene.pack(scene.initial(carry)))
-    found = []
+    found: list[Any] = []
     for solver in (by_dop853, by_extrapolation):
         watch = Stopwatch(scene, float(t[-1]), deadline)
 
