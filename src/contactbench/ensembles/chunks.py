@@ -133,8 +133,8 @@ def on_cores(
     try:
         for first in range(0, y0.shape[1], share):
             part = slice(first, first + share)
-            others = ({place: values[part] for place, values in own.items()},) if own else ()
-            ahead.append(threads.submit(work, y0[:, part], *others))
+            rest = ({place: values[part] for place, values in own.items()},) if own else ()
+            ahead.append(threads.submit(work, y0[:, part], *rest))
             if len(ahead) > AHEAD * cores:
                 yield ahead.popleft().result()
         while ahead:

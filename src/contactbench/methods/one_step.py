@@ -26,7 +26,8 @@ class OneStep:
     """``step(y, h, numbers=None, **parameters) -> y``: one step of size h from the packed state y.
 
     y : a tuple with an entry for each of `labels`; of a scene of many sites an array.  numbers : the scene's
-    parameters as a tuple in the order of `names`, by default its own; any of them can also be given by name, as in ``step(y, h, gamma=0.2)``.
+    parameters as a tuple in the order of `names`, by default its own; any of them can also be given by name, as in
+    ``step(y, h, gamma=0.2)``.
     All of it may be floats, NumPy arrays (entry by entry), or JAX values under ``jit``, ``vmap`` and ``grad``,
     for which ``jax_enable_x64`` must be set.  In a function compiled with ``numba.njit`` call it as
     ``step(y, h)`` or ``step(y, h, numbers)``, of floats.  A step map has no state and keeps none.

@@ -58,6 +58,8 @@ class Many(Scene):
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     #: the parameter that masses are given by
     weights: ClassVar[str] = "mass"
+    #: where the potentials are tried
+    probe: ClassVar[float]
 
     # -- what a kind of them says ----------------------------------------------------------------
     @property
@@ -185,7 +187,7 @@ class Many(Scene):
         block = block.reshape(self.sites, self.dimensions, *block.shape[1:])
         return tuple(block[:, j] for j in range(self.dimensions))
 
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
+    def unpack(self, y: Any, carry: Sequence[str]) -> State:
         """Return a packed state, its components along the first axis, as a state of arrays."""
         block: Any = y if hasattr(y, "reshape") else np.array(y)
         half = self.motion // 2
