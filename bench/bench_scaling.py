@@ -11,6 +11,7 @@ import math
 from dataclasses import replace
 from functools import cache
 
+import numba
 import numpy as np
 import pytest
 
@@ -105,6 +106,9 @@ def loop(scene, cores, chosen):
 def prepared(cell, chosen, exact):
     """The row of a cell without its times, and what is to be timed, if it ends well."""
     name, method, engine, n, cores = cell
+    numba.set_num_threads(
+        cores
+    )  # it has seen all cores if it was loaded before this process was bound to one
     scene = sized(name, n)
     if method == LOOP:
         row, run, y = loop(scene, cores, chosen)

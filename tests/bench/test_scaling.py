@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 import pytest
 
@@ -12,6 +13,14 @@ import contactbench as cb
 from c_loops import ring_kernel
 from contactbench.measure.memory import peak_memory
 from contactbench.results.tables import SCALING
+
+
+@pytest.fixture(autouse=True)
+def threads():
+    """A cell says how many threads it takes; the other tests have those of before."""
+    before = numba.get_num_threads()
+    yield
+    numba.set_num_threads(before)
 
 
 def row(n, method="contact-strang", engine="numba"):
