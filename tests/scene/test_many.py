@@ -201,7 +201,8 @@ PLUGIN = """
 import contactbench as cb
 cb.SCENES.add(cb.Lattice(
     name="mine", about="a chain of my own", n=6, boundary="fixed",
-    onsite=lambda q: q**4 / 4, bond=lambda r, k: k * r * r / 2, parameters={"k": 2.0}, gamma=0.1, q=lambda i: 0.3 * (i - 2), p=lambda i: 0.1 + 0 * i, t_end=1.0))
+    onsite=lambda q: q**4 / 4, bond=lambda r, k: k * r * r / 2, parameters={"k": 2.0},
+    gamma=0.1, q=lambda i: 0.3 * (i - 2), p=lambda i: 0.1 + 0 * i, t_end=1.0))
 """
 
 
