@@ -243,7 +243,7 @@ class Solution:
 
     def start(self) -> Any:
         """The initial state."""
-        return self.scene.unpack(tuple(self.y0.tolist()), self.carry)
+        return self.scene.unpack(self.scene.entries(self.y0), self.carry)
 
 
 #: a run has diverged when |q|, |p| or |M| exceed this many times the scene's scale

@@ -78,6 +78,9 @@ def share_of(
 
     base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
 
+    def packed(scene: Any, x: Any) -> Any:
+        return jnp.stack(list(scene.pack(x))) if scene.kind != "many" else scene.pack(x)
+
     def one_tile(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
         values = list(numbers)
         for place, value in zip(places, own, strict=True):
@@ -90,10 +93,10 @@ def share_of(
             # parameters of its own give every trajectory stage constants of its own
             h = jnp.broadcast_to(h, tile) if places else h
             x = run.method_.advance(scene, x, h, n, xp, rolled)
-            return (x, watch.at(marks, x, jnp.stack(scene.pack(x)), t)), None
+            return (x, watch.at(marks, x, packed(scene, x), t)), None
 
         (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
-        return watch.result(marks, x, jnp.stack(scene.pack(x)))
+        return watch.result(marks, x, packed(scene, x))
 
     def share(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, own)]

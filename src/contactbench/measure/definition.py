@@ -13,6 +13,8 @@ import hashlib
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from contactbench.measure.order import DIGITS, march
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
@@ -33,7 +35,7 @@ def digest(parts: Iterable[str]) -> str:
 
 
 def digits_of(value: Any, context: Any) -> str:
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | np.ndarray):
         return f"[{' '.join(digits_of(each, context) for each in value)}]"
     return str(value) if value is None else context.nstr(context.mpf(value), SHOWN)
 

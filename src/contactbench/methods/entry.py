@@ -30,6 +30,8 @@ MOST_STEPS = 10**14
 #: this many equal intervals for adaptive methods
 DEFAULT_SAVES = 1000
 ADAPTIVE_SAVES = 200
+#: numbers in all saved states at most, where the caller names no times: 128 MB
+MOST_SAVED = 2**24
 #: parts of a shorter run are no longer normal numbers
 SHORTEST_RUN = 1e-290
 
@@ -183,12 +185,13 @@ def tolerance(method: Method, rtol: Any) -> float:
 
 
 def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
+    most = max(1, MOST_SAVED // scene.motion)
     if step is None:
-        return np.linspace(0.0, scene.t_end, ADAPTIVE_SAVES + 1)
+        return np.linspace(0.0, scene.t_end, min(ADAPTIVE_SAVES, most) + 1)
     n = int(steps_in(scene.t_end, scene.t_end, step))
     if n > budget:  # will end as `budget`; no grid of that size is needed
         return np.array([scene.t_end])
-    stride = -(-n // DEFAULT_SAVES)
+    stride = -(-n // min(DEFAULT_SAVES, most))
     marks = np.append(np.arange(0, n, stride), n)
     return marks * (scene.t_end / n)
 

@@ -6,7 +6,6 @@ import ctypes
 import math
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, cached_property
 from threading import Lock
@@ -51,8 +50,10 @@ def field_program(advance: Callable[..., Any], scene: Many, packing: Packing) ->
 
 
 @cache
-def others(count: int) -> ThreadPoolExecutor:
+def others(count: int) -> Any:
     """Threads beside this one."""
+    from concurrent.futures import ThreadPoolExecutor
+
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
@@ -116,11 +117,8 @@ class FieldLoop(Loop):
 
     def paths(self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
         """Packed states after each interval, (k, blocks, size), of a state and maybe its tangent, (blocks, size)."""
-        arrays, threads, out = (
-            self.arrays(scene, numbers, h, n),
-            threads_for(scene.sites),
-            np.empty((len(n), *y.shape)),
-        )
+        arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), *y.shape))
+        threads = threads_for(scene.sites)
         which = arrays["shape"][len(self.program.shape) :].copy()
         data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
         y = np.ascontiguousarray(y, dtype=float)
@@ -142,10 +140,10 @@ class FieldLoop(Loop):
 _loops: Cache[FieldLoop] = Cache(256)
 
 
-def loop_of(method: Any, scene: Any, carry: tuple[str, ...], blocks: int = 1) -> FieldLoop:
+def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
     """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
     require_compiler()
-    packing = Packing(scene.dimensions, "s" in carry, blocks)
+    packing = Packing(scene.dimensions, "s" in carry, 1 + tangent)
     known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
     return _loops.get(key(known, packing), lambda: FieldLoop(method.advance, scene, packing))
 
@@ -172,7 +170,7 @@ class SweepLoop(FixedStepRun):
 
     @cached_property
     def tangent_loop(self) -> FieldLoop:  # type: ignore[override]
-        return loop_of(self.method_, self.request.scene, self.request.carry, blocks=2)
+        return loop_of(self.method_, self.request.scene, self.request.carry, tangent=True)
 
     def paths(self, loop: FieldLoop, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         return loop.paths(self.request.scene, self.numbers, y, h, n)

@@ -238,10 +238,10 @@ class Prepared(ABC):
         small beside the terms at the end, after a start next to an equilibrium, is no such rise.
         """
         r = self.request
-        x = r.scene.unpack(y0.tolist(), r.carry)
+        x = r.scene.unpack(r.scene.entries(y0), r.carry)
         start = r.scene.energy(x)
         most = start + r.scene.energy_terms(x)  # no motion from there reaches it
-        x = r.scene.unpack(out.y[-1].tolist(), r.carry)
+        x = r.scene.unpack(r.scene.entries(out.y[-1]), r.carry)
         end = r.scene.energy(x)
         if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
             return out

@@ -69,7 +69,9 @@ def pairs(function: Callable[..., tuple[Any, ...]], x: tuple[Any, ...], *weights
 
     apart = tuple(map(difference, x))
     distance = sum(value(d) * value(d) for d in apart)
-    same = distance == 0
+    # a compiler may round the place of a site in two ways, and find it away from itself
+    itself = xp.eye(len(first), dtype=bool).reshape(*(len(first),) * 2, *(1,) * (first.ndim - 1))
+    same = itself | (distance == 0)
     # a place of their own for what is at one: nothing divides by zero
     apart = (apart[0] + xp.where(same, 1.0, 0.0), *apart[1:])
     found = function(apart, *(side for w in weights for side in against(w)))

@@ -128,6 +128,10 @@ class System(ABC):
         """Return the numbers of a packed state, an array, as `unpack` is to get them."""
         return y.tolist() if isinstance(y, np.ndarray) else list(y)
 
+    def components(self, y: Any) -> Any:
+        """Return packed states, an array (d, …), as `unpack` is to get them."""
+        return tuple(y)
+
     @staticmethod
     def pack(state: Any) -> list[Any]:
         """Return a state as a flat list, fields that are not carried left out."""
@@ -275,8 +279,8 @@ class Scene(System):
         and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
      7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`; the ``…_terms``
         are no smaller than what they are the terms of.
-     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies; ``displaced`` leaves
-        along them.
+     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies, of many sites a few vectors
+        at random; ``displaced`` leaves along them.
      9. ``exact``, where given, starts at the initial state and solves the equations.
     """
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from inspect import Parameter, signature
 from itertools import pairwise
@@ -22,6 +23,7 @@ from contactbench.scene.algebra import State, Vector, cross, dot, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.scene.mechanical import Canonical, Mechanical
 from contactbench.trace.formula import Formula, formula
+from contactbench.trace.recording import reason_of
 
 #: sites at most: an array of so many numbers has 8 GB
 MOST_SITES = 10**9
@@ -38,7 +40,7 @@ def derivative(potential: Formula) -> Formula:
         raise BadInput(f"a potential cannot be differentiated: {why}") from why
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Many(Canonical):
     """What `Lattice` and `Particles` share: H = Σ ‖p_i‖²/2m_i + V(q) + γ s."""
 
@@ -58,6 +60,8 @@ class Many(Canonical):
     boundary: ClassVar[str] = "fixed"
     #: the parameter that masses are given by
     weights: ClassVar[str] = "mass"
+    #: where the potentials are tried
+    probe: ClassVar[float]
 
     # -- what a kind of them says ----------------------------------------------------------------
     @property
@@ -103,19 +107,36 @@ class Many(Canonical):
         self._fix("_given", {name: given for name in ("q", "p") if callable(given := getattr(self, name))})
         for name in ("q", "p"):
             self._fix(name, self._field(name, getattr(self, name)))
+        self._check_functions()
         with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
             x = self.initial(())
             start = np.array([*np.ravel(self.gradient_at(x)), self.potential_at(x)])
         if not np.isfinite(start).all():
             raise BadInput(f"q: the force or the potential of scene {self.name!r} is not finite at the start")
 
+    def _check_functions(self) -> None:
+        given = [name for name in self.functions if getattr(self, name) is not None]
+        for name in given:
+            self.recording(name)
+            probes = (np.full(1, self.probe),) * (len(self.functions[name]) - 1)
+            with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
+                value = self.call(name, *probes)
+            if not isinstance(value, np.ndarray) or value.shape != (1,):
+                raise BadInput(
+                    f"{name}: must be one number that depends on its arguments; it is {excerpt(value)}"
+                )
+        for parameter in self.parameters:
+            if not any(parameter in self.named(name) for name in given):
+                raise BadInput(f"parameter {parameter!r}: is taken by none of {', '.join(given)}")
+
     def _field(self, name: str, given: Any) -> np.ndarray:
         """Return initial data as an array of one number for every degree of freedom."""
         size = self.sites * self.dimensions
         if callable(given):
             index = np.arange(self.sites)
-            number = (self.sites,) if len(signature(given).parameters) > 1 else ()
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
+                wanted = [p for p in signature(given).parameters.values() if p.default is p.empty]
+                number = (self.sites,) if len(wanted) > 1 else ()
                 try:
                     values = np.asarray(given(index, *number), dtype=float)
                 except (TypeError, ValueError):  # of one index at a time
@@ -138,6 +159,20 @@ class Many(Canonical):
         if changes.keys() & {"n", "q", "p", *([self.weights] if self.dimensions > 1 else [])}:
             changes = self._given | changes  # type: ignore[attr-defined]
         return super().with_(**changes)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name}: {self.sites} sites>"
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> Any:
+        twin = self._replaced(_given={name: f for name, f in self._given.items() if picklable(f)})  # type: ignore[attr-defined]
+        return super(Many, twin).__reduce__()
 
     # -- packing -----------------------------------------------------------------------------------
     def size(self, carry: Sequence[str]) -> int:
@@ -169,11 +204,14 @@ class Many(Canonical):
         return State(self._columns(block[:half]), self._columns(block[half : 2 * half]), s)
 
     def data(self, x: State) -> dict[str, Any]:
-        flat = self.pack(x._replace(s=None)).reshape(2, -1)
+        flat = self.pack(x._replace(s=None))
+        flat = flat.reshape(2, self.motion // 2, *flat.shape[1:])
         return {"q": flat[0], "p": flat[1]} | ({} if x.s is None else {"s": x.s})
 
     def entries(self, y: Any) -> Any:
         return y
+
+    components = entries
 
     def pack(self, state: Any) -> Any:  # type: ignore[override]
         """Return a state as one array."""
@@ -214,7 +252,8 @@ class Many(Canonical):
             return given.taken(self.parameters)
         accepted = signature(given).parameters
         every = any(p.kind is Parameter.VAR_KEYWORD for p in accepted.values())
-        return {key: value for key, value in self.parameters.items() if every or key in accepted}
+        own = [*accepted][len(self.functions[name]) - 1 :]
+        return {key: value for key, value in self.parameters.items() if every or key in own}
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Return what one of the scalar functions gives."""
@@ -228,20 +267,20 @@ class Many(Canonical):
 
     def recording(self, name: str) -> Formula:
         """Return one of the functions as a formula; `BadInput` where it cannot be recorded."""
-        made = getattr(self, name)
-        if not isinstance(made, Formula):
-            made = self._formula(name)
-        if made is None:
-            raise BadInput(f"scene {self.name!r}: its {name} must be a function that can be recorded")
-        return made
+        given = getattr(self, name)
+        if isinstance(given, Formula):
+            return given
+        with their_code(f"scene {self.name!r}"):
+            try:
+                return formula(given, (0,) * (len(self.functions[name]) - 1), tuple(self.named(name)))
+            except CannotRecord as why:
+                raise BadInput(
+                    f"scene {self.name!r}: its {name} cannot be recorded: {reason_of(why)}"
+                ) from why
 
     def _formula(self, name: str) -> Formula | None:
         given = getattr(self, name)
-        if given is None or isinstance(given, Formula):
-            return None
-        with their_code(f"scene {self.name!r}"), suppress(CannotRecord):
-            return formula(given, (0,) * (len(self.functions[name]) - 1), tuple(self.named(name)))
-        return None
+        return None if given is None or isinstance(given, Formula) else self.recording(name)
 
     # -- physics -------------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
@@ -272,7 +311,7 @@ class Many(Canonical):
         return [self.unpack(row / np.linalg.norm(row), carry) for row in some]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Lattice(Many):
     """A chain or ring of n sites: V = Σ onsite(q_i) + Σ bond(q_{i+1} − q_i).
 
@@ -312,21 +351,20 @@ class Lattice(Many):
     probe: ClassVar[float] = 0.25
 
     def __post_init__(self) -> None:
-        self._fix("n", whole("n", self.n, MOST_SITES))
-        if self.n < 2:
-            raise BadInput(f"n = {self.n}: a lattice has 2 sites or more")
+        self._fix("n", whole("n", self.n, MOST_SITES, least=2))
         if not isinstance(self.boundary, str) or self.boundary not in BOUNDARIES:
             raise BadInput(f"boundary = {excerpt(self.boundary)}: must be one of {', '.join(BOUNDARIES)}")
         if self.onsite is None and self.bond is None:
             raise BadInput(f"scene {self.name!r}: needs an onsite potential, a bond, or both")
         super().__post_init__()
+
+    def _check_functions(self) -> None:
+        super()._check_functions()
         if self.bond is not None:
             with their_code(f"scene {self.name!r}"), np.errstate(all="ignore"):
-                at_rest = self.call("bond", np.zeros(1)), self.slope("bond", np.zeros(1))
+                at_rest = self.call("bond", np.zeros(1)) + self.slope("bond", np.zeros(1))
             if not np.isfinite(at_rest).all():
-                raise BadInput(
-                    f"bond: must be finite at rest, r = 0, with its derivative: {at_rest[0] + 0.0}"
-                )
+                raise BadInput("bond: must be finite at rest, r = 0, with its derivative")
 
     @property
     def sites(self) -> int:
@@ -421,7 +459,7 @@ class Chain:
         return V
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Particles(Many):
     """N bodies in a plane or in space, each acting on each: V = Σ_{a<b} pair(‖x_a − x_b‖², m_a, m_b).
 
@@ -457,8 +495,7 @@ class Particles(Many):
     probe: ClassVar[float] = 1.25
 
     def __post_init__(self) -> None:
-        if self.dimensions not in (1, 2, 3):
-            raise BadInput(f"dimensions = {excerpt(self.dimensions)}: must be 1, 2 or 3")
+        self._fix("dimensions", whole("dimensions", self.dimensions, 3))
         if np.ndim(array("masses", self.masses, "a sequence of numbers")) != 1 or len(self.masses) < 2:
             raise BadInput(f"masses = {excerpt(self.masses)}: must be 2 numbers or more")
         super().__post_init__()
@@ -541,6 +578,12 @@ def unrolled(scene: Many, potential: Callable[..., Any]) -> Mechanical:
         t_end=scene.t_end,
         about=scene.about,
     )
+
+
+def picklable(f: Any) -> bool:
+    with suppress(Exception):
+        return bool(pickle.dumps(f))
+    return False
 
 
 def like(f: Any, other: Any) -> Any:

@@ -34,6 +34,7 @@ from contactbench.scene import (
     scaled,
     times,
 )
+from contactbench.scene.many import like
 from contactbench.splitting.free_body import free
 
 
@@ -314,17 +315,25 @@ def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
     return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
 
+def many_drift(scene: Any, x: State, h: Any, xp: Any) -> State:
+    """A on many sites, whose masses may differ."""
+    return drift(scene._replaced(inverse_mass=like(scene.inverse_mass, x.p[0])), x, h, xp)
+
+
 def many_drift_damp(scene: Any, x: State, constants: Any, xp: Any) -> State:
     """AC on many sites, whose masses may differ."""
     phi, keep, lose = constants
-    return drift_damp(scene, x, (phi * scene.inverse_mass, phi, keep, lose), xp)
+    return drift_damp(scene, x, (phi * like(scene.inverse_mass, x.p[0]), phi, keep, lose), xp)
 
 
 def _many_constants(scene: Any, h: Any, xp: Any) -> Any:
     return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
 
 
-MANY = MECHANICAL | {"drift_damp": Flow(_many_constants, many_drift_damp, {}, drift_damp_log_factor)}
+MANY = MECHANICAL | {
+    "drift": Flow(plain, many_drift, {}),
+    "drift_damp": Flow(_many_constants, many_drift_damp, {}, drift_damp_log_factor),
+}
 
 #: no merged flow is known, hence three parts
 GENERAL = {name: MECHANICAL[name] for name in ("kick", "drift")}

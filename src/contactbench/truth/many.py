@@ -25,16 +25,19 @@ TIGHTEST, COLUMNS = 1e-13, 12
 def doubles(scene: Scene, t: np.ndarray, carry: tuple[str, ...], deadline: float) -> tuple[np.ndarray, int]:
     """Return states (k, size) at increasing times, and how many digits of them two solvers agree on."""
     start = np.array(scene.pack(scene.initial(carry)))
-    watch = Stopwatch(scene, float(t[-1]), deadline)
+    found: list[Any] = []
+    for solver in (by_dop853, by_extrapolation):
+        watch = Stopwatch(scene, float(t[-1]), deadline)
 
-    def slope(time: float, y: np.ndarray) -> np.ndarray:
-        watch.check(time)
-        return np.asarray(scene.slopes(time, y, carry))
+        def slope(time: float, y: np.ndarray, watch: Stopwatch = watch) -> np.ndarray:
+            watch.check(time)
+            return np.asarray(scene.slopes(time, y, carry))
 
-    with np.errstate(all="ignore"):
-        one, other = by_dop853(slope, start, t), by_extrapolation(slope, start, t)
-    if one is None or other is None or not (np.isfinite(one).all() and np.isfinite(other).all()):
-        raise BadInput(f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}")
+        with np.errstate(all="ignore"):
+            found.append(solver(slope, start, t))
+        if found[-1] is None or not np.isfinite(found[-1]).all():
+            raise BadInput(f"no reference for scene {scene.name!r}: it cannot be followed to t = {t[-1]:g}")
+    one, other = found
     gap = np.abs(one - other).max() / np.abs(one).max()
     return one, max(0, math.floor(-math.log10(max(gap, 1e-15))))
 
