@@ -262,3 +262,16 @@ def test_a_blow_up_ends_as_diverged_without_warnings(method):
         run = cb.solve(scene, method, engine=engine, **({"step": 0.1} if fixed else {"rtol": 1e-6}))
         assert run.status is not cb.Status.ok, engine
         assert np.isnan(run.y[-1]).all()
+
+
+@pytest.mark.parametrize(("method", "setting"), [("rk4", {"step": 0.1}), ("cvode-adams", {"rtol": 1e-6})])
+def test_a_mechanical_scene_of_too_many_components_is_refused_in_a_line_that_names_lattice(method, setting):
+    n = 300
+    scene = cb.Mechanical(
+        name="large", potential=lambda q: q[0] * q[-1], q=(1.0,) * n, p=(0.0,) * n, t_end=1.0
+    )
+    sol = cb.solve(scene, method, **setting)
+    assert str(sol.status) == "unsupported"
+    assert "300" in sol.message
+    assert "cb.Lattice" in sol.message
+    assert "\n" not in sol.message
