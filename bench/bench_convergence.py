@@ -21,11 +21,6 @@ FLOOR = 1e-12
 EXTENDED_TIME, EXTENDED_STEPS, EXTENDED_FLOOR = 4.0, (8, 16, 32, 64, 128), 1e-33
 
 
-def ladder(profile):
-    fixed = [name for name, method in cb.METHODS.items() if method.control == "step"]
-    return pairs(profile, "convergence", fixed)
-
-
 def in_double_precision(scene, method):
     for h in steps(scene, POINTS):
         solution = cb.solve(
@@ -45,7 +40,9 @@ def at_fifty_digits(scene, method):
         yield row, h, float(error_at(method, scene, EXTENDED_TIME, n)) / size
 
 
-@cells(ladder)
+@cells(
+    lambda profile: pairs(profile, "convergence", [n for n, m in cb.METHODS.items() if m.control == "step"])
+)
 def test_convergence(cell, record):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     extended = method.order > 4 and method.refuses(scene) is None

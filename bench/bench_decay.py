@@ -43,11 +43,7 @@ def save_times(scene):
 
 
 def to_the_end(scene, method, value, budget):
-    """Return a run to the end, saved there alone.
-
-    diffrax, whose steps and evaluations do not depend on what is saved, saves at all times: the program of
-    the laws then serves here too.
-    """
+    """Return a run to the end, saved there alone; of diffrax, where that changes nothing, as the laws' program does."""
     saves = save_times(scene) if method.adaptive and method.engines[0] == "jax" else [scene.t_end]
     return cb.solve(scene, method.name, save_at=saves, max_steps=budget, **keywords(method.control, value))
 
@@ -57,7 +53,6 @@ def evaluations(scene, method, value, budget=None):
 
 
 def value_at(scene, method, target, budget=None):
-    """The step or tolerance at which a run costs so many right-hand sides."""
     if method.refuses(scene) is not None:
         return method.rtol_range[1] if method.adaptive else scene.t_end / SAVES
     if method.control == EXACT:

@@ -26,7 +26,7 @@ from contactbench.results.tables import ENSEMBLE_TABLE
 pytestmark = pytest.mark.timed
 
 SAMPLE = 4
-#: of the trajectories: a second call, which tells what every call costs from what every trajectory does
+#: the share of trajectories of a second call, which tells what a call costs from what every trajectory does
 FEWER = 1 / 4
 STEPS = {"contact-strang": (0.1, 0.02, 0.004, 0.001), "contact-bm4": (0.8, 0.4, 0.16, 0.05)}
 STEPS |= {"contact-rkn6": (1.25, 0.8, 0.4, 0.16, 0.08), "contact-rkn8": (1.25, 0.8, 0.4, 0.2, 0.16)}
@@ -41,12 +41,8 @@ ARITHMETIC = {"contact-strang": 0.01, "contact-rkn6": 0.1}
 RTOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 OURS = "contact-rkn6"
 #: (method, variant, value) of the smoke profile
-SMOKE = {
-    (OURS, "", 0.1),
-    (OURS, "", 0.4),
-    ("limit-c", f"{OURS} plain", 0.1),
-    ("heyoka-taylor", "batch", 1e-6),
-}
+SMOKE = {(OURS, "", 0.1), (OURS, "", 0.4), ("heyoka-taylor", "batch", 1e-6)}
+SMOKE |= {("limit-c", f"{OURS} plain", 0.1)}
 
 
 def ladder(profile):
@@ -202,16 +198,11 @@ def compiled_loop(scene, method, shape, value, y0):
 
 
 def limit_c(scene, method, shape, value, y0):
-    kernel, _, shape = shape.partition(" ")
-    made = ensemble_kernel(kernel, shape, scene, value, y0)
-    if isinstance(made, str):
-        return made
-    run, evaluations, steps = made
-    return run, lambda: (steps, evaluations, "gradient")
+    made = ensemble_kernel(*shape.split(" "), scene, value, y0)
+    return made if isinstance(made, str) else (made[0], lambda: (*made[1:], "gradient"))
 
 
 def prepared(scene, method, engine, shape, value, y0):
-    """(run, costs) of a cell, or why it cannot be run."""
     if method in cb.METHODS and not cb.METHODS[method].adaptive:
         return contact(scene, method, engine, value, y0)
     if shape == "loop":
@@ -254,8 +245,7 @@ def prepared_row(cell, exact):
     start = perf_counter()
     y = run()
     row |= {"status": "ok", "message": "", "first_call_s": perf_counter() - start}
-    y = np.asarray(y)
-    steps, evaluations, kind = costs()
+    y, (steps, evaluations, kind) = np.asarray(y), costs()
     if exact is not None:
         row["solution_error"] = error(y, np.asarray(exact))
         short = 0 < (evaluations or steps or 0) * n < SINGLE_WORK

@@ -14,11 +14,7 @@ from contactbench.solution import keywords
 RTOLS = [1e-4, 1e-6, 1e-8, 1e-10]
 
 
-def ladder(profile):
-    return pairs(profile, "laws", cb.METHODS)
-
-
-@cells(ladder)
+@cells(lambda profile: pairs(profile, "laws", cb.METHODS))
 def test_laws(cell, profile, record):
     scene, method = cb.SCENES[cell[0]], cb.METHODS[cell[1]]
     values = {"step": steps(scene, 6)[::2], "rtol": RTOLS}.get(method.control, [0.0])

@@ -28,12 +28,6 @@ EVALUATIONS, RTOLS = (12, 16, 24, 32, 48, 64, 96, 192), (1e-2, 1e-3, 1e-4, 1e-5,
 TRAJECTORIES, PERIODS, SETTLE, SEED = 128, 400, 50, 1
 #: another engine than those compared, and finer: with what the others are compared
 REFERENCE, REFERENCE_RTOL, REFERENCE_TRAJECTORIES = "cyrk-dop853", 1e-8, 512
-#: of the smoke profile: one that has rows of every kind
-SMOKE = ("contact-rkn4",)
-
-
-def methods(profile):
-    return [(SCENE.name, name) for name in (SMOKE if profile.points == 1 else (*FIXED, *ADAPTIVE))]
 
 
 def starts(count):
@@ -68,13 +62,10 @@ def plain(method, kind, value):
     run = cb.prepare(SCENE, method.name, save_at=times, carry=(), **keywords(kind, value))
     given = starts(TRAJECTORIES)
     runs = [run(q=(q,), p=(p,)) for q, p in zip(given["q"][0], given["p"][0], strict=True)]
-    ok = [solution for solution in runs if solution.ok]
-    average, spent = Average(math.nan, math.nan), (math.nan, math.nan)
-    if ok:
-        energy = np.array([SCENE.energy(solution.states())[SETTLE:] for solution in ok])
-        average = jackknife(blocks(energy.T[:, None]), np.sum)
-        spent = np.mean([(each.counts.evaluations, each.counts.jacobians) for each in ok], axis=0) / times[-1]
-    return row(method, kind, value, ENERGY, average, spent, len(runs) - len(ok))
+    energy = np.array([SCENE.energy(solution.states())[SETTLE:] for solution in runs])
+    average = jackknife(blocks(energy.T[:, None]), np.sum)
+    spent = np.mean([(each.counts.evaluations, each.counts.jacobians) for each in runs], axis=0) / times[-1]
+    return row(method, kind, value, ENERGY, average, spent, sum(not solution.ok for solution in runs))
 
 
 def row(method, kind, value, quantity, average, spent, lost, count=TRAJECTORIES):
@@ -92,7 +83,8 @@ def row(method, kind, value, quantity, average, spent, lost, count=TRAJECTORIES)
     return made | {"evaluations_per_time": float(spent[0]), "jacobians_per_time": float(spent[1])}
 
 
-@cells(methods)
+# the smoke profile has one that has rows of every kind
+@cells(lambda profile: [(SCENE.name, m) for m in ((*FIXED, *ADAPTIVE) if profile.points > 1 else FIXED[1:2])])
 def test_long_time(cell, record):
     method = cb.METHODS[cell[1]]
     rows = []

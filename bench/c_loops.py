@@ -23,16 +23,14 @@ FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-shared", "-fPIC")
 
 @cache
 def library() -> ctypes.CDLL | str:
-    """The compiled loops, or why there are none."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return "no C compiler on this machine"
     source = Path(__file__).with_name("c_loops.c")
     with tempfile.TemporaryDirectory(prefix="contactbench-", ignore_cleanup_errors=True) as folder:
         target = Path(folder) / "c_loops.so"  # needed no longer than until it is loaded
-        done = subprocess.run(
-            [compiler, *FLAGS, "-o", target, source], capture_output=True, text=True, timeout=120
-        )
+        command = [compiler, "-O3", "-march=native", "-shared", "-fPIC", "-o", target, source]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
         if done.returncode != 0:
             return f"{compiler} failed: {done.stderr.strip()[:200]}"
         return ctypes.CDLL(str(target))
@@ -112,7 +110,7 @@ SHAPES = ("passes", "plain", "tiled")
 def ensemble_kernel(
     method: str, shape: str, scene, step: float, start: np.ndarray
 ) -> tuple[Callable[[], np.ndarray], int, int] | str:
-    """As `kernel`, from start (4, m), one array per component; and the steps."""
+    """As `kernel`, from start (4, m), one array per component; the steps before the evaluations."""
     loops = library()
     if isinstance(loops, str):
         return loops
@@ -126,4 +124,4 @@ def ensemble_kernel(
         loop(*counts, coupling, *map(pointer, numbers), *map(pointer, columns))
         return columns.copy()
 
-    return run, n * len(numbers[1]) + 1, n
+    return run, n, n * len(numbers[1]) + 1

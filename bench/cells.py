@@ -8,6 +8,7 @@ from typing import Any
 from zlib import crc32
 
 from contactbench.methods import METHODS
+from contactbench.methods.prepared import IMPLICIT
 from contactbench.plugins import OWN
 from contactbench.scene import Scene
 from contactbench.scenes import scenes_of
@@ -42,8 +43,7 @@ def pairs(profile: Any, experiment: str, methods: Iterable[str]) -> list[tuple[s
 
 
 def small(scene: str, method: str, main: str = SMOKE, everywhere: Iterable[str] = EVERYWHERE) -> bool:
-    """Whether the smoke profile has a cell: a few methods on all scenes, on a main one what is soon compiled or
-    a user's."""
+    """Whether the smoke profile has a cell: a few methods on all scenes, on a main one what is soon compiled or new."""
     soon = METHODS[method].engines[0] not in DEAR or method not in OWN
     return method in everywhere or (scene == main and soon)
 
@@ -106,8 +106,7 @@ def step_budget(profile: Any, scene: Scene, method: Any, engine: str) -> int | N
 
 
 def controlled(control: str, value: float, variant: str = "") -> dict[str, Any]:
-    printed = setting_key(control, value)
-    setting = f"{variant} {printed}".strip()
+    setting = f"{variant} {setting_key(control, value)}".strip()
     return {"control": control, "value": value, "variant": variant, "setting": setting}
 
 
@@ -137,7 +136,8 @@ DIGITS, RESOLUTION = 3, 2e-3
 def right_hand_sides(solution) -> float:
     """What `tolerance_at` bisects: right-hand sides of a run, 0 for a bad end, inf for a spent budget."""
     if solution.ok:
-        return solution.counts.rhs_equivalents
+        known = solution.counts.rhs_equivalents
+        return IMPLICIT * solution.counts.steps if known is None else known
     return math.inf if solution.status is Status.budget else 0.0
 
 
@@ -165,12 +165,8 @@ def tolerance_at(cost: Callable[[float], float], target: float, rtol_range: tupl
         low, high = (low, middle) if found < target else (middle, high)
     if not any(found >= target for found in costs.values()):  # the tightest costs less, or was not tried
         looked_at(math.log10(rtol_range[0]))
-    ended = {rtol: found for rtol, found in costs.items() if 0 < found < math.inf}
-    return min(ended or costs, key=lambda rtol: (distance(costs[rtol], target), rtol))
-
-
-def distance(cost: float, target: float) -> float:
-    return abs(math.log(cost / target)) if 0 < cost < math.inf else math.inf
+    off = {rtol: abs(math.log(found / target)) for rtol, found in costs.items() if 0 < found < math.inf}
+    return min(off or costs, key=lambda rtol: (off.get(rtol, math.inf), rtol))
 
 
 def step_at(method, scene, target: float, part: int = 1) -> float:

@@ -17,9 +17,9 @@ from tqdm import tqdm
 from contactbench.measure.clock import (
     ROUNDS,
     SEED,
+    Call,
     Part,
     Race,
-    Timed,
     Visit,
     length_columns,
     process_columns,
@@ -30,18 +30,16 @@ from contactbench.measure.isolation import Worker
 #: cells of every engine that a second process times too
 SAMPLE = 20
 #: the calls that a second process has prepared
-PREPARED: list[Timed] = []
+PREPARED: list[Call] = []
 
 
 def prepare(function: Callable[..., Any], *arguments: Any) -> tuple[int, dict[str, Any]]:
-    """Call a function of an experiment that returns (row, call); return the number of the call, and the row."""
     row, call = function(*arguments)
     PREPARED.append(call)
     return len(PREPARED) - 1, row
 
 
 def warm_up(number: int, cores: Iterable[int]) -> float:
-    """Warm up a prepared call on the cores on which it is timed."""
     for thread in os.listdir("/proc/self/task") if cores else ():
         os.sched_setaffinity(int(thread), cores)
     return PREPARED[number].warm_up()
@@ -73,9 +71,9 @@ class Entry:
     part : of the run, with a length of its own.  benchmark : the fixture of pytest-benchmark, which has the rounds.
     """
 
-    call: Timed
+    call: Call | Remote
     part: Part | None
-    again: Timed | None
+    again: Remote | None
     record: Callable[[dict[str, Any]], None]
     benchmark: Any = None
 

@@ -35,11 +35,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Profile:
-    """How much of each experiment is run.
-
-    points : settings per method; visits : to every timed cell;
-    callback_evaluations : budget of one run of a solver that calls back into Python.
-    """
+    """How much is run: settings of a method, visits to a cell, the budget of a solver that calls back into Python."""
 
     name: str
     points: int
@@ -80,14 +76,13 @@ def pytest_configure(config: pytest.Config) -> None:
     config.controls, config.timed = worker is None, not (shared or config.getoption("untimed"))
     if worker or not shared:
         pin_to_one_core(int(worker["workerid"].removeprefix("gw")) if worker else -1)
-    run = worker["run"] if worker else (provenance.new_run_id(), selection(config))
-    config.cells = Cells(config.getoption("--results").resolve(), config.profile.name, *run)
+    config.run = worker["run"] if worker else (provenance.new_run_id(), selection(config))
+    config.cells = Cells(config.getoption("--results").resolve(), config.profile.name, *config.run)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    cells = node.config.cells
-    node.workerinput["run"] = (cells.run, cells.selection)
+    node.workerinput["run"] = node.config.run
 
 
 def pin_to_one_core(which: int) -> None:
@@ -201,9 +196,8 @@ def full_disk() -> Iterator[None]:
         pytest.exit(f"{where}: finished cells are kept; make room, then --resume", returncode=2)
 
 
-@cache
+@cache  # asked for once a cell, of thousands, it would cost as much as what is measured
 def cells_of(test: Any, profile: str) -> frozenset[tuple]:
-    """All cells of a test: asked for once a cell, of thousands, it would cost as much as what is measured."""
     return frozenset(test.cells(PROFILES[profile]))
 
 
@@ -223,7 +217,6 @@ def complete(request: pytest.FixtureRequest) -> Callable[..., dict[str, Any]]:
 
 @pytest.fixture
 def record(request: pytest.FixtureRequest, complete: Any) -> Callable[..., None]:
-    """``record(table, *rows)`` adds rows to a result table."""
     return lambda which, *rows: request.node.rows.extend((which, complete(which, row)) for row in rows)
 
 
@@ -297,7 +290,6 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 
 def write_report(results: Path) -> None:
-    """Documents, figures and page; and the README's computed part, where the tables are those beside it."""
     from contactbench.report import write
     from contactbench.scenes import SCENES
 

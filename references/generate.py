@@ -35,10 +35,9 @@ import numpy as np
 from contactbench import truth
 from contactbench.scene import RigidBody, Scene, dot
 from contactbench.scenes import SCENES
-from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
-from contactbench.scenes.standard import STANDARD
+from contactbench.scenes.standard import STANDARD, damped_oscillator
 
 FOLDER = Path(__file__).resolve().parent
 BITS = (200, 260)

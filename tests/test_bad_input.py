@@ -20,6 +20,7 @@ from contactbench.scene import definition, verify
 from properties import GENERAL
 
 PARTICLE = cb.SCENES["particle"]
+BODY, ANISOTROPIC = "rigid_body", "rigid_body_anisotropic"
 
 
 # -- a user's functions ----------------------------------------------------------------------------
@@ -80,8 +81,12 @@ def ensemble(start, **options):
     return lambda: cb.ensemble("particle", "rk4", start, step=0.5, **options)
 
 
-def changed(**changes):
-    return lambda: PARTICLE.with_(**changes)
+def changed(scene="particle", **changes):
+    return lambda: cb.SCENES[scene].with_(**changes)
+
+
+def composed(**changes):
+    return lambda: cb.composition(**{"name": "x", "order": 2, "kick": [0.5, 0.5], "drift": [1]} | changes)
 
 
 def run_from(**start):
@@ -142,16 +147,39 @@ CALLS = [
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
-    (lambda: cb.SCENES["lane_emden_0"].with_(kappa=0.1), "without time"),
-    (lambda: cb.SCENES["lane_emden_0"].with_(gamma=0.1), "has it in it"),
-    (lambda: cb.SCENES["lane_emden_0"].with_(rate=None), "its rate is missing"),
-    (lambda: cb.SCENES["lane_emden_0"].with_(t=math.nan), "t = nan"),
+    (changed("lane_emden_0", kappa=0.1), "without time"),
+    (changed("lane_emden_0", gamma=0.1), "has it in it"),
+    (changed("lane_emden_0", rate=None), "its rate is missing"),
+    (changed("lane_emden_0", t=math.nan), "t = nan"),
+    (changed(q=(1.0,)), "q has 1 components and p 2"),
+    (changed(q=(1.0, 2.0, 3.0), p=(0.0, 0.0, 0.0)), "q = (1.0, 2.0, 3.0)"),
+    (changed(gama=0.1), "did you mean 'gamma'?"),
+    (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
+    (changed(BODY, R=((1, 0, 0), (0, 1, 0), (0, 0, -1))), "rotation matrix"),
+    (changed(BODY, gamma=0.1, damping=(1.0, 1.0, 1.0)), "exactly one of gamma"),
+    (changed(ANISOTROPIC, damping=((1, 2, 0), (0, 1, 0), (0, 0, 1))), "symmetric positive semi-definite"),
+    (changed(ANISOTROPIC, damping=(1.0, 1.0, -0.1)), "damping = (1.0, 1.0, -0.1): must be"),
     (lambda: GENERAL.with_(gamma=0.1), "gamma"),
     # methods
     (lambda: cb.fixed_step("x", None), "order = None"),
     (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
     (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
-    (lambda: cb.composition("x", 1, 0.5, [1]), "kick = 0.5: must be a list"),
+    (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
+    (lambda: cb.step_map("particle", "cvode-bdf"), "chooses its own steps"),
+    (
+        lambda: cb.step_map("particle", "rk4")((1.0,) * 5, 0.1, gama=1.0),
+        "parameter of scene 'particle' 'gama': did you mean",
+    ),
+    (lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1), "y has 4 entries: must be 5"),
+    (composed(kick=0.5), "kick = 0.5: must be a list"),
+    (composed(kick=[0.5, 0.6]), "kick: coefficients add up to 1.1, must be 1"),
+    (composed(kick=[0.5, "0.5000000001"]), "kick: coefficients add up to 1.0000000001"),
+    (composed(kick=[0.5, 0.25, 0.25]), "kick has 3 coefficients and drift 1"),
+    (composed(kick=[0.5, "x"]), "kick[1] = 'x': must be a number"),
+    (composed(drift=[math.inf]), "drift[0] = inf: must be a number"),
+    (composed(kick=[]), "kick = []: must have at least one coefficient"),
+    (composed(order=2.5), "order = 2.5: must be a whole number"),
+    (composed(name="rk4"), "method 'rk4' is already registered"),
     # functions that do not fit each other, whoever needs them first
     (wrong_user(gradient=lambda q: (-q[0] - 2 * q[0] * q[1], 4 * q[1] + q[0] ** 2)), "component 1 is"),
     (wrong_user(gradient=wrong_gradient), "gradient is not the potential's: component 2 is"),

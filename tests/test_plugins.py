@@ -19,8 +19,8 @@ import pytest
 import contactbench as cb
 from cases import REPOSITORY, bench, finished
 from contactbench import plugins
-from contactbench.boundary import VARIABLE
 from contactbench.cli import main
+from contactbench.errors import VARIABLE
 from contactbench.report import write
 from contactbench.results.provenance import runs
 from contactbench.results.store import read
@@ -124,7 +124,7 @@ def test_a_law_and_a_question_have_their_documents_and_are_gated(results, given,
 
 @pytest.mark.slow
 def test_the_tests_take_it_in(example):
-    tests = ("tests/methods/test_contract.py", "tests/scene/test_scene_contract.py")
+    tests = ("tests/methods/test_contract.py", "tests/scene/test_scene.py::test_a_scene_keeps_its_contract")
     chosen = "(my-method and python) or double-well"
     done = run("pytest", *tests, "--plugin", example, "-q", "-p", "no:cacheprovider", "-k", chosen)
     assert done.returncode == 0, done.stdout + done.stderr

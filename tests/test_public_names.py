@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.boundary import FUNCTIONS
+from contactbench.errors import FUNCTIONS
 from contactbench.numbers import functions
 
 
@@ -25,24 +25,6 @@ def test_the_types_are_shipped():
 def test_a_reference_takes_the_name_of_a_scene():
     named = cb.reference("particle", [1.0, 2.0])
     assert named.decimals == cb.reference(cb.SCENES["particle"], [1.0, 2.0]).decimals
-
-
-SHORT = {
-    "run": lambda: cb.prepare("particle", "cvode-adams", rtol=1e-6),
-    "step map": lambda: cb.step_map("particle", "rk4"),
-    "reference": lambda: cb.reference("particle", [1.0]),
-    "solution": lambda: cb.solve("particle", "rk4", step=0.1),
-    "refused": lambda: cb.solve("particle", "contact-exact"),
-}
-
-
-@pytest.mark.parametrize("name", SHORT)
-def test_a_repr_is_one_short_line(name):
-    text = repr(SHORT[name]())
-    assert text[0] == "<"
-    assert "particle" in text
-    assert "\n" not in text
-    assert len(text) < 200
 
 
 # -- functions of plain numbers in a force ---------------------------------------------------------

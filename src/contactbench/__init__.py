@@ -10,7 +10,7 @@ from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.methods.one_step import step_map
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
-from contactbench.results.shipped import results
+from contactbench.results.tables import results
 from contactbench.scene import Driven, GeneralDamping, Mechanical, RigidBody, shifted
 from contactbench.scene.many import Lattice, Particles
 from contactbench.scenes import SCENES

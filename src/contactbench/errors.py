@@ -1,12 +1,23 @@
-"""The one exception users see for bad input, and the checks that raise it."""
+"""The one exception users see for bad input, the checks that raise it, and the calls of other people's code.
+
+Errors in that code are reported as theirs, its endless loops are ended.
+"""
 
 from __future__ import annotations
 
+import linecache
 import math
+import os
 import re
 import reprlib
-from collections.abc import Iterable
-from contextlib import suppress
+import signal
+import sysconfig
+import threading
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FunctionType
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
@@ -190,3 +201,150 @@ def text(name: str, value: Any) -> str:
 
 def switch(name: str, value: Any) -> bool:
     return bool(value) if isinstance(value, bool | np.bool_) else refuse(name, value, "True or False")
+
+
+# -- where other people's code is called ---------------------------------------------------------------
+#: seconds that importing a plug-in, and every first evaluation of a user's function, may take; 0: any time.  Where it
+#: is not set there is no limit, a timer needs a signal handler; the command line sets it
+VARIABLE = "CONTACTBENCH_PLUGIN_TIMEOUT"
+#: characters of another's message that are repeated
+REPEATED = 120
+#: the functions of one number that `cb.math` has, by their names in `math`
+FUNCTIONS: tuple[str, ...] = ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan")
+FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh")
+#: where no user's code is: this package, Python's library, installed packages
+_OURS = str(Path(__file__).parent) + os.sep
+_PATHS = [sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")]
+_NOT_USERS = (_OURS, *_PATHS, "<frozen")
+#: nor in generated programs
+_GENERATED = ("contactbench", "<contactbench", "program_")
+
+
+class UserError(BadInput):
+    """An error in a user's function or plug-in; the exception itself is its `__cause__`."""
+
+
+class Overrun(BaseException):
+    """The time limit is over.  Not an `Exception`, so that the code it ends does not catch it."""
+
+
+def is_ours(function: Any) -> bool:
+    """Whether a function, or a class, was written in this package: it computes the same tomorrow.
+
+    A function that wraps another may carry its name; where it was written is told by its globals.  What it has captured
+    must change no more than it does.
+    """
+    if not isinstance(function, FunctionType):
+        return isinstance(function, type) and _is_package(function.__module__)
+    captured = [cell.cell_contents for cell in function.__closure__ or ()]
+    return _is_package(function.__globals__.get("__name__")) and all(
+        is_ours(each) or is_ours(type(each)) or isinstance(each, int | float | str) for each in captured
+    )
+
+
+def _is_package(module: object) -> bool:
+    return str(module).partition(".")[0] == "contactbench"
+
+
+def frame_of(error: BaseException) -> traceback.FrameSummary | None:
+    theirs = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith(_NOT_USERS)
+        and not os.path.basename(frame.filename).startswith(_GENERATED)
+        and (frame.filename, frame.name) != ("<string>", "__init__")  # what `dataclass` writes
+    ]
+    return theirs[-1] if theirs else None
+
+
+def plain_function(error: BaseException) -> str | None:
+    """What to write instead, where a user's code gave a function of `math` or NumPy a number that it does not know.
+
+    A scene runs on more numbers than floats: recorded and dual ones, JAX's, mpmath's, heyoka's.
+    """
+    frame = frame_of(error)
+    math = os.path.join(_OURS, "numbers", "functions.py")  # cb.math itself was called, and is not to blame
+    if frame is None or any(last.filename == math for last in traceback.extract_tb(error.__traceback__)):
+        return None
+    line = linecache.getline(frame.filename, frame.lineno or 0).encode()
+    failing = line[frame.colno : frame.end_colno].decode(errors="ignore")
+    called = re.match(r"(?:(?:math|numpy|np)\.)?(\w+)\(", failing)
+    if called is None:
+        return None
+    written, name = called[0][:-1], called[1].replace("arc", "a", 1)  # NumPy's arcsin
+    if name in (*FUNCTIONS, "atan2"):
+        return f"{written} takes plain numbers only: use cb.math.{name}"
+    if written == name:
+        return None
+    return f"{written} takes plain numbers only: use cb.math, which has {', '.join(FUNCTIONS)}, atan2"
+
+
+def user_error(what: str, error: BaseException) -> UserError:
+    """The error as a line: whose it is, where it happened, what it says."""
+    if isinstance(error, Overrun):
+        says = f"ended after {limit():g} s, the time it was given (--plugin-timeout, {VARIABLE})"
+    else:
+        says = plain_function(error) or f"{type(error).__name__}: {one_line(error, REPEATED)}"
+    made = UserError(f"{what}{place(error)}: {says}")
+    made.__cause__ = error
+    return made
+
+
+def place(error: BaseException) -> str:
+    """Where in a user's code an error happened: ", function (file, line n)"; empty where it did not."""
+    frame = frame_of(error)
+    if frame is None:
+        return ""
+    return f", {frame.name} ({os.path.basename(frame.filename)}, line {frame.lineno})"
+
+
+def blame(what: str, error: BaseException) -> BaseException:
+    """The error as a `UserError` where it comes from a user's own code, else as it is."""
+    passed = isinstance(error, BadInput | KeyboardInterrupt | GeneratorExit)
+    return error if passed or frame_of(error) is None else user_error(what, error)
+
+
+@contextmanager
+def their_code(what: str) -> Iterator[None]:
+    """Raise a `UserError` that names `what` for an error, an exit or an endless loop inside."""
+    try:
+        with within(limit()):
+            yield
+    except (BadInput, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:
+        raise user_error(what, error) from error
+
+
+def limit() -> float:
+    """Return the seconds that a first evaluation may take, 0 for any time."""
+    try:
+        seconds = float(os.environ.get(VARIABLE, 0.0))
+    except ValueError:
+        seconds = -1.0
+    if not 0 <= seconds < 1e9:
+        raise BadInput(f"{VARIABLE} = {os.environ[VARIABLE]}: must be seconds ≥ 0")
+    return seconds
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raise `Overrun` inside after so many seconds.
+
+    Only the main thread can be interrupted, where the system has timers and none is running: an outer limit goes on.
+    """
+    possible = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
+    if not seconds or not possible or signal.getitimer(signal.ITIMER_REAL)[0]:
+        yield
+        return
+
+    def over(*_: Any) -> None:
+        raise Overrun
+
+    before = signal.signal(signal.SIGALRM, over)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

@@ -19,8 +19,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from contactbench.boundary import limit, their_code, user_error, within
-from contactbench.errors import BadInput, Registry, one_line
+from contactbench.errors import BadInput, Registry, limit, one_line, their_code, user_error, within
 from contactbench.methods import METHODS
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.scene import Scene, verify
@@ -43,7 +42,7 @@ def load_file(path: Path | str) -> None:
     """Run a Python file that registers methods and scenes; a file given twice is run once.
 
     What it registers is evaluated once.  Raises `BadInput`, with the file's own line, when it cannot be read,
-    fails, ends the program, takes longer than `boundary.limit` or registers nothing.
+    fails, ends the program, takes longer than `errors.limit` or registers nothing.
     """
     path = Path(path)
     if not path.is_file():

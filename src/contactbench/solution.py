@@ -124,7 +124,6 @@ class Solution:
     scene: Scene
     method: str
     engine: str
-    setting: str
     carry: tuple[str, ...]
     t: np.ndarray
     y: np.ndarray
@@ -138,11 +137,15 @@ class Solution:
     #: the `Prepared` that made it, which can be differentiated
     run: Any = None
     #: what was set, "step" or "rtol", and its value
-    control: str = ""
-    value: float = float("nan")
+    control: str = EXACT
+    value: float = 0.0
     #: of fixed steps: the step asked for or chosen from rtol, and the longest taken; nan for other methods
     step_chosen: float = float("nan")
     step: float = float("nan")
+
+    @property
+    def setting(self) -> str:
+        return setting_key(self.control, self.value)
 
     @property
     def ok(self) -> bool:
@@ -151,8 +154,8 @@ class Solution:
     def __repr__(self) -> str:
         """One line: what was run, how it ended, what it cost."""
         setting, n = self.setting, self.counts.evaluations
-        if self.run is not None and self.run.atol is not None:
-            setting += f", atol={self.run.atol:.6g}"
+        if self.run is not None and self.run.request.atol is not None:
+            setting += f", atol={self.run.request.atol:.6g}"
         if self.control == "rtol" and not math.isnan(self.step):
             setting += f": step={self.step_chosen:.6g}"
         if self.step < self.step_chosen * (1 - 1e-9):
@@ -248,19 +251,3 @@ class Solution:
 
 #: a run has diverged when |q|, |p| or |M| exceed this many times the scene's scale
 DIVERGENCE = 1e6
-FEW = 64
-
-
-def divergence_bound(motion: np.ndarray) -> float:
-    """10⁶ times the size of the initial (q, p) or M; of 1 where that is zero."""
-    return DIVERGENCE * (math.sqrt(float(motion @ motion)) or 1.0)
-
-
-def first_divergence(y: np.ndarray, size: int, bound: float) -> int | None:
-    """Index of the first row of y that is not finite, or whose first `size` entries pass the bound."""
-    # the common case first, without an overflow; a few numbers are worth no NumPy, many are
-    largest = math.hypot(*y.ravel().tolist()) if y.size <= FEW else np.abs(y).max()
-    if largest <= bound:  # nan fails every comparison
-        return None
-    bad = ~(np.isfinite(y).all(axis=1) & (np.abs(y[:, :size]).max(axis=1) <= bound))
-    return int(np.argmax(bad)) if bad.any() else None

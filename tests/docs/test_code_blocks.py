@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cases import few_slow
-from contactbench.results import shipped
+from contactbench.results import tables
 from made_up import folder
 
 REPOSITORY = Path(__file__).parents[2]
@@ -27,8 +27,8 @@ def line_of(text: str, block: re.Match[str]) -> int:
 @pytest.mark.parametrize("page", few_slow(PAGES, *LONG), ids=lambda path: path.name)
 def test_the_code_of_a_page_runs(page, registries, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    tables = folder(tmp_path / "tables")  # a clone's may be those of any run
-    monkeypatch.setattr(shipped, "shipped_folder", lambda: tables)
+    made = folder(tmp_path / "tables")  # a clone's may be those of any run
+    monkeypatch.setattr(tables, "shipped_folder", lambda: made)
     text, scope = page.read_text(), {}
     for block in BLOCK.finditer(text):
         # padded so that a traceback shows the page's own line

@@ -14,7 +14,7 @@ import pytest
 
 import contactbench as cb
 from cases import TILTED, USER, few_slow
-from contactbench.ensembles.devices import TILE
+from contactbench.ensembles.chunks import TILE
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.solution import Status
 
@@ -133,7 +133,7 @@ def test_one_device_does_what_all_do(whole, monkeypatch):
     assert_same(solved(), whole)
 
 
-def test_statistics_are_those_of_the_members_and_need_not_keep_them(whole):
+def test_statistics_are_those_of_the_members_which_need_not_be_kept(whole):
     for name, values in whole.measures.items():
         assert whole.statistics[name].mean == pytest.approx(values.mean(), rel=1e-12)
         assert whole.statistics[name].max == values.max()
@@ -172,10 +172,7 @@ def test_no_ensemble_on_jax_gets_the_program_of_another():
 def test_a_diverged_member_is_counted_and_leaves_the_others_alone():
     """Beyond the saddle of the particle and heading out: to infinity in finite time."""
     scene, times = PARTICLE.with_(gamma=0.001, t_end=4.0), [0.5, 2.0, 4.0]
-    data = {
-        "q": (np.array([1.0, 8.0]), np.array([0.5, -8.0])),
-        "p": (np.array([0.0, 6.0]), np.array([0.3, -6.0])),
-    }
+    data = {"q": tuple(np.array([[1.0, 8.0], [0.5, -8.0]])), "p": tuple(np.array([[0.0, 6.0], [0.3, -6.0]]))}
     out, calm, lost = (
         cb.ensemble(scene, "contact-strang", member(data, k), step=0.01, measure_at=times)
         for k in (slice(None), slice(1), slice(1, None))
@@ -248,10 +245,11 @@ def test_two_processes_give_what_one_gives(whole, tmp_path):
     here = Path(__file__).parent
     env = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_CPU_COLLECTIVES_IMPLEMENTATION": "gloo"}
     answers = [tmp_path / str(rank) for rank in range(2)]
-    hosts = []
-    for rank, answer in enumerate(answers):
-        arguments = [str(rank), str(port), f"{here}:{here.parent}", str(answer)]
-        hosts.append(subprocess.Popen([sys.executable, "-c", HOST, *arguments], env=env))
+    command = [sys.executable, "-c", HOST]
+    hosts = [
+        subprocess.Popen([*command, str(rank), str(port), f"{here}:{here.parent}", str(answer)], env=env)
+        for rank, answer in enumerate(answers)
+    ]
     try:
         assert [host.wait(timeout=150) for host in hosts] == [0, 0]
     finally:

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactbench as cb
-from contactbench.ensembles.lyapunov import kaplan_yorke, orthonormal
+from contactbench.ensembles.lyapunov import kaplan_yorke
 
 PERIOD, EPS = 2 * np.pi, np.finfo(float).eps
 OSCILLATOR, DUFFING = cb.SCENES["oscillator"], cb.SCENES["duffing"]
@@ -31,18 +31,10 @@ def test_kaplan_yorke(exponents, dimension):
     assert kaplan_yorke(np.array(exponents)) == pytest.approx(dimension, rel=1e-14)
 
 
-def test_orthonormalisation_is_numpys_qr():
-    v = np.random.default_rng(5).normal(size=(3, 4, 5))
-    q, logs = orthonormal(v)
-    for k in range(5):
-        mine, r = np.linalg.qr(v[:, :, k].T)
-        np.testing.assert_allclose(np.abs(q[:, :, k].T), np.abs(mine), rtol=1e-12)
-        np.testing.assert_allclose(logs[:, k], np.log(np.abs(np.diag(r))), rtol=1e-12, atol=1e-14)
-
-
-@pytest.mark.parametrize("setting", [("contact-rkn6", {"step": 0.05}), ("cyrk-dop853", {"rtol": 1e-12})])
-def test_an_overdamped_oscillator_has_the_rates_of_its_two_modes(setting):
-    method, how = setting
+@pytest.mark.parametrize(
+    ("method", "how"), [("contact-rkn6", {"step": 0.05}), ("cyrk-dop853", {"rtol": 1e-12})]
+)
+def test_an_overdamped_oscillator_has_the_rates_of_its_two_modes(method, how):
     found = cb.lyapunov(OSCILLATOR.with_(gamma=3.0), method, every=1.0, intervals=64, settle=30, **how)
     np.testing.assert_allclose(found.exponents.value, -1.5 + np.sqrt(1.25) * np.array([1, -1]), rtol=1e-10)
     assert np.all(found.exponents.error < 1e-10)
@@ -144,9 +136,7 @@ def test_a_trajectory_that_leaves_is_left_out_and_counted():
     found = cb.lyapunov(scene, "contact-strang", step=0.1, every=1.0, intervals=40, initial_conditions=start)
     assert (found.diverged, found.rates.shape) == (1, (40, 4, 1))
     assert abs(found.total.value) < 1e-13
-
-
-def test_where_all_of_them_leave_there_is_no_number():
+    # where all of them leave there is no number
     found = cb.lyapunov(OSCILLATOR, "contact-strang", step=6.0, every=6.0, intervals=40)
     assert found.diverged == 1
     assert np.isnan([*found.exponents.value, found.total.value, found.dimension.value]).all()

@@ -13,16 +13,13 @@ from contactbench.report.chapters import CHAPTERS, Chapter, summary
 from contactbench.report.curves import by_method
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.views import View
-from contactbench.results.schema import Rule, table
+from contactbench.results.schema import TABLES, Column, Rule, Table
 from contactbench.results.store import merge
 from contactbench.results.tables import COMMON
-from contactbench.results.tables import number as column
 
-HALF_LIFE = table(
-    "half_life",
-    "when H0 has fallen to a half of H0(0), by linear interpolation",
-    {**COMMON, "half_life": column("time at which H0 is half of H0(0)", Rule.value)},
-)
+COLUMNS = {**COMMON, "half_life": Column("time at which H0 is half of H0(0)", "number", Rule.value)}
+ABOUT = "when H0 has fallen to a half of H0(0), by linear interpolation"
+HALF_LIFE = TABLES.add(Table("half_life", ABOUT, COLUMNS))
 
 
 def rows():

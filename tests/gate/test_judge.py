@@ -154,15 +154,6 @@ def test_a_fresh_run_is_of_the_commit_that_is_judged(root, tmp_path):
     assert not run_gate(root, tmp_path / "c", dirty=True).red  # as the tree is
 
 
-@pytest.mark.parametrize(
-    "path", ["src/contactbench/a.py", "bench/a.py", "references/a.csv", "pyproject.toml", "tox.ini"]
-)
-def test_what_decides_the_tables_makes_a_tree_dirty(path, root):
-    assert not revisions.dirty(root)
-    write(root, path)
-    assert revisions.dirty(root)
-
-
 def test_a_table_that_is_made_and_not_committed_is_red(root, tmp_path):
     run = fresh(root, tmp_path / "fresh", tables={"one_step": "whole", **dict.fromkeys(TABLES, "part")})
     steps = {"method": "rk4", "gamma": 1.0, "step": 0.1, "radius": 0.9, "profile": "smoke"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 
@@ -40,27 +41,10 @@ def machine(monkeypatch):
     return call
 
 
-class Scripted:
-    """A call of a race whose rounds are given visit by visit."""
-
-    def __init__(self, *visits):
-        self.visits, self.rounds = iter(visits), []
-
-    def warm_up(self):
-        return 1.0
-
-    def visit(self, rounds=ROUNDS):
-        self.rounds.append(rounds)
-        return Visit(next(self.visits))
-
-
-def test_the_least_round_is_the_estimate_and_median_and_spread_stay():
+def test_the_least_round_is_the_estimate_median_and_spread_stay_and_the_halves_are_odd_and_even_visits():
     columns = time_columns([Visit([3.0, 2.0, 4.0], iterations=7), Visit([6.0, 1.0, 5.0], iterations=9)])
     times = {"time_min_s": 1.0, "time_median_s": 3.5, "time_iqr_s": 2.5, "time_halves_ratio": 0.5}
     assert columns == times | {"visits": 2, "rounds": 6, "iterations": 9}
-
-
-def test_the_halves_are_odd_and_even_visits():
     assert time_columns([Visit([t]) for t in (4.0, 9.0, 9.0, 6.0)])["time_halves_ratio"] == 1.5
     assert "time_halves_ratio" not in time_columns([Visit([1.0])])
 
@@ -115,14 +99,18 @@ def test_a_long_call_has_one_round_a_visit_and_one_to_warm_up(machine):
     [(0.0, VISITS, 1), (2.2 * VISITS * 2, VISITS, 2), (1e9, MOST_VISITS, ROUNDS)],
 )
 def test_where_time_is_short_there_are_fewer_rounds_and_never_fewer_visits(machine, budget, visits, rounds):
-    class Second(Scripted):
-        def visit(self, rounds=ROUNDS):
-            machine.now[0] += rounds
-            return super().visit(rounds)
+    seen = ([], [])
 
-    race = Race([Second(*[[1.0]] * MOST_VISITS) for _ in range(2)])
-    race.go(budget)
-    assert [call.rounds for call in race.calls] == [[rounds] * visits] * 2
+    def call(rounds_of_visits):
+        def visit(rounds):
+            machine.now[0] += rounds
+            rounds_of_visits.append(rounds)
+            return Visit([1.0])
+
+        return SimpleNamespace(warm_up=lambda: 1.0, visit=visit)
+
+    Race(list(map(call, seen))).go(budget)
+    assert seen == ([rounds] * visits,) * 2
 
 
 @pytest.mark.parametrize(
@@ -133,16 +121,9 @@ def test_a_slow_phase_changes_no_verdict(slow, clear):
 
     Where the visits that it spared are all odd or all even the cell knows that it is too noisy.
     """
-    times = {"a": 1.00, "b": 1.10, "c": 1.02}
-
-    def judge(one, other):
-        columns = []
-        for name in (one, other):
-            factors = [1.5 if visit in slow and name == "a" else 1.0 for visit in range(VISITS)]
-            columns.append(time_columns([Visit([times[name] * factor]) for factor in factors]))
-        first, second = columns
+    first = time_columns([Visit([1.5 if visit in slow else 1.0]) for visit in range(VISITS)])
+    for time, expected in ((1.10, Verdict.win), (1.02, Verdict.tie)):
+        second = time_columns([Visit([time])] * VISITS)
         halves = first["time_halves_ratio"], second["time_halves_ratio"]
-        return verdict(first["time_min_s"] / second["time_min_s"], margin(halves, 1.04))
-
-    assert judge("a", "b") is (Verdict.win if clear else Verdict.undecided)
-    assert judge("c", "a") is (Verdict.tie if clear else Verdict.undecided)
+        found = verdict(first["time_min_s"] / second["time_min_s"], margin(halves, 1.04))
+        assert found is (expected if clear else Verdict.undecided)

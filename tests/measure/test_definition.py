@@ -8,14 +8,9 @@ import pytest
 
 import contactbench as cb
 import planted_faults
-from contactbench.measure.definition import STEPPED, digest, method_lines, row
+from contactbench.measure.definition import STEPPED, method_lines, row
 from contactbench.methods.contact import contact_method
 from contactbench.splitting.tables import COMPOSITIONS
-
-
-def test_the_digest_of_the_same_lines_is_the_same_for_ever():
-    assert digest(["a", "b"]) == "7e18f737311b2dc3"  # SHA-256 of "a\nb"
-    assert row(cb.SCENES["central"]) == row(cb.SCENES["central"])
 
 
 @pytest.mark.parametrize("scene", cb.SCENES.values(), ids=cb.SCENES)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +13,12 @@ import pytest
 import contactbench as cb
 from cases import ALL_SCENES, CONTACT_SCENES, USER, by_name, few_slow, saved
 from cases import pairs as of_methods
+from contactbench.measure.law import round_off_bound
 from contactbench.measure.laws import row
 from contactbench.measure.pullback import pairs, pullback
-from contactbench.measure.round_off import round_off_bound
-from contactbench.methods import differences as by_differences
+from contactbench.methods import prepared
 from contactbench.methods.contact import contact_method
-from contactbench.methods.differences import differences
-from contactbench.methods.prepared import Outcome
+from contactbench.methods.prepared import Outcome, differences
 from contactbench.solution import SAFETY, Counts, Differential, Status
 from contactbench.splitting.tables import COMPOSITIONS
 
@@ -27,7 +27,7 @@ from contactbench.splitting.tables import COMPOSITIONS
 def unlimited(monkeypatch):
     """Derivatives by differences whatever they cost."""
     for name in ("BUDGET", "CALLBACK_BUDGET"):
-        monkeypatch.setattr(by_differences, name, 10**9)
+        monkeypatch.setattr(prepared, name, 10**9)
 
 
 CENTRAL = cb.SCENES["central"]
@@ -39,8 +39,7 @@ DIFFRAX = ("diffrax-tsit5", "diffrax-dopri8")
 FIXED = [name for name, method in cb.METHODS.items() if method.control == "step"]
 
 
-def drift(solution, name="contact_drift"):
-    return cb.LAWS[name](solution)
+drift = cb.LAWS["contact_drift"]
 
 
 # -- the map a user gets, and the map of the steps taken -------------------------------------------
@@ -49,8 +48,8 @@ def test_the_map_with_adaptive_steps_is_no_contact_map_and_the_steps_frozen_are(
     """Figures of an independent check, by differences of the solver on `central`."""
     solution = cb.solve(CENTRAL, "contact-adaptive", rtol=rtol, save_at=[20.0])
     assert true / 2 < drift(solution) < 2 * true
-    assert drift(solution, "contact_drift_frozen") < 1e-13
-    assert drift(solution, "distribution_drift_frozen") < 1e-13
+    assert cb.LAWS["contact_drift_frozen"](solution) < 1e-13
+    assert cb.LAWS["distribution_drift_frozen"](solution) < 1e-13
     assert "choice" in solution.differential.source
     assert "frozen" in solution.frozen_differential.source
 
@@ -73,7 +72,7 @@ def test_fixed_steps_have_one_derivative(method):
     solution = cb.solve(CENTRAL, method, step=0.1, save_at=saved(CENTRAL))
     np.testing.assert_array_equal(solution.differential.value, solution.frozen_differential.value)
     assert len(solution.differential.estimates) == 1  # AD, no differences
-    assert drift(solution) == drift(solution, "contact_drift_frozen")
+    assert drift(solution) == cb.LAWS["contact_drift_frozen"](solution)
 
 
 @pytest.mark.parametrize(
@@ -131,24 +130,16 @@ def test_the_error_bar_is_twice_the_smallest_disagreement_of_two_estimates():
     np.testing.assert_allclose(found.terms, [np.hypot(15.0, 1.0)])
 
 
-@dataclasses.dataclass
-class Stepped:
-    """A map with a jump, as a changed decision on a step makes one."""
-
-    request: object
-    jump_at: float
-    height: float
-
-    def integrate(self, y0):
-        y = np.sin(3 * y0) + self.height * (y0 > self.jump_at)
-        return Outcome(y[None], Counts(1, 1), Status.ok, "", 1.0)
-
-
 @pytest.mark.parametrize("away", [3e-4, 3e-5, -2e-5])
 def test_a_jump_between_two_increments_is_passed_over(away):
-    request = cb.prepare("oscillator", "rk4", step=0.1).request
+    """As a changed decision on a step makes one."""
+
+    def integrate(y0):
+        y = np.sin(3 * y0) + 1e-4 * (y0 > 0.5 + away)
+        return Outcome(y[None], Counts(1, 1), Status.ok, "", 1.0)
+
     y0 = np.array([0.5, 0.2, 0.4])
-    run = Stepped(request, 0.5 + away, 1e-4)
+    run = SimpleNamespace(integrate=integrate, request=cb.prepare("oscillator", "rk4", step=0.1).request)
     found = differences(run, y0, run.integrate(y0))
     wrong = np.abs(found.value[0] - np.diag(3 * np.cos(3 * y0))).max(axis=0)
     assert np.all(wrong <= bars(found))
@@ -183,7 +174,7 @@ def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
     cost = 60 * solution.counts.evaluations
     found = []
     for budget in (cost - 1, cost):
-        monkeypatch.setattr(by_differences, "CALLBACK_BUDGET", budget)
+        monkeypatch.setattr(prepared, "CALLBACK_BUDGET", budget)
         found.append(row(cb.solve(CENTRAL, "scipy-dop853", rtol=1e-4, save_at=[20.0])))
     assert math.isnan(found[0]["contact_drift"])
     assert "contact_drift_uncertainty" not in found[0]
@@ -191,8 +182,6 @@ def test_no_derivative_beyond_the_budget_and_the_table_says_so(monkeypatch):
 
 
 # -- variational runs ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("method", few_slow([*VARIATIONAL, *CYRK], "scipy-radau"))
 def test_derivative_is_taken_at_the_initial_data_of_the_call(method):
     """It starts with the tangents there, and at other initial data is another: against differences of two runs."""
@@ -233,7 +222,6 @@ PARTICLE = cb.SCENES["particle"]
 
 
 def differential(*estimates):
-    """A derivative by as many estimates, at one saved time."""
     return Differential("planted", np.zeros((1, len(estimates[0]))), np.array(estimates)[:, None])
 
 
@@ -254,9 +242,8 @@ def test_of_several_estimates_the_two_that_agree_best_give_the_value_and_its_err
 @pytest.mark.quick(scene="particle")
 def test_contact_methods_pair_to_round_off_at_a_coarse_step(method, scene):
     scene = scene.with_(t_end=min(scene.t_end, 20.0))
-    solution = cb.solve(
-        scene, method.name, step=0.02 if scene.name == "kepler_drag" else 0.2, save_at=saved(scene)
-    )
+    step = 0.02 if scene.name == "kepler_drag" else 0.2
+    solution = cb.solve(scene, method.name, step=step, save_at=saved(scene))
     columns = row(solution)
     bound = max(1e-13, round_off_bound(columns["map_growth"], solution.counts.evaluations))
     assert columns["pairing_drift"] <= bound
@@ -270,6 +257,7 @@ def test_other_steps_pair_to_their_order_only(method):
     assert np.log2(found[0] / found[1]) == pytest.approx(cb.METHODS[method].order, abs=0.2)
 
 
+@pytest.mark.usefixtures("registries")
 def test_a_changed_coefficient_breaks_the_pairs_by_as_much():
     """Strang with 1 + 10⁻⁶ times the damped drift: the factor is e^{−γt(1 + 10⁻⁶)}."""
     strang = next(c for c in COMPOSITIONS if c.name == "contact-strang")
@@ -277,8 +265,5 @@ def test_a_changed_coefficient_breaks_the_pairs_by_as_much():
     stages = tuple((name, c * change[name]) for name, c in strang.stages)
     mutant = contact_method(dataclasses.replace(strang, name="mutant", stages=stages))
     cb.METHODS.add(mutant)
-    try:
-        drift = LAW(cb.solve(PARTICLE, "mutant", step=0.1, save_at=saved(PARTICLE)))
-    finally:
-        del cb.METHODS["mutant"]
-    assert drift == pytest.approx(1e-6 * PARTICLE.gamma * PARTICLE.t_end, rel=1e-2)
+    off = LAW(cb.solve(PARTICLE, "mutant", step=0.1, save_at=saved(PARTICLE)))
+    assert off == pytest.approx(1e-6 * PARTICLE.gamma * PARTICLE.t_end, rel=1e-2)

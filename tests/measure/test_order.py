@@ -1,4 +1,4 @@
-"""Orders of convergence extrapolated from errors whose order is known."""
+"""Orders of convergence, compositions let in by their order, and the ladders of settings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ import math
 import numpy as np
 import pytest
 
+import contactbench as cb
+from contactbench.measure.ladder import carry_of, tolerances, work_ladder
+from contactbench.measure.laws import LAWS
 from contactbench.measure.order import fit_order
+from contactbench.race.comparison import Attempt, Question, Scout, ends
+from contactbench.splitting.tables import COMPOSITIONS
 
 H = [0.8 / 2**k for k in range(9)]
 
@@ -86,3 +91,99 @@ def test_the_uncertainty_is_three_times_the_spread_of_the_extrapolations_and_nin
     fit = fit_order(steps, errors)
     assert fit.order == pytest.approx(2.99, abs=1e-12)
     assert fit.uncertainty == pytest.approx(uncertainty, rel=1e-6)
+
+
+# -- A composition from one's own coefficients -----------------------------------------------------
+pytestmark = pytest.mark.usefixtures("registries")
+#: those whose stages are kicks and drifts in turn, without a processor
+PLAIN = [c for c in COMPOSITIONS if c.two_part and not c.processor]
+
+
+def lists(known):
+    """Its coefficients as a user has them: floats."""
+    return {
+        "kick": [float(c) for name, c in known.stages if name == "kick"],
+        "drift": [float(c) for name, c in known.stages if name == "drift_damp"],
+    }
+
+
+@pytest.mark.parametrize("known", PLAIN, ids=lambda c: c.name)
+def test_printed_coefficients_give_the_same_method(known):
+    mine = cb.composition("mine", known.order, **lists(known), nystrom=known.nystrom)
+    assert cb.METHODS["mine"] is mine
+    assert (mine.family, mine.contact, mine.symmetric) == ("contact", True, True)
+    ours, theirs = (cb.solve("central", name, step=0.5, save_at=[10.0]) for name in ("mine", known.name))
+    np.testing.assert_allclose(ours.y, theirs.y, rtol=1e-12, atol=1e-12)
+    assert LAWS["contact_drift"](ours) < 1e-12
+    assert sum(c for name, c in mine.composition.stages if name == "kick") == 1  # whatever was rounded
+
+
+@pytest.mark.parametrize("known", [c for c in PLAIN if c.order > 2], ids=lambda c: c.name)
+def test_a_wrong_coefficient_is_not_let_in(known):
+    wrong = lists(known)
+    wrong["kick"][1] += 1e-3
+    wrong["kick"][-2] -= 1e-3
+    with pytest.raises(cb.BadInput, match=rf"order = {known.order}: measured [0-9.]+ on particle"):
+        cb.composition("mine", known.order, **wrong, nystrom=known.nystrom)
+    assert "mine" not in cb.METHODS
+
+
+def test_an_order_is_neither_too_high_nor_too_low():
+    for order in (1, 3, 4):
+        with pytest.raises(cb.BadInput, match=rf"order = {order}: measured (1\.9|2\.0)"):
+            cb.composition("mine", order, kick=[0.5, 0.5], drift=[1])
+
+
+def test_a_nystrom_composition_must_say_so():
+    known = next(c for c in PLAIN if c.nystrom)
+    with pytest.raises(cb.BadInput, match="on rigid_body; nystrom=True"):
+        cb.composition("mine", known.order, **lists(known))
+
+
+@pytest.mark.parametrize(
+    ("kick", "drift", "first"),
+    [(["1/2", "1/2"], [1], "kick"), ([1], [0.5, 0.5], "drift_damp"), ([1], [1], "kick")],
+)
+def test_the_longer_list_begins(kick, drift, first):
+    order = 1 if len(kick) == len(drift) else 2
+    mine = cb.composition("mine", order, kick, drift)
+    assert mine.composition.stages[0][0] == first
+    assert mine.symmetric == (order == 2)
+    for scene in ("particle", "rigid_body", "rigid_body_anisotropic"):
+        assert cb.solve(scene, "mine", step=0.1, save_at=[1.0]).ok
+
+
+# -- Ladders of tolerances -------------------------------------------------------------------------
+PEERS = [m for m in cb.METHODS.values() if m.adaptive and m.family == "established"]
+
+
+@pytest.mark.parametrize("method", PEERS, ids=lambda m: m.name)
+def test_the_last_rung_is_the_end_of_the_range(method):
+    values = tolerances(method)
+    assert values[-1] == method.rtol_range[0] <= 1e-13
+    assert values == sorted(set(values), reverse=True)
+    assert {1e-3, 1e-6, 1e-13} <= {float(f"{v:.3g}") for v in values}
+
+
+def test_a_ladder_ends_where_the_error_stops_falling(monkeypatch):
+    """At 10⁻¹² and 10⁻¹³ the error is 3·10⁻¹³: one rung that brings nothing is tried, and no more."""
+
+    def attempt(scout, value):
+        scout.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, max(value, 3e-13)))
+        return scout.attempts[-1]
+
+    monkeypatch.setattr(Scout, "attempt", attempt)
+    scene = cb.SCENES["oscillator"]
+    question = Question(scene, cb.reference(scene, ends(scene), carry_of(scene)), (1e-300,), 60.0)
+    tried = list(Scout(question, "heyoka-taylor").ladder())
+    assert tried[-1].value == pytest.approx(1e-14)
+    assert all(math.isfinite(attempt.error) for attempt in tried)
+
+
+def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six_on():
+    """The latter by multiples of five steps near 6.25 · 2^(k/2)."""
+    body, particle = cb.SCENES["rigid_body"], cb.SCENES["particle"]
+    assert work_ladder(body, 2) == pytest.approx([4.0, 2.0, *(0.8 / 2**k for k in range(9))])
+    assert work_ladder(particle, 2) == pytest.approx([0.8 / 2**k for k in range(9)])
+    counts = [particle.t_end / step for step in work_ladder(particle, 6)]
+    assert counts == pytest.approx([5, 10, 20, 25, 35, 50, 70, 100, 140, 200])

@@ -23,8 +23,6 @@ PRODUCT = [
     for case in method_cases(method)
 ]
 LABELS = [f"{method.name}-{engine}-{scene.name}" for method, engine, scene, _ in PRODUCT]
-
-
 BODY_METHODS = ("contact-exact", "contact-bm4", "cvode-bdf", "cyrk-dop853")
 
 
@@ -38,40 +36,32 @@ def test_a_method_keeps_its_contract(method, engine, scene, first):
 
 
 # -- a violation of each rule ----------------------------------------------------------------------
-class Remembers(PythonLoop):
-    calls = 0
-
-    def integrate(self, y0):
-        self.calls += 1
-        out = super().integrate(y0)
-        return replace(out, y=out.y * (1 + 1e-9 * self.calls))
+def changed(kind, **methods):
+    """A kind of run or method with some of its methods replaced."""
+    return type("Changed", (kind,), methods)
 
 
-class StartsElsewhere(PythonLoop):
-    def integrate(self, y0):
-        out = super().integrate(y0)
-        return replace(out, y=out.y + 1e-9 * (len(out.y) > 1))
+def remember(run, y0):
+    run.calls = getattr(run, "calls", 0) + 1
+    out = PythonLoop.integrate(run, y0)
+    return replace(out, y=out.y * (1 + 1e-9 * run.calls))
 
 
-class TimedElsewhere(PythonLoop):
-    def bare(self, y0):
-        return super().bare(y0) * (1 + 1e-9)
+def start_elsewhere(run, y0):
+    out = PythonLoop.integrate(run, y0)
+    return replace(out, y=out.y + 1e-9 * (len(out.y) > 1))
 
 
-class SpendsMore(PythonLoop):
-    def integrate(self, y0):
-        self.needed = 0
-        return super().integrate(y0)
+def spend_more(run, y0):
+    run.needed = 0
+    return PythonLoop.integrate(run, y0)
 
 
-class DerivesWrongly(PythonLoop):
-    def sensitivity(self, y0):
-        return 1.001 * super().sensitivity(y0)
-
-
-class OtherSteps(PythonLoop):
-    def intervals(self, y0, h, n):
-        return super().intervals(y0, h * (1 + 1e-9), n)
+TIMED_ELSEWHERE = changed(PythonLoop, bare=lambda run, y0: PythonLoop.bare(run, y0) * (1 + 1e-9))
+DERIVES_WRONGLY = changed(PythonLoop, sensitivity=lambda run, y0: 1.001 * PythonLoop.sensitivity(run, y0))
+OTHER_STEPS = changed(
+    PythonLoop, intervals=lambda run, y0, h, n: PythonLoop.intervals(run, y0, h * (1 + 1e-9), n)
+)
 
 
 @dataclass(frozen=True)
@@ -92,16 +82,6 @@ class Broken(FixedStep):
         return super().prepare(request)
 
 
-class RefusesSilently(Broken):
-    def refuses(self, scene):
-        return ""
-
-
-class CostsNothing(Broken):
-    def step_cost(self, scene, engine):
-        return None
-
-
 def by_engine(scene, x, h, xp):
     """Other steps in compiled code."""
     return RK4.step(scene, x, h if abilities(xp).branch else h * (1 + 1e-9), xp)
@@ -111,19 +91,19 @@ BROKEN = [
     (1, Broken(about="")),
     (1, Broken(family="ours")),
     (1, Broken(engines=("python", "abacus"))),
-    (2, RefusesSilently()),
-    (3, Broken(run=Remembers)),
-    (4, Broken(run=StartsElsewhere)),
-    (5, Broken(run=TimedElsewhere)),
+    (2, changed(Broken, refuses=lambda method, scene: "")()),
+    (3, Broken(run=changed(PythonLoop, integrate=remember))),
+    (4, Broken(run=changed(PythonLoop, integrate=start_elsewhere))),
+    (5, Broken(run=TIMED_ELSEWHERE)),
     (6, Broken(order=5)),
-    (7, Broken(run=SpendsMore)),
+    (7, Broken(run=changed(PythonLoop, integrate=spend_more))),
     (8, Broken(evaluations=3)),
     (8, Broken(kind="gradient", evaluations=3)),
     (9, Broken(engines=("python", "numba"), step=by_engine)),
     (10, Broken(contact=True)),
     (10, Broken(symmetric=True)),
-    (11, Broken(run=DerivesWrongly)),
-    (12, CostsNothing()),
+    (11, Broken(run=DERIVES_WRONGLY)),
+    (12, changed(Broken, step_cost=lambda method, scene, engine: None)()),
 ]
 
 
@@ -144,21 +124,10 @@ def test_every_rule_has_a_method_that_breaks_it():
 ENGINES = ("numba", "jax", "python")
 
 
-@pytest.mark.parametrize("engines", [["python"], ["numba"], ["python", "numba"]], ids=str)
-@pytest.mark.parametrize(
-    ("rule", "wrong"),
-    [(6, {"order": 5}), (6, {"order": 3}), (8, {"evaluations": 3}), (10, {"symmetric": True})],
-)
-def test_no_rule_is_left_out_with_an_engine(engines, rule, wrong):
-    with pytest.raises(Violation) as caught:
-        check_method(Broken(engines=ENGINES, **wrong), engines=engines, scenes=CASES[:1])
-    assert caught.value.rule == rule
-
-
 @pytest.mark.parametrize(("engine", "other"), [("python", "numba"), ("numba", "python")])
 def test_one_engine_alone_is_compared_with_another(engine, other):
     with pytest.raises(Violation, match=f"rule 9: .* {engine}: off {other}"):
-        check_method(Broken(engines=ENGINES, run=OtherSteps), engines=[engine], scenes=CASES[:1])
+        check_method(Broken(engines=ENGINES, run=OTHER_STEPS), engines=[engine], scenes=CASES[:1])
 
 
 def test_what_a_check_returns_says_which_rules_where_and_what_was_measured():

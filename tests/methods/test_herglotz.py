@@ -44,11 +44,8 @@ def test_steps_satisfy_the_discrete_herglotz_principle(method, scene, mp50):
 
     def partial(arguments, which, i=None):
         def at(d):
-            moved = list(arguments)
-            if i is None:
-                moved[which] = moved[which] + d
-            else:
-                moved[which] = tuple(c + d * (k == i) for k, c in enumerate(moved[which]))
+            moved, own = list(arguments), arguments[which]
+            moved[which] = own + d if i is None else tuple(c + d * (k == i) for k, c in enumerate(own))
             return L(*moved)
 
         return (at(delta) - at(-delta)) / (2 * delta)

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import contactbench as cb
+from cases import few_slow
 from contactbench.scene import Driven, Mechanical
 
 ADAPTIVE = [
@@ -16,13 +17,8 @@ ADAPTIVE = [
     for engine in method.engines
 ]
 #: XLA compiles four programs for seconds: one of its methods stands for all
-every = pytest.mark.parametrize(
-    ("method", "engine"),
-    [
-        pytest.param(*pair, marks=pytest.mark.slow if pair[1] == "jax" and "tsit5" not in pair[0] else [])
-        for pair in ADAPTIVE
-    ],
-)
+LONG = [pair for pair in ADAPTIVE if pair[1] == "jax" and "tsit5" not in pair[0]]
+every = pytest.mark.parametrize(("method", "engine"), few_slow(ADAPTIVE, *LONG))
 STILL = {"q": (1.0,), "p": (0.3,), "gamma": 0.1, "t_end": 7.0}
 
 

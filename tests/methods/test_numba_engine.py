@@ -16,9 +16,8 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import record_function
 from contactbench.solution import Status
 from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import FUNCTIONS
+from contactbench.trace.form import FUNCTIONS, execute
 from contactbench.trace.program import record
-from contactbench.trace.python import execute
 from contactbench.trace.recording import ALIASES
 
 FIXED = [method for method in cb.METHODS.values() if isinstance(method, FixedStep)]
@@ -34,10 +33,10 @@ def test_source_computes_what_the_scene_does(scene, what):
         x = random_state(scene, carry=carry)
         result = getattr(scene, what)(x)
         expected = scene.without_clock(scene.pack(result)) if what == "rhs" else result
-        y, t = scene.pack(x), 0.0 if scene.clock is None else x.t
-        np.testing.assert_array_equal(
-            record_function(scene, what, carry)(t, scene.without_clock(y)), expected
+        found = record_function(scene, what, carry)(
+            x.t if scene.clock else 0.0, scene.without_clock(scene.pack(x))
         )
+        np.testing.assert_array_equal(found, expected)
 
 
 # -- programs --------------------------------------------------------------------------------------
@@ -56,10 +55,8 @@ def every_operation(numbers, h, n, y, xp, repeat):
     condition = (x < 1) & ~(x >= big) | (x == 7)
     results += [xp.where(condition, x, big), xp.where(x != x, 0.0, 1.0), xp.where(True, x, big)]
     results += [xp.maximum(x, big), xp.minimum(x, 0.1), xp.where((x <= 0.3) & (x > 0.2), 1.0, 0.0)]
-    results += [
-        repeat(n, lambda v: v * h + numbers[0], x),
-        repeat(3, lambda v: (v[0] + v[1], v[1] + 1), (x, 0))[0],
-    ]
+    results += [repeat(n, lambda v: v * h + numbers[0], x)]
+    results += [repeat(3, lambda v: (v[0] + v[1], v[1] + 1), (x, 0))[0]]
     column = xp.multiply.outer(xp.asarray([1.0, 2.0, 5.0]), h)
     summed = repeat(3, lambda v: (v[0] + xp.exp(column)[v[1]], v[1] + 1), (x, 0))[0]
     return [*results, summed, column[-1] * x, column[xp.asarray([2, 1])][1] * x]
@@ -97,7 +94,11 @@ def test_every_operation_is_compiled_to_what_it_is():
 
 def test_every_operation_is_compiled_for_many_states_side_by_side():
     """Every lane is the run of its own state."""
-    program = record(every_operation_of_one, 1, 1, 1, 1e6)
+
+    def one_result(*arguments):
+        return [sum(result * 1.1**k for k, result in enumerate(every_operation(*arguments)))]
+
+    program = record(one_result, 1, 1, 1, 1e6)
     w, shape = np.empty((1, program.width)), np.append(program.shape, 0)
     run, lanes = compile_function(program.run), 4
     compile_function(program.setup)(np.array([0.7]), np.array([[0.25, 4.0]]), program.data, program.shape, w)
@@ -109,13 +110,6 @@ def test_every_operation_is_compiled_for_many_states_side_by_side():
         run(starts[:, k].copy(), w, shape, alone)
         assert ends[0, 0, k] == pytest.approx(alone[0, 0], rel=4e-15)
     assert np.isnan(ends[0, 0, :lanes]).all()  # not asked for
-
-
-def every_operation_of_one(*arguments):
-    total = 0.0
-    for k, result in enumerate(every_operation(*arguments)):
-        total = total + result * 1.1**k
-    return [total]
 
 
 # -- the engine ------------------------------------------------------------------------------------
@@ -163,7 +157,7 @@ def test_one_program_serves_all_compositions_parameters_and_steps():
         return loop_of(cb.METHODS[method], scene, ("s",))
 
     for part in ("run", "setup"):
-        bm4, rkn6, o8 = (getattr(loop(name), part) for name in ("contact-bm4", "contact-rkn6", "contact-o8"))
+        bm4, rkn6, o8 = (getattr(loop(f"contact-{name}"), part) for name in ("bm4", "rkn6", "o8"))
         assert bm4 is rkn6 is o8
     assert loop("contact-rkn6", PARTICLE.with_(gamma=0.3, coupling=0.2, mass=2.0)) is loop("contact-rkn6")
     ends = {m: cb.solve(PARTICLE, m, step=0.5).y[-1] for m in ("contact-bm4", "contact-rkn6")}
@@ -176,16 +170,13 @@ def test_one_program_serves_all_compositions_parameters_and_steps():
 def test_what_is_computed_ahead_has_the_same_bits_in_python_and_compiled(method, scene):
     loop = cb.prepare(scene, method.name, engine="numba", step=0.1).loop
     spans = np.array([[h, n] for n in (1, 2, 7) for h in (1e-9, 0.03, 2.0 / 3, 4.1, 40.0)])
-    numbers, tables = np.array(scene.numbers()), []
-    for compiles in (False, True):
-        if compiles:
-            assert loop.setup
-        else:
-            vars(loop).pop("setup", None)
-        tables.append(loop.table(numbers, spans))
-        assert compiles or "setup" not in vars(loop)  # Python could
+    numbers = np.array(scene.numbers())
+    vars(loop).pop("setup", None)
+    in_python = loop.table(numbers, spans)
+    assert "setup" not in vars(loop)  # Python could
     assert loop.program.width
-    np.testing.assert_array_equal(*tables)
+    assert loop.setup
+    np.testing.assert_array_equal(in_python, loop.table(numbers, spans))
 
 
 def test_what_python_cannot_compute_ahead_is_compiled():
@@ -199,17 +190,13 @@ def test_what_python_cannot_compute_ahead_is_compiled():
 
 
 def test_very_many_different_steps_are_taken_in_parts(monkeypatch):
-    rng = np.random.default_rng(1)
-    times = np.cumsum(rng.uniform(0.01, 0.1, 100))
-    options = {"step": 0.03, "save_at": times}
+    options = {"step": 0.03, "save_at": np.cumsum(np.random.default_rng(1).uniform(0.01, 0.1, 100))}
     whole = cb.solve(PARTICLE, "contact-bm6", **options).y
     monkeypatch.setattr("contactbench.methods.fixed_step_run.AHEAD", 2000)
     np.testing.assert_array_equal(cb.solve(PARTICLE, "contact-bm6", **options).y, whole)
 
 
 # -- what cannot be recorded -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("step", "why"),
     [

@@ -92,17 +92,3 @@ def test_jax_differentiates_it_along_a_parameter():
 
     difference = (end(0.1 + 1e-5) - end(0.1 - 1e-5)) / 2e-5
     assert float(jax.grad(end)(0.1)) == pytest.approx(difference, rel=1e-7)
-
-
-BAD = {
-    "refused": (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
-    "adaptive": (lambda: cb.step_map("particle", "cvode-bdf"), "chooses its own steps"),
-    "parameter": (lambda: cb.step_map("particle", "rk4")((1.0,) * 5, 0.1, gama=1.0), "did you mean 'gamma'"),
-    "length": (lambda: cb.step_map("particle", "rk4")((1.0,) * 4, 0.1), "y has 4 entries: must be 5"),
-}
-
-
-@pytest.mark.parametrize(("call", "says"), BAD.values(), ids=BAD)
-def test_bad_input_is_named(call, says):
-    with pytest.raises(cb.BadInput, match=says):
-        call()

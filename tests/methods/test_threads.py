@@ -35,8 +35,14 @@ def starts(thread):
     return {"q": (1.0 + thread / 8, 0.5), "p": (0.1 * thread, 0.2)}
 
 
-def wrong(method, engine, times, calls, shared):
-    """How many calls of four threads gave another result than alone; one run for all, or one for each."""
+@pytest.mark.parametrize("times", TIMES)
+@pytest.mark.parametrize("shared", [True, False], ids=["one run", "a run each"])
+@pytest.mark.parametrize(("method", "engine"), PAIRS, ids=[f"{m.name}-{e}" for m, e in PAIRS])
+@pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), times="end")
+@pytest.mark.quick(method="contact-rkn6", engine="numba", times="end")
+def test_threads_do_not_disturb_each_other(method, engine, shared, times):
+    """Four threads, and one run for all or one for each."""
+    calls = 2000 if (method.name, engine) in STATEFUL else 60  # 10⁴ of all pairs
     run = prepared(method, engine, times)
     alone = [run(**starts(thread)).y.copy() for thread in range(THREADS)]
     runs = [run if shared else prepared(method, engine, times) for _ in range(THREADS)]
@@ -51,16 +57,6 @@ def wrong(method, engine, times, calls, shared):
     sys.setswitchinterval(1e-6)
     try:
         with ThreadPoolExecutor(THREADS) as pool:
-            return sum(pool.map(calling, range(THREADS)))
+            assert sum(pool.map(calling, range(THREADS))) == 0
     finally:
         sys.setswitchinterval(interval)
-
-
-@pytest.mark.parametrize("times", TIMES)
-@pytest.mark.parametrize("shared", [True, False], ids=["one run", "a run each"])
-@pytest.mark.parametrize(("method", "engine"), PAIRS, ids=[f"{m.name}-{e}" for m, e in PAIRS])
-@pytest.mark.quick(method=("heyoka-taylor", "cvode-bdf"), engine=("llvm", "c"), times="end")
-@pytest.mark.quick(method="contact-rkn6", engine="numba", times="end")
-def test_threads_do_not_disturb_each_other(method, engine, shared, times):
-    calls = 2000 if (method.name, engine) in STATEFUL else 60  # 10⁴ of all pairs
-    assert wrong(method, engine, times, calls, shared) == 0

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import contactbench as cb
+from cases import TILTED
 
 
 def quartic(q, a=1.0, b=0.5):
@@ -40,6 +41,10 @@ SHAKEN = {
 }
 
 
+RATES = (lambda t: 0.2 + 0.1 * cb.math.sin(t)), (lambda t: 0.3 - 0.1 * cb.math.cos(t))
+DAMPINGS = [(lambda s: 0.2 * s, lambda s: 0.2), (lambda s: 0.2 * s + s * s * s, lambda s: 0.2 + 3 * s * s)]
+
+
 def driven(rate):
     return cb.Driven(name="driven", **SHAKEN, rate=rate, **START)
 
@@ -51,6 +56,7 @@ def damped(damping, slope):
 BODY = cb.SCENES["rigid_body"].with_(
     inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=2.0
 )
+AXES = (0.1, 0.2, 0.3)
 WELL = cb.Mechanical(name="well", **FORCE, gamma=0.2, **START)
 SPRING = cb.SCENES["stiff_spring"].with_(t_end=2.0)
 #: what differs: two scenes or more, and the fields each is to carry
@@ -58,11 +64,7 @@ PAIRS = {
     "order of the inertias": [
         (BODY.with_(inertia=i), None) for i in ((1.0, 1.7, 2.1), (2.1, 1.0, 1.7), (1.7, 2.1, 1.0))
     ],
-    "kind of damping": [
-        (BODY, None),
-        (BODY.with_(damping=(0.1, 0.2, 0.3)), None),
-        (BODY.with_(damping=((0.3, 0.1, 0.0), (0.1, 0.2, 0.05), (0.0, 0.05, 0.1))), None),
-    ],
+    "kind of damping": [(BODY, None), *((BODY.with_(damping=d), None) for d in (AXES, TILTED.damping))],
     "fields of a body": [(BODY, ()), (BODY, ("s",)), (BODY, ("R",)), (BODY, ("R", "s"))],
     "sign of kappa": [(WELL.with_(kappa=k), None) for k in (0.0, 0.3, -0.2)],
     "fields": [(WELL, ()), (WELL, ("s",))],
@@ -78,21 +80,12 @@ PAIRS = {
         for p in ({"omega": 3.0, "coupling": 0.4}, {"coupling": 0.4, "omega": 3.0})
     ],
     "our potential": [(cb.SCENES[name].with_(t_end=2.0), None) for name in ("particle", "central")],
-    "rate": [
-        (driven(lambda t: 0.2 + 0.1 * cb.math.sin(t)), None),
-        (driven(lambda t: 0.3 - 0.1 * cb.math.cos(t)), None),
-    ],
-    "damping": [
-        (damped(lambda s: 0.2 * s, lambda s: 0.2), None),
-        (damped(lambda s: 0.2 * s + s * s * s, lambda s: 0.2 + 3 * s * s), None),
-    ],
+    "rate": [(driven(rate), None) for rate in RATES],
+    "damping": [(damped(*damping), None) for damping in DAMPINGS],
 }
 #: compiled by XLA for seconds; see `test_no_ensemble_on_jax_gets_the_program_of_another`
-ON_JAX = [
-    ("order of the inertias", "contact-strang"),
-    ("sign of kappa", "contact-strang"),
-    ("fields", "diffrax-tsit5"),
-]
+ON_JAX = [(what, "contact-strang") for what in ("order of the inertias", "sign of kappa")]
+ON_JAX += [("fields", "diffrax-tsit5")]
 ENGINES = [(name, "numba") for name in ("contact-strang", "contact-adaptive", "contact-exact")]
 ENGINES += [("cvode-bdf", "c"), ("cyrk-tsit5", "c++"), ("heyoka-taylor", "llvm")]
 ENGINES += [("contact-strang", "jax"), ("diffrax-tsit5", "jax")]
@@ -117,13 +110,13 @@ def last_state(what, k, name, engine):
 
 def both_ways():
     """What each solve ends in, in two processes: one after the other forwards, and backwards."""
-    options = {
-        "stdout": subprocess.PIPE,
-        "text": True,
-        "env": os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    }
-    orders = ("forwards", "backwards")
-    started = [subprocess.Popen([sys.executable, __file__, order], **options) for order in orders]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    started = [
+        subprocess.Popen(
+            [sys.executable, __file__, order], stdout=subprocess.PIPE, text=True, env=environment
+        )
+        for order in ("forwards", "backwards")
+    ]
     outputs = [process.communicate(timeout=500)[0] for process in started]
     assert [process.returncode for process in started] == [0, 0]
     return [{tuple(solve): np.array(y) for solve, y in json.loads(output)} for output in outputs]

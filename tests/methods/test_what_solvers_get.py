@@ -28,48 +28,29 @@ ASKED = {"rtol": RTOL, "atol": ATOL, "max_num_steps": BUDGET}
 
 
 def tolerances(name):
-    """The keywords of a method's tolerances."""
     return {"rtol": RTOL, **({"atol": ATOL} if cb.METHODS[name].takes_atol else {})}
 
 
+DATA = {"gamma": 0.3, "q": (0.9, -0.7, 0.4, 0.2), "p": (0.1, 0.6, -0.5, 0.3), "s": 0.2, "t_end": END}
 #: two pairs of springs, nine components
 SCENE = cb.Mechanical(
     name="asked",
-    gamma=0.3,
-    q=(0.9, -0.7, 0.4, 0.2),
-    p=(0.1, 0.6, -0.5, 0.3),
-    s=0.2,
-    t_end=END,
     potential=lambda q: (
         sum(0.53 * c * c + 0.21 * c * c * c * c for c in q) + 0.37 * (q[0] * q[1] + q[2] * q[3])
     ),
-    gradient=lambda q: tuple(
-        1.06 * c + 0.84 * c * c * c + 0.37 * other
-        for c, other in zip(q, (q[1], q[0], q[3], q[2]), strict=True)
-    ),
+    gradient=lambda q: tuple(1.06 * c + 0.84 * c * c * c + 0.37 * q[i ^ 1] for i, c in enumerate(q)),
     hessian=lambda q: tuple(
         tuple(1.06 + 2.52 * c * c if i == j else 0.37 * (i // 2 == j // 2) for j in range(4))
         for i, c in enumerate(q)
     ),
+    **DATA,
 )
 #: what each is in its library
-KINDS = {
-    ("scipy-dop853", "python"): "DOP853",
-    ("scipy-radau", "python"): "Radau",
-    ("cvode-adams", "c+python"): "Adams",
-    ("cvode-bdf", "c+python"): "BDF",
-    ("cvode-adams", "c"): "Adams",
-    ("cvode-bdf", "c"): "BDF",
-    ("cyrk-dop853", "c++"): "DOP853",
-    ("cyrk-vern8", "c++"): "Vern8",
-    ("cyrk-tsit5", "c++"): "Tsit5",
-    ("cyrk-lsoda", "c++"): "LSODA",
-    ("cyrk-radau", "c++"): "RADAU",
-    ("diffrax-tsit5", "jax"): "Tsit5",
-    ("diffrax-dopri8", "jax"): "Dopri8",
-    ("diffrax-kvaerno5", "jax"): "Kvaerno5",
-    ("heyoka-taylor", "llvm"): None,
-}
+KINDS = {("scipy-dop853", "python"): "DOP853", ("scipy-radau", "python"): "Radau"}
+KINDS |= {(f"cvode-{kind.lower()}", e): kind for kind in ("Adams", "BDF") for e in ("c", "c+python")}
+KINDS |= {(f"cyrk-{kind.lower()}", "c++"): kind for kind in ("DOP853", "Vern8", "Tsit5", "LSODA", "RADAU")}
+KINDS |= {(f"diffrax-{kind.lower()}", "jax"): kind for kind in ("Tsit5", "Dopri8", "Kvaerno5")}
+KINDS |= {("heyoka-taylor", "llvm"): None}
 ADAPTIVE = [(m.name, e) for m in cb.METHODS.values() if m.adaptive for e in m.engines]
 
 
@@ -126,25 +107,21 @@ def test_heyoka(times, monkeypatch):
     seen = []
     # at another tolerance before: every one has a program of its own
     kind = type(cb.prepare(SCENE, "heyoka-taylor", rtol=1e-9, save_at=times).integrator)
-    until, grid = kind.propagate_until, kind.propagate_grid
 
-    def propagate_until(self, t, **options):
-        seen.append({"tol": self.tol, "end": t} | options)
-        return until(self, t, **options)
+    def recorded(propagate):
+        def noted(self, t, **options):
+            seen.append({"tol": self.tol, "end": np.ravel(t)[-1]} | options)
+            return propagate(self, t, **options)
 
-    def propagate_grid(self, grid_, **options):
-        seen.append({"tol": self.tol, "end": grid_[-1]} | options)
-        return grid(self, grid_, **options)
+        return noted
 
-    monkeypatch.setattr(kind, "propagate_until", propagate_until)
-    monkeypatch.setattr(kind, "propagate_grid", propagate_grid)
+    for name in ("propagate_until", "propagate_grid"):
+        monkeypatch.setattr(kind, name, recorded(getattr(kind, name)))
     calls(prepared("heyoka-taylor", "llvm", times))
     assert seen == 3 * [{"tol": RTOL, "end": END, "max_steps": BUDGET}]
 
 
 # -- set up from Python, run in C ------------------------------------------------------------------
-
-
 C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p)
 
 
@@ -266,8 +243,7 @@ def test_diffrax_in_ensembles(name, shape, monkeypatch):
 def test_the_budget_is_the_one_asked_for(name, engine, times):
     """Enough for the run, and one step less is not; diffrax's is looked at above."""
     options = {**tolerances(name), "save_at": times, "engine": engine}
-    run = cb.prepare(SCENE, name, **options)
-    steps = run().counts.steps
+    steps = cb.solve(SCENE, name, **options).counts.steps
     assert cb.solve(SCENE, name, max_steps=steps, **options).ok
     assert cb.solve(SCENE, name, max_steps=steps - 1, **options).status is Status.budget
 
@@ -281,8 +257,7 @@ SILENT = ("scipy-radau", "cyrk-radau", "cyrk-lsoda")
 def test_rejected_steps_are_counted_or_known_not_to_be(name, engine, times):
     """Pericentre after pericentre of an eccentric orbit, where there must be some, but for Taylor's steps."""
     scene = cb.SCENES["kepler_drag"].with_(t_end=20.0)
-    run = cb.prepare(scene, name, rtol=1e-6, save_at=times, engine=engine)
-    counts = run().counts
+    counts = cb.solve(scene, name, rtol=1e-6, save_at=times, engine=engine).counts
     if name in SILENT or engine == "c+python" or (engine == "c++" and times is None):
         assert counts.rejected is None
     else:

@@ -1,15 +1,17 @@
-"""The functions a force may use: the same on every kind of number, and with the right derivative."""
+"""The functions a force may use: the same on every kind of number, with the right derivative; powers for heyoka."""
 
 import math
 
+import heyoka
 import mpmath
 import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.boundary import FUNCTIONS
+from contactbench.errors import FUNCTIONS
 from contactbench.numbers.dual import DERIVATIVES, Dual
-from contactbench.numbers.protocol import Numbers
+from contactbench.numbers.protocol import CannotRecord, Numbers
+from contactbench.numbers.series import Series, SeriesNumbers
 
 #: inside the domain of each
 POINT = {name: 1.25 if name == "acosh" else 0.375 for name in FUNCTIONS}
@@ -28,6 +30,8 @@ def test_every_kind_of_number_gives_the_same(name):
         precise = function(mpmath.mpf(x))
         assert float(precise) == pytest.approx(expected, rel=1e-15)
         assert abs(precise - getattr(mpmath, name)(mpmath.mpf(x))) == 0
+    slope = (function(x + 1e-6) - function(x - 1e-6)) / 2e-6
+    assert function(Dual(x, 1.0)).b == pytest.approx(slope, rel=1e-8)
 
 
 @pytest.mark.parametrize("name", DERIVATIVES)
@@ -50,14 +54,6 @@ class Namespace(Numbers):
         return getattr(mpmath, name)
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_know_dual_numbers(name):
-    x, function = POINT[name], getattr(cb.math, name)
-    step = 1e-6
-    slope = (function(x + step) - function(x - step)) / (2 * step)
-    assert function(Dual(x, 1.0)).b == pytest.approx(slope, rel=1e-8)
-
-
 def test_functions_of_floats_are_total():
     assert math.isnan(cb.math.sqrt(-1.0))
     assert cb.math.log(0.0) == -math.inf
@@ -65,17 +61,8 @@ def test_functions_of_floats_are_total():
     assert cb.math.sinh(-1e3) == -math.inf
 
 
-PENDULUM = cb.Mechanical(
-    name="pendulum",
-    about="a damped mathematical pendulum",
-    potential=lambda q: -cb.math.cos(q[0]),
-    gradient=lambda q: (cb.math.sin(q[0]),),
-    gamma=0.1,
-    q=(1.5,),
-    p=(0.0,),
-    t_end=5.0,
-)
-
+FORCE = {"potential": lambda q: -cb.math.cos(q[0]), "gradient": lambda q: (cb.math.sin(q[0]),)}
+PENDULUM = cb.Mechanical(name="pendulum", **FORCE, gamma=0.1, q=(1.5,), p=(0.0,), t_end=5.0)
 RUNS = [
     ("contact-rkn6", "numba", {"step": 0.05}),
     ("contact-rkn6", "jax", {"step": 0.05}),
@@ -94,3 +81,40 @@ def test_a_pendulum_runs_everywhere(method, engine, setting):
     sol = cb.solve(PENDULUM, method, engine=engine, **setting)
     assert sol.status == "ok", sol.message
     assert cb.LAWS["solution_error"](sol) < 1e-8
+
+
+# -- powers of heyoka's expressions: products where a power has no series at zero ------------------------
+def value(series, x):
+    function = heyoka.cfunc([series.expression], vars=[heyoka.expression("x")])
+    return function(np.array([x]))[0]
+
+
+@pytest.mark.parametrize("n", [-3, -1, 0, 1, 2, *range(3, 17), 20, 0.5, 2.5])
+def test_a_power_is_that_power(n):
+    x = Series(heyoka.expression("x"))
+    assert value(x**n, 1.3) == pytest.approx(1.3**n, rel=1e-14)
+
+
+@pytest.mark.parametrize("n", range(1, 17))
+def test_a_whole_power_has_a_series_at_zero(n):
+    x = Series(heyoka.expression("x"))
+    run = heyoka.taylor_adaptive([(x.expression, (1 + x**n).expression)], [0.0])
+    assert run.propagate_until(0.5)[0] == heyoka.taylor_outcome.time_limit
+    if n == 2:
+        assert run.state[0] == pytest.approx(np.tan(0.5), rel=1e-14)
+
+
+def test_arithmetic_from_both_sides_and_of_numpy_s_scalars():
+    x = Series(heyoka.expression("x"))
+    y = np.float64(2.0) * (3.0 - x) / (1.0 + x) - (-x) + x / 4.0 + 2.0**x
+    assert value(y, 0.5) == pytest.approx(2 * 2.5 / 1.5 + 0.5 + 0.125 + 2**0.5, rel=1e-14)
+    assert value(SeriesNumbers().atan2(x, 2.0), 0.5) == pytest.approx(np.arctan2(0.5, 2.0), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [bool, float, int, lambda x: x == 0, lambda x: x != 0, lambda x: x < 0, lambda x: x >= 0, lambda x: [*x]],
+)
+def test_its_value_cannot_be_asked_for(ask):
+    with pytest.raises(CannotRecord, match="known only when the program runs"):
+        ask(Series(heyoka.expression("x")))

@@ -49,7 +49,6 @@ SOME = {
     "long_time": [row("duffing", m, 0.1, reference=m == "rk4", **LONG) for m in ("contact-a", "rk4")],
     "scaling": [row("fput", "rk4", 0.1, evaluations=10, **SIZE)],
     "claims": [CLAIM],
-    "definitions": [{"scene": "", "method": "rk4", "declared": "order=4", "digest": "fedcba9876543210"}],
 }
 
 
@@ -75,8 +74,8 @@ def test_names_of_views_are_unique_and_a_figure_shown_twice_is_the_same():
         assert repr(drawn.setdefault(figure.name, figure).panels) == repr(figure.panels)  # nan is nan
 
 
-def test_every_table_is_read_by_a_chapter_and_every_chapter_reads_tables():
-    assert {name for chapter in CHAPTERS.values() for name in chapter.tables} == set(TABLES)
+def test_every_table_but_that_of_definitions_is_read_by_a_chapter():
+    assert {name for chapter in CHAPTERS.values() for name in chapter.tables} == {*TABLES} - {"definitions"}
 
 
 # -- a contradicting row changes the answer --------------------------------------------------------

@@ -1,15 +1,32 @@
-"""What the tables to read say, on small tables made by hand."""
+"""What the tables to read say, on small tables made by hand; views, numbers and their markdown; a comparison."""
 
 from __future__ import annotations
 
+import json
+import re
+
 import numpy as np
+import pandas as pd
 import pytest
 
-from contactbench.report import damping, ensemble, long_time, scaling, stability, work_precision
+import contactbench as cb
+from contactbench.report import (
+    damping,
+    ensemble,
+    long_time,
+    markdown,
+    race,
+    scaling,
+    stability,
+    work_precision,
+)
 from contactbench.report.headline import mission_view, most_met_cost
 from contactbench.report.laws import equal_cost_view
-from contactbench.report.views import Mark
+from contactbench.report.numbers import duration
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
+from contactbench.report.write import glossary
 from contactbench.results.contest import COMPILED
+from contactbench.results.schema import TABLES
 from contactbench.results.tables import DIMENSION, ENERGY, EXPONENT, SUM
 from frames import frames, row, table
 
@@ -214,3 +231,83 @@ def test_who_is_cheapest_at_the_largest_size_and_who_is_first_at_the_error():
     contradicted = scaling.answers(frames(scaling=rows))
     assert list(contradicted["answer"][:2]) == ["contact-b", "contact-b"]
     assert "contact-b takes 0.3 ns" in scaling.figure(table("scaling", rows)).title
+
+
+# -- Views, numbers and their markdown -------------------------------------------------------------
+def view(rows, labels, **more):
+    return View("v", "Title", frame_of(rows, labels), "A legend.", **more)
+
+
+def test_marks_are_seen_and_a_bar_does_not_break_a_table():
+    cells = Cell("a|b", mark=Mark.best), Cell("c", mark=Mark.tie), Cell("f", link="x.md")
+    text = markdown.parts([view([cells], ["1", "2", "3"])])
+    assert text.splitlines()[-1].split(" | ") == ["| **a\\|b**", "*c*", "[f](x.md) |"]
+    assert text.startswith("## Title\n\nA legend.\n\n| 1 ")
+    assert "&lt;b>" in markdown.parts([view([("<b>", 1)], ["a", "b"])])
+
+
+def test_numbers_are_written_by_their_column_and_words_stand_left():
+    shown = view([("rk4", 1e-3, 2.0, None)], ["method", "error", "time", "reason"], show={"time": duration})
+    assert [cell.text for cell in shown.rows[0]] == ["rk4", "1.0e-03", "2 s", "—"]
+    assert [head.words for head in shown.columns] == [True, False, False, True]
+
+
+def test_a_matrix_has_a_line_for_each_value_and_a_dash_where_there_is_nothing():
+    rows = pd.DataFrame({"m": ["a", "a", "b"], "s": ["x", "y", "y"], "v": [1.0, 2.0, 3.0]})
+    frame = matrix(rows, "m", "s", lambda part: part["v"].sum(), "at {}".format)
+    assert frame.to_dict("list") == {"m": ["a", "b"], "at x": [1.0, "—"], "at y": [2.0, 3.0]}
+
+
+def test_the_glossary_has_every_method_scene_and_column():
+    text = markdown.parts(glossary({"methods": cb.METHODS, "scenes": cb.SCENES}))
+    for name in (*cb.METHODS, *cb.SCENES):
+        assert re.search(rf"^\| {re.escape(name)} ", text, re.M), name
+    for name, steps in (("contact-exact", "exact"), ("contact-adaptive", "adaptive"), ("rk4", "fixed")):
+        (line,) = re.findall(rf"^\| {name} .*$", text, re.M)
+        assert f"| {steps} " in line
+    assert all(f"`{column}`" in text for each in TABLES.values() for column in each.columns)
+
+
+def test_infinite_numbers_sort_beyond_all_others_and_missing_ones_are_dashes():
+    assert as_cell(float("inf")).text == "∞"
+    assert as_cell(float("inf")).value > as_cell(1e300).value
+    assert as_cell(pd.NA).text == "—"
+
+
+# -- A comparison on one scene as text, page and plot ----------------------------------------------
+@pytest.fixture(scope="module")
+def frame():
+    return cb.compare("oscillator", ["contact-strang", "rk4", "contact-exact"], (1e-2, 1e-4), budget=60.0)
+
+
+def test_text_and_page_have_every_time_and_law_and_the_plot_every_kind(frame):
+    text, page = race.text(frame), race.html(frame)
+    for run in frame[frame["status"] == "ok"].itertuples():
+        assert run.method in page
+        assert f"{run.setting}, {run.error_reached:.1e}" in text
+    assert "contact-exact: unsupported" in text
+    assert "who is cheapest?" in page
+    data = json.loads(re.search(r'id="data">(.*)</script>', page)[1])
+    (panels,) = data["live"]["panels"].values()
+    assert [*panels] == ["Compiled", "Evaluations"]
+    laws = data["views"]["race_laws"]
+    assert "contact drift" in [label for label, *_ in laws["heads"]]
+    assert len(laws["rows"]) == int((frame["status"] == "ok").sum())
+
+
+def test_a_law_there_was_no_time_for_is_not_called_broken(frame):
+    own = frame[frame["method"] == "contact-strang"].copy()
+    assert "contact drift" in race.kept_by(own)
+    own.loc[own.index[0], ["contact_drift", "laws_kept"]] = [np.nan, ""]  # measured at one of the two errors
+    assert "contact drift" in race.kept_by(own)
+    own["contact_drift"], own["laws_kept"] = np.nan, ""
+    assert "not measured: contact drift" in race.kept_by(own)
+    assert race.kept_by(frame[frame["method"] == "rk4"]) == "none"
+
+
+def test_a_curve_says_what_an_error_costs_and_never_turns_back():
+    errors = [1e-1, 3e-1, 1e-3, 1e-2, 1e-4, 1e-9]
+    tried = pd.DataFrame({"method": ["a"] * 5 + ["b"], "error": errors, "cost": [1, 2, 3, 4, 5, 9]})
+    front = race.front(tried)
+    assert front.query("method == 'a'")["cost"].tolist() == [1, 3, 5]
+    assert len(front) == 4

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
-import signal
 import subprocess
 import sys
 import time
 
 import pytest
 
-import contactbench as cb
 from cases import bench, finished
 from contactbench.results.cells import FOLDER, Cells
 from contactbench.results.provenance import runs
@@ -88,15 +85,6 @@ def test_what_is_merged_is_not_merged_again(tmp_path):
     assert list(read(CONVERGENCE, tmp_path)["status"]) == ["failed", "ok"]
 
 
-def test_a_run_merges_what_other_runs_have_finished(tmp_path):
-    living = finish(tmp_path, "rk4", run="living", merged=None)
-    finish(tmp_path, "contact-abc", run="other")
-    living.save([(CONVERGENCE, row("contact-strang"))], ("bench.py", "c"))
-    living.merge()
-    assert methods(tmp_path) == ["contact-abc", "contact-strang", "rk4"]
-    assert len(living.done()) == 3
-
-
 KILLED_WHILE_MERGING = """
 import os, sys
 from pathlib import Path
@@ -167,35 +155,24 @@ def wait_for(condition, seconds=120):
         time.sleep(0.02)
 
 
-def kill_after(process, results, moment):
-    """Kill a run as soon as it has finished so many cells."""
-    wait_for(lambda: process.poll() is not None or len(finished_cells(results)) >= moment)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
-
-
-def assert_there_once(results, entries):
-    """Every row of a finished cell is in its table, once, with its numbers."""
-    for name, one in [pair for entry in entries for pair in entry["rows"]]:
-        frame = read(TABLES[name], results)
-        key = [column for column in TABLES[name].key if column in one]
-        mine = frame[(frame[key] == [one[column] for column in key]).all(axis=1)]
-        assert len(mine) == 1, (name, one)
-        for column in ("solution_error", "evaluations", "steps"):
-            if one.get(column) is not None:
-                assert mine[column].iloc[0] == pytest.approx(one[column], rel=1e-5, nan_ok=True), column
-
-
 @pytest.mark.parametrize("moment", [0, 1, 4, CELLS - 1], ids="killed after {} cells".format)
 @pytest.mark.quick(moment=1)
 def test_a_killed_run_resumes_and_loses_and_doubles_nothing(tmp_path, moment):
     process = bench(tmp_path, SMALL)
     wait_for(lambda: list(tmp_path.glob(f"{FOLDER}/*.json")))
-    kill_after(process, tmp_path, moment)
+    wait_for(lambda: process.poll() is not None or len(finished_cells(tmp_path)) >= moment)
+    process.kill()
+    process.communicate()
     kept = finished_cells(tmp_path)
     output = finished(bench(tmp_path, SMALL, "--resume"))
     assert f"{CELLS - len(kept)} passed" in output
-    assert_there_once(tmp_path, kept)
+    for name, one in [pair for entry in kept for pair in entry["rows"]]:
+        frame = read(TABLES[name], tmp_path)
+        key = [column for column in TABLES[name].key if column in one]
+        (mine,) = frame[(frame[key] == [one[column] for column in key]).all(axis=1)].to_dict("records")
+        for column in {"solution_error", "evaluations", "steps"} & one.keys():
+            if one[column] is not None:
+                assert mine[column] == pytest.approx(one[column], rel=1e-5, nan_ok=True), column
     assert len(read(WORK_PRECISION, tmp_path)) == TIMED
     assert set(methods(tmp_path, LAWS_TABLE)) == {"contact-strang", "cvode-adams"}
 
@@ -219,14 +196,3 @@ def test_a_whole_run_removes_rows_whose_benchmark_no_longer_exists(tmp_path):
     finish(tmp_path, "a", run="four", merged=["a", "b"])  # resumed: now all are done
     assert methods(tmp_path) == ["a", "b"]
     assert runs(tmp_path)[-1]["tables"] == {"convergence": "whole"}
-
-
-def test_cells_whose_tables_are_foreign_stay(tmp_path):
-    cells = finish(tmp_path, "rk4", merged=None)
-    path = CONVERGENCE.path(tmp_path)
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(cb.BadInput, match="columns are not those"):
-        cells.merge()
-    shutil.move(path, tmp_path / "elsewhere")
-    cells.merge()
-    assert methods(tmp_path) == ["rk4"]

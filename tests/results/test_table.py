@@ -1,19 +1,21 @@
-"""Tables survive the round trip, partial runs, kills, and refuse what is not theirs."""
+"""Tables survive the round trip, partial runs, kills, refuse what is not theirs, and come with the package."""
 
 from __future__ import annotations
 
 import math
 import os
 import random
+import tomllib
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import contactbench as cb
+from cases import REPOSITORY
 from cells import controlled
-from contactbench.measure.round_off import STRUCTURE
-from contactbench.results import provenance
+from contactbench.measure.law import STRUCTURE
+from contactbench.results import provenance, tables
 from contactbench.results.schema import TABLES, Rule
 from contactbench.results.store import OldTable, merge, read, replacing
 from contactbench.results.tables import (
@@ -24,6 +26,7 @@ from contactbench.results.tables import (
     STRONG_DAMPING,
     WORK_PRECISION,
 )
+from made_up import ROWS, folder
 
 
 def row(method="rk4", step=0.1, error=1e-3, **more):
@@ -31,12 +34,9 @@ def row(method="rk4", step=0.1, error=1e-3, **more):
     return made | controlled("step", step) | {"step": step, "solution_error": error, "steps": 200} | more
 
 
-def untimed(method="rk4"):
-    return {name: value for name, value in row(method).items() if name != "step"}
-
-
 def timed(method="rk4", seconds=1.0, **more):
-    return untimed(method) | {"time_median_s": seconds, "rounds": 6} | more
+    untimed = {name: value for name, value in row(method).items() if name != "step"}
+    return untimed | {"time_median_s": seconds, "rounds": 6} | more
 
 
 def test_a_row_comes_back_typed(tmp_path):
@@ -59,7 +59,8 @@ def test_numbers_have_six_digits_round_off_one_inputs_all_and_times_three(tmp_pa
     # below 100 ε one digit is known; at fifty digits it is no round-off
     assert errors.to_dict() == {third: 3.14159e-3, 0.25: 2e-14, 0.125: 1.5708e-14}
     law = {"momentum_law": 0.9 * STRUCTURE, "contact_drift": 1.23456789 * STRUCTURE}
-    merge(LAWS_TABLE, [untimed() | law], tmp_path)
+    key = {name: value for name, value in row().items() if name != "step"}
+    merge(LAWS_TABLE, [key | law], tmp_path)
     (law,) = read(LAWS_TABLE, tmp_path).to_dict("records")
     assert (law["momentum_law"], law["contact_drift"]) == (9e-13, 1.23457e-12)
     merge(WORK_PRECISION, [timed(seconds=1.23456789e-4)], tmp_path)
@@ -68,12 +69,12 @@ def test_numbers_have_six_digits_round_off_one_inputs_all_and_times_three(tmp_pa
 
 def test_what_a_clock_says_is_in_a_file_of_its_own(tmp_path):
     folders = [tmp_path / "first", tmp_path / "second"]
-    for seconds, folder in enumerate(folders, start=1):
+    for seconds, place in enumerate(folders, start=1):
         rows = [timed(seconds=seconds), timed("contact-abc", seconds=math.nan, rounds=None)]
-        merge(WORK_PRECISION, rows, folder)
-    first, second = (WORK_PRECISION.path(folder).read_bytes() for folder in folders)
+        merge(WORK_PRECISION, rows, place)
+    first, second = (WORK_PRECISION.path(place).read_bytes() for place in folders)
     assert first == second
-    times = pd.read_csv(WORK_PRECISION.times_path(folders[1]))
+    times = pd.read_csv(folders[1] / "work_precision_times.csv")
     assert set(times.columns) == {*WORK_PRECISION.key, *WORK_PRECISION.timed, "schema"}
     assert len(times) == 1  # the row without a time has no place there
     assert not set(pd.read_csv(WORK_PRECISION.path(folders[1])).columns) & set(WORK_PRECISION.timed)
@@ -179,32 +180,22 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
     assert os.listdir(tmp_path) == ["x.txt"]
 
 
-def test_every_column_has_a_meaning_and_every_law_a_column_as_it_says():
-    for item in TABLES.values():
-        assert all(column.meaning for column in item.columns.values()), item.name
-        assert {*item.key, *item.whole} <= set(item.columns)
+def test_every_law_has_a_column_as_it_says():
     for name, law in cb.LAWS.items():
         column = LAWS_TABLE.columns[name]
         told = (column.meaning, column.rule, column.shown)
         assert told == (law.definition, Rule[law.gate.value], law.shown)
-        assert column.label
 
 
 # -- provenance ------------------------------------------------------------------------------------
-
-
 #: runs one after another: what each made, what it made whole, and the runs on record then
 RUNS = [
     ("one", "laws convergence", "laws convergence", {"one": "laws convergence"}),
     ("two", "laws", "", {"one": "laws convergence", "two": "laws"}),
     ("three", "laws", "laws", {"one": "convergence", "three": "laws"}),
     ("four", "laws", "", {"one": "convergence", "three": "laws", "four": "laws"}),
-    (
-        "five",
-        "laws",
-        "",
-        {"one": "convergence", "three": "laws", "five": "laws"},
-    ),  # of the same commit as four
+    # of the same commit as four
+    ("five", "laws", "", {"one": "convergence", "three": "laws", "five": "laws"}),
     ("six", "laws convergence", "laws convergence", {"six": "laws convergence"}),
     # resumes a run that has made the rest of what is whole
     ("seven", "laws", "laws convergence", {"six": "convergence", "seven": "laws"}),
@@ -216,7 +207,37 @@ def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_pat
         run = {"profile": "standard", "commit": {"five": "four"}.get(name, name)}
         provenance.save_run(name, run, made.split(), whole.split(), tmp_path)
         found = {run["run"]: run["tables"] for run in provenance.runs(tmp_path)}
-        assert {run: set(tables) for run, tables in found.items()} == {
-            run: set(tables.split()) for run, tables in listed.items()
+        assert {run: {*tables} for run, tables in found.items()} == {
+            r: {*t.split()} for r, t in listed.items()
         }
         assert set(found[name].values()) == {"whole" if whole else "part"}
+
+
+# -- The tables that come with the package.  Those that are looked at here are made u --------------
+@pytest.mark.parametrize("name", ROWS)
+def test_a_table_is_a_typed_frame_with_the_meaning_of_its_columns(name, tmp_path, monkeypatch):
+    made = folder(tmp_path / "tables")
+    monkeypatch.setattr(tables, "shipped_folder", lambda: made)
+    frame, columns = cb.results(name), TABLES[name].every_column
+    assert len(frame) == len(ROWS[name])
+    assert set(frame.attrs["columns"]) == set(frame.columns) == set(columns)
+    kinds = {"number": "f", "whole": "i", "flag": "b", "answer": "b"}
+    for column in frame:
+        assert frame[column].dtype.kind == kinds.get(columns[column].type, frame[column].dtype.kind), column
+    assert name != "work_precision" or frame["time_median_s"].notna().sum() == 2  # times come along
+
+
+def test_tables_lie_inside_an_installed_package_or_beside_the_sources(tmp_path, monkeypatch):
+    """As the wheel lays them out (the project's file says that it does), and as a clone has them."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
+    wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert "/results/*.csv" in wheel["include"]
+    assert wheel["sources"]["results"] == "contactbench/_results"
+    package = tmp_path / "src" / "contactbench"
+    monkeypatch.setattr(tables, "__file__", str(package / "results" / "tables.py"))
+    with pytest.raises(cb.BadInput, match="no result tables in this installation"):
+        cb.results("claims")
+    folder(package / "_results")
+    assert cb.results("claims")["id"].tolist() == ["C01"]
+    folder(tmp_path / "results", lambda which, row: {**row, "id": "C02"} if "id" in row else row)
+    assert cb.results("claims")["id"].tolist() == ["C02"]

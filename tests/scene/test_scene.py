@@ -1,15 +1,20 @@
-"""One definition per scene, right on every kind of number, with derivatives that AD confirms."""
+"""One definition per scene, right on every kind of number, with derivatives that AD confirms, and a contract."""
 
 from __future__ import annotations
+
+import math
+import re
 
 import heyoka
 import numpy as np
 import pytest
 
 import contactbench as cb
-from cases import ALL_SCENES, TILTED, by_name, random_state
+from cases import ALL_SCENES, TILTED, USER, by_name, random_state
 from contactbench.peers.heyoka import taylor_system
-from contactbench.scene import rotation_matrix, verify
+from contactbench.scene import State, rotation_matrix, verify
+from contactbench.scene.definition import verify_along, verify_at
+from contactbench.testing import SCENE_RULES, Violation, check_scene
 from contactbench.xla import jax, jnp
 
 AD = 1e-13  # a handful of float64 operations on numbers of size one
@@ -29,39 +34,14 @@ def test_attitude_may_be_given_as_a_matrix_or_a_quaternion():
     np.testing.assert_allclose(rotation_matrix(body.with_(R=(half, 0, 0, half)).R), quarter_turn, atol=AD)
 
 
-BODY, ANISOTROPIC = "rigid_body", "rigid_body_anisotropic"
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "says"),
-    [
-        ("particle", {"q": (1.0,)}, "q has 1 components and p 2"),
-        ("particle", {"q": (1.0, 2.0, 3.0), "p": (0.0, 0.0, 0.0)}, "q = (1.0, 2.0, 3.0)"),
-        ("particle", {"gama": 0.1}, "did you mean 'gamma'?"),
-        (BODY, {"inertia": (1.0, -2.0, 3.0)}, "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
-        (BODY, {"R": ((1, 0, 0), (0, 1, 0), (0, 0, -1))}, "rotation matrix"),
-        (BODY, {"gamma": 0.1, "damping": (1.0, 1.0, 1.0)}, "exactly one of gamma"),
-        (ANISOTROPIC, {"damping": ((1, 2, 0), (0, 1, 0), (0, 0, 1))}, "symmetric positive semi-definite"),
-        (ANISOTROPIC, {"damping": (1.0, 1.0, -0.1)}, "symmetric positive semi-definite"),
-    ],
-)
-def test_bad_parameters_give_one_clear_line(name, changes, says):
-    with pytest.raises(cb.BadInput) as caught:
-        cb.SCENES[name].with_(**changes)
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
+def springs(gradient, size=1):
+    given = {"name": "springs", "q": (1.0,) * size, "p": (0.0,) * size, "t_end": 1.0}
+    return cb.Mechanical(potential=lambda q: sum(x * x for x in q) / 2, gradient=gradient, **given)
 
 
 @pytest.mark.parametrize(("size", "wrong"), [(n, i) for n in range(1, 5) for i in range(n)])
 def test_a_gradient_wrong_in_any_one_component_is_refused(size, wrong):
-    scene = cb.Mechanical(
-        name="springs",
-        potential=lambda q: sum(x * x for x in q) / 2,
-        gradient=lambda q: tuple(1.01 * x if i == wrong else x for i, x in enumerate(q)),
-        q=(1.0,) * size,
-        p=(0.0,) * size,
-        t_end=1.0,
-    )
+    scene = springs(lambda q: tuple(1.01 * x if i == wrong else x for i, x in enumerate(q)), size)
     with pytest.raises(cb.BadInput, match=f"component {wrong + 1} is"):
         verify(scene)
 
@@ -71,9 +51,7 @@ def test_ctrl_c_in_a_force_is_no_bad_input():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        cb.Mechanical(
-            name="slow", potential=lambda q: q[0], gradient=interrupt, q=(1.0,), p=(0.0,), t_end=1.0
-        )
+        springs(interrupt)
 
 
 def test_with_changes_any_parameter_and_nothing_else():
@@ -93,13 +71,11 @@ def test_carry_decides_what_is_integrated():
         cb.SCENES["rigid_body_anisotropic"].carry(("s",))
 
 
-@pytest.mark.parametrize(
-    ("changes", "may"),
-    [({"gamma": 0.1}, False), ({"gamma": 0.0}, True), ({"gamma": -0.1}, True), ({"kappa": 0.1}, True)],
-)
-def test_energy_is_bound_to_fall_only_under_a_constant_damping_above_zero(changes, may):
+def test_energy_is_bound_to_fall_only_under_a_constant_damping_above_zero():
     """At γ = 0 the truth keeps H0, and half of a method's round-off raises it."""
-    assert cb.SCENES["particle"].with_(**changes).may_gain_energy is may
+    others = {"gamma": 0.0}, {"gamma": -0.1}, {"kappa": 0.1}
+    may = [cb.SCENES["particle"].with_(**changes).may_gain_energy for changes in ({}, *others)]
+    assert may == [False, True, True, True]
 
 
 @by_name(ALL_SCENES)
@@ -117,3 +93,97 @@ def test_same_right_hand_side_on_jax_and_heyoka(scene):
     field = heyoka.cfunc([e for _, e in system], [v for v, _ in system])
     state, time = np.array(scene.without_clock(y)), {} if scene.clock is None else {"time": y[scene.clock]}
     np.testing.assert_allclose(field(state, **time), scene.without_clock(expected), rtol=AD, atol=AD)
+
+
+# -- the contract ---------------------------------------------------------------------------------
+@by_name([*cb.SCENES.values(), USER, TILTED])
+def test_a_scene_keeps_its_contract(scene):
+    check_scene(scene)
+
+
+def broken(**own):
+    """A kind of scene that is mechanical but for some of its methods."""
+    return type("Broken", (cb.Mechanical,), own)
+
+
+def quartic(kind=cb.Mechanical, **changes):
+    """V = q⁴/4, or what changes it."""
+    functions = {
+        "potential": lambda q: q[0] * q[0] * q[0] * q[0] / 4,
+        "gradient": lambda q: (q[0] * q[0] * q[0],),
+        "hessian": lambda q: ((3 * q[0] * q[0],),),
+    }
+    given = {"name": "planted", "gamma": 0.3, "q": (0.7,), "p": (0.4,), "s": 0.1, "t_end": 2.0}
+    return kind(**given | functions | changes)
+
+
+BROKEN = [
+    (1, quartic(name="two words")),
+    (2, quartic(broken(labels=lambda self, carry: cb.Mechanical.labels(self, carry)[:-1]))),
+    (3, quartic(broken(number_names=lambda self: cb.Mechanical.number_names(self)[1:]))),
+    (4, quartic(gradient=lambda q: (math.sin(q[0]),), potential=lambda q: -math.cos(q[0]), hessian=None)),
+    (5, quartic(hessian=lambda q: ((2 * q[0] * q[0],),))),
+    (6, quartic(potential=lambda q: q[0] * q[0] / 2, hessian=None)),
+    (7, quartic(broken(may_gain_energy=False), gamma=-0.3)),
+    (7, cb.SCENES["particle"].with_(rotation_invariant=True)),
+    (8, quartic(broken(displaced=lambda self, x, v, a: cb.Mechanical.displaced(self, x, v, 2 * a)))),
+    (9, quartic(exact=lambda scene, t, mp: State(scene.q, scene.p, scene.s))),
+    (9, quartic(exact=lambda scene, t, mp: State((scene.q[0] + 1,), None, None))),
+]
+
+
+@pytest.mark.parametrize(("rule", "scene"), BROKEN, ids=[f"{rule}-{i}" for i, (rule, _) in enumerate(BROKEN)])
+def test_a_broken_rule_is_named(rule, scene):
+    with pytest.raises(Violation) as caught:
+        check_scene(scene)
+    assert caught.value.rule == rule, caught.value
+
+
+def test_every_rule_has_a_scene_that_breaks_it():
+    assert {rule for rule, _ in BROKEN} == set(SCENE_RULES)
+
+
+# -- functions that fit each other near the start and not along the motion --------------------------
+SPRING = {"name": "mine", "q": (0.5,), "p": (1.0,), "t_end": 4.0}
+
+
+def beyond(x, edge):
+    """0 up to an edge, and smooth."""
+    above = (x - edge + abs(x - edge)) / 2
+    return above * above * above
+
+
+def general(slope=lambda s: 0.1 + 0.2 * s):
+    functions = {"damping": lambda s: 0.1 * s + 0.1 * s * s, "damping_slope": slope}
+    return cb.GeneralDamping(potential=lambda q: q[0] * q[0] / 2, s=3.0, **functions, **SPRING)
+
+
+def central(**changes):
+    given = {
+        "potential": lambda q: (q[0] * q[0] + q[1] * q[1]) / 2 + beyond(-q[0], 0.5),
+        "gradient": lambda q: (q[0] - 3 * (beyond(-q[0], 0.5) ** 2) ** (1 / 3), q[1]),
+    }
+    return cb.Mechanical(name="mine", q=(1.0, 0.0), p=(0.3, 0.8), t_end=6.0, **given | changes)
+
+
+WRONG = {
+    "slope": (general(slope=lambda s: 0.1 + 0.2 * s + beyond(2 - s, 0)), "damping_slope is not"),
+    "symmetry": (central(rotation_invariant=True), "exerts a torque"),
+    "gradient": (central(gradient=lambda q: (q[0] if q[0] > -0.6 else 2 * q[0], q[1])), "gradient is not"),
+}
+
+
+def test_a_damping_whose_slope_fits_is_taken():
+    verify(general())
+    verify_along(general())
+
+
+@pytest.mark.parametrize(("scene", "says"), WRONG.values(), ids=WRONG)
+def test_a_part_that_is_wrong_away_from_the_start_is_refused_along_the_motion(scene, says):
+    verify(scene)
+    with pytest.raises(cb.BadInput, match=re.escape(says)):
+        verify_along(scene)
+    run = cb.prepare(scene, "scipy-dop853", rtol=1e-8, save_at=scene.t_end * np.arange(1, 9) / 8)()
+    with pytest.raises(cb.BadInput, match=re.escape(says)):
+        verify_at(scene, run.y)
+    assert math.isfinite(run.y[-1, 0])

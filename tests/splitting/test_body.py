@@ -1,16 +1,276 @@
-"""The rigid body's parts on hard data: what they solve exactly, and what they keep whatever the data."""
+"""The rigid body: the free one in closed form, `contact-exact`, and what compositions solve and keep on hard data."""
 
 from __future__ import annotations
 
-from itertools import permutations
+import math
+from itertools import permutations, product
 
 import numpy as np
 import pytest
 
 import contactbench as cb
+import properties
+from contactbench.measure.pullback import growth
+from contactbench.scene import BodyState, dot, rotate, rotation_matrix
+from contactbench.splitting import free_body
+from contactbench.splitting.flows import FREE_COST, MOMENTUM_COST, flows_of, rotation
+from contactbench.splitting.free_body import FARTHEST, carlson, free, jacobi
+from contactbench.truth import decimal_context, reference, with_decimals
+from properties import Fixed
 
 BODY = cb.SCENES["rigid_body"]
+EPSILON = 2.0**-53
+
+
+# -- the flow --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["rigid_body", "tumbling", "needle", "underflow"])
+def test_closed_form_agrees_with_the_frozen_references(name):
+    """A third truth: neither Taylor series nor extrapolation."""
+    scene, context = cb.SCENES[name], decimal_context(60)
+    times = scene.t_end * np.arange(21)[1:] / 20
+    truth, twin = reference(scene, times), with_decimals(scene, context.mpf)
+    assert truth.source == "frozen"
+    start, flow = twin.initial(scene.optional), flows_of(twin)["free_damp"]
+    for t, row in zip(truth.t.tolist(), truth.decimals, strict=True):
+        x = flow.apply(twin, start, flow.constants(twin, context.mpf(repr(t)), context), context)
+        other = twin.unpack([context.mpf(text) for text in row], scene.optional)
+        gaps = [a - b for a, b in zip((*flat(x), x.s), (*flat(other), other.s), strict=True)]
+        # 40 digits are stored, of numbers of size one to ten
+        assert max(map(abs, gaps)) < context.mpf(10) ** -36
+
+
+def motions(kind, n):
+    """Random bodies in any order of axes, data and times of a kind."""
+    rng = np.random.default_rng(sum(map(ord, kind)))
+    for _ in range(n):
+        inertia, M = sorted(10 ** rng.uniform(-1, 1, 3)), rng.normal(size=3)
+        t = rng.choice([-1, 1]) * 10 ** rng.uniform(-2, 2)
+        small = 10 ** rng.uniform(-12, -4, 3) * rng.choice([-1, 1], 3)
+        if kind == "separatrix":  # D = 0 up to 10⁻²…10⁻¹²
+            a = 1 / np.array(inertia)
+            M[0] = math.sqrt((a[1] - a[2]) / (a[0] - a[1])) * M[2] * (1 + small[0])
+        if kind in AXES:
+            M = np.where(np.arange(3) == AXES.index(kind), M, small * M)
+        if kind == "an axis exactly":
+            M = np.where(np.arange(3) == rng.integers(3), M, 0.0)
+        if "oblate" in kind:
+            inertia[0] = inertia[1] * (1 - abs(small[0]) * ("nearly" in kind))
+        if "prolate" in kind:
+            inertia[2] = inertia[1] * (1 + abs(small[0]) * ("nearly" in kind))
+        if "across" in kind:
+            M[0] *= small[1]
+        if "sphere" in kind:
+            inertia = sorted(inertia[0] * (1 + small * ("nearly" in kind)))
+        if kind == "needle":
+            inertia, M[0] = [1e-3, 1.0, 1.001], 0.02 * M[0]
+        if kind == "hardly moving":
+            M *= 10 ** rng.uniform(-200, -5)
+        if kind == "long":
+            t *= 1e5
+        order = rng.permutation(3)
+        yield [float(inertia[i]) for i in order], [float(M[i]) for i in order], float(t)
+
+
+AXES = ("first axis", "middle axis", "last axis")
+OBLONG = ("oblate", "prolate", "nearly oblate", "nearly prolate", "prolate, across", "nearly prolate, across")
+SPECIAL = ("an axis exactly", "sphere", "nearly a sphere", "needle", "hardly moving", "long")
+KINDS = ("generic", "separatrix", *AXES, *OBLONG, *SPECIAL)
+
+
+def flat(x):
+    return [*x.M, *(entry for row in rotation_matrix(x.R) for entry in row)]
+
+
+def moved(inertia, M, t, xp):
+    """The free motion with numbers of a namespace, in the order of their own moments."""
+    scene = BODY.with_(inertia=tuple(map(float, inertia)))
+    if xp is not math:
+        order = tuple(sorted(range(3), key=lambda i: inertia[i]))
+        scene = scene.with_numbers([*inertia, xp.mpf(0)])._replaced(by_inertia=order)
+    one = xp.cos(0 * t)
+    return free(scene, BodyState(tuple(M), (one, 0 * one, 0 * one, 0 * one)), t, xp)
+
+
+def truth_and_reach(inertia, M, t):
+    """M and R to 50 digits, and for each number its size and what one rounding of each datum changes."""
+    context, change = decimal_context(50), "1e-25"
+    exact = [context.mpf(v) for v in (*inertia, *M, t)]
+
+    def end(data):
+        return np.array(flat(moved(data[:3], data[3:6], data[6], context)))
+
+    truth, reach = end(exact), np.array([math.hypot(*M)] * 3 + [1.0] * 9)
+    for i in range(7):
+        other = [v * (1 + context.mpf(change)) if j == i else v for j, v in enumerate(exact)]
+        reach += (abs(end(other) - truth) / context.mpf(change)).astype(float)
+    return truth, reach
+
+
+def assert_determined(x, inertia, M, t):
+    truth, reach = truth_and_reach(inertia, M, t)
+    assert np.all(abs(flat(x) - truth) < 16 * EPSILON * reach), (inertia, M, t)
+    np.testing.assert_allclose(rotate(x.R, x.M), M, rtol=0, atol=3e-15 * math.hypot(*M))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.quick(kind=("generic", "separatrix", "oblate", "sphere"))
+def test_double_precision_is_right_to_what_the_data_determine(kind):
+    """M/L and R within 16 roundings, and 16 times what one rounding of each datum changes (long times: the
+    phase); J = R M and the lengths of M and R to round-off."""
+    for inertia, M, t in motions(kind, 12):
+        x = moved(inertia, M, t, math)
+        assert_determined(x, inertia, M, t)
+        assert abs(math.hypot(*x.M) / math.hypot(*M) - 1) < 1e-15
+        assert abs(math.hypot(*x.R) - 1) < 1e-15
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.quick(kind=("generic", "last axis", "nearly prolate"))
+def test_the_compiled_method_is_right_to_what_the_data_determine(kind):
+    """As above, axes in order (one program) and times ahead; loops have a fixed length."""
+    for inertia, M, t in motions(kind, 6):
+        inertia, M = zip(*sorted(zip(inertia, M, strict=True)), strict=True)
+        scene = BODY.with_(inertia=inertia, M=M, gamma=0.0, t_end=abs(t))
+        run = cb.prepare(scene, "contact-exact", save_at=[abs(t)], carry=("R",), engine="numba")
+        found = scene.unpack(run.bare(run.start).tolist(), ("R",))
+        assert_determined(found, [*inertia], [*M], abs(t))
+
+
+@pytest.mark.parametrize("t", [1.0, -1e3, 1e6])
+def test_a_body_exactly_on_its_middle_axis_stays_there(t):
+    x = moved([1.0, 2.0, 3.0], [0.0, 1.5, 0.0], t, math)
+    assert pytest.approx((0, 1.5, 0), abs=1e-15) == x.M
+    half = 1.5 * t / 2 / 2
+    np.testing.assert_allclose(np.abs(x.R), np.abs([math.cos(half), 0, math.sin(half), 0]), atol=1e-9)
+    assert 1 / math.cosh(FARTHEST) ** 2 > 1e-290  # cn·dn there must not underflow
+
+
+class Counted(np.lib.mixins.NDArrayOperatorsMixin):
+    """A number that counts square roots, transcendental functions, and divisions of and by what is no power of two."""
+
+    count = 0
+    short = ("add", "subtract", "multiply", "negative", "absolute", "floor")
+
+    def __init__(self, value):
+        self.value = value
+
+    def __bool__(self):
+        return bool(self.value)
+
+    def __array_ufunc__(self, ufunc, method, *inputs):
+        values = [getattr(x, "value", x) for x in inputs]
+        other = values[inputs[0] is self and len(values) > 1]
+        scaling = ufunc is np.divide and math.frexp(other)[0] == 0.5
+        comparison = ufunc.types[0].endswith("->?")
+        Counted.count += not (scaling or comparison or ufunc.__name__ in self.short)
+        return Counted(ufunc(*values))
+
+
+class Counting(Fixed):
+    """Functions of plain numbers count as well: those of the moments of inertia."""
+
+    def __getattr__(self, name):
+        function = getattr(np, name)
+        if not callable(function):
+            return function
+        return lambda x: function(x if isinstance(x, Counted) else Counted(x))
+
+
+@pytest.mark.parametrize(("R", "cost"), [((1, 0, 0, 0), FREE_COST), (None, MOMENTUM_COST)])
+def test_the_cost_is_counted(R, cost, monkeypatch):
+    """In rotations, of two long operations each; loops of fixed length."""
+    monkeypatch.setattr(Counted, "count", 0)
+    x = BodyState(tuple(map(Counted, BODY.M)), R and tuple(map(Counted, R)), Counted(0.0))
+    rotation(x, 0, Counted(0.3), Counting(np))
+    assert Counted.count == 2
+    free(BODY, x, Counted(0.3), Counting(np))
+    assert (Counted.count - 2) / 2 == pytest.approx(cost, abs=0.5)
+
+
+# -- the method ------------------------------------------------------------------
+EXACT = cb.METHODS["contact-exact"]
+BODIES = [cb.SCENES[name] for name in ("rigid_body", "tumbling", "needle", "underflow")]
 UNDAMPED = BODY.with_(name="undamped", gamma=0.0)
+BODIES += [BODY.with_(name="driven", gamma=-0.1), UNDAMPED]
+
+
+@pytest.mark.parametrize("engine", EXACT.engines)
+@pytest.mark.parametrize("scene", BODIES, ids=lambda s: s.name)
+@pytest.mark.quick(engine="python")
+@pytest.mark.quick(scene="rigid_body", engine="numba")
+def test_contact_exact_has_round_off_for_an_error_whatever_the_time(engine, scene):
+    times = scene.t_end * np.arange(11) / 10
+    solution = cb.solve(scene, "contact-exact", save_at=times, engine=engine)
+    assert solution.ok
+    assert cb.LAWS["solution_error"](solution) < 1e-13  # the needle's phase of 700 leaves 3e-14
+    for name in ("momentum_law", "attitude_drift", "hamiltonian_law", "energy_law_relative"):
+        assert cb.LAWS[name](solution) < 1e-14, name
+    magnified = max(1.0, growth(solution.differential))
+    for name in ("contact_drift", "own_factor_drift"):
+        assert cb.LAWS[name](solution) < 1e-13 * magnified, name
+    assert solution.counts == (10, 10 * FREE_COST, 0, 0, "rotation")
+    momentum = cb.solve(scene, "contact-exact", save_at=times, engine=engine, carry=())
+    assert momentum.counts == (10, 10 * MOMENTUM_COST, 0, 0, "rotation")
+
+
+@pytest.mark.parametrize("given", [{"step": 0.1}, {"rtol": 1e-6}, {"atol": 1e-6}], ids=str)
+def test_contact_exact_takes_neither_step_nor_tolerance(given):
+    assert (EXACT.control, EXACT.adaptive) == ("exact", False)
+    with pytest.raises(cb.BadInput, match="exact"):
+        cb.prepare(BODY, "contact-exact", **given)
+    solution = cb.solve(BODY, "contact-exact")
+    assert (solution.setting, solution.control, solution.value) == ("exact", "exact", 0.0)
+    assert len(solution.t) == 201
+
+
+RUNAWAY = BODY.with_(gamma=-50.0, t_end=20.0)
+
+
+@pytest.mark.parametrize(
+    ("scene", "status"),
+    [(RUNAWAY, "diverged"), ("rigid_body_anisotropic", "unsupported"), ("particle", "unsupported")],
+)
+@pytest.mark.parametrize("engine", EXACT.engines)
+@pytest.mark.quick(engine=("numba", "python"))
+def test_contact_exact_has_an_end_and_refuses_what_it_has_no_formula_for(scene, status, engine):
+    solution = cb.solve(scene, "contact-exact", save_at=[0.1, 20.0], engine=engine)
+    assert solution.status == status
+    assert np.isnan(solution.y[-1]).all()
+
+
+def test_fixed_loops_are_long_enough_at_the_smallest_complement():
+    m1 = free_body.SMALLEST
+    K = jacobi(1.0, 1.0, m1, math)[3]
+    for u in (0.5, 20.0, 300.0, K, 1.3 * K):
+        plain, fixed = (jacobi(u, 1.0, m1, xp) for xp in (math, Fixed(math)))
+        np.testing.assert_allclose(fixed, plain, rtol=1e-12)
+    for x in (0.0, 1e-200, 0.5):
+        given = math.sqrt(x), math.sqrt(m1), 1.5, (1.5 - x) * 1.5 * 0.5
+        plain, fixed = (carlson(*given, xp) for xp in (math, Fixed(math)))
+        assert fixed == pytest.approx(plain, rel=1e-14)
+
+
+def test_turns_have_length_one_on_average_and_not_without_being_scaled(monkeypatch):
+    assert properties.turns_have_length_one()
+    # a quaternion taken for one of length one already
+    monkeypatch.setattr(free_body, "dot", lambda a, b: 1.0 if len(a) == 4 else dot(a, b))
+    assert not properties.turns_have_length_one()
+
+
+@pytest.mark.parametrize("size", [1e-150, 1e-200, 1e-300, 1e-310, 1e-320, 5e-324])
+def test_attitude_stays_a_rotation_where_momentum_has_hardly_any_digits(size):
+    """A body that has all but stopped: squares of M underflow, then M itself is left with a digit or none."""
+    rng, scene = np.random.default_rng(3), cb.SCENES["underflow"]
+    for _ in range(50):
+        M = tuple(float(c) for c in size * rng.uniform(-4, 4, 3))
+        x = BodyState(M, (1.0, 0.0, 0.0, 0.0), None)
+        for _ in range(20):
+            x = free(scene, x, 0.5, math)
+        assert math.hypot(*x.R) == pytest.approx(1, abs=1e-13)
+        assert math.hypot(*x.M) == pytest.approx(math.hypot(*M), rel=1e-14, abs=200 * 5e-324)
+
+
+# -- compositions ----------------------------------------------------------------------------------
 UNDERFLOW = BODY.with_(name="underflow", gamma=50.0, t_end=100.0)
 HARD = [
     BODY.with_(name="tumbling", M=(1e-8, 1.0, 1e-8), gamma=1e-3, t_end=200.0),
@@ -25,12 +285,15 @@ SPLIT = ["contact-strang", "contact-bm4", "contact-bm6", "contact-rkn4", "contac
 every = pytest.mark.parametrize("method", [*EXACT_DRIFT, *SPLIT])
 
 
-@pytest.mark.parametrize("method", SPLIT)
-@pytest.mark.parametrize("inertia", [(2, 2, 2), (1, 2, 2), (2, 1, 1), (2, 3, 2)], ids=str)
-def test_a_symmetric_body_is_solved_exactly_at_any_step(method, inertia):
-    """One of the two parts is then zero."""
-    scene = BODY.with_(inertia=inertia)
-    solution = cb.solve(scene, method, step=5.0, save_at=[10.0, 20.0], engine="python")
+SYMMETRIC = [BODY.with_(inertia=inertia) for inertia in ((2, 2, 2), (1, 2, 2), (2, 1, 1), (2, 3, 2))]
+
+
+@pytest.mark.parametrize(
+    ("method", "scene"), [*product(SPLIT, SYMMETRIC), *((method, UNDAMPED) for method in EXACT_DRIFT)]
+)
+def test_a_body_is_solved_exactly_at_any_step_by_the_one_part_it_has(method, scene):
+    """Of a symmetric body one part of A is zero; without damping the printed schemes are A alone."""
+    solution = cb.solve(scene, method, step=5.0, save_at=[5.0, 10.0, 20.0], engine="python")
     assert cb.LAWS["solution_error"](solution) < 1e-13
 
 
@@ -104,9 +367,3 @@ def test_the_printed_scheme_on_a_body_is_exact_but_for_its_clock(method, engine)
     np.testing.assert_allclose(grown[0] * solution.M, grown[1] * exact.M, rtol=0, atol=1e-13)
     np.testing.assert_allclose(solution.R, exact.R, rtol=0, atol=1e-13)
     assert abs(free_time - h * n) > 1e-3
-
-
-@pytest.mark.parametrize("method", EXACT_DRIFT)
-def test_without_damping_the_printed_scheme_on_a_body_is_exact_at_any_step(method):
-    solution = cb.solve(UNDAMPED, method, step=5.0, save_at=[5.0, 20.0])
-    assert cb.LAWS["solution_error"](solution) < 1e-13

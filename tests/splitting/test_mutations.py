@@ -139,8 +139,7 @@ def test_every_flipped_sign_is_noticed(group):
     for original, place, mutant in mutants(group):
         with pytest.MonkeyPatch.context() as patch:
             install(patch, original, mutant)
-            if not any(map(notices, checks)):
-                missed.append(place)
+            missed += [] if any(map(notices, checks)) else [place]
     assert missed == []
 
 
@@ -157,21 +156,15 @@ def changed(composition, which, changes):
     return replace(composition, **{which: tuple((name, c + changes.get(i, 0)) for i, (name, c) in stages)})
 
 
-def unbalanced(composition):
-    """One coefficient off, the sum broken."""
-    for which in ("stages", "processor"):
-        for i, (_, c) in enumerate(getattr(composition, which)):
-            yield changed(composition, which, {i: c * RELATIVE})
-
-
-def balanced(composition):
-    """One coefficient off and the next of its kind off the other way, the sum kept."""
+def wrong(composition, balanced):
+    """One coefficient off, and if balanced the next of its kind off the other way, so that the sum is kept."""
     for which in ("stages", "processor"):
         stages = getattr(composition, which)
         for i, (name, c) in enumerate(stages):
             later = [j for j in range(i + 1, len(stages)) if stages[j][0] == name]
-            if later:
-                yield changed(composition, which, {i: c * RELATIVE, later[0]: -c * RELATIVE})
+            if later or not balanced:
+                others = {later[0]: -c * RELATIVE} if balanced else {}
+                yield changed(composition, which, {i: c * RELATIVE} | others)
 
 
 def is_right(composition):
@@ -186,7 +179,8 @@ def is_right(composition):
 
 @pytest.mark.parametrize("composition", COMPOSITIONS, ids=lambda c: c.name)
 def test_every_wrong_coefficient_is_noticed(composition):
-    missed = [properties.run(m, 1) for m in unbalanced(composition) if not notices(lambda m=m: is_right(m))]
+    mutants = wrong(composition, balanced=False)
+    missed = [properties.run(m, 1) for m in mutants if not notices(lambda m=m: is_right(m))]
     assert missed == []
 
 
@@ -194,11 +188,8 @@ def test_every_wrong_coefficient_is_noticed(composition):
 @pytest.mark.quick(composition=("contact-strang", "contact-rkn6"))
 def test_a_wrong_coefficient_that_keeps_the_sum_is_noticed_by_the_order(composition):
     """Not asked of `contact-printed`: of order 1 is any composition whose sums are right."""
-    wrong = list(balanced(composition))
-    assert wrong
-    for mutant in wrong:
-        assert properties.consistent(mutant)
-        method = contact_method(mutant)
-        assert notices(lambda m=method: properties.has_its_local_order(m, PARTICLE)), properties.run(
-            mutant, 1
-        )
+    mutants = list(wrong(composition, balanced=True))
+    assert mutants
+    assert all(map(properties.consistent, mutants))
+    for method in map(contact_method, mutants):
+        assert notices(lambda m=method: properties.has_its_local_order(m, PARTICLE)), method.composition

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import hashlib
 import importlib.util
 import json
 import math
@@ -20,16 +19,15 @@ from contactbench import truth
 from contactbench.errors import BadInput
 from contactbench.scene import Mechanical
 from contactbench.scenes import SCENES
-from contactbench.scenes.closed_form import damped_oscillator
 from contactbench.scenes.hard import HARD
-from contactbench.scenes.standard import STANDARD
+from contactbench.scenes.standard import STANDARD, damped_oscillator
 from contactbench.truth import digest, reference
+from contactbench.truth.engines import heyoka_reads_rhs
 from contactbench.truth.reference import closed_form, confirmed
 
 FOLDER = Path(__file__).parents[2] / "references"
 ENTRIES = json.loads((FOLDER / "MANIFEST.json").read_text(encoding="utf-8"))["scenes"]
 NAMES = [scene.name for scene in STANDARD]
-each_scene = pytest.mark.parametrize("name", NAMES)
 HARD_NAMES = [scene.name for scene in HARD if scene.exact is not damped_oscillator]
 each_frozen = pytest.mark.parametrize("name", [*NAMES, *HARD_NAMES])
 
@@ -58,41 +56,18 @@ def stored(name):
 
 
 # -- the frozen files ------------------------------------------------------------------------------
-@each_frozen
-def test_manifest_matches_file_and_scene(name):
-    entry = ENTRIES[name]
-    assert hashlib.sha256((FOLDER / entry["file"]).read_bytes()).hexdigest() == entry["sha256"]
-    assert entry["scene_digest"] == digest(SCENES[name])
-    assert entry["digits"] >= 30
-    assert min(entry["engine"]["agreeing_digits"], entry["second_engine"]["agreeing_digits"]) >= 30
-    assert entry["grid"]["t_end"] == SCENES[name].t_end
-
-
-@pytest.mark.parametrize("name", [name for name in ENTRIES if not SCENES[name].hard])
-def test_frozen_solves_the_scene_as_it_is_now(name):
-    """One grid interval integrated by mpmath from a stored state ends at the next stored one.
-
-    This ties the files to the formulas: a changed force keeps its name, and with it the digest.
-    """
-    scene = SCENES[name]
-    context, times, rows = stored(name)
-    twin = truth.with_decimals(scene, context.mpf)
-    interval = context.mpf(times[101]) - context.mpf(times[100])
-    steps = max(1, int(interval))
-    y = rows[100]
-    slope = lambda y: twin.pack(twin.rhs(twin.unpack(y, scene.carry())))  # noqa: E731
-    for _ in range(steps):
-        _, y = truth.extrapolated(slope, y, interval / steps, 30, context.mpf(10) ** -38)
-    assert truth.agreeing_digits([y], [rows[101]], 60) >= 30
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "weak_damping_particle")) for n in ENTRIES]
 )
 def test_every_stored_number_is_computed_again(name):
-    """A changed number whose digest is put right, anywhere in a file; by one precision of one engine."""
+    """A changed number whose digest is put right, anywhere in a file; by one precision of one engine.
+
+    This ties the files to the formulas, which mpmath reads as heyoka does: a changed force keeps its name, and with it
+    the digest.
+    """
     scene = SCENES[name]
     _, times, rows = stored(name)
+    assert heyoka_reads_rhs(scene, rows[len(rows) // 2], scene.carry())
     gaps = truth.disagreement(truth.taylor(scene, times, scene.carry(), 160), rows)
     worst = max(gap / scale for gap, scale in zip(gaps, truth.scales(rows), strict=True))
     assert truth.matching_digits(worst, 60) >= 30
@@ -111,14 +86,14 @@ def test_frozen_equals_closed_form(name, fields):
 
 
 @each_frozen
-def test_frozen_floats_are_the_rounded_decimals(name):
-    scene = SCENES[name]
-    grid = [float(time) for time in stored(name)[1]]
-    found = truth.frozen(scene, truth.checked_times(grid), scene.carry())
-    assert found is not None
-    decimals, digits, source = found
-    _, _, rows = stored(name)
-    assert (source, digits) == ("frozen", ENTRIES[name]["digits"])
+def test_frozen_files_match_manifest_and_scene_and_give_the_rounded_decimals(name):
+    """Their SHA-256 is compared wherever they are read."""
+    scene, entry = SCENES[name], ENTRIES[name]
+    assert (entry["scene_digest"], entry["grid"]["t_end"]) == (digest(scene), scene.t_end)
+    assert min(entry["digits"], *(entry[e]["agreeing_digits"] for e in ("engine", "second_engine"))) >= 30
+    _, times, rows = stored(name)
+    decimals, digits, source = truth.frozen(scene, truth.checked_times([*map(float, times)]), scene.carry())
+    assert (source, digits) == ("frozen", entry["digits"])
     assert [float(x) for x in decimals[0]] == scene.pack(scene.initial(scene.carry()))
     assert [[float(x) for x in row] for row in decimals] == [[float(x) for x in row] for row in rows]
 
@@ -229,13 +204,10 @@ def test_decay_out_of_sight_keeps_relative_digits(times):
     assert np.linalg.norm(found.states().R, axis=0) == pytest.approx(1, abs=1e-15)
 
 
-def test_same_question_is_answered_from_memory():
+def test_the_same_question_is_answered_from_memory_that_cannot_be_changed():
     scene = SCENES["particle"].with_(gamma=0.25)
-    assert reference(scene, [1.0]) is reference(scene.with_(name="other"), 1.0)
-
-
-def test_a_reference_which_all_share_cannot_be_changed():
-    found = reference(SCENES["oscillator"], [1.0])
+    found = reference(scene, [1.0])
+    assert found is reference(scene.with_(name="other"), 1.0)
     with pytest.raises(dataclasses.FrozenInstanceError):
         found.digits = 99
     with pytest.raises(ValueError, match="read-only"):
@@ -251,25 +223,22 @@ def test_a_reference_is_confirmed_by_another_engine_than_its_own(monkeypatch):
     assert confirmed(found[1]) is None
 
 
-def test_functions_of_one_name_are_told_apart():
-    """Two lambdas share a qualified name; the cache must not confuse them."""
-    build = lambda k: mine(lambda q: k * q[0] ** 2 / 2, lambda q: (k * q[0],))  # noqa: E731
-    soft, hard = (reference(build(k), [1.0], ()).y[0, 0] for k in (1.0, 4.0))
-    assert soft == pytest.approx(np.cos(1.0), abs=1e-15)
-    assert hard == pytest.approx(np.cos(2.0), abs=1e-15)
-
-
 # -- errors ----------------------------------------------------------------------------------------
+ESCAPING = SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0))
+PLAIN = mine(lambda q: math.sin(q[0]), lambda q: (math.cos(q[0]),))
+
+
 @pytest.mark.parametrize(
-    ("scene", "times", "says"),
+    ("ask", "says"),
     [
-        (SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0)), [20.0], "blows up at t = 3.409"),
-        (mine(lambda q: math.sin(q[0]), lambda q: (math.cos(q[0]),)), [1.0], "fail in high precision"),
+        (lambda: reference(ESCAPING, [20.0]), "blows up at t = 3.409"),
+        (lambda: truth.extrapolation(ESCAPING, ["20.0"], (), 12), "blows up at t = 3.409"),
+        (lambda: reference(PLAIN, [1.0]), "fail in high precision"),
     ],
 )
-def test_a_motion_without_a_truth_is_refused_in_one_line(scene, times, says):
+def test_a_motion_without_a_truth_is_refused_in_one_line(ask, says):
     with pytest.raises(BadInput) as caught:
-        reference(scene, times)
+        ask()
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -311,12 +280,6 @@ def test_extrapolation_lengthens_its_steps_again_behind_a_bounce(monkeypatch):
     assert len(steps) < 60
 
 
-def test_blow_up_is_seen_without_heyoka():
-    scene = SCENES["particle"].with_(q=(8.0, -6.0), p=(3.0, -1.0))
-    with pytest.raises(BadInput, match=r"blows up at t = 3\.409"):
-        truth.extrapolation(scene, ["20.0"], (), 12)
-
-
 @pytest.mark.parametrize("sees", [200, 260])
 def test_a_blow_up_that_one_precision_alone_sees_is_none(sees, monkeypatch):
     module = importlib.import_module("contactbench.truth.reference")
@@ -334,13 +297,17 @@ def test_the_generator_imports_no_method_under_test():
 
 
 def test_a_power_at_zero_is_a_product_to_heyoka():
-    """heyoka's own series of x**3 divides by x: a double well begun on its top would have no run and no reference."""
+    """heyoka's own series of x**3 divides by x: a double well begun on its top would have no run and no reference.
+
+    Derived forces of the two round differently in the digits that are not promised.
+    """
     own = {"q": 0.0, "p": 0.5, "gamma": 0.2, "t_end": 5.0}
     power = mine(lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2, **own)
     product = mine(lambda q: q[0] * q[0] * q[0] * q[0] / 4 - q[0] * q[0] / 2, **own)
-    exact = cb.reference(product, [5.0])
-    assert cb.reference(power, [5.0]).decimals == exact.decimals
-    assert exact.digits >= 30
+    found, exact = (cb.reference(scene, [5.0]) for scene in (power, product))
+    context = truth.decimal_context(50)
+    numbers = [[[context.mpf(x) for x in row] for row in each.decimals] for each in (found, exact)]
+    assert truth.agreeing_digits(*numbers, 40) >= min(found.digits, exact.digits) >= 39
     run = cb.solve(power, "heyoka-taylor", rtol=1e-14, save_at=[5.0])
     assert run.ok
     assert np.abs(run.y[-1] - exact.y[-1]).max() < 1e-14

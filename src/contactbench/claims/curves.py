@@ -9,23 +9,21 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from contactbench.claims.body_stability import criterion, growths
-from contactbench.claims.experiment import ENERGY_LADDER, NOMINAL, energy_errors, numerical
-from contactbench.claims.integrator import ABC, PAPER_STEP, PARTICLE, PRINTED, RK4, STRANG, slope
-from contactbench.claims.rigid_body import EIGENVALUES, INERTIA, direction_growths, momentum_rate
+from contactbench.claims.integrator import ENERGY_LADDER, NOMINAL, PAPER_STEP, energy_errors, numerical, slope
+from contactbench.claims.rigid_body import INERTIA, criterion, direction_growths, growths, momentum_rate
 from contactbench.scenes import SCENES
 from contactbench.truth import reference
 
 Row = tuple[str, str, str, float, float, float]
+IN_THE_PLANE = itertools.repeat(math.nan)
 
 
 def rows(name: str) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table of a figure, points numbered along each curve."""
     count: Counter[tuple[str, str]] = Counter()
     for panel, curve, kind, x, y, z in FIGURES[name]():
         place = {"point": count[panel, curve], "x": float(x), "y": float(y), "z": float(z)}
@@ -33,14 +31,7 @@ def rows(name: str) -> Iterator[dict[str, Any]]:
         count[panel, curve] += 1
 
 
-def curve(
-    panel: str,
-    name: str,
-    kind: str,
-    x: Iterable[Any],
-    y: Iterable[Any],
-    z: Iterable[Any] = itertools.repeat(math.nan),
-) -> Iterator[Row]:
+def curve(panel: str, name: str, kind: str, x: Any, y: Any, z: Any = IN_THE_PLANE) -> Iterator[Row]:
     for point in zip(x, y, z, strict=False):
         yield (panel, name, kind, *point)
 
@@ -48,34 +39,30 @@ def curve(
 def paper_2() -> Iterator[Row]:
     """Yield the phase portrait of the oscillator: closed orbits at λ = 0, spirals for λ > 0."""
     orbit, spiral = np.linspace(0, 2 * math.pi, 161), np.linspace(0, 25.0, 301)
-    for gamma, kind, starts, t in (
-        (0.0, "conservative", (0.5, 1.0, 1.5), orbit),
-        (0.2, "dissipative", (1.5,), spiral),
-    ):
-        for q0 in starts:
-            truth = reference(SCENES["oscillator"].with_(gamma=gamma, q=(q0,)), t, ()).states()
-            yield from curve("phase", f"λ = {gamma:g}, q(0) = {q0:g}", kind, truth.q[0], truth.p[0])
+    closed, open_ = (0.0, "conservative", orbit), (0.2, "dissipative", spiral)
+    for q0, (gamma, kind, t) in ((0.5, closed), (1.0, closed), (1.5, closed), (1.5, open_)):
+        truth = reference(SCENES["oscillator"].with_(gamma=gamma, q=(q0,)), t, ()).states()
+        yield from curve("phase", f"λ = {gamma:g}, q(0) = {q0:g}", kind, truth.q[0], truth.p[0])
 
 
 def paper_3() -> Iterator[Row]:
     """Yield the momentum map of a rotation-invariant force along time, measured and by the law."""
     for gamma in (0.0, 0.05, 0.1, 0.2, 0.4):
         scene = SCENES["central"].with_(gamma=gamma)
-        run = numerical(scene, STRANG, 0.1, 40)
+        run = numerical(scene, "contact-strang", 0.1, 40)
         J = scene.momentum(run.states())[0]
         fine = np.linspace(0, scene.t_end, 101)
         yield from curve("decay", f"λ = {gamma:g}", "law", fine, np.exp(-gamma * fine))
-        yield from curve("decay", f"λ = {gamma:g}, {STRANG}", "method", run.t, J / J[0])
+        yield from curve("decay", f"λ = {gamma:g}, contact-strang", "method", run.t, J / J[0])
 
 
 def paper_4() -> Iterator[Row]:
     """Yield trajectories of the damped body in momentum space, from near each principal axis."""
-    tilt = 0.08
     for axis in range(3):
-        M = np.full(3, tilt)
-        M[axis] = math.sqrt(1 - 2 * tilt * tilt)
+        M = np.full(3, 0.08)
+        M[axis] = math.sqrt(1 - 2 * 0.08 * 0.08)
         scene = SCENES["rigid_body"].with_(gamma=0.03, M=tuple(M), t_end=100.0)
-        path = numerical(scene, ABC, 0.05, 250).M
+        path = numerical(scene, "contact-abc", 0.05, 250).M
         yield from curve("momentum", f"near axis {axis + 1}", "stable" if axis != 1 else "unstable", *path.T)
 
 
@@ -85,8 +72,7 @@ def paper_5() -> Iterator[Row]:
     of_direction = direction_growths(scene)
     for axis in range(3):
         for sign in (1.0, -1.0):
-            e = sign * np.eye(3)[axis]
-            rate = of_direction[axis]  # the same for e and −e: γ is isotropic
+            e, rate = sign * np.eye(3)[axis], of_direction[axis]  # the same for e and −e: γ is isotropic
             kind, name = "unstable" if rate > 1e-9 else "stable", f"axis {'+' if sign > 0 else '-'}{axis + 1}"
             residual = float(np.linalg.norm(momentum_rate(scene)(e)))
             yield ("sphere", name, kind, *e)
@@ -97,7 +83,7 @@ def paper_5() -> Iterator[Row]:
             for angle in (0.25, 0.5, 0.7):  # from the axis towards axis 2
                 M = np.zeros(3)
                 M[axis], M[1] = sign * math.cos(angle), math.sin(angle)
-                path = numerical(free.with_(M=tuple(M), t_end=60.0), ABC, 0.1, 300).M
+                path = numerical(free.with_(M=tuple(M), t_end=60.0), "contact-abc", 0.1, 300).M
                 turns = np.unwrap(np.arctan2(path[:, 1], path[:, 2 - axis]))
                 once = int(np.argmax(np.abs(turns - turns[0]) > 2 * math.pi)) or len(path)
                 name = f"about {sign:+.0f}·e{axis + 1}, {angle:g} rad"
@@ -106,7 +92,7 @@ def paper_5() -> Iterator[Row]:
 
 def paper_7() -> Iterator[Row]:
     """Yield, left, H0 along time at h = 0.01.  Right, the error of H0 against the step, with fitted orders."""
-    scene = PARTICLE
+    scene = SCENES["particle"]
     t = np.linspace(0, scene.t_end, 201)
     truth = scene.energy(reference(scene, t, ()).states())
 
@@ -116,24 +102,22 @@ def paper_7() -> Iterator[Row]:
     yield from curve("energy", "true H0", "truth", t, truth)
     yield from curve("energy", "H0(0) e^{-γt}", "law", t, law(t))
     yield from curve("ratio", "true H0", "truth", t, truth / law(t) - 1)
-    for name in (PRINTED, RK4):
+    for name in ("contact-printed", "rk4"):
         run = numerical(scene, name, PAPER_STEP, 50)
         energy = scene.energy(run.states())
         yield from curve("energy", name, "method", run.t, energy)
         yield from curve("ratio", name, "method", run.t, energy / law(run.t) - 1)
     for name in NOMINAL:
         errors = energy_errors(name, scene, (4, 8, *ENERGY_LADDER))
-        order = slope(errors)
-        yield from curve(
-            "convergence", name, "method", errors.keys(), errors.values(), itertools.repeat(order)
-        )
+        order = itertools.repeat(slope(errors))
+        yield from curve("convergence", name, "method", errors.keys(), errors.values(), order)
 
 
 def paper_8() -> Iterator[Row]:
     """Yield the splitting integrator at γ = 0 and γ > 0: phase portrait and energy."""
     for gamma, kind in ((0.0, "conservative"), (0.1, "dissipative")):
-        scene = PARTICLE.with_(gamma=gamma, t_end=60.0)
-        run = numerical(scene, PRINTED, PAPER_STEP, 400)
+        scene = SCENES["particle"].with_(gamma=gamma, t_end=60.0)
+        run = numerical(scene, "contact-printed", PAPER_STEP, 400)
         energy = scene.energy(run.states())
         label = f"γ = {gamma:g}"
         yield from curve("phase", label, kind, run.q[:, 0], run.p[:, 0])
@@ -142,18 +126,14 @@ def paper_8() -> Iterator[Row]:
             yield from curve("bounded", label, kind, run.t, energy / energy[0] - 1)
 
 
-#: largest damping rate shown for each axis: far enough for a full D to destabilise the outer two
-REACH = (3.0, 1.0, 1.0)
-
-
 def paper_stability() -> Iterator[Row]:
     """Yield the growth rate at M* = e_i in ker D, I = (1, 2, 3), over two slices of the symmetric D ≥ 0.
 
     Panel "axis i, diagonal": over the two rates of a diagonal D.  Panel "axis i, full": equal rates d on
-    the diagonal and −d ≤ d_jk ≤ d beside it.  The border is det = 0 of `body_stability.criterion`.
+    the diagonal and −d ≤ d_jk ≤ d beside it.  The border is det = 0 of `rigid_body.criterion`.
     """
-    a, unit, (zero, _) = 1 / np.asarray(INERTIA), np.eye(3), EIGENVALUES
-    for axis, reach in enumerate(REACH):
+    a, unit, zero = 1 / np.asarray(INERTIA), np.eye(3), 1e-12  # that of the eigenvalues
+    for axis, reach in enumerate((3.0, 1.0, 1.0)):  # far enough for a full D to destabilise the outer two
         e = unit[axis]
         j, k = sorted({0, 1, 2} - {axis})
         sides = np.linspace(0, 0.6, 21)

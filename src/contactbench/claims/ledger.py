@@ -7,7 +7,6 @@ numbers by `verdict`; whether a correction repairs or replaces a statement that 
 from __future__ import annotations
 
 import math
-import operator
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -19,8 +18,10 @@ from contactbench.errors import Registry
 from contactbench.results.schema import SEPARATOR
 
 CLAIMS = Registry("claim")
-#: by id: where, says, scene, method, figures, kind, correction, the fields of `Claim`
+#: by id, the fields of `Claim`
 STATEMENTS = tomllib.loads(files(__package__).joinpath("statements.toml").read_text(encoding="utf-8"))
+#: stands in a claim's evidence between the measurements of the paper's statement and those of the corrected one
+CORRECTED = "corrected"
 
 
 class Verdict(StrEnum):
@@ -46,9 +47,6 @@ class Correction(StrEnum):
     extends = "extends"
 
 
-RELATIONS: dict[str, Callable[[float, float], bool]] = {"≤": operator.le, "≥": operator.ge}
-
-
 @dataclass(frozen=True)
 class Measurement:
     """A measured number against its bound: ``value relation bound``, and why the bound is what it is."""
@@ -62,15 +60,14 @@ class Measurement:
     @property
     def passes(self) -> bool:
         """Whether the number keeps its bound; never if it is not finite."""
-        return math.isfinite(self.value) and RELATIONS[self.relation](self.value, self.bound)
+        sign = 1 if self.relation == "≤" else -1
+        return math.isfinite(self.value) and sign * self.value <= sign * self.bound
 
     def __str__(self) -> str:
         mark = "" if self.passes else " fails"
         return f"{self.quantity}: {self.value:.3g} {self.relation} {self.bound:.3g}{mark} ({self.why})"
 
 
-#: stands in a claim's evidence between the measurements of the paper's statement and those of the corrected one
-CORRECTED = "corrected"
 Evidence = Iterable[Measurement | str]
 
 
@@ -80,13 +77,6 @@ def at_most(quantity: str, value: Any, bound: float, why: str) -> Measurement:
 
 def at_least(quantity: str, value: Any, bound: float, why: str) -> Measurement:
     return Measurement(quantity, float(value), "≥", float(bound), why)
-
-
-def split(evidence: Evidence) -> tuple[list[Any], list[Any]]:
-    """Return the measurements of the paper's statement and those of the corrected one."""
-    measured = list(evidence)
-    end = measured.index(CORRECTED) if CORRECTED in measured else len(measured)
-    return measured[:end], measured[end + 1 :]
 
 
 def verdict(
@@ -152,9 +142,11 @@ class Claim:
             "figures": " ".join(self.figures),
         }
         try:
-            statement, corrected = split(self.measure(**parameters))
+            measured: list[Any] = list(self.measure(**parameters))
         except Exception as error:
             return {**row, "status": "failed", "message": f"{type(error).__name__}: {error}"}
+        end = measured.index(CORRECTED) if CORRECTED in measured else len(measured)
+        statement, corrected = measured[:end], measured[end + 1 :]
         broken = [str(m) for m in (*statement, *corrected) if not math.isfinite(m.value)]
         if broken:
             return {**row, "status": "failed", "message": f"not finite: {'; '.join(broken)}"}

@@ -10,10 +10,9 @@ import traceback
 from importlib import metadata
 from typing import Any
 
-from contactbench.boundary import VARIABLE, limit
 from contactbench.cli import runs, tables
 from contactbench.cli.parsing import PLUGIN, Command, Parser
-from contactbench.errors import BadInput, one_line
+from contactbench.errors import VARIABLE, BadInput, limit, one_line
 
 #: seconds that a plug-in has where nobody says otherwise
 SECONDS = "60"
@@ -58,7 +57,6 @@ PEERS = ("scipy", "scikit-sundae", "diffrax", "jax", "heyoka", "cyrk", "numba", 
 
 
 def versions() -> str:
-    """Return this package's version, and on a second line those of the solvers it is raced with."""
     import contactbench
 
     installed = {name: next(iter(metadata.distributions(name=name)), None) for name in PEERS}

@@ -13,8 +13,6 @@ from contactbench.errors import BadInput
 
 
 class Parser(argparse.ArgumentParser):
-    """Keeps the layout of its examples; bad usage is one line and exit status 2."""
-
     def __init__(self, **options: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
         self._negative_number_matcher = re.compile(r"-\.?\d")  # -1e-3 is a value too, and told as a bad one
@@ -24,10 +22,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def writable(option: str, path: Path | None, kinds: tuple[str, ...] = ()) -> None:
-    """Raise `BadInput` unless a file can be written there, before anything is computed for it.
-
-    A file that is there is left as it is, one that is not is not made.
-    """
+    """Raise `BadInput` unless a file can be written there; one that is there is left as it is, no other is made."""
     if path is None:
         return
     if kinds and path.suffix.lower() not in kinds:

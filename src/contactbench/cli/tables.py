@@ -44,17 +44,14 @@ def report(arguments: argparse.Namespace) -> int:
         found = write.differing(results, readme, registries)
         print("\n".join(found) or "Documents, figures and tables agree.")
         return 1 if found else 0
-    if readme:  # refused now if it has no computed part
-        write.parts_beside(readme)
+    if readme:
         writable("--readme", readme)
     for path in write.report(results, registries, readme, arguments.png):
         print(path)
     return 0
 
 
-REPORT = (
-    "Nothing is solved: every number is read from the tables.  report.html is one page that needs no network."
-)
+REPORT = "Nothing is solved: every number is from the tables.  report.html is one page that needs no network."
 
 
 def gate(arguments: argparse.Namespace) -> int:

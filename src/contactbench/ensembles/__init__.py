@@ -17,8 +17,7 @@ import numpy as np
 from contactbench.ensembles.chunks import ENGINES, Task, results
 from contactbench.ensembles.members import ENERGY, Statistic, decaying, members, overall, tally
 from contactbench.errors import BadInput, excerpt, positive, switch, whole
-from contactbench.methods.base import METHODS
-from contactbench.methods.entry import lookup, make_request
+from contactbench.methods.base import METHODS, lookup, make_request
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import Division
 from contactbench.methods.prepared import Refused

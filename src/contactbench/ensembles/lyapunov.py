@@ -20,7 +20,7 @@ from contactbench.ensembles.chunks import LANES
 from contactbench.ensembles.members import furthest, members, within
 from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
-from contactbench.methods.entry import lookup, prepare
+from contactbench.methods.base import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
 from contactbench.methods.many import loop_of as many_loop
 from contactbench.methods.prepared import Refused

@@ -133,19 +133,16 @@ class Watch:
         self.begun = dict.fromkeys(self.origin, nothing), xp.ones(y0.shape[1], bool), nothing
 
     def quantity(self, name: str, x: Any) -> Any:
-        """Return the quantity of a decay law, its components along the last axis."""
         value = getattr(self.scene, DECAYING[name])(x)
         parts = value if isinstance(value, tuple) else (value,)
         return self.xp.stack(self.xp.broadcast_arrays(*parts), axis=-1)
 
     def deviation(self, name: str, x: Any, t: Any) -> Any:
-        """Return the deviation from a decay law at the time t."""
         terms = getattr(self.scene, f"{DECAYING[name]}_terms")(x)
         rate = self.scene.conformal_rate
         return conformal_deviation(self.quantity(name, x), self.origin[name], t, rate, terms, self.xp)
 
     def at(self, marks: Any, x: Any, y: Any, t: Any) -> Any:
-        """Return the marks at the time t, in the states x, packed y."""
         worst, alive, end = marks
         alive = alive & within(y, self.motion, self.bound, self.xp)
         worst = {name: self.xp.maximum(most, self.deviation(name, x, t)) for name, most in worst.items()}

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from contactbench.errors import BadInput
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.results import provenance
 from contactbench.results.schema import PROFILES, SPREAD, TABLES, Rule, Table, floor
 from contactbench.results.store import read
@@ -61,7 +61,6 @@ class Findings:
 
     @property
     def status(self) -> int:
-        """The exit status: 1 red, 2 inconclusive as a whole, 0 green."""
         return 1 if self.red else 2 if self.incomplete else 0
 
     def as_json(self) -> str:
@@ -70,7 +69,6 @@ class Findings:
         return json.dumps(found, allow_nan=False, ensure_ascii=False)
 
     def as_markdown(self) -> str:
-        """Return the outcome, the table of what moved with the red rows first, and the notes."""
         outcome = ("green", f"red, {self.red} found", INCONCLUSIVE)[self.status]
         rows = self.moved.sort_values("red", ascending=False, kind="stable")
         cells = rows.drop(columns="red").astype(str).map(escape)
@@ -144,11 +142,7 @@ LIMITS: dict[Rule, Callable[[np.ndarray, np.ndarray, pd.DataFrame], np.ndarray]]
 
 
 def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame, alike: bool) -> np.ndarray:
-    """Return how far each value of a column moved, in parts of what its rule allows: red beyond 1.
-
-    alike : both were made on the same processor with the same libraries, where every count is exact.
-    A value that is blank on one side only moved beyond all limits.
-    """
+    """Return how far each value of a column moved, in parts of what its rule allows: red beyond 1."""
     if rule is Rule.same or (rule is Rule.count and alike):
         moved = np.where((before == after).to_numpy(na_value=False), 0.0, math.inf)
     elif rule is Rule.profile:
@@ -165,10 +159,7 @@ def distance(rule: Rule, before: pd.Series, after: pd.Series, rows: pd.DataFrame
 
 # -- tables ----------------------------------------------------------------------------------------
 def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool = False) -> pd.DataFrame:
-    """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene.
-
-    before : only rows that are expected.  alike : both were made on the same processor with the same libraries.
-    """
+    """Return what is missing from `after` or moved too far: the worst value of each measure of a method on a scene."""
     both = before.merge(after, how="left", on=list(table.key), suffixes=("", " after"), indicator="side")
     gone, both = both[both["side"] == "left_only"], both[both["side"] == "both"]
     if len(before) and both.empty:
@@ -196,7 +187,6 @@ def compare(table: Table, before: pd.DataFrame, after: pd.DataFrame, alike: bool
 
 
 def locate(table: Table, rows: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of what moved, as far as the keys of rows say it."""
     found = pd.DataFrame(BLANK | {"table": table.name}, index=range(len(rows)))
     own = [name for name in ("scene", "method", "engine") if name in table.columns]
     rest = [name for name in table.key if name not in own]
@@ -214,16 +204,11 @@ def keys(table: Table, rows: pd.DataFrame) -> pd.MultiIndex:
 
 
 def compare_folders(baseline: Path, fresh: Path) -> Findings:
-    """Compare fresh tables with a folder of older ones: errors, counts, structure, status, missing rows.
-
-    Raises `BadInput` for folders that hold no finished run, and for foreign or damaged tables.
-    """
     before, now = ({name: read(table, side) for name, table in TABLES.items()} for side in (baseline, fresh))
     return compare_tables(before, benchmark_runs(baseline), now, benchmark_runs(fresh), str(baseline))
 
 
 def compare_tables(before: Frames, made_before: Runs, now: Frames, made_now: Runs, name: str) -> Findings:
-    """Compare tables by the runs behind them; `name` : what the older ones are called."""
     rank = max(PROFILES.index(run["profile"]) for run in made_now)
     larger = PROFILES[rank + 1 :]
     # a row that does not say which profile makes it is expected of every one
@@ -246,7 +231,6 @@ def compare_tables(before: Frames, made_before: Runs, now: Frames, made_now: Run
 
 
 def benchmark_runs(results: Path) -> Runs:
-    """Return the runs behind the tables of a folder.  Raises `BadInput` where there are none."""
     found = [run for run in provenance.runs(results) if run["profile"] in PROFILES]
     if not found:
         raise BadInput(f"{results / 'environment.json'}: missing; the folder holds no finished benchmark run")

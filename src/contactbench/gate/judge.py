@@ -33,10 +33,7 @@ Row = dict[str, Any]
 
 
 def by_base(folder: Path, base: str | None, line: Sequence[str]) -> int | None:
-    """Have the gate of the base revision judge a tree by the same command line, and return its exit status.
-
-    A tree whose own gate judged it could move its own goal.  None where this process is that gate.
-    """
+    """Have the base's own gate judge a tree by the same command line; return its status, None where we are it."""
     if revisions.JUDGED in os.environ:
         return None
     root = revisions.repository(folder)
@@ -66,7 +63,6 @@ def gate(
     changed: Sequence[str] = (),
     budget: float | None = None,
 ) -> Findings:
-    """Judge the working tree that a folder is in; the rest are the options of the command."""
     root = revisions.repository(folder)
     base = revisions.base(root, base)
     found = Findings()
@@ -93,7 +89,6 @@ def gate(
 
 
 def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[str]:
-    """Return the tables that a change names; `results` may have new ones.  Raises `BadInput` for other names."""
     named = {name for part in (*TRAILER.findall(messages), *option) for name in re.findall(r"[^\s,]+", part)}
     unknown = sorted(named - {ALL, *TABLES} - {path.stem for path in results.glob("*.csv")})
     if unknown:
@@ -102,10 +97,7 @@ def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[s
 
 
 def run_benchmark(root: Path, results: Path) -> Findings:
-    """Run the smoke profile of the benchmark in `root`, untimed and on all cores; a red row if a cell failed.
-
-    Raises `BadInput` when the benchmark cannot run at all.
-    """
+    """Run the smoke profile of the benchmark in `root`, untimed and on all cores; a red row if a cell failed."""
     if not (root / "bench" / "conftest.py").exists():
         raise BadInput(f"{root}: no benchmark there; run the gate where bench/ is, or give --fresh DIR")
     command = [sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results)]
@@ -122,7 +114,6 @@ def row(measure: str, before: str, after: str, result: str, **where: Any) -> Row
 
 
 def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set[str]) -> Findings:
-    """Judge a fresh run, and the tables of the tree, by those of the base revision in the folder `old`."""
     (before, rows), (head, more), (now, _) = (readable(side, changed) for side in (old, results, fresh))
     rows += more + check_record(results, head) + check_record(fresh, now) + check_commit(root, fresh)
     found = Findings()
@@ -139,10 +130,7 @@ def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set
 
 
 def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
-    """Return the tables of a folder, and a red row for each whose columns mean something else than here.
-
-    Those of a table that is meant to change may be of another version: they are not compared.
-    """
+    """Return the tables of a folder, and a red row for each of another version that is not meant to change."""
     frames, rows = {}, []
     for name, table in TABLES.items():
         try:
@@ -155,7 +143,6 @@ def readable(folder: Path, changed: set[str]) -> tuple[Frames, list[Row]]:
 
 
 def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd.DataFrame) -> list[Row]:
-    """Return a red row where rows are taken out that the code still makes, or a table is made and not committed."""
     if len(fresh) and before.empty and head.empty:
         return [row("table", "none", f"{len(fresh)} rows", "not committed", table=table.name)]
     base, tree, made = (keys(table, rows) for rows in (before, head, fresh))
@@ -164,14 +151,12 @@ def check_rows(table: Table, before: pd.DataFrame, head: pd.DataFrame, fresh: pd
 
 
 def check_record(results: Path, frames: Frames) -> list[Row]:
-    """Return a red row where environment.json knows no run that made one of the tables."""
     made = {name for run in provenance.runs(results) for name in run["tables"]}
     found = [f"no run made {name}" for name, frame in frames.items() if len(frame) and name not in made]
     return [row("record of the runs", "complete", each, "damaged") for each in found[:1]]
 
 
 def check_commit(root: Path, fresh: Path) -> list[Row]:
-    """Return a red row where a fresh run was not made by the code that is judged."""
     head, measure = revisions.commit(root, "HEAD"), "commit of the fresh run"
     for run in provenance.runs(fresh):
         commit = str(run.get("commit", ""))

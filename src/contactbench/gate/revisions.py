@@ -46,7 +46,6 @@ def commit(root: Path, revision: str) -> str:
 
 
 def repository(folder: Path) -> Path:
-    """Return the top of the working tree a folder is in.  Raises `BadInput` if it is not this project's."""
     root = Path(git(folder, "rev-parse", "--show-toplevel"))
     if not (root / "src" / "contactbench").is_dir():
         raise BadInput(f"{root}: no src/contactbench there; run the gate in a checkout of the project")
@@ -58,10 +57,7 @@ def dirty(root: Path) -> bool:
 
 
 def base(root: Path, revision: str | None) -> str:
-    """Return the commit that a tree is compared with: by default where the main branch was left, on it HEAD's parent.
-
-    Raises `BadInput` where this clone does not have it.
-    """
+    """Return the commit to compare with: by default where the main branch was left, on it HEAD's parent."""
     if revision is not None:
         if found := commit(root, revision):
             return found
@@ -81,7 +77,6 @@ def base(root: Path, revision: str | None) -> str:
 
 @contextmanager
 def checkout(root: Path, commit: str) -> Iterator[Path]:
-    """Unpack the files of a commit in a folder of their own, for as long as the block lasts."""
     with tempfile.TemporaryDirectory(prefix="contactbench-base-") as scratch:
         tree = Path(scratch).resolve() / "base"
         with tarfile.open(fileobj=BytesIO(git(root, "archive", commit, text=False))) as files:

@@ -81,10 +81,7 @@ PUBLIC += [Cell(scene, call="reference") for scene in ("oscillator", "saddle_edg
 
 
 def workload(work: pd.DataFrame) -> list[Cell]:
-    """Return the cells of a work–precision table that are worth timing, and the public calls.
-
-    Every method and engine on `SCENES`, a few on every scene; with many saved times the first engine of each method.
-    """
+    """Return every method and engine on `SCENES`, a few elsewhere or with many saved times, and the public calls."""
     timed = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= LONGEST)]
     slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
     cells = []
@@ -99,18 +96,12 @@ def workload(work: pd.DataFrame) -> list[Cell]:
 
 
 def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
-    """Return why the cells that were timed are no sample: below half of them, or none of a method or public call."""
     left_out = sorted({cell.kind for cell in cells} - {cells[i].kind for i in timed})
     few = [f"only {len(timed)} of {len(cells)} cells timed"] if 2 * len(timed) < len(cells) else []
     return (*few, *([f"no cell timed of {', '.join(left_out)}"] if left_out else []))
 
 
 def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | None = None) -> Findings:
-    """Time the working tree in `root` against a base revision, checked out in `tree`.
-
-    budget : seconds; a cell that is not decided by then is inconclusive.
-    Raises `BadInput` when a timing process cannot run.
-    """
     start = perf_counter()
     ends = [None, None] if budget is None else [start + (1 - SECOND_LOOK) * budget, start + budget]
     # time may end early: other cells first in every change, of each kind one in front
@@ -180,7 +171,6 @@ def time_pairs(
 
 @contextmanager
 def timing_process(tree: Path) -> Iterator[tuple[Callable[[Any], None], Callable[[], Any]]]:
-    """Start a process that times cells with the code of a tree; yields how to send and receive, see `speed_worker`."""
     command = [sys.executable, "-P", str(Path(__file__).with_name("speed_worker.py"))]
     with (
         tempfile.TemporaryFile("w+") as errors,

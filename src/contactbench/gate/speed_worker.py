@@ -29,7 +29,6 @@ Run = Callable[[], Any]
 
 
 def call(cell: dict[str, Any]) -> Run:
-    """Return what is timed: a public call, or a prepared run whose last saved time is the end."""
     name, method, value = cell["scene"], cell["method"], cell["value"]
     scene = cb.SCENES[name]
     given = {"step": value, "engine": cell["engine"]}
@@ -62,7 +61,6 @@ def quartic(c: float) -> cb.Mechanical:
 
 
 def ready(cell: dict[str, Any]) -> tuple[Run, float]:
-    """Return a warm call and the seconds it takes.  Raises an error where the run does not end well."""
     run = call(cell)
     solution = run()
     if isinstance(solution, cb.Solution) and not solution.ok:
@@ -73,7 +71,6 @@ def ready(cell: dict[str, Any]) -> tuple[Run, float]:
 
 
 def seconds(run: Run, once: float) -> list[float]:
-    """Return the seconds per call, repeat by repeat; `once` : what one takes, roughly."""
     calls, found = max(1, round(FILL / once)), []
     for _ in range(REPEATS if once < LONG else 1):
         start = perf_counter()

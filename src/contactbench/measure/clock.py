@@ -13,7 +13,7 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -41,31 +41,16 @@ class Visit:
 
 @dataclass(frozen=True)
 class Part:
-    """The same run over a share of its span: what it takes tells fixed from marginal cost."""
-
     run: Callable[[], Any]
     share: float
     span: float
 
     def marginal(self, visits: Sequence[Visit]) -> float:
-        """Return the cost of one more unit of the span."""
         short = min(min(visit.part) for visit in visits)
         return float((least(visits) - short) / ((1 - self.share) * self.span))
 
 
-class Timed(Protocol):
-    """What a race visits."""
-
-    def warm_up(self) -> float:
-        """Return the seconds of one round."""
-
-    def visit(self, rounds: int = ROUNDS) -> Visit:
-        """Time some rounds."""
-
-
 class Call:
-    """A function without arguments that is timed in this process, and its part."""
-
     def __init__(self, run: Callable[[], Any], part: Part | None = None) -> None:
         self.part = part
         self.runs = [run] if part is None else [run, part.run]
@@ -80,14 +65,14 @@ class Call:
         return sum(max(ROUND_SECONDS, once) for once in self.once)
 
     def visit(self, rounds: int = ROUNDS) -> Visit:
-        """Time some rounds, no garbage collected; how many calls fill one follows from the fastest so far."""
         calls = [calls_a_round(once) for once in self.once]
-        if self.once[0] > LONG:
-            rounds = 1
         collects = gc.isenabled()
         gc.disable()
         try:
-            turns = [[seconds(*each) for each in zip(self.runs, calls, strict=True)] for _ in range(rounds)]
+            turns = [
+                [seconds(*each) for each in zip(self.runs, calls, strict=True)]
+                for _ in range(1 if self.once[0] > LONG else rounds)
+            ]
         finally:
             if collects:
                 gc.enable()
@@ -108,12 +93,9 @@ def seconds(run: Callable[[], Any], iterations: int) -> float:
 
 
 class Race:
-    """Calls timed side by side: every sweep visits each of them once, in an order of its own.
+    """Calls timed side by side: every sweep visits each of them once, in an order of its own."""
 
-    visits : of each call, as far as they have been made.
-    """
-
-    def __init__(self, calls: Sequence[Timed]) -> None:
+    def __init__(self, calls: Sequence[Any]) -> None:
         self.calls = list(calls)
         self.visits: list[list[Visit]] = [[] for _ in self.calls]
         self.shuffle = random.Random(SEED)
@@ -124,10 +106,7 @@ class Race:
             yield i
 
     def go(self, budget: float) -> None:
-        """Make `VISITS` visits, and more of them within so many seconds.
-
-        Where time is short a call has fewer rounds a visit, not fewer visits.
-        """
+        """Make `VISITS` visits, and more within so many seconds; where time is short a visit has fewer rounds."""
         start = perf_counter()
         lengths = [call.warm_up() for call in self.calls]
         share = max(0.0, start + budget - perf_counter()) / VISITS / max(1, len(lengths))
@@ -151,11 +130,7 @@ def time_columns(visits: Sequence[Visit]) -> dict[str, Any]:
 
 
 def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
-    """Return fixed and marginal cost: time = fixed + marginal · T, from the least rounds of both lengths.
-
-    The part of a run whose steps grow costs more than its share, which counts as fixed; where they shrink
-    fixed_s may be negative.
-    """
+    """Return fixed and marginal cost: time = fixed + marginal · T; where steps shrink fixed_s may be negative."""
     slope = part.marginal(visits)
     columns = {"fixed_s": least(visits) - slope * part.span, "marginal_s": slope}
     return columns | ratio_column("marginal_halves_ratio", part.marginal, visits[::2], visits[1::2])
@@ -164,7 +139,6 @@ def length_columns(visits: Sequence[Visit], part: Part) -> dict[str, float]:
 def process_columns(
     visits: Sequence[Visit], again: Sequence[Visit], part: Part | None = None
 ) -> dict[str, float]:
-    """Return the columns of a call that a second process has timed too: what it says over what the first said."""
     columns = ratio_column("time_process_ratio", least, visits, again)
     if part is not None and all(visit.part for visit in again):
         columns |= ratio_column("marginal_process_ratio", part.marginal, visits, again)
@@ -174,7 +148,6 @@ def process_columns(
 def ratio_column(
     name: str, cost: Callable[[Sequence[Visit]], float], first: Sequence[Visit], second: Sequence[Visit]
 ) -> dict[str, float]:
-    """Return the ratio of the costs of some visits, the second over the first; nothing where it has no meaning."""
     if not second or min(cost(first), cost(second)) <= 0:
         return {}
     return {name: cost(second) / cost(first)}

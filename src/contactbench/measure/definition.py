@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -30,10 +29,6 @@ OFFSETS = (0, 1, -2)
 WORDS = ("about", "hard", "experiments")
 
 
-def digest(parts: Iterable[str]) -> str:
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-
-
 def digits_of(value: Any, context: Any) -> str:
     if isinstance(value, list | tuple | np.ndarray):
         return f"[{' '.join(digits_of(each, context) for each in value)}]"
@@ -41,7 +36,6 @@ def digits_of(value: Any, context: Any) -> str:
 
 
 def declarations(item: Any) -> list[str]:
-    """The fields of a scene or method that are data, as NAME=VALUE."""
     data = bool | int | float | str | tuple | dict | None
     named = {field.name: getattr(item, field.name) for field in dataclasses.fields(item) if field.init}
     return [f"{n}={value!r}" for n, value in named.items() if n not in WORDS and isinstance(value, data)]
@@ -62,7 +56,6 @@ def scene_lines(scene: Scene) -> list[str]:
 
 
 def method_lines(method: Any) -> list[str]:
-    """What the method declares, and where one and two of its steps lead, where it has steps."""
     lines = declarations(method)
     if not hasattr(method, "advance"):
         return lines
@@ -76,9 +69,10 @@ def method_lines(method: Any) -> list[str]:
 
 def row(item: Any) -> dict[str, str]:
     is_scene = isinstance(item, Scene)
+    lines = scene_lines(item) if is_scene else method_lines(item)
     return {
         "scene": item.name if is_scene else "",
         "method": "" if is_scene else item.name,
         "declared": "; ".join(line for line in declarations(item) if not line.endswith("=None")),
-        "digest": digest(scene_lines(item) if is_scene else method_lines(item)),
+        "digest": hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16],
     }

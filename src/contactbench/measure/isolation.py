@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -28,11 +29,8 @@ class Died(Exception):
     """The call took its process down."""
 
 
-class Worker:
-    """A process that makes calls, on some cores (by default those of this one); it starts with the first of them.
-
-    Close it, or use it as a context manager: no process is left behind.
-    """
+class Worker(AbstractContextManager):
+    """A process that makes calls, on some cores; it starts with the first and ends with `close`, or its block."""
 
     def __init__(self, cores: Iterable[int] = ()) -> None:
         self.cores = list(cores)
@@ -63,7 +61,6 @@ class Worker:
             raise
 
     def close(self) -> str:
-        """End the process; return how it has ended."""
         if self.running is None:
             return ""
         (pool, process), self.running = self.running, None
@@ -71,9 +68,6 @@ class Worker:
         pool.shutdown()
         code = process.exitcode or 0
         return f"signal {-code}" if code < 0 else f"exit status {code}"
-
-    def __enter__(self) -> Worker:
-        return self
 
     def __exit__(self, *_: Any) -> None:
         self.close()

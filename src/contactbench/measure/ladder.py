@@ -45,7 +45,6 @@ def work_ladder(scene: Scene, order: int) -> list[float]:
 
 
 def tolerances(method: Any) -> list[float]:
-    """Return the decades within the range of an adaptive method, the loosest first, and the end of the range."""
     low, high = method.rtol_range
     rungs = [LOOSEST, *RTOLS, *(BETWEEN if method.order is None else [])]
     return [*sorted((rtol for rtol in rungs if low < rtol <= high), reverse=True), low]
@@ -57,17 +56,14 @@ def save_times(scene: Scene) -> np.ndarray:
 
 
 def stepping(method: Any) -> str:
-    """How a method gets from one time to another: by fixed steps, by adaptive ones, or exact: without any."""
     return "exact" if method.exact else "adaptive" if method.adaptive else "fixed"
 
 
 def fields(scene: Scene, method: Method, carry: tuple[str, ...]) -> list[str]:
-    """What a method integrates on a scene, field by field."""
     kept = (name for name, part in scene.initial(carry)._asdict().items() if part is not None)
     return [name for name in kept if not (name == "t" and method.own_time)]
 
 
 def carry_of(scene: Scene) -> tuple[str, ...]:
-    """The optional fields of a run where only the motion counts: the attitude where J = R M is measured, and s
-    where the motion depends on it."""
+    """The optional fields that a run needs where only the motion counts: R where J = R M is measured, s if it acts."""
     return scene.carry(("R",) if "R" in scene.optional and scene.conformal_rate is not None else ())

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contactbench.boundary import blame
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, blame
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.solution import Solution
@@ -70,7 +69,7 @@ class Measured:
     @property
     def bound(self) -> bool:
         """Whether the value is an upper bound."""
-        return self.uncertainty is not None and self.value <= 2 * self.uncertainty
+        return self.uncertainty is not None and self.value <= UNSURE * self.uncertainty
 
 
 @dataclass(frozen=True)
@@ -139,10 +138,9 @@ class Law:
 
 
 # -- deviations ------------------------------------------------------------------------------------
-def log_true_size(start: Any, t: Any, gamma: Any, xp: Any = np) -> Any:
-    """log(e^{−γt} ‖start‖); of e^{−γt} where the start is zero."""
+def size_of(start: Any, xp: Any = np) -> Any:
     norm = xp.linalg.norm(start, axis=-1)
-    return xp.log(xp.where(norm > 0, norm, 1.0)) - gamma * t
+    return xp.where(norm > 0, norm, 1.0)
 
 
 def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any = 0.0, xp: Any = np) -> Any:
@@ -153,9 +151,8 @@ def conformal_deviation(values: Any, start: Any, t: Any, gamma: Any, terms: Any 
     range (0 when it has underflowed as it should).  For an ensemble k counts its members, and t, γ and
     start may differ from one to the next.
     """
-    norm = xp.linalg.norm(start, axis=-1)
-    norm = xp.where(norm > 0, norm, 1.0)
-    true_log = log_true_size(start, t, gamma, xp)
+    norm = size_of(start, xp)
+    true_log = xp.log(norm) - gamma * t
     attainable = ATTAINABLE * (terms + xp.zeros(len(values)))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         clamped = xp.log(attainable) > true_log
@@ -175,7 +172,7 @@ def conformal(
     values: np.ndarray, start: np.ndarray, t: Any, rate: Any, terms: np.ndarray, error: Any = None
 ) -> Deviation:
     """`conformal_deviation` with its error bar, `error` (k,) being that of the values, and where it was clamped."""
-    true_log, bar = log_true_size(start, t, rate), None
+    true_log, bar = np.log(size_of(start)) - rate * t, None
     with np.errstate(divide="ignore", over="ignore"):
         if error is not None:
             floor = np.log(np.maximum(ATTAINABLE * terms, MEANINGFUL))
@@ -189,3 +186,55 @@ def relative_deviation(numerical: np.ndarray, exact: np.ndarray) -> np.ndarray:
     meaningful = np.abs(exact) > MEANINGFUL
     ratio = np.divide(numerical, exact, out=np.ones_like(exact), where=meaningful)
     return np.where(meaningful, np.abs(ratio - 1), np.maximum(np.abs(numerical) / MEANINGFUL - 1, 0.0))
+
+
+# -- round-off -------------------------------------------------------------------------------------
+# A law is kept when its deviation is round-off: 10⁻¹², or what rounding every evaluation comes to; the round-off
+# of a law of the derivative grows with the numerical map, how far stands in the table (`map_growth`), and where it
+# does not, with the motion (`condition_number`).
+#
+# Where that bound is above 10⁻⁶ it says nothing in favour of a method, because any would pass: a deviation below it
+# is undecided, neither kept nor broken.  So is one that differences of the solver do not resolve, and one that is
+# clamped at every saved time.  A run that does not follow the motion is not judged.
+EPSILON = float(np.finfo(float).eps)
+#: a larger bound decides nothing: a method that breaks a law by so little as that would pass for one that keeps it
+DECIDABLE = 1e-6
+#: a structural error is round-off up to here
+STRUCTURE = 1e-12
+#: up to so many error bars a deviation by differences is no more than an upper bound
+UNSURE = 2.0
+#: laws of the state alone: the sensitivity of the motion does not magnify their round-off
+OF_THE_STATE = ("momentum_law", "attitude_drift")
+#: what a row has of each structural law beside its value, with its meaning
+JUDGEMENT = {
+    "claimed": "whether the method promises on this scene to keep it at every setting",
+    "kept": "whether the run keeps it to round-off; blank where that is undecided, or the run is not judged because "
+    "its solution is off by more than a tenth",
+    "undecided": "whether the run cannot tell; blank where it is not judged",
+    "bound": "up to what its deviation is round-off; blank where it is not judged",
+}
+#: a run whose solution error is larger does not follow the motion
+WRECKED = 0.1
+
+
+def round_off_bound(growth: Any, evaluations: Any) -> Any:
+    """ε · evaluations · max(growth, 1): every evaluation rounds once, and what it rounds then grows.
+
+    growth : max ‖DΦ(t)‖₂ of the numerical map, or the condition number of the motion.  Both may be columns.
+    """
+    return EPSILON * evaluations * np.maximum(growth, 1.0)
+
+
+def structural_bound(growth: Any, evaluations: Any) -> Any:
+    """Up to what the deviation from a structural law is round-off; the arguments may be columns."""
+    return np.maximum(STRUCTURE, round_off_bound(growth, evaluations))
+
+
+def judge(value: float, bound: float, unsure: bool = False, faded: bool = False) -> tuple[bool, bool]:
+    """Whether a deviation shows that a law is kept, and whether it shows nothing.
+
+    unsure : it is an upper bound only.  faded : it was clamped at every saved time.
+    """
+    decides = bound <= DECIDABLE or value <= STRUCTURE
+    kept = value <= bound and decides and not faded
+    return kept, not kept and (value <= bound or unsure)

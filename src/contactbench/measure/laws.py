@@ -21,19 +21,23 @@ import numpy as np
 from contactbench.errors import BadInput, Registry
 from contactbench.measure.law import (
     ATTAINABLE,
+    JUDGEMENT,
     MEANINGFUL,
+    OF_THE_STATE,
+    WRECKED,
     Deviation,
     Gate,
     Law,
     Measured,
     Undefined,
     conformal,
+    judge,
     relative_deviation,
+    structural_bound,
 )
-from contactbench.measure.pullback import growth, pairs, pullback
-from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, judge, structural_bound
+from contactbench.measure.pullback import Pulled, growth, pairs, pullback
 from contactbench.methods.base import METHODS
-from contactbench.scene import Mechanical, Scene, rotation_matrix
+from contactbench.scene import Scene, rotation_matrix
 from contactbench.scene.definition import verify_along
 from contactbench.solution import Differential, Solution
 from contactbench.truth import condition_number, reference
@@ -81,7 +85,6 @@ def observables(scene: Scene, y: np.ndarray, carry: tuple[str, ...]) -> np.ndarr
 
 
 def truth(solution: Solution) -> Any:
-    """The reference at the saved times, from the run's own initial data."""
     scene = solution.scene
     own = scene.pack(scene.initial(solution.carry))
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
@@ -235,20 +238,18 @@ CONTACT["applies"] = lambda scene: scene.is_contact
 FROZEN = "the steps taken held fixed"
 
 
-def contact_deviation(solution: Solution, differential: Differential) -> Deviation | float:
-    pulled = pullback(solution, differential)
+def pulled_deviation(solution: Solution, pulled: Pulled | None) -> Deviation | float:
     if pulled is None:
         return math.nan
-    values, form, terms, error = pulled
-    return conformal(values, form, solution.t, decay_rate(solution), terms, error)
+    values, start, terms, error = pulled
+    return conformal(values, start, solution.t, decay_rate(solution), terms, error)
 
 
 def distribution_deviation(solution: Solution, differential: Differential) -> Deviation | float:
-    """The part of Φ*η across η, over the whole."""
     pulled = pullback(solution, differential)
     if pulled is None:
         return math.nan
-    unit = pulled.form / np.linalg.norm(pulled.form)
+    unit = pulled.start / np.linalg.norm(pulled.start)
     whole, attainable = np.linalg.norm(pulled.values, axis=1), ATTAINABLE * pulled.terms
     length = np.maximum(whole, attainable)
     length = np.where(length > MEANINGFUL, length, math.inf)
@@ -256,16 +257,6 @@ def distribution_deviation(solution: Solution, differential: Differential) -> De
     across = np.linalg.norm(values - (values @ unit)[:, None] * unit, axis=1)
     error = None if pulled.uncertainty is None else pulled.uncertainty / length
     return Deviation(across, error, attainable > whole)
-
-
-def pairing_deviation(solution: Solution, differential: Differential) -> Deviation | float:
-    scene = solution.scene
-    assert isinstance(scene, Mechanical)
-    found = pairs(differential, len(scene.q))
-    if found is None:
-        return math.nan
-    values, terms, error = found
-    return conformal(values, np.ones(len(scene.q)), solution.t, decay_rate(solution), terms, error)
 
 
 @law(
@@ -276,7 +267,7 @@ def pairing_deviation(solution: Solution, differential: Differential) -> Deviati
     **CONTACT,
 )
 def contact_drift(solution: Solution) -> Deviation | float:
-    return contact_deviation(solution, solution.differential)
+    return pulled_deviation(solution, pullback(solution, solution.differential))
 
 
 @law("sine of the angle between Φ*η and η", "ker η drift", claimed=is_composed, **CONTACT)
@@ -286,7 +277,7 @@ def distribution_drift(solution: Solution) -> Deviation | float:
 
 @law(f"contact_drift with {FROZEN}", "contact drift, steps frozen", **CONTACT)
 def contact_drift_frozen(solution: Solution) -> Deviation | float:
-    return contact_deviation(solution, solution.frozen_differential)
+    return pulled_deviation(solution, pullback(solution, solution.frozen_differential))
 
 
 @law(f"distribution_drift with {FROZEN}", "ker η drift, steps frozen", **CONTACT)
@@ -306,8 +297,8 @@ def own_factor_drift(solution: Solution) -> Deviation | float:
     log_factor, pulled = solution.log_factor(), pullback(solution, solution.differential)
     if log_factor is None or pulled is None or np.isnan(log_factor).any():
         return math.nan
-    values, form, terms, error = pulled
-    return conformal(values, form, 1.0, -log_factor, terms, error)
+    values, start, terms, error = pulled
+    return conformal(values, start, 1.0, -log_factor, terms, error)
 
 
 # -- pairs of Lyapunov exponents -------------------------------------------------------------------
@@ -323,12 +314,12 @@ PAIRS: dict[str, Any] = {"applies": has_linear_damping, "gate": Gate.structure, 
     **PAIRS,
 )
 def pairing_drift(solution: Solution) -> Deviation | float:
-    return pairing_deviation(solution, solution.differential)
+    return pulled_deviation(solution, pairs(solution.differential, len(solution.start().q)))
 
 
 @law(f"pairing_drift with {FROZEN}", "pairing drift, steps frozen", **PAIRS)
 def pairing_drift_frozen(solution: Solution) -> Deviation | float:
-    return pairing_deviation(solution, solution.frozen_differential)
+    return pulled_deviation(solution, pairs(solution.frozen_differential, len(solution.start().q)))
 
 
 @law(
@@ -415,8 +406,11 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
     elif scene.is_contact:
         if solution.differential.taken:
             columns["map_growth"] = growth(solution.differential)
-        bounds = [name for name, measured in found.items() if measured.bound]
-        columns["derivative"] = source(solution, bounds)
+        true, frozen = solution.differential.source, solution.frozen_differential
+        bounds = ", ".join(name for name, measured in found.items() if measured.bound)
+        parts = [true, f"steps frozen: {frozen.source}" if frozen.taken and frozen.source != true else ""]
+        parts.append(f"upper bounds: {bounds}" if bounds else "")
+        columns["derivative"] = "; ".join(filter(None, parts))
     of_map = columns.get("map_growth") or condition_number(scene) or 1.0
     for name, measured in found.items():
         if LAWS[name].structural and not math.isnan(measured.value):
@@ -425,26 +419,12 @@ def row(solution: Solution, without: str = "") -> dict[str, Any]:
     return columns
 
 
-def source(solution: Solution, bounds: list[str]) -> str:
-    true, frozen = solution.differential, solution.frozen_differential
-    parts = [true.source]
-    if frozen.taken and frozen.source != true.source:
-        parts.append(f"steps frozen: {frozen.source}")
-    if bounds:
-        parts.append(f"upper bounds: {', '.join(bounds)}")
-    return "; ".join(parts)
-
-
 def judgement(
     solution: Solution, law: Law, measured: Measured, of_map: float, error: float
 ) -> tuple[Any, ...]:
-    """The values of `JUDGEMENT` of a structural law that was measured; no bound where a run is not judged."""
-    claimed = law.claimed(solution)
-    bound = float(
-        structural_bound(1.0 if law.name in OF_THE_STATE else of_map, solution.counts.evaluations or 0)
-    )
-    faded = measured.clamped is not None and measured.clamped >= len(solution.t)
-    judged, kept, undecided = judge(measured.value, bound, measured.uncertainty or 0.0, faded, error)
-    if not judged:
+    claimed, growth = law.claimed(solution), 1.0 if law.name in OF_THE_STATE else of_map
+    if error > WRECKED:
         return claimed, None, None, math.nan
-    return claimed, None if undecided else bool(kept), bool(undecided), bound
+    bound = float(structural_bound(growth, solution.counts.evaluations or 0))
+    kept, undecided = judge(measured.value, bound, measured.bound, measured.clamped == len(solution.t))
+    return claimed, None if undecided else kept, undecided, bound

@@ -14,7 +14,7 @@ to all its digits.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,20 +64,8 @@ def fit_order(steps: Sequence[float], errors: Sequence[float], floor: float = 0.
     h, e = h[order], e[order]
     with np.errstate(divide="ignore", invalid="ignore"):
         slopes = np.diff(np.log(e)) / np.diff(np.log(h))
-    pairwise, used = np.append(slopes, math.nan), np.zeros(len(h), dtype=bool)
-    best = min(windows(h, e, slopes, floor), default=None)
-    if best is None:
-        return OrderFit(math.nan, math.nan, math.nan, used[back], pairwise[back])
-    uncertainty, first, limit = best
-    used[first : first + WINDOW] = True
-    return OrderFit(limit, uncertainty, float(slopes[first]), used[back], pairwise[back])
-
-
-def windows(
-    h: np.ndarray, e: np.ndarray, slopes: np.ndarray, floor: float
-) -> Iterator[tuple[float, int, float]]:
-    """(uncertainty, index of the finest point, order) of every window that has an order; h ascends."""
     sound = np.isfinite(e) & (e > floor)
+    found = []
     for i in range(len(h) - WINDOW + 1):
         if not sound[i : i + WINDOW].all():
             continue
@@ -86,7 +74,11 @@ def windows(
         limit, uncertainty = extrapolate(h[i : i + more], slopes[i : i + more - 1], blur)
         strays = np.abs(slopes[i : i + WINDOW - 1] - limit).max()
         if uncertainty <= USELESS and strays <= ASYMPTOTIC:
-            yield uncertainty, i, limit
+            found.append((uncertainty, i, limit, float(slopes[i])))
+    uncertainty, first, limit, last_slope = min(found, default=(math.nan, len(h), math.nan, math.nan))
+    used = np.zeros(len(h), dtype=bool)
+    used[first : first + WINDOW] = True
+    return OrderFit(limit, uncertainty, last_slope, used[back], np.append(slopes, math.nan)[back])
 
 
 def extrapolate(h: np.ndarray, slopes: np.ndarray, blur: np.ndarray) -> tuple[float, float]:
@@ -119,10 +111,7 @@ DIGITS = 50
 def march(
     method: Any, scene: Scene, step: Any, n: int, context: Any, start: list[Any] | None = None
 ) -> list[Any]:
-    """The packed state, every optional field carried, after n steps of a size that is a string or mpmath number.
-
-    start : packed initial state, by default the scene's own.
-    """
+    """The packed state, every optional field carried, after n steps from the scene's or another packed start."""
     twin = with_decimals(scene, context.mpf)
     x = twin.initial(scene.carry()) if start is None else twin.unpack(start, scene.carry())
     return twin.pack(method.advance(twin, x, context.mpf(step), n, context))

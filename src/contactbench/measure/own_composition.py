@@ -89,7 +89,6 @@ def stages(kick: Sequence[Fraction], drift: Sequence[Fraction]) -> tuple[Stage, 
 
 
 def check_order(method: ContactMethod) -> None:
-    """Raise `BadInput` unless the order is the one claimed wherever the method is not refused."""
     for scene in (SCENES["particle"], SCENES["rigid_body"]):
         if method.refuses(scene) is not None:
             continue

@@ -16,24 +16,25 @@ from contactbench.scene import norm
 from contactbench.solution import SAFETY, Differential, Solution, closest
 
 
-class Pullback(NamedTuple):
-    """η(Φ)·DΦ at every saved time on the m tangents, (k, m).
+class Pulled(NamedTuple):
+    """What a derivative of the map makes of a form at every saved time, (k, m).
 
-    form : η at the start, (m,).  terms : ‖|∂s| + ‖p‖‖∂q‖‖, the size of the terms that the values are differences of,
-    (k,).  uncertainty : error bar in the norm over the tangents, (k,); None where there is only round-off.
+    start : the form itself, (m,).  terms : the size of the terms that round off, (k,).  uncertainty : error bar in the
+    norm over m, (k,); None where there is only round-off.
     """
 
     values: np.ndarray
-    form: np.ndarray
+    start: np.ndarray
     terms: np.ndarray
     uncertainty: np.ndarray | None
 
 
-def pullback(solution: Solution, differential: Differential) -> Pullback | None:
-    """The pull-back by a derivative of the run's map, None where it was not taken.
+def pullback(solution: Solution, differential: Differential) -> Pulled | None:
+    """η(Φ)·DΦ on the m tangents by a derivative of the run's map, None where it was not taken.
 
     Of several estimates of the derivative the one is used, for every tangent, that differs least from the
     next over all saved times, relative to the largest; `SAFETY` times that difference is the error bar.
+    Its terms are ‖|∂s| + ‖p‖‖∂q‖‖, of which the values are differences.
     """
     if not differential.taken:
         return None
@@ -45,17 +46,13 @@ def pullback(solution: Solution, differential: Differential) -> Pullback | None:
     values = np.asarray(scene.contact_form(here, pushed))
     terms = np.asarray(scene.contact_terms(here, pushed))
     if len(values) == 1:
-        return Pullback(values[0].T, form, np.linalg.norm(terms[0], axis=0), None)
+        return Pulled(values[0].T, form, np.linalg.norm(terms[0], axis=0), None)
     gaps = np.abs(np.diff(values, axis=0))  # (l - 1, m, k)
     scale = np.abs(values[-1]).max(axis=0) + np.finfo(float).tiny
     best = closest((gaps / scale).max(axis=2))
     chosen = np.arange(len(best))
-    return Pullback(
-        values[best, chosen].T,
-        form,
-        norm(tuple(terms[best, chosen])),
-        SAFETY * norm(tuple(gaps[best, chosen])),
-    )
+    size, gap = (norm(tuple(each[best, chosen])) for each in (terms, gaps))
+    return Pulled(values[best, chosen].T, form, size, SAFETY * gap)
 
 
 def growth(differential: Differential) -> float:
@@ -63,21 +60,11 @@ def growth(differential: Differential) -> float:
     return float(np.linalg.norm(differential.value, ord=2, axis=(1, 2)).max())
 
 
-class Pairs(NamedTuple):
-    """σ_i σ_{2n+1−i} at every saved time, (k, n), σ_1 being the largest.
+def pairs(differential: Differential, n: int) -> Pulled | None:
+    """σ_i σ_{2n+1−i} for n degrees of freedom, σ_1 the largest; None where the derivative is not taken or not finite.
 
-    terms : σ_1 ‖(σ_1, …, σ_n)‖, (k,): the smaller of a pair has the round-off of σ_1.  uncertainty : as there.
-    """
-
-    values: np.ndarray
-    terms: np.ndarray
-    uncertainty: np.ndarray | None
-
-
-def pairs(differential: Differential, n: int) -> Pairs | None:
-    """The pairs for n degrees of freedom, None where the derivative was not taken or is not finite.
-
-    Of several estimates of the derivative the one is used that agrees best with the next.
+    Of several estimates of the derivative the one is used that agrees best with the next.  The terms are
+    σ_1 ‖(σ_1, …, σ_n)‖: the smaller of a pair has the round-off of σ_1.
     """
     tangent = differential.estimates[:, :, : 2 * n, : 2 * n]
     if not differential.taken or not np.isfinite(tangent).all():
@@ -86,7 +73,7 @@ def pairs(differential: Differential, n: int) -> Pairs | None:
     values = sigma[..., :n] * sigma[..., : n - 1 : -1]
     terms = sigma[..., 0] * np.linalg.norm(sigma[..., :n], axis=-1)
     if len(values) == 1:
-        return Pairs(values[0], terms[0], None)
+        return Pulled(values[0], np.ones(n), terms[0], None)
     gaps = np.linalg.norm(np.diff(values, axis=0), axis=-1)
     best = int(np.argmin(gaps.max(axis=1)))
-    return Pairs(values[best], terms[best], SAFETY * gaps[best])
+    return Pulled(values[best], np.ones(n), terms[best], SAFETY * gaps[best])

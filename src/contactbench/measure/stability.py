@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded when first used
 
 from contactbench.methods import METHODS
 from contactbench.numbers.protocol import Numbers
@@ -52,12 +53,10 @@ def fixed_step_methods() -> list[Any]:
 
 
 def is_processed(method: Any) -> bool:
-    """Whether a run is π χⁿ π*."""
     return bool(getattr(getattr(method, "composition", None), "processor", ()))
 
 
 def kernel(method: Any) -> Any:
-    """The method that is repeated between saved times: without the processor, where it has one."""
     if not is_processed(method):
         return method
     return replace(method, composition=replace(method.composition, processor=()))
@@ -74,7 +73,6 @@ def step_matrix(method: Any, gamma: float, omega: float, h: Any) -> np.ndarray:
 
 
 def spectral_radius(method: Any, gamma: float, omega: float, h: Any) -> Any:
-    """Largest |eigenvalue| of one step; inf where it is not finite."""
     matrix = step_matrix(method, gamma, omega, h)
     with np.errstate(all="ignore"):
         half = np.abs(matrix[..., 0, 0] + matrix[..., 1, 1]) / 2
@@ -214,13 +212,11 @@ def rk4_limit(gamma: float, omega: float) -> float:
 
 def root(f: Callable[[float], float], scale: float) -> float:
     """The smallest root above 10⁻³·scale of a function negative there; inf where there is none below 10·scale."""
-    from scipy.optimize import brentq
-
     grid = np.geomspace(1e-3, 10, 4000) * scale
     k = next((k for k, h in enumerate(grid.tolist()) if f(h) > 1e-12), None)
     if k is None:
         return math.inf
-    return float(grid[0]) if k == 0 else float(brentq(f, grid[k - 1], grid[k], xtol=1e-13))
+    return float(grid[0]) if k == 0 else float(scipy.optimize.brentq(f, grid[k - 1], grid[k], xtol=1e-13))
 
 
 #: the limit a method has by theory, by name; the kick-drift-kick palindrome has 2/ω whatever damps between
@@ -235,37 +231,26 @@ THEORY: dict[str, Callable[[float, float], float]] = {
 
 
 # -- strong damping --------------------------------------------------------------------------------
-def flow_matrix(gamma: float, omega: float, t: float) -> np.ndarray:
-    from scipy.linalg import expm
-
-    return expm(np.array([[0.0, 1.0], [-(omega**2), -gamma]]) * t)
-
-
 def propagation_error(method: Any, gamma: float, h: float, every_step: bool = False) -> float:
-    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T as near as can be to the time in which a motion falls by e.
-
-    every_step : whether every step is saved, which is another map for a processed method.  inf where M overflows.
-    """
+    """‖M − Φ_T‖₂/‖Φ_T‖₂ of n steps M with nh = T, the time in which a motion falls by e; inf where M overflows."""
     n = max(1, round(1 / slow_rate(gamma) / h))
-    exact = flow_matrix(gamma, 1.0, n * h)
+    exact = scipy.linalg.expm(np.array([[0.0, 1.0], [-1.0, -gamma]]) * (n * h))
     with np.errstate(all="ignore"):
-        run = run_matrix(method, gamma, 1.0, h, n, every_step)
+        run = run_matrix(method, gamma, h, n, every_step)
         if not np.isfinite(run).all():
             return math.inf
         return float(np.linalg.norm(run - exact, 2) / np.linalg.norm(exact, 2))
 
 
-def run_matrix(
-    method: Any, gamma: float, omega: float, h: float, n: int, every_step: bool = False
-) -> np.ndarray:
-    """The map (q, p) → (q, p) of n steps of size h, of which the end or every step is saved."""
+def run_matrix(method: Any, gamma: float, h: float, n: int, every_step: bool = False) -> np.ndarray:
+    """The map (q, p) → (q, p) of n steps of size h, of which the end or every step is saved; ω = 1."""
     own = method if every_step else kernel(method)
-    steps = np.linalg.matrix_power(step_matrix(own, gamma, omega, h), n)
+    steps = np.linalg.matrix_power(step_matrix(own, gamma, 1.0, h), n)
     if own is method:
         return steps
     stages = method.composition.processor
     before, after = (
-        step_matrix(replace(own, composition=replace(own.composition, stages=part)), gamma, omega, h)
+        step_matrix(replace(own, composition=replace(own.composition, stages=part)), gamma, 1.0, h)
         for part in (stages, stages[::-1])
     )
     return after @ steps @ before

@@ -114,10 +114,7 @@ def process_spread(ratios: Iterable[float], halves: Iterable[float]) -> float:
 
 
 def margin(halves: Iterable[float], processes: float) -> float:
-    """Return the ratio up to which two costs cannot be told apart: their own spread and that of processes.
-
-    halves : of either, the least of its even visits over that of its odd ones; nan of a single visit: no ratio tells.
-    """
+    """Return the ratio up to which two costs cannot be told apart: the halves of either's visits, and two processes."""
     logs = [math.log(ratio) if ratio > 0 else math.inf for ratio in (*halves, processes)]
     return max(FLOOR, math.exp(math.hypot(*logs)))
 
@@ -128,7 +125,6 @@ def ties(value: Any, least: Any, margin: float) -> Any:
 
 
 def verdict(ratio: float, margin: float) -> Verdict:
-    """Return what a cost over that of the other means, within a margin."""
     if not ratio > 0:
         raise BadInput(f"ratio = {ratio!r}: must be a ratio of two costs, > 0")
     if not ties(max(ratio, 1 / ratio), 1.0, margin):
@@ -165,7 +161,6 @@ def blocks(series: np.ndarray) -> np.ndarray:
 
 
 def jackknife(means: np.ndarray, function: Callable[[np.ndarray], Any] = lambda mean: mean) -> Average:
-    """Return a function of the mean over blocks (B, m), with its standard error."""
     count = len(means)
     value = np.asarray(function(means.mean(axis=0)))[()]
     if count < 2:

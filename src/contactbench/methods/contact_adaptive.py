@@ -36,17 +36,15 @@ from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request,
 from contactbench.numbers.control import XlaNumbers, choose
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Mechanical, Scene, Vector, scaled
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Mechanical, Scene, Vector, key, scaled
 from contactbench.scene.mechanical import derived_hessian
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
-from contactbench.trace.form import Element, Function, Operation, Store
+from contactbench.trace.form import Element, Function, Operation, Store, execute
 from contactbench.trace.formula import Formula
-from contactbench.trace.python import execute
 from contactbench.trace.recording import RecordedNumbers, Tape, attempt, operand_of
 from contactbench.xla import jnp, lax
 
@@ -230,10 +228,8 @@ class AdaptiveContactRun(Prepared):
         r = self.request
         time, density, steps, *last = facts
         reached = int(np.argmin(np.append(np.isfinite(y).all(axis=1), False)))
-        taken, curvatures = (
-            int(steps) + reached,
-            int(steps) + 1,
-        )  # a shortened step to every saved time reached
+        curvatures = int(steps) + 1
+        taken = int(steps) + reached  # a shortened step to every saved time reached
         evaluations = taken * self.per_step + curvatures * self.by_gradients
         counts = Counts(taken, evaluations, 0 if self.by_gradients else curvatures, 0, "gradient")
         if reached == len(y):
@@ -284,49 +280,47 @@ class AdaptiveNumbaLoop(AdaptiveContactRun):
 
 
 class AdaptivePythonLoop(AdaptiveContactRun):
-    """Plain Python floats, in the recorded loop where there is one."""
+    """Plain Python floats: the recorded loop, or as it is written where that cannot be had or has no number."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        r, elapsed, self.loop = self.request, stopwatch(), None
+        r, elapsed, self.loops = self.request, stopwatch(), [self.as_written]
         with suppress(CannotRecord):
-            self.loop = execute(attempt(lambda: record_loop(r.scene, r.carry)))
+            self.loops.insert(0, execute(attempt(lambda: record_loop(r.scene, r.carry))))
             self.compile_s = elapsed()
 
     def sensitivity(self, y0: np.ndarray, frozen: bool = True) -> np.ndarray:
         return AdaptiveNumbaLoop(self.method, replace(self.request, engine="numba")).sensitivity(y0, frozen)
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        if self.loop is not None:
-            r = self.request
-            y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0] * (3 + len(y0))
-            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
-                self.loop(y0.tolist(), r.scene.numbers(), self.options.tolist(), r.save_at.tolist(), y, facts)
-                return self.outcome(y0, np.array(y), facts)
-        return self.as_written(y0)
+        r = self.request
+        given = y0.tolist(), r.scene.numbers(), self.options.tolist(), r.save_at.tolist()
+        for loop in self.loops:
+            y, facts = [[math.nan] * len(y0) for _ in r.save_at], [0.0, math.nan, 0.0, *given[0]]
+            with suppress(*NO_NUMBER):  # maybe in a branch that is not taken; what was reached before counts
+                loop(*given, y, facts)
+                break
+        return self.outcome(y0, np.array(y), facts)
 
-    def as_written(self, y0: np.ndarray) -> Outcome:
-        r, rows = self.request, np.full((self._saves, len(y0)), math.nan)
-        x = r.scene.unpack(y0.tolist(), r.carry)
-        last = x, 0.0, math.nan, 0.0
+    def as_written(self, start: Any, numbers: Any, options: Any, times: Any, y: Any, facts: Any) -> None:
+        scene = self.request.scene
+
+        def keep(carried: Any) -> Any:
+            x, *known = carried
+            facts[:] = [*known, *scene.pack(x)]
+            return carried
 
         def repeat_while(condition: Any, body: Any, x: Any) -> Any:
-            nonlocal last
             while condition(x):
-                last = x = body(x)
+                x = keep(body(x))
             return x
 
         def over(times: list[float], body: Any, x: Any) -> None:
-            nonlocal last
-            last = x
             for k, time in enumerate(times):
-                x, rows[k] = body(x, time)
+                x, y[k] = body(keep(x), time)
 
-        with suppress(*NO_NUMBER):  # what was reached before counts
-            options = self.options.tolist(), r.save_at.tolist()
-            solve(r.scene, x, *options, math, lambda x: x, repeat_while, over)
-        x, *facts = last
-        return self.outcome(y0, rows, (*facts, *r.scene.pack(x)))
+        x = scene.unpack(start, self.request.carry)
+        solve(scene, x, options, times, math, lambda x: x, repeat_while, over)
 
 
 class ScalarNumbers(XlaNumbers):
@@ -340,9 +334,6 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         super().__post_init__()
         numbers = self.request.scene.numbers()
         self.compile(self.flat(self._solve), self.together(numbers, self.options, self.times()))
-
-    def key(self) -> tuple[Any, ...]:
-        return (self.method, self.capacity)
 
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]

@@ -80,9 +80,6 @@ class ExactJax(ExactRun, CompiledRun):
     def connect(self) -> None:
         self.compile(self.states, self.together(self.request.scene.numbers(), self.times()))
 
-    def key(self) -> tuple[Any, ...]:
-        return (self.method, self.capacity)
-
     def states(self, y0: Any, fixed: Any) -> Any:
         numbers, times = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
@@ -96,14 +93,11 @@ class ExactJax(ExactRun, CompiledRun):
     def bare(self, y0: np.ndarray) -> np.ndarray:
         return self.call(y0)[self._saves - 1]
 
-    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return CompiledRun.sensitivity(self, y0)
+    sensitivity = CompiledRun.sensitivity
 
 
 @dataclass(frozen=True)  # its fields are its definition
 class ExactMethod(Method):
-    """A closed form for any time: neither step nor tolerance."""
-
     name: str = "contact-exact"
     about: str = (
         "the damped rigid body by Jacobi's elliptic functions; Celledoni et al., doi:10.1137/070704393"

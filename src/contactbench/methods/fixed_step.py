@@ -7,8 +7,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from contactbench.boundary import is_ours, their_code
-from contactbench.errors import NAME, BadInput, excerpt, function, is_number, switch, text, whole
+from contactbench.errors import (
+    NAME,
+    BadInput,
+    excerpt,
+    function,
+    is_number,
+    is_ours,
+    switch,
+    text,
+    their_code,
+    whole,
+)
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun, NumbaLoop, PythonLoop
 from contactbench.methods.jax_engine import JaxLoop

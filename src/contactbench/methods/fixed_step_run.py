@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours
+from contactbench.errors import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Scene, key
 from contactbench.solution import DIVERGENCE, Counts, Status
-from contactbench.trace.compiled import compile_function, require_compiler
+from contactbench.trace.compiled import compile_function
+from contactbench.trace.form import execute
 from contactbench.trace.program import Program, record
-from contactbench.trace.python import execute
 
 #: more steps than any budget allows are counted as this many
 UNCOUNTED = 2**50
@@ -89,8 +88,6 @@ def identity(method: Any, scene: Scene, carry: tuple[str, ...]) -> Hashable | No
 
 
 class Loop:
-    """A recorded loop over steps, compiled when it is first run."""
-
     def __init__(self, program: Program, seconds: float) -> None:
         self.program = program
         #: spent on recording and compiling
@@ -136,7 +133,6 @@ class Loop:
         return w
 
     def states(self, numbers: np.ndarray, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Packed states after each interval of n[k] steps of size h[k], of which some are taken at a time."""
         y = np.empty((len(n), len(y0)))
         together = max(1, AHEAD // self.program.width)
         for first in range(0, len(n), together):
@@ -150,11 +146,7 @@ _loops: Cache[Loop] = Cache(1024)
 
 
 def loop_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
-    """The recorded loop of a method on a scene; one for all scenes of one identity.
-
-    Raises `CannotRecord`, also where numba is told not to compile.
-    """
-    require_compiler()
+    """The recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
 
     def make() -> Loop:
         elapsed = stopwatch()
@@ -191,7 +183,6 @@ class FixedStepRun(Prepared):
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
     def divide(self, step: float) -> None:
-        """Divide every interval into the fewest equal steps not longer than `step`."""
         self.n = self.division(step)
         self.h = self.marks / self.n
         self.steps_taken = step, float(self.h.max())
@@ -333,9 +324,6 @@ class NumbaLoop(FixedStepRun):
         return after
 
 
-Span = tuple[float, int]  #: a step size, and how many steps
-
-
 class PythonLoop(FixedStepRun):
     """Plain Python floats, in the loop that the numba engine compiles.
 
@@ -362,7 +350,9 @@ class PythonLoop(FixedStepRun):
                 return np.array(self.run_program(self.program, y0.tolist(), spans))
         return np.array(self.as_written(y0.tolist(), spans), dtype=float)
 
-    def run_program(self, program: Program, y: list[float], spans: list[Span]) -> list[list[float]]:
+    def run_program(
+        self, program: Program, y: list[float], spans: list[tuple[float, int]]
+    ) -> list[list[float]]:
         numbers, data, shape = self.request.scene.numbers(), program.data.tolist(), program.shape.tolist()
         rows, w, last = [], [[0.0] * program.width], None
         for span in spans:
@@ -374,8 +364,7 @@ class PythonLoop(FixedStepRun):
             rows.append(y := after[0])
         return rows
 
-    def as_written(self, y: list[float], spans: list[Span]) -> list[list[float]]:
-        """The same by the step map itself; NaN from where on there are no numbers."""
+    def as_written(self, y: list[float], spans: list[tuple[float, int]]) -> list[list[float]]:
         r = self.request
         rows: list[list[float]] = []
         with suppress(*NO_NUMBER):

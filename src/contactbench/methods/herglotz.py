@@ -73,7 +73,6 @@ def pull(scene: Mechanical, x: State) -> tuple[Any, Any]:
 
 
 def drift(scene: Mechanical, x: Any, h: Any, xp: Any) -> Any:
-    """A, and the time with it where the state has one."""
     x = flows.drift(scene, x, h, xp)
     return x if scene.clock is None else x._replace(t=x.t + h)
 
@@ -96,18 +95,23 @@ def herglotz2(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     return implicit_kick(scene, x, h / 2, *pull(scene, x))
 
 
+def factor1(h: Any, before: Any, after: Any) -> Any:
+    return 1 - before * h
+
+
+def factor2(h: Any, before: Any, after: Any) -> Any:
+    return (1 - before * h / 2) / (1 + after * h / 2)
+
+
 @dataclass(frozen=True)
 class SecondHerglotz(Herglotz):
-    """`herglotz2` with the gradient at the end of a step used again at the start of the next."""
-
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         half = h / 2
 
         def joined(x: State) -> State:
             here = pull(scene, x)
-            return drift(
-                scene, explicit_kick(scene, implicit_kick(scene, x, half, *here), half, *here), h, xp
-            )
+            x = explicit_kick(scene, implicit_kick(scene, x, half, *here), half, *here)
+            return drift(scene, x, h, xp)
 
         x = drift(scene, explicit_kick(scene, x, half, *pull(scene, x)), h, xp)
         x = repeat(n - 1, joined, x)
@@ -117,26 +121,8 @@ class SecondHerglotz(Herglotz):
         return n + 1
 
 
-METHODS.add(
-    Herglotz(
-        "herglotz1",
-        1,
-        herglotz1,
-        kind="gradient",
-        family="variational",
-        about="discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)",
-        sigma=lambda h, before, after: 1 - before * h,
-    )
-)
-METHODS.add(
-    SecondHerglotz(
-        "herglotz2",
-        2,
-        herglotz2,
-        kind="gradient",
-        family="variational",
-        symmetric=True,
-        about="Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767",
-        sigma=lambda h, before, after: (1 - before * h / 2) / (1 + after * h / 2),
-    )
-)
+_first = "discrete Herglotz recursion s + h L(q, q⁺, s); the paper, §5.1, eq. (79)"
+_second = "Vermeeren, Bravetti, Seri, J. Phys. A 52, 445206 (2019), doi:10.1088/1751-8121/ab4767"
+_both: Any = {"kind": "gradient", "family": "variational"}
+METHODS.add(Herglotz("herglotz1", 1, herglotz1, about=_first, sigma=factor1, **_both))
+METHODS.add(SecondHerglotz("herglotz2", 2, herglotz2, about=_second, symmetric=True, sigma=factor2, **_both))

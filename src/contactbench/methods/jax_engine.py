@@ -13,7 +13,7 @@ import numpy as np
 from contactbench.methods.fixed_step_run import FixedStepRun, identity
 from contactbench.methods.prepared import Prepared, stopwatch
 from contactbench.numbers.control import Repeat, XlaNumbers
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, key
 from contactbench.trace.recording import reason_of
 from contactbench.xla import jax, jnp, lax
 
@@ -35,9 +35,9 @@ class CompiledRun(Prepared):
     #: how arguments lie on several devices; None on one
     everywhere: Any = None
 
-    @abstractmethod
     def key(self) -> tuple[Any, ...]:
         """What the program depends on besides the identity and the fields carried."""
+        return (self.method, self.capacity)
 
     @property
     def identity(self) -> Hashable | None:
@@ -111,8 +111,6 @@ class CompiledRun(Prepared):
         return self.derivative(y0, self.states, "steps")
 
     def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
-        """(k, d, m): derivative of `states(y0, fixed)` along the scene's tangents; `which` names the program."""
-
         def push(y0: Any, v: Any, fixed: Any) -> Any:
             return jax.jvp(lambda y: states(y, fixed), (y0,), (v,))[1]
 
@@ -133,8 +131,6 @@ rolled = Repeat(compiled_loop, over_stages=True)
 
 
 class JaxLoop(FixedStepRun, CompiledRun):
-    """The compiled steps: a loop inside a scan over the saved times."""
-
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:

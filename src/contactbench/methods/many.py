@@ -17,10 +17,8 @@ from contactbench.methods.fixed_step_run import FixedStepRun, Loop, is_fixed
 from contactbench.methods.jax_engine import JaxLoop
 from contactbench.methods.prepared import NO_NUMBER, stopwatch
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
-from contactbench.scene import State
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, State, key
 from contactbench.scene.many import Many
-from contactbench.trace.compiled import require_compiler
 from contactbench.trace.fields import FieldProgram, record_fields
 from contactbench.trace.sweeps import ADDRESSES, CHUNK, FIRST, PAD, WHOLE, Packing, compile_sweeps
 from contactbench.xla import jax, lax
@@ -142,7 +140,6 @@ _loops: Cache[FieldLoop] = Cache(256)
 
 def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
     """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
-    require_compiler()
     packing = Packing(scene.dimensions, "s" in carry, 1 + tangent)
     known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
     return _loops.get(key(known, packing), lambda: FieldLoop(method.advance, scene, packing))

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from contactbench.errors import BadInput, unknown_name
-from contactbench.methods.entry import lookup
+from contactbench.methods.base import lookup
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import XlaNumbers
 from contactbench.scene import Scene
-from contactbench.trace.form import Function, Unpack, Update
+from contactbench.trace.form import Function, Unpack, Update, execute
 from contactbench.trace.formula import argument_names, formula
-from contactbench.trace.python import execute
 
 
 @dataclass(frozen=True, eq=False, repr=False)

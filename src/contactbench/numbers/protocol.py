@@ -59,8 +59,6 @@ def abilities(xp: Any) -> Abilities:
 
 
 class Number:
-    """A kind of number of this package."""
-
     __slots__ = ()
 
     @property

@@ -25,7 +25,6 @@ Rule = tuple[list[Any], list[Any], list[list[Any]]]
 
 @cache
 def gauss(digits: int) -> Rule:
-    """Nodes, weights and matrix as mpmath numbers of so many digits."""
     import mpmath
 
     xp = mpmath.MPContext()

@@ -84,6 +84,5 @@ class SeriesNumbers(Numbers):
 
 
 def equations(system: Any, variables: Sequence[Any], carry: tuple[str, ...]) -> list[Any]:
-    """The right-hand side of a system in packed order, as heyoka expressions of its variables."""
     x = system.unpack([Series(variable) for variable in variables], carry)
     return [bare(slope) for slope in system.pack(system.rhs(x))]

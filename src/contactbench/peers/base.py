@@ -30,11 +30,9 @@ from contactbench.methods.base import Adaptive
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Refused, Request
 from contactbench.numbers.dual import Dual, slope
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene, System, dot
-from contactbench.scene.cache import key
+from contactbench.scene import Scene, System, dot, key
 from contactbench.solution import Counts, Status
-from contactbench.trace.form import Function, Unpack
-from contactbench.trace.python import execute
+from contactbench.trace.form import Function, Unpack, execute
 from contactbench.trace.recording import Recorded, Tape, attempt
 
 
@@ -85,8 +83,6 @@ class Peer(Adaptive):
 
 @dataclass
 class PeerRun(Prepared):
-    """A run whose derivative is that of the variational equations."""
-
     method_: Peer
 
     sensitivity_source = "variational equations, a run of its own"
@@ -121,8 +117,6 @@ class Bundle(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Variational(System):
-    """The variational equations of `base` with `count` tangent vectors."""
-
     base: Scene
     count: int
 
@@ -271,16 +265,12 @@ class CallbackPeer(PeerRun):
         rejected = None
         if (stages := self.method_.stages) is not None:
             rejected = (calls[0] - BEFORE - INTERPOLANT * interpolated) // stages - steps
-        counts, stopped = (
-            Counts(steps, calls[0], solver.njev, rejected),
-            (float(solver.t), np.array(solver.y)),
-        )
+        counts, stopped = Counts(steps, calls[0], solver.njev, rejected), (float(solver.t), solver.y)
         found = self.insert_clock(np.reshape(rows, (-1, len(y))), start, times[: len(rows)])
         return self.finish(y0, found, counts, status, message, stopped)
 
 
 def record_function(scene: System, what: str, carry: tuple[str, ...]) -> Callable[..., Any] | None:
-    """``f(t, y)`` on a list of floats: the slopes, or rows of a Jacobian; None if it cannot be had."""
     tape = Tape()
     names = tuple(f"y{i}" for i in range(len(scene.without_clock(scene.labels(carry)))))
     t, *y = (Recorded(tape, name, "f", tape.root) for name in ["t", *names])

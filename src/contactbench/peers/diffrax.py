@@ -6,9 +6,7 @@ and parameters are traced (one program for all of them), `throw=False` with the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,10 +16,6 @@ from contactbench.methods.jax_engine import CompiledRun
 from contactbench.methods.prepared import Outcome
 from contactbench.peers.base import Peer
 from contactbench.solution import Counts, Status
-
-
-def mark() -> None:
-    """What marks an evaluation in a program that is counted."""
 
 
 @dataclass
@@ -38,7 +32,7 @@ class DiffraxRun(CompiledRun):
         r = self.request
         self.final_only = len(r.save_at) == 1
         fixed = self.together(r.scene.numbers(), [r.rtol, r.atol], self.times())
-        self.compile(self.flat(self._solve_and_count), fixed)
+        self.compile(self.flat(self._solve), fixed)
 
     def key(self) -> tuple[Any, ...]:
         return (self.method_, self.capacity, self.request.max_steps)
@@ -46,20 +40,7 @@ class DiffraxRun(CompiledRun):
     def states(self, y0: Any, fixed: Any) -> Any:
         return self._solve(y0, fixed)[0]
 
-    def _solve_and_count(self, y0: Any, fixed: Any) -> Any:
-        """As `_solve`; of an implicit method the facts have the evaluations too.
-
-        diffrax does not report its Newton iterations.  To count them costs a program nothing: measured on
-        eleven scenes, the same bits, in 0.78 to 1.01 of the time.
-        """
-        if not self.method_.implicit:
-            return self._solve(y0, fixed)
-        from contactbench.xla import jnp
-
-        (y, info, last), evaluations = count_callbacks(partial(self._solve, marked=True), y0, fixed)
-        return y, jnp.append(info, evaluations), last
-
-    def _solve(self, y0: Any, fixed: Any, marked: bool = False) -> Any:
+    def _solve(self, y0: Any, fixed: Any) -> Any:
         import diffrax
         import optimistix
 
@@ -77,8 +58,6 @@ class DiffraxRun(CompiledRun):
         as_array = implicit or len(y) > 3
 
         def field(t: Any, x: Any, args: Any) -> Any:
-            if marked:
-                jax.debug.callback(mark)
             slopes = scene.slopes(start + t, scene.entries(x) if as_array else list(x), r.carry)
             return jnp.stack(slopes) if as_array else tuple(slopes)
 
@@ -133,10 +112,12 @@ class DiffraxRun(CompiledRun):
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
         y, info, last = self.unflat(self.call(y0), len(y0))
-        accepted, rejected, successful, exhausted, collapsed, time, *counted = info
+        accepted, rejected, successful, exhausted, collapsed, time = info
         accepted, rejected = int(accepted), int(rejected)
-        # explicit methods are first-same-as-last: stages per attempt, and the very first slope
-        evaluations = int(counted[0]) if counted else (accepted + rejected) * (self.method_.stages or 0) + 1
+        # explicit methods are first-same-as-last: stages per attempt, and the very first slope; diffrax does not say
+        # how many Newton iterations an implicit one took
+        explicit = (accepted + rejected) * (self.method_.stages or 0) + 1
+        evaluations = None if self.method_.implicit else explicit
         counts = Counts(accepted, evaluations, 0, rejected)
         if successful:
             return self.finish(y0, y, counts)
@@ -166,63 +147,4 @@ for _solver, _order, _stages, _implicit, _about in (
             most=1024 if _implicit else 0,
             largest=64,
         )
-    )
-
-
-# -- how often a JAX program calls back, without its calling back: every callback becomes an addition ------------
-# A callback costs 20 µs, and JAX keeps no program that has one for other processes.
-def count_callbacks(function: Callable[..., Any], *arguments: Any) -> tuple[Any, Any]:
-    """What a traceable function returns, and how many `jax.debug.callback` it came by, which are not called.
-
-    Raises `NotImplementedError` where one, or any other effect, is in a construct of JAX that has no rule here.
-    """
-    from contactbench.xla import jax, jnp
-
-    program, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-    outputs, number = evaluate(program, jax.tree.leaves(arguments), jnp.array(0))
-    return jax.tree.unflatten(jax.tree.structure(shape), outputs), number
-
-
-def evaluate(program: Any, inputs: Sequence[Any], number: Any) -> tuple[list[Any], Any]:
-    """The outputs of a program, equation by equation, and the number of callbacks, those so far included."""
-    jaxpr = program.jaxpr
-    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *inputs], strict=True))
-
-    def read(atom: Any) -> Any:
-        return atom.val if hasattr(atom, "val") else values[atom]
-
-    for equation in jaxpr.eqns:
-        given = list(map(read, equation.invars))
-        if equation.effects:
-            found, number = count(equation.primitive.name, equation.params, given, number)
-        else:
-            parameters = equation.primitive.get_bind_params(equation.params)
-            if isinstance(parameters, tuple):  # of older JAX: functions to be called, and the rest
-                given, parameters = [*parameters[0], *given], parameters[1]
-            found = equation.primitive.bind(*given, **parameters)
-            found = found if equation.primitive.multiple_results else [found]
-        values |= zip(equation.outvars, found, strict=True)
-    return list(map(read, jaxpr.outvars)), number
-
-
-def count(
-    name: str, parameters: dict[str, Any], given: Sequence[Any], number: Any
-) -> tuple[Sequence[Any], Any]:
-    from contactbench.xla import lax
-
-    if name == "debug_callback":
-        return (), number + 1
-    if name in ("jit", "custom_jvp_call"):
-        return evaluate(parameters["jaxpr" if name == "jit" else "call_jaxpr"], given, number)
-    if name == "cond":
-        branches = [lambda n, *x, each=each: evaluate(each, x, n) for each in parameters["branches"]]
-        return lax.switch(given[0], branches, number, *given[1:])
-    if name != "while" or parameters["cond_jaxpr"].effects:
-        raise NotImplementedError(f"a callback, or another effect, inside {name}, or inside its condition")
-    i = parameters["cond_nconsts"]
-    j = i + parameters["body_nconsts"]
-    return lax.while_loop(
-        lambda state: evaluate(parameters["cond_jaxpr"], [*given[:i], *state[0]], 0)[0][0],
-        lambda state: evaluate(parameters["body_jaxpr"], [*given[i:j], *state[0]], state[1]),
-        (list(given[j:]), number),
     )

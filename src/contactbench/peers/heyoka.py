@@ -18,14 +18,12 @@ from contactbench.methods.base import METHODS, ROUNDING
 from contactbench.methods.prepared import Outcome, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, bare
 from contactbench.peers.base import Peer, PeerRun
-from contactbench.scene import Scene
-from contactbench.scene.cache import Cache, key
+from contactbench.scene import Cache, Scene, key
 from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 
 
 def taylor_system(scene: Scene, carry: tuple[str, ...], heyoka: Any) -> list[tuple[Any, Any]]:
-    """The scene's equations as heyoka expressions, its numbers as constants."""
     names = scene.without_clock(scene.labels(carry))
     variables = heyoka.make_vars(*(f"y{i}" for i in range(len(names))))
     variables = variables if isinstance(variables, list) else [variables]

@@ -43,32 +43,19 @@ class ScipyRun(CallbackPeer):
         return np.full_like(y0, math.nan)
 
 
-_range, _dop853 = (CLAMPED, 1e-1), "explicit Runge–Kutta 8(5,3), Python callbacks"
-_radau = "implicit Radau IIA, analytic Jacobian"
-METHODS.add(
-    Peer(
-        "scipy-dop853",
-        _dop853,
-        ScipyRun,
-        ("python",),
-        _range,
-        "DOP853",
-        order=8,
-        stages=12,
-        costs={"python": 13},
+for _solver, _order, _stages, _cost, _about in (
+    ("DOP853", 8, 12, 13, "explicit Runge–Kutta 8(5,3), Python callbacks"),
+    ("Radau", 5, None, 9, "implicit Radau IIA, analytic Jacobian"),
+):
+    _implicit, _fixed = _stages is None, (("python",), (CLAMPED, 1e-1), _solver, "", _order, _stages)
+    METHODS.add(
+        Peer(
+            f"scipy-{_solver.lower()}",
+            _about,
+            ScipyRun,
+            *_fixed,
+            _implicit,
+            costs={"python": _cost},
+            most=1024 if _implicit else 0,
+        )
     )
-)
-METHODS.add(
-    Peer(
-        "scipy-radau",
-        _radau,
-        ScipyRun,
-        ("python",),
-        _range,
-        "Radau",
-        order=5,
-        implicit=True,
-        costs={"python": 9},
-        most=1024,
-    )
-)

@@ -43,8 +43,6 @@ class Stepper:
 
 
 class CvodeRun(CallbackPeer):
-    """scikit-sundae, calling back into Python."""
-
     failure = 0
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
@@ -68,21 +66,17 @@ class CvodeRun(CallbackPeer):
             assert jacobian is not None
             J[:, :] = jacobian(start + t, r.scene.entries(y))
 
-        return CVODE(
-            f,
-            jacfn=jac if jacobian else None,
-            method=self.method_.solver,
-            rtol=r.rtol,
-            atol=r.atol,
-            max_num_steps=r.max_steps,
-            min_step=SHORTEST * self._end,
-            max_step=self._end,
-        )
+        options = {
+            "method": self.method_.solver,
+            "rtol": r.rtol,
+            "atol": r.atol,
+            "max_num_steps": r.max_steps,
+        }
+        bounds = {"min_step": SHORTEST * self._end, "max_step": self._end}
+        return CVODE(f, jacfn=jac if jacobian else None, **options, **bounds)
 
 
 class CompiledCvodeRun(CompiledPeer):
-    """The C library, its memory made once for all calls."""
-
     def connect(self) -> tuple[ModuleType, tuple[Any, ...]]:
         from contactbench.peers.abi import cvode
 

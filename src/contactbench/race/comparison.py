@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import accumulate
 from time import perf_counter
 from typing import Any
@@ -13,15 +14,13 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from contactbench.boundary import UserError
-from contactbench.errors import BadInput, excerpt, finite, items_of, positive, switch
+from contactbench.errors import BadInput, UserError, excerpt, finite, items_of, positive, switch
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import ENDS, carry_of, tolerances, work_ladder
 from contactbench.measure.laws import laws_of, observables, row
 from contactbench.measure.statistics import PROCESSES
-from contactbench.methods.base import ENGINES, METHODS
-from contactbench.methods.entry import lookup, prepare
-from contactbench.methods.prepared import Prepared, Refused
+from contactbench.methods.base import ENGINES, METHODS, lookup, prepare
+from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
@@ -119,20 +118,15 @@ def compare(
     for name in given:
         METHODS[name]  # an unknown one raises
     asked = items_of("errors", errors, "a list of numbers, as in errors=[1e-3, 1e-6]")
-    wanted = tuple(sorted({_error(error) for error in asked}, reverse=True))
+    wanted = tuple(sorted({finite("error", error) for error in asked}, reverse=True))
     if not wanted:
         raise BadInput("errors: at least one, as in errors=[1e-3, 1e-6]")
+    for error in wanted:
+        if not 0 < error < 1:
+            size = "must be between 0 and 1, relative to the size of the motion"
+            raise BadInput(f"error = {excerpt(error)}: {size}")
     switch("progress", progress)
     return Comparison(scene, list(dict.fromkeys(given)), wanted, positive("budget", budget), progress).frame()
-
-
-def _error(value: Any) -> float:
-    error = finite("error", value)
-    if not 0 < error < 1:
-        raise BadInput(
-            f"error = {excerpt(value)}: must be between 0 and 1, relative to the size of the motion"
-        )
-    return error
 
 
 # -- one method ------------------------------------------------------------------------------------
@@ -140,17 +134,10 @@ def _error(value: Any) -> float:
 # interpolation between steps, of lower order than some methods, plays no part in it.
 @dataclass(frozen=True)
 class Question:
-    """What is asked of every method: a scene, its truth at five times, the errors, and the time there is."""
-
     scene: Scene
     truth: Reference
     errors: tuple[float, ...]
-    budget: float
-
-    @property
-    def floor(self) -> float:
-        """What the reference itself may be off by, relative to the largest state: no error below is claimed."""
-        return max(10.0**-self.truth.digits, float(np.finfo(float).eps))
+    longest: float
 
     def error(self, solutions: Sequence[Solution]) -> float:
         scene, carry = self.scene, carry_of(self.scene)
@@ -168,8 +155,6 @@ def ends(scene: Scene) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One setting of a method: how it ended, its error and counts, and the solver, ready to be timed."""
-
     value: float
     setting: str
     status: Status
@@ -177,7 +162,7 @@ class Attempt:
     seconds: float
     error: float = math.nan
     counts: Counts = field(default_factory=Counts)
-    run: Prepared | None = None
+    run: Any = None
 
     @property
     def ok(self) -> bool:
@@ -185,25 +170,14 @@ class Attempt:
 
     @property
     def work(self) -> float:
-        """Evaluations on the scale of a right-hand side; seconds where the solver does not count."""
         work = self.counts.rhs_equivalents
         return self.seconds if work is None else work
 
     def reached(self, floor: float) -> dict[str, Any]:
         """Return the columns of its setting; no error below the floor is claimed."""
-        work = self.counts.rhs_equivalents
-        error = max(self.error, floor)
-        return {
-            "setting": self.setting,
-            "error_reached": error,
-            "evaluations": math.nan if work is None else work,
-        }
-
-    def bare(self) -> Callable[[], Any]:
-        run = self.run
-        assert run is not None
-        start = run.start
-        return lambda: run.bare(start)
+        counted = self.counts.rhs_equivalents is not None
+        columns = {"setting": self.setting, "error_reached": max(self.error, floor)}
+        return columns | {"evaluations": self.work if counted else math.nan}
 
 
 class Unsupported(Exception):
@@ -233,19 +207,17 @@ class Scout:
         return min(self.attempts, key=lambda a: a.value, default=None)
 
     def best(self, error: float) -> Attempt | None:
-        return min(
-            (a for a in self.attempts if a.ok and a.error <= error), key=lambda a: a.work, default=None
-        )
+        reached = (a for a in self.attempts if a.ok and a.error <= error)
+        return min(reached, key=lambda a: a.work, default=None)
 
     def turns(self) -> Iterator[None]:
-        """Try settings until the smallest error is reached or the range ends, one a turn."""
         try:
             for attempt in self.ladder():
                 yield
                 if attempt.ok and attempt.error <= min(self.question.errors):
                     break
                 if attempt.status is Status.budget:
-                    most = f"more than a run may take here, {self.longest:.2g} s"
+                    most = f"more than a run may take here, {self.question.longest:.2g} s"
                     self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
                     break
             for error in self.question.errors:
@@ -264,7 +236,6 @@ class Scout:
             yield known | ended | a.reached(0.0)
 
     def ladder(self) -> Iterator[Attempt]:
-        """Try the settings of the benchmark, and smaller steps than those as long as they bring something."""
         if self.method.exact:  # nothing to be set
             yield self.attempt(0.0)
             return
@@ -277,24 +248,18 @@ class Scout:
             yield self.attempt(self.attempts[-1].value / 2)
 
     def stagnates(self) -> bool:
-        """Return whether the last setting was hardly more accurate than one before: what is left is round-off."""
         *others, last = self.attempts
         apart = APART if self.method.adaptive else 1.0
         before = next((a for a in reversed(others) if a.value >= apart * last.value), others[-1])
         return before.ok and last.ok and not last.error < STILL_BETTER * before.error
 
-    @property
-    def longest(self) -> float:
-        return RUN_SHARE * self.question.budget
-
     def most_steps(self) -> int:
         """Return how many steps a run may take; always the same of JAX, which compiles for each number anew."""
         if self.engine == "jax" or not self.a_step > 0:
             return FIRST_STEPS[self.kind]
-        return max(FEWEST_STEPS, int(self.longest / self.a_step))
+        return max(FEWEST_STEPS, int(self.question.longest / self.a_step))
 
     def attempt(self, value: float) -> Attempt:
-        """Make five runs at one setting, the longest first."""
         scene, name, first = self.question.scene, self.method.name, not self.attempts
         options: dict[str, Any] = {**keywords(self.method.control, value), "carry": carry_of(scene)}
         *earlier, end = ends(scene).tolist()
@@ -316,7 +281,8 @@ class Scout:
             options |= {"max_steps": run.request.max_steps, "engine": self.engine}
             runs = [prepare(scene, name, save_at=[t], **options)() for t in earlier] + [solution]
             worst = next((each for each in runs if not each.ok), solution)
-            error = self.question.error(runs) if worst.ok else math.nan
+            if worst.ok:
+                error = self.question.error(runs)
         ended = worst.status, worst.message, seconds, error, solution.counts, run
         self.attempts.append(Attempt(value, run.request.setting, *ended))
         return self.attempts[-1]
@@ -334,8 +300,7 @@ class Scout:
             yield
 
     def between(self, coarse: float, fine: float) -> float | None:
-        """Return the setting half-way in the logarithm, None where there is no room; a step divides the intervals
-        between the five times."""
+        """Return the setting half-way in the logarithm, None without room; a step divides the time between two ends."""
         middle = math.sqrt(coarse * fine)
         if self.method.adaptive:
             return float(f"{middle:.3g}") if fine < middle < coarse else None
@@ -356,7 +321,9 @@ class Comparison:
         self.interrupted = False
         self.bar.set_description("reference")
         truth = reference(scene, ends(scene), seconds=max(self.left(REFERENCE), LEAST_REFERENCE))
-        self.question = Question(scene, truth, errors, budget)
+        self.question = Question(scene, truth, errors, RUN_SHARE * budget)
+        #: what the reference itself may be off by, relative to the largest state: no error below is claimed
+        self.floor = max(10.0**-truth.digits, float(np.finfo(float).eps))
         self.confirmed = confirmed(truth, self.left(CHECK))
         self.bar.update()
         self.scouts = [Scout(self.question, name) for name in methods]
@@ -380,7 +347,7 @@ class Comparison:
                 if self.interrupted:  # a second time: at once
                     break
                 self.interrupted = True
-                self.stop("interrupted", "interrupted before it was tried", "interrupted after")
+                self.stop("interrupted", "interrupted before it was tried", "interrupted after", self.scouts)
             self.bar.update()
         self.bar.close()
         question, truth = self.question, self.question.truth
@@ -390,7 +357,7 @@ class Comparison:
         known = {"source": truth.source, "digits": truth.digits, "confirmed": self.confirmed}
         frame.attrs = {
             "runs": tuple(run for each in self.scouts for run in each.runs()),
-            "reference": known | {"error": question.floor},
+            "reference": known | {"error": self.floor},
             "unrefined": self.unrefined,
             "interrupted": self.interrupted,
             "seconds": perf_counter() - self.begun,
@@ -399,17 +366,18 @@ class Comparison:
 
     # -- scouting --------------------------------------------------------------------------------------
     def scout(self) -> None:
-        """Give the next turn to the method that has had the least time, so that what a cheap one leaves goes to the
-        others."""
+        """Give the next turn to the method that has had the least time: what a cheap one leaves goes to the others."""
         for each in self.scouts:
             if (why := each.method.refuses(self.question.scene)) is not None:
                 each.why = ("unsupported", why)
         turns = {each: each.turns() for each in self.scouts if each.why is None}
         self.bar.update(len(self.scouts) - len(turns))
         while turns and (left := self.left(SCOUTING)) > 0:
-            each = min(turns, key=self.waited)
+            slow = {each for each in turns if each.engine in COMPILING and not each.attempts}
+            # the others go first
+            each = min(turns, key=lambda one: PATIENCE * self.budget if one in slow else one.spent)
             self.bar.set_description(each.method.name)
-            expected = 0.0 if each.attempts else COMPILING.get(each.engine, 0.0)
+            expected = COMPILING[each.engine] if each in slow else 0.0
             if expected > left:
                 each.why = ("budget", f"compiling it takes about {expected:.2g} s, {left:.2g} s were left")
                 del turns[each]
@@ -419,19 +387,11 @@ class Comparison:
                 del turns[each]
                 self.bar.update()
             each.spent += perf_counter() - begun - (each.compile_s - compiled)
-        self.stop("budget", "no time was left to begin it", "no time was left after", set(turns))
+        self.stop("budget", "no time was left to begin it", "no time was left after", turns)
 
-    def waited(self, each: Scout) -> float:
-        """Return the seconds a method has had; what compiles slowly lets the others go first."""
-        begun = each.attempts or each.engine not in COMPILING
-        return each.spent if begun else PATIENCE * self.budget
-
-    def stop(self, status: str, before: str, after: str, some: set[Scout] | None = None) -> None:
-        """Note of the methods that were not done how far they got."""
-        for each in self.scouts if some is None else some:
+    def stop(self, status: str, before: str, after: str, some: Iterable[Scout]) -> None:
+        for each in (each for each in some if each.why is None):
             last = each.finest
-            if each.why is not None:
-                continue
             if last is None:
                 each.why = (status, before)
             elif each.best(min(self.question.errors)) is None:
@@ -440,12 +400,10 @@ class Comparison:
                 self.unrefined.append(each.method.name)
 
     def chosen(self, each: Scout, error: float) -> Attempt | None:
-        """Return the cheapest setting of a method that reaches an error; None below what the reference can tell."""
-        return each.best(error) if error >= self.question.floor else None
+        return each.best(error) if error >= self.floor else None
 
     # -- laws and times --------------------------------------------------------------------------------
     def measure_laws(self) -> None:
-        """Measure the laws, at the largest error first, so that there is something of every method; slow runs last."""
         self.bar.set_description("laws")
         for error in self.question.errors:
             pairs = [(each, a) for each in self.scouts if (a := self.chosen(each, error)) is not None]
@@ -454,10 +412,7 @@ class Comparison:
                     self.laws[id(attempt)] = self.laws_at(each, attempt)
 
     def laws_at(self, each: Scout, attempt: Attempt) -> dict[str, Any]:
-        """Return how far a run that carries every field is from the laws at the five times, and which it keeps.
-
-        What is expected to take longer than there is time is left out.
-        """
+        """Return how far a run that carries every field is from the laws; nothing where that would take too long."""
         scene, left = self.question.scene, self.left(LAWS)
         if left < (each.compile_s if each.engine == "jax" else 0.0):  # another field is another program
             return {}
@@ -466,10 +421,7 @@ class Comparison:
         return row(solution, "" if differentiation_time(each, attempt) <= left else "no time was left")
 
     def time(self) -> None:
-        """Time the chosen settings, each kind of engine by itself; the compiled first, which is soon over.
-
-        The slowest are left out where the fewest rounds of all would take longer than there is.
-        """
+        """Time each kind of engine by itself, the compiled first; the slowest are left out where time is short."""
         self.bar.set_description("timing")
         runs: dict[str, dict[int, Attempt]] = {kind: {} for kind in KINDS}
         for each in self.scouts:
@@ -482,7 +434,7 @@ class Comparison:
             attempts = sorted(runs[kind].values(), key=lambda attempt: attempt.seconds)
             spent = accumulate(FEWEST_CALLS * attempt.seconds for attempt in attempts)
             timed = [attempt for attempt, seconds in zip(attempts, spent, strict=True) if seconds <= given]
-            race = Race([Call(attempt.bare()) for attempt in timed])
+            race = Race([Call(partial(attempt.run.bare, attempt.run.start)) for attempt in timed])
             try:
                 race.go(0.0 if self.interrupted else given)
             finally:
@@ -491,15 +443,12 @@ class Comparison:
 
     # -- rows ------------------------------------------------------------------------------------------
     def row(self, each: Scout, error: float) -> dict[str, Any]:
-        """Return the row of a method at an error.
-
-        at_least : seconds that it takes anyway, where it was cut off or left untimed; nan of another one.
-        """
+        """Return a row; at_least : seconds that it takes anyway, where it was cut off or left untimed, else nan."""
         known, times, laws = self.unreached(each, error), {}, {}
         if (attempt := self.soonest(each, error)) is not None:
             times, laws = self.times.get(id(attempt), {}), self.laws.get(id(attempt), {})
             reason = "" if times else "too slow for the time that was left"
-            known = attempt.reached(self.question.floor) | {"status": "ok", "reason": reason}
+            known = attempt.reached(self.floor) | {"status": "ok", "reason": reason}
         cut = known["status"] in (*CUT, "interrupted") or (attempt is not None and not times)
         last = attempt or each.finest
         at_least = (last.seconds / ONCE if last else 0.0) if cut else math.nan
@@ -518,13 +467,11 @@ class Comparison:
         return min(reach, key=lambda a: self.times.get(id(a), {}).get("time_median_s", math.inf))
 
     def unreached(self, each: Scout, error: float) -> dict[str, Any]:
-        best = min((a for a in each.attempts if a.ok), key=lambda a: a.error, default=None)
-        known = (
-            {"setting": "", "error_reached": math.nan} if best is None else best.reached(self.question.floor)
-        )
+        best, floor = min((a for a in each.attempts if a.ok), key=lambda a: a.error, default=None), self.floor
+        known = {"setting": "", "error_reached": math.nan} if best is None else best.reached(floor)
         last = each.finest
-        if error < self.question.floor:
-            why = ("unresolved", f"the reference is known to {self.question.floor:.1e} only")
+        if error < floor:
+            why = ("unresolved", f"the reference is known to {floor:.1e} only")
         elif each.why is not None:
             why = each.why
         elif last is not None and not last.ok:

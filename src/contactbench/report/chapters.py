@@ -35,8 +35,6 @@ class Text:
 
 @dataclass(frozen=True)
 class Section:
-    """Parts under a heading."""
-
     title: str
     parts: tuple[Part | None, ...]
 
@@ -45,14 +43,11 @@ Part = Text | View | Figure | Section
 
 
 def summary(*rows: tuple[str, str, str]) -> pd.DataFrame:
-    """Return questions, their answers and their counts as a frame."""
     return pd.DataFrame(list(rows), columns=["question", "answer", "count"])
 
 
 @dataclass(frozen=True)
 class Contents:
-    """A chapter as the tables fill it: what renderers are handed."""
-
     chapter: Chapter
     summary: pd.DataFrame
     parts: tuple[Part, ...]
@@ -82,7 +77,6 @@ class Chapter:
         return self.document or f"{self.name}.md"
 
     def fill(self, frames: Frames) -> Contents:
-        """Return what the chapter says of the tables."""
         return Contents(self, self.summary(frames), tuple(shown(self.parts(frames))))
 
 
@@ -90,7 +84,6 @@ CHAPTERS = Registry("chapter", Chapter)
 
 
 def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
-    """Yield the parts that hold something."""
     for part in parts:
         if isinstance(part, Section):
             part = replace(part, parts=tuple(shown(part.parts)))
@@ -101,12 +94,10 @@ def shown(parts: Iterable[Part | None]) -> Iterator[Part]:
 
 
 def chapters(frames: Frames) -> list[Chapter]:
-    """Return the chapters that have something to say, in their order."""
     return sorted((c for c in CHAPTERS.values() if len(frames[c.tables[0]])), key=lambda c: c.order)
 
 
 def every(kind: type, parts: Iterable[Part | None]) -> Iterator[Any]:
-    """Yield all parts of a kind, nested ones included."""
     for part in parts:
         if isinstance(part, Section):
             yield from every(kind, part.parts)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import pandas as pd
 
 from contactbench.report import paper
@@ -27,17 +25,7 @@ LEGEND = (
 )
 
 
-def heading(row: pd.Series) -> str:
-    return f"{row['id']} · {row['verdict'] or row['status']}"
-
-
-def anchor(title: str) -> str:
-    """Return the anchor that GitHub gives a heading."""
-    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
-
-
 def split_claims(frame: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the paper's claims, and those beyond it."""
     beyond = frame["where"] == BEYOND
     return frame[~beyond], frame[beyond]
 
@@ -51,13 +39,12 @@ def counts(frame: pd.DataFrame) -> str:
 def answers(frames: Frames) -> pd.DataFrame:
     own, beyond = split_claims(frames["claims"])
     asked = {"Do the paper's claims hold as printed?": own, "Do the claims beyond the paper hold?": beyond}
-    return summary(
-        *(
-            (question, how_often(int((part["verdict"] == "holds").sum()), len(part)), counts(part))
-            for question, part in asked.items()
-            if len(part)
-        )
-    )
+    lines = []
+    for question, part in asked.items():
+        if len(part):
+            holds = int((part["verdict"] == "holds").sum())
+            lines.append((question, how_often(holds, len(part)), counts(part)))
+    return summary(*lines)
 
 
 def claims_view(frame: pd.DataFrame) -> View:
@@ -65,29 +52,27 @@ def claims_view(frame: pd.DataFrame) -> View:
     for _, row in frame.iterrows():
         verdict = str(row["verdict"] or row["status"])
         needed = DASH if pd.isna(row["bound"]) else f"{row['relation']} {row['bound']:.2g}"
-        named = Cell(row["id"], link=f"#{anchor(heading(row))}")
         judged = Cell(verdict, mark=VERDICTS.get(verdict, Mark.bad))
-        rows.append((named, judged, *row[["claim", "where", "quantity", "measured"]], needed))
+        rows.append((row["id"], judged, *row[["claim", "where", "quantity", "measured"]], needed))
     labels = ["id", "verdict", "claim", "where in the paper", "measured", "value", "needed"]
     return View("claims", "All claims", frame_of(rows, labels), LEGEND, SOURCE, {"": "{:.2g}".format})
 
 
 def claim_section(row: pd.Series, drawn: dict[str, Figure]) -> Section:
-    """Return one claim: where, evidence, correction, command, figures; a figure once, where it is first needed."""
+    title = f"{row['id']} · {row['verdict'] or row['status']}"
     parts: list[Part] = [Text(f"**Claim** ({row['where']}). {row['claim']}")]
     if row["status"] != "ok":
-        return Section(heading(row), (*parts, Text(f"Not measured: {row['message']}. `{row['command']}`")))
+        return Section(title, (*parts, Text(f"Not measured: {row['message']}. `{row['command']}`")))
     parts.append(Text(f"**Measured** on {row['scene']}. Method: {row['method']}.", items(row["evidence"])))
     if row["correction"]:
         caption = CAPTIONS.get(row["correction_kind"], "Corrected")
         parts.append(Text(f"**{caption}.** {row['correction']}", items(row["corrected_evidence"])))
     parts.append(Text(f"Measure it again: `{row['command']}`"))
     parts += [drawn.pop(name) for name in row["figures"].split() if name in drawn]
-    return Section(heading(row), tuple(parts))
+    return Section(title, tuple(parts))
 
 
 def items(evidence: str) -> tuple[str, ...]:
-    """Return a row's measurements, one each."""
     found = (item for item in evidence.split(SEPARATOR) if item)
     return tuple(item.replace(" fails (", " **fails** (") for item in found)
 

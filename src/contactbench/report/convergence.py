@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
-from contactbench.report.curves import best_of_each, by_method, family_and_order, floats, lowest
+from contactbench.report.curves import best_of_each, by_method, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
 from contactbench.report.numbers import how_often
-from contactbench.report.views import Cell, Mark, View, matrix, pick
+from contactbench.report.views import Cell, Mark, View, matrix
 
 SOURCE = "convergence.csv"
 #: a measured order further than this from the claimed one, and than its own spread, is an exception
@@ -40,7 +40,6 @@ def answers(frames: Frames) -> pd.DataFrame:
 
 
 def order_cell(rows: pd.DataFrame) -> Cell:
-    """Return the extrapolated order and the spread of the extrapolation, or why there is none."""
     row = rows.iloc[0]
     if row["status"] == "unsupported":
         return Cell("unsupported", mark=Mark.none)
@@ -52,8 +51,6 @@ def order_cell(rows: pd.DataFrame) -> Cell:
 
 def parts(frames: Frames) -> list[Part | None]:
     fit = fits(frames["convergence"])
-    labels = {"order_nominal": "claimed", "order_uncertainty": "spread", "last_slope": "last slope"}
-    off = pick(fit[fit["off"]], "scene", "method", "order", **labels)
     orders = matrix(fit, "method", "scene", order_cell)
     legend = (
         f"±: spread of the extrapolation. Marked: further from the claimed order than that and than {AGREES:g}. "
@@ -61,14 +58,12 @@ def parts(frames: Frames) -> list[Part | None]:
     )
     return [
         View("orders", "Extrapolated order", orders, legend, SOURCE),
-        View("order_exceptions", "Exceptions", off, "", SOURCE, {"": "{:.2f}".format}),
         figure(frames["convergence"]),
     ]
 
 
 # -- the figure ------------------------------------------------------------------------------------
 def guides(rows: pd.DataFrame, methods: list[str]) -> Iterator[Curve]:
-    """Yield a line of the claimed slope below one curve of each order."""
     part = rows[rows["method"].isin(methods) & (rows["solution_error"] > ROUNDING)]
     for order, own in part.groupby("order_nominal"):
         line = own[own["method"] == own["method"].iloc[0]].sort_values("step")
@@ -86,7 +81,7 @@ def figure(frame: pd.DataFrame) -> Figure | None:
     if not len(off):
         return None
     title = f"{SCENE}: {len(off)} methods converge at their claimed order, to within {off.max():.1g}"
-    curves = best_of_each(by_method(rows, "step", "solution_error"), lowest, family_and_order)
+    curves = best_of_each(by_method(rows, "step", "solution_error"), lowest, by_order=True)
     x = Axis("step size h (smaller to the right)", "log", inverted=True)
     panel = Panel(
         "",

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import costs_to_reach
 from contactbench.report.drawing import Axis, Curve, Span
 from contactbench.report.look import look
@@ -32,13 +32,11 @@ type Score = Callable[[Curve, Sequence[Curve]], float]
 
 
 def floats(values: Iterable[Any]) -> tuple[float, ...]:
-    """Return values as floats; nan where there is none."""
     series = pd.to_numeric(pd.Series(values), errors="coerce")
     return tuple(series.to_numpy(dtype=float, na_value=np.nan).tolist())
 
 
 def above(values: pd.Series, scale: float = 1.0) -> tuple[float, ...]:
-    """Return values for a logarithmic axis, none below FLOOR; nan stays nan."""
     return tuple(np.maximum(np.array(floats(values)) * scale, FLOOR).tolist())
 
 
@@ -48,42 +46,29 @@ def by_method(rows: pd.DataFrame, x: str, y: str, scale: float = 1.0) -> tuple[C
     for method, line in rows.groupby("method", sort=False):
         family = str(line["family"].iloc[0]) if "family" in line else ""
         points = floats(line[x]), above(line[y], scale)
-        curves.append(Curve(*points, str(method), str(method), family=family))
+        settings = tuple(line["setting"]) if "setting" in line else ()
+        curves.append(Curve(*points, str(method), str(method), family=family, settings=settings))
     return tuple(curves)
 
 
 def decade(value: float, end: Callable[[float], int]) -> str:
-    """Return the power of ten at the upper (`math.ceil`) or lower (`math.floor`) end of a value's decade."""
     return power(10.0 ** end(math.log10(value))) if value > 0 else "0"
 
 
 # -- which curves are in colour --------------------------------------------------------------------
-def family(curve: Curve) -> Hashable:
-    return look(curve.method, curve.family).family
-
-
-def family_and_order(curve: Curve) -> Hashable:
-    own = look(curve.method, curve.family)
-    return own.family, own.order
-
-
-def best_of_each(
-    curves: Iterable[Curve], score: Score, group: Callable[[Curve], Hashable] = family
-) -> tuple[Curve, ...]:
-    """Return the curves, all but the best of each group muted; those come first, to be drawn below.
-
-    Of more than MOST groups those seen first are in colour.  Curves of no method stay as they are.
-    """
+def best_of_each(curves: Iterable[Curve], score: Score, by_order: bool = False) -> tuple[Curve, ...]:
+    """Return the curves, of each family (and order) all but the best muted and first; MOST groups have one."""
     curves = list(curves)
-    groups: dict[Hashable, list[Curve]] = {}
+    groups: dict[tuple[str, int | None], list[Curve]] = {}
     for curve in curves:
         if curve.method:
-            groups.setdefault(group(curve), []).append(curve)
+            own = look(curve.method, curve.family)
+            groups.setdefault((own.family, own.order if by_order else None), []).append(curve)
     chosen = []
-    for own in groups.values():
-        scores = [score(curve, own) for curve in own]
+    for group in groups.values():
+        scores = [score(curve, group) for curve in group]
         if not np.isnan(scores).all():
-            chosen.append(own[int(np.nanargmax(scores))].method)
+            chosen.append(group[int(np.nanargmax(scores))].method)
     names = {*chosen[:MOST], ""}
     muted = [c if c.method in names else replace(c, muted=True) for c in curves]
     return tuple(sorted(muted, key=lambda c: not c.muted))
@@ -108,7 +93,6 @@ def highest(curve: Curve, own: Sequence[Curve]) -> float:
 
 
 def contest_end(axis: Axis, curves: Sequence[Curve], times: float = BEYOND) -> Axis:
-    """Return the axis of cost, ended where the contest ends."""
     table = np.array([costs_to_reach(c.x, c.y, TARGETS) for c in curves]).reshape(-1, len(TARGETS))
     reached = np.isfinite(table).sum(axis=0) >= max(1, min(CONTEST, len(table)))
     if not reached.any():

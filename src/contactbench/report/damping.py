@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import ALIKE, COUNTED, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part
 from contactbench.report.numbers import DASH, count, names, scientific
@@ -35,7 +35,6 @@ def rates_view(frame: pd.DataFrame) -> View:
 
 
 def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Cell]:
-    """Return the most accurate of the fixed-step runs and of the adaptive ones that cost no more; and that cost."""
     budget = COUNTED * float((fixed if len(fixed) else adaptive)["evaluations"].max())
     rows = pd.concat([fixed, adaptive[adaptive["evaluations"] <= budget]])
     errors = rows.groupby("method", sort=False)["rate_error"].min()
@@ -43,7 +42,6 @@ def at_equal_cost(fixed: pd.DataFrame, adaptive: pd.DataFrame) -> tuple[Cell, Ce
 
 
 def best_cell(errors: pd.Series) -> Cell:
-    """Return the most accurate, and those within ALIKE of it; all at round-off tie."""
     errors = errors[errors < 1].sort_values(kind="stable")
     if not len(errors):
         return Cell(DASH)

@@ -30,17 +30,19 @@ WIDTHS, HEIGHT = {1: 8.0, 2: 9.6, 3: 11.0}, 4.2
 #: inches of a character of the title, between names in the margin, and of a line of title or legend
 LETTER, APART, LINE = 0.1, 0.2, 0.24
 #: a curve of more points than this has markers at some of them; of so many more it is drawn as a picture
-MARKED, MANY = 16, 5000
+MARKED, MANY = 16, 800
 OTHERS = "other methods"
 #: the mark of a file that was made here
 MADE_HERE = '<style id="contactbench">'
-#: numbers with more digits than are seen
+#: numbers with more digits than are seen: of points, hundredths are
 DIGITS = re.compile(r"-?\d+\.\d{3,}")
 RC: dict[Any, Any] = {
     "font.size": 10.5,
     "axes.titlesize": 10.5,
     "axes.grid": True,
     "axes.axisbelow": True,
+    "axes.xmargin": 0.04,
+    "axes.ymargin": 0.04,
     "axes.edgecolor": "#555555",
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
@@ -56,7 +58,6 @@ RC: dict[Any, Any] = {
 
 # -- curves ----------------------------------------------------------------------------------------
 def properties(curve: Curve) -> dict[str, Any]:
-    """Return the matplotlib line properties of a curve."""
     if curve.muted:
         return {"color": MUTED, "linewidth": 0.8, "zorder": 1.5}
     if curve.method:
@@ -79,14 +80,12 @@ def properties(curve: Curve) -> dict[str, Any]:
 
 
 def entries(curves: Iterable[Curve]) -> dict[str, Line2D]:
-    """Return a line for the legend for each label, in the order met; the muted ones share one."""
     ordered = sorted(curves, key=lambda curve: curve.muted)
     named = {OTHERS if curve.muted else curve.label: curve for curve in ordered}
     return {label: Line2D([], [], **properties(curve)) for label, curve in named.items() if label}
 
 
 def name_in_margin(axes: Axes, curves: Sequence[Curve]) -> None:
-    """Write the name of each curve right of the axes, beside its last point where there is room."""
     ends = []
     for curve in curves:
         points = np.column_stack([curve.x, curve.y])
@@ -123,40 +122,27 @@ def power(value: float) -> str:
 
 
 def seen(panel: Panel) -> list[tuple[float, float]]:
-    """Return the points of a panel where both axes allow them."""
 
     def inside(axis: Axis, v: float) -> bool:
         low, high = axis.within
-        finite = math.isfinite(v) and (v > 0 or not axis.log)
+        finite = math.isfinite(v) and (v > 0 or axis.scale == "linear")
         return finite and (low is None or v >= low) and (high is None or v <= high)
 
     points = [point for curve in panel.curves for point in zip(curve.x, curve.y, strict=True)]
     return [(x, y) for x, y in points if inside(panel.x, x) and inside(panel.y, y)]
 
 
-def padded(values: Sequence[float], log: bool) -> tuple[float, float]:
-    """Return limits of an axis with a little room beside the values."""
-    low, high = min(values), max(values)
-    if log:
-        room = 10 ** max(0.04 * math.log10(high / low), 0.1)
-        return low / room, high * room
-    room = max(0.04 * (high - low), 1e-12)
-    return low - room, high + room
-
-
 def scale(axes: Axes, which: str, axis: Axis, values: Sequence[float]) -> None:
-    """Label, scale, limits and ticks of one axis."""
     getattr(axes, f"set_{which}label")(axis.label)
-    own = getattr(axes, f"{which}axis")
-    if axis.log:
-        getattr(axes, f"set_{which}scale")("log")
-    if axis.limits or values:
-        low, high = axis.limits or padded(values, axis.log)
+    getattr(axes, f"set_{which}scale")(axis.scale)
+    if axis.scale == "log" and values:
+        room = 10 ** max(0.04 * math.log10(max(values) / min(values)), 0.1)
+        low, high = min(values) / room, max(values) * room
         getattr(axes, f"set_{which}lim")(low, high)
-        if axis.log:
-            own.set_major_locator(LogLocator(10, (1, 2, 5) if high / low < 100 else (1,), numticks=9))
-            own.set_major_formatter(FuncFormatter(lambda value, _: power(value)))
-            own.set_minor_locator(NullLocator())
+        own = getattr(axes, f"{which}axis")
+        own.set_major_locator(LogLocator(10, (1, 2, 5) if high / low < 100 else (1,), numticks=9))
+        own.set_major_formatter(FuncFormatter(lambda value, _: power(value)))
+        own.set_minor_locator(NullLocator())
     if axis.inverted:
         getattr(axes, f"invert_{which}axis")()
 
@@ -206,13 +192,14 @@ def render(figure: Figure) -> Drawing:
 
 
 def svg(figure: Figure) -> str:
-    """Return a figure as SVG text without dates, comments and digits that nobody sees."""
     drawing, file = render(figure), io.StringIO()
     with plt.rc_context(RC):
         drawing.savefig(file, format="svg", metadata={"Date": None})
     plt.close(drawing)
     text = re.sub(r"\s*<metadata>.*?</metadata>|\s*<!--.*?-->", "", file.getvalue(), flags=re.DOTALL)
-    text = re.sub("<[^>]*>", lambda tag: DIGITS.sub(shortened, tag[0]), text)
+    text = re.sub(
+        "<[^>]*>", lambda tag: DIGITS.sub(lambda digits: f"{round(float(digits[0]), 2):g}", tag[0]), text
+    )
     styles: dict[str, str] = {}
     text = re.sub(
         r'style="([^"]*)"', lambda style: f'class="{styles.setdefault(style[1], f"s{len(styles)}")}"', text
@@ -221,13 +208,7 @@ def svg(figure: Figure) -> str:
     return text.replace("<defs>", f"{MADE_HERE}{rules}</style>\n <defs>", 1)
 
 
-def shortened(number: re.Match[str]) -> str:
-    """Return a number with two decimals: hundredths of a point."""
-    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
-
-
 def save_png(figure: Figure, folder: Path) -> Path:
-    """Write FOLDER/NAME.png; return the path."""
     path = folder / f"{figure.name}.png"
     drawing = render(figure)
     drawing.savefig(path, dpi=110, metadata={"Software": None})

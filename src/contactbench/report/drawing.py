@@ -8,21 +8,12 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a panel.
-
-    limits : as they must be, or None for what fits.
-    within : where the axis ends at the latest, though curves go on; None for no end.
-    """
+    """One axis of a panel.  within : where it ends at the latest, though curves go on; None for no end."""
 
     label: str
     scale: Literal["linear", "log"] = "linear"
     inverted: bool = False
-    limits: tuple[float, float] | None = None
     within: tuple[float | None, float | None] = (None, None)
-
-    @property
-    def log(self) -> bool:
-        return self.scale == "log"
 
 
 @dataclass(frozen=True)
@@ -35,6 +26,7 @@ class Curve:
     line, markers : whether either is drawn.
     family : what a method unknown to look.py declares itself.
     muted : thin and grey, not the best of its family.
+    settings : of each point; empty for none.
     """
 
     x: tuple[float, ...]
@@ -46,6 +38,7 @@ class Curve:
     markers: bool = True
     family: str = ""
     muted: bool = False
+    settings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,3 +76,10 @@ class Figure:
     caption: str = ""
     across: int = 2
     legend: Literal["shared", "each"] = "shared"
+
+
+@dataclass(frozen=True)
+class Live:
+    title: str
+    panels: dict[tuple[str, str], Panel]
+    caption: str = ""

@@ -15,14 +15,11 @@ from contactbench.report.work_precision import ERROR, LEGEND, cost_cell, error_l
 from contactbench.results.contest import COMPILED, CONTACT, LIMIT, MARGINAL, Kind, costs, standings
 
 SOURCE = "ensemble.csv"
-#: whether trajectories that are integrated together share the steps that a solver chooses
-STEPS = {"vmap": "own steps", "shared": "shared steps", "batch": "own steps"}
 #: time of a whole call per trajectory
 WHOLE_CALLS = replace(COMPILED, cost="each")
 
 
 def with_rates(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows that ended ok, with the time of a trajectory and of one evaluation of it."""
     ok = frame[frame["status"] == "ok"]
     ok = ok.assign(trajectories=ok["trajectories"].astype(float), evaluations=ok["evaluations"].astype(float))
     ok = ok.assign(each=ok["time_min_s"] / ok["trajectories"])
@@ -30,8 +27,7 @@ def with_rates(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def beside_loops(frame: pd.DataFrame) -> tuple[list[str], pd.DataFrame]:
-    """Return the shapes of the C loops, and every method with the time per gradient of each loop of its step in a
-    column, nan where there is no such loop."""
+    """Return the shapes of the C loops, and every method with the time per gradient of each of them, nan without."""
     frame = frame[frame["question"] == "arithmetic"]
     loops, own = frame[frame["family"] == LIMIT], frame[frame["family"] != LIMIT]
     loops = loops.assign(**loops["variant"].str.extract(r"(?P<method>\S+) (?P<shape>.+)"))
@@ -75,22 +71,12 @@ def error_view(frame: pd.DataFrame, kind: Kind, name: str, title: str, legend: s
     return View(name, title, table, f"{legend} {LEGEND}", SOURCE)
 
 
-def growth_view(frame: pd.DataFrame, question: str, by: str, title: str) -> View:
-    ways = ["method", "engine", "setting"]
-    part = frame[frame["question"] == question].sort_values([*ways, by], kind="stable")
-    first = part.groupby(ways)["rate"].transform("first")
-    table = pick(part, *ways, by, rate="trajectories/s")
-    table = table.assign(**{"gradients/s": 1 / part["stage"], "relative": part["rate"] / first})
-    show = {by: count, "relative": times, "": "{:.3g}".format}
-    return View(f"ensemble_{question}", title, table, "Of the whole call, least round.", SOURCE, show)
-
-
 def figure(frame: pd.DataFrame) -> Figure | None:
     rows = frame[(frame["family"] != LIMIT) & (frame["question"] == "error")]
     if not len(rows):
         return None
     curves = [
-        replace(curve, label=", ".join(filter(None, [curve.label, STEPS.get(str(variant), "")])))
+        replace(curve, label=", ".join(filter(None, [curve.label, str(variant)])))
         for (_, _, variant), own in rows.groupby(["method", "engine", "variant"], sort=False, dropna=False)
         for curve in by_method(own, "solution_error", "each", 1e6)
     ]
@@ -113,8 +99,6 @@ def parts(frames: Frames) -> list[Part | None]:
         error_view(frame, WHOLE_CALLS, "ensemble_error", "A trajectory at equal error", called),
         error_view(frame, MARGINAL, "ensemble_marginal", "One more trajectory at equal error", more),
         arithmetic_view(frame),
-        growth_view(frame, "size", "trajectories", "With the number of trajectories"),
-        growth_view(frame, "cores", "cores", "With the number of cores"),
         figure(frame),
     ]
 

@@ -31,7 +31,6 @@ LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 # -- six answers -----------------------------------------------------------------------------------
 def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
-    """Return whether J and the contact form are kept where that is promised."""
     rows = laws.structural_rows(frames)
     promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
     found = [(PROMISED[str(law)], own) for law, own in promised.groupby("law", sort=False)]
@@ -41,7 +40,6 @@ def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
 
 
 def loss_answer(frames: Frames) -> tuple[str, str, str] | None:
-    """Return on which scenes another method is cheaper at every error, compiled."""
     won = work_precision.all_contests(frames)["compiled"].contests
     judged = won[won["winner"] != ""]
     if not len(judged):
@@ -73,7 +71,6 @@ def rows_of(frame: pd.DataFrame) -> list[tuple[str, str, str]]:
 
 # -- results/README.md -----------------------------------------------------------------------------
 def most_met_cost(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of the cost that most methods can meet; of equals the largest."""
     met = frame[frame["status"] == "ok"].groupby("cost").size()
     return frame[frame["cost"] == met[met == met.max()].index.max()] if len(met) else frame.iloc[:0]
 
@@ -85,11 +82,8 @@ def mission_view(frames: Frames) -> View | None:
         return None
     momentum = law_rows(frames, "momentum_law")
     claimed = set(momentum[momentum["claimed"]]["scene"])
-    laws_of = {
-        scene: [law for law in LAWS if law != "momentum_law" or scene in claimed]
-        for scene in SCENES
-        if scene in set(rows["scene"])
-    }
+    shown = [scene for scene in SCENES if scene in set(rows["scene"])]
+    laws_of = {s: [law for law in LAWS if law != "momentum_law" or s in claimed] for s in shown}
     by_pair = {(row["method"], row["scene"]): row for row in rows.to_dict("records")}
     lines = []
     for method in sorted(set(rows["method"]), key=METHODS.index):
@@ -97,18 +91,15 @@ def mission_view(frames: Frames) -> View | None:
         for scene, own in laws_of.items():
             cells += cost_cells(frames, by_pair.get((method, scene), {"status": DASH}), own)
         lines.append((method, *cells))
-    labels = [("", "method")]
-    labels += [
-        (s, name) for s, own in laws_of.items() for name in ("evaluations", "order", *map(law_label, own))
-    ]
+    heads = {scene: ("evaluations", "order", *map(law_label, own)) for scene, own in laws_of.items()}
+    labels = [("", "method"), *((scene, label) for scene, own in heads.items() for label in own)]
     legend = (
         "Largest deviation over the run, every method as near to the same number of evaluations as its steps and "
         "tolerances allow. Bold: at round-off. ≤: an upper bound, by differences of the solver. "
         "[All methods, scenes and costs](laws.md#at-equal-cost)."
     )
-    return View(
-        "mission", "Order, laws and drifts at equal cost", frame_of(lines, labels), legend, "decay_laws.csv"
-    )
+    title = "Order, laws and drifts at equal cost"
+    return View("mission", title, frame_of(lines, labels), legend, "decay_laws.csv")
 
 
 def documents_view(frames: Frames) -> View:
@@ -119,7 +110,6 @@ def documents_view(frames: Frames) -> View:
 
 
 def cheapest_parts(contests: list[work_precision.Contest]) -> list[Part]:
-    """Return who is cheapest where, a table for each kind of cost, and where the contact methods lose."""
     if not contests:
         return []
     legend = (
@@ -146,15 +136,12 @@ def parts(frames: Frames) -> list[Part | None]:
 
 
 def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
-    """Return on what the tables were made, in a line."""
     places = dict.fromkeys(
         f"{run.get('cpu', '')}, {run.get('cores', '')} cores, Python {run.get('python', '')}, "
         f"commit `{str(run.get('commit', ''))[:12] or 'unknown'}`{' with local changes' if run.get('dirty') else ''}"
         for run in runs
     )
-    return Text(
-        f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units: as in the paper."
-    )
+    return Text(f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units.")
 
 
 TABLES = ("laws", "decay_laws", "work_precision", "convergence", "claims")

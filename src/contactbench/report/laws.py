@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import UNSURE, decide
+from contactbench.measure.law import UNSURE, judge
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.curves import ROUND_OFF, above, best_of_each, by_method, decade, floats, lowest
 from contactbench.report.drawing import Axis, Curve, Figure, Panel
@@ -31,13 +32,11 @@ LEGEND = (
 
 @lru_cache(2)
 def structural_rows(frames: Frames) -> pd.DataFrame:
-    """Return the runs of every structural law, judged or not, with its name and label in columns."""
     rows = [law_rows(frames, law).assign(law=law, label=law_label(law)) for law in structural_laws()]
     return pd.concat(rows, ignore_index=True)
 
 
 def kept_of(rows: pd.DataFrame) -> tuple[int, int]:
-    """Return in how many runs a law is kept, and how many decide."""
     return int(rows["kept"].sum()), int((rows["judged"] & ~rows["undecided"]).sum())
 
 
@@ -50,12 +49,11 @@ def counts(rows: pd.DataFrame) -> str:
 
 def answers(frames: Frames) -> pd.DataFrame:
     rows = structural_rows(frames)
-    return summary(
-        *(
-            (f"{label}: at round-off where claimed?", how_often(*kept_of(own)), counts(own))
-            for label, own in rows[rows["claimed"]].groupby("label", sort=False)
-        )
+    claimed = rows[rows["claimed"]].groupby("label", sort=False)
+    lines = (
+        (f"{label}: at round-off where claimed?", how_often(*kept_of(r)), counts(r)) for label, r in claimed
     )
+    return summary(*lines)
 
 
 # -- cells -----------------------------------------------------------------------------------------
@@ -70,8 +68,6 @@ def with_bounds(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def drift_cell(row: Any, law: str) -> Cell:
-    """Return one deviation of a row that is `with_bounds`, with its error bar where that is a tenth of it or more."""
-
     def number(name: str) -> float:
         value = row.get(name)
         return 0.0 if value is None or pd.isna(value) else float(value)
@@ -79,7 +75,7 @@ def drift_cell(row: Any, law: str) -> Cell:
     if pd.isna(row.get(law)):
         return Cell(DASH)
     value, error, limit = (number(name) for name in (law, f"{law}_uncertainty", f"{law}_bound"))
-    kept, ill = decide(value, limit) if limit else (False, False)
+    kept, ill = judge(value, limit) if limit else (False, False)
     unsure = error > 0 and value <= UNSURE * error
     bar = f" ± {scientific(error, 0)}" if not unsure and 0 < value / 10 <= error else ""
     signs = (DAGGER if number(f"{law}_clamped") > 0 else "") + (DOUBLE_DAGGER if ill else "")
@@ -89,7 +85,6 @@ def drift_cell(row: Any, law: str) -> Cell:
 
 
 def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
-    """Return the smallest and the largest value of some rows of a law; only this where all judged are kept."""
     low, high, judged = rows["value"].min(), rows["value"].max(), rows[rows["judged"]]
     kept = len(judged) > 0 and bool(judged["kept"].all())
     text = show(high) if kept or low == high else f"{show(low)} … {show(high)}"
@@ -98,7 +93,6 @@ def range_cell(rows: pd.DataFrame, show: Callable[[float], str]) -> Cell:
 
 
 def cost_cells(frames: Frames, row: Any, laws: Sequence[str]) -> list[Cell]:
-    """Return what one run at equal cost came to: evaluations, order, laws; or only how it ended."""
     if row["status"] != "ok":
         return [Cell(str(row["status"]), mark=Mark.none), *[Cell(DASH)] * (len(laws) + 1)]
     spent = as_cell(row["rhs_equivalents"], count)
@@ -106,7 +100,6 @@ def cost_cells(frames: Frames, row: Any, laws: Sequence[str]) -> list[Cell]:
 
 
 def order_cell(frames: Frames, row: Any) -> Cell:
-    """Return the measured order of a row's method on its scene; why not, where there is none."""
     if row["control"] != "step":
         return Cell({"rtol": "adaptive"}.get(row["control"], str(row["control"])))
     orders = frames["convergence"]
@@ -185,18 +178,6 @@ def parts(frames: Frames) -> list[Part | None]:
 # -- structure against accuracy: one point a run ---------------------------------------------------
 #: the scene, and the law: of the contact form, of the derivative of the map
 SCENE, LAW = "central", "contact_drift"
-#: families: the label, and the method whose marker stands for it
-FAMILIES = {
-    "contact": ("contact methods", "contact-strang"),
-    "adaptive": ("contact, adaptive steps", "contact-rkn6"),
-    "rk4": ("RK4", "rk4"),
-    "herglotz": ("Herglotz", "herglotz1"),
-    "scipy": ("SciPy", "scipy-dop853"),
-    "sundials": ("SUNDIALS", "cvode-bdf"),
-    "cyrk": ("CyRK", "cyrk-dop853"),
-    "diffrax": ("diffrax", "diffrax-tsit5"),
-    "heyoka": ("heyoka (Taylor)", "heyoka-taylor"),
-}
 
 
 def structure(frame: pd.DataFrame) -> Figure | None:
@@ -205,19 +186,12 @@ def structure(frame: pd.DataFrame) -> Figure | None:
         return None
     claims = rows[f"{LAW}_claimed"].eq(True)
     kept = rows[claims][f"{LAW}_kept"].dropna()
-    families = [
-        "adaptive" if family == CONTACT and not claimed else look(str(method), str(family)).family
-        for method, family, claimed in zip(rows["method"], rows["family"], claims, strict=True)
-    ]
-    curves = [
-        Curve(
-            floats(own["solution_error"]),
-            above(own[LAW]),
-            *FAMILIES.get(name, ("others", "other")),
-            line=False,
-        )
-        for name, own in rows.groupby(families, sort=False)
-    ]
+    families = [look(*map(str, pair)).family for pair in zip(rows["method"], rows["family"], strict=True)]
+    groups = np.where(rows["family"].eq(CONTACT) & ~claims, "contact, adaptive steps", families)
+    curves = []
+    for name, own in rows.groupby(groups, sort=False):
+        points = floats(own["solution_error"]), above(own[LAW])
+        curves.append(Curve(*points, str(name), str(own["method"].iloc[0]), line=False))
     x = Axis("error of the solution (more accurate to the right)", "log", inverted=True)
     panel = Panel("", x, Axis("deviation of the contact form", "log"), tuple(curves), (ROUND_OFF,))
     title = (
@@ -246,24 +220,18 @@ ALONG_TIME = {
 
 def along_time(frame: pd.DataFrame, scene: str) -> Figure:
     rows = frame[(frame["scene"] == scene) & (frame["status"] == "ok")]
-    panels = tuple(
-        Panel(
-            title,
-            Axis("t"),
-            Axis(label, "log"),
-            best_of_each(by_method(rows, "t", column), lowest),
-            (ROUND_OFF,),
-        )
-        for column, (title, label) in ALONG_TIME.items()
-        if rows[column].notna().any()
-    )
+    panels = []
+    for column, (title, label) in ALONG_TIME.items():
+        if rows[column].notna().any():
+            curves = best_of_each(by_method(rows, "t", column), lowest)
+            panels.append(Panel(title, Axis("t"), Axis(label, "log"), curves, (ROUND_OFF,)))
     worst = rows.groupby("method")["energy_deviation"].max()
     title = f"{scene}: {worst.idxmin()} stays closest to the true energy, to {decade(worst.min(), math.ceil)}"
     caption = (
         f"Settings: {', '.join(dict.fromkeys(rows['setting']))}. Shaded: round-off. Asterisk: the true motion. In "
         "colour: in each panel, of each family the closest to the true motion."
     )
-    return Figure(f"laws_{scene}", title, panels, caption)
+    return Figure(f"laws_{scene}", title, tuple(panels), caption)
 
 
 TITLE, QUESTION = "Decay laws and drifts", "Which methods keep the laws of the motion?"

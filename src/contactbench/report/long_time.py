@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 from contactbench.measure.statistics import RUNG, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.curves import ROUND_OFF, by_method, decade
@@ -25,16 +25,12 @@ SURE = 2.0
 
 
 def of(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the rows of a quantity that have a number, cheap to dear."""
     rows = frame[(frame["quantity"] == quantity) & (frame["status"] == "ok")]
     return rows.sort_values("evaluations_per_time", kind="stable")
 
 
 def deviations(frame: pd.DataFrame, quantity: str) -> pd.DataFrame:
-    """Return the rows of an average that are not the reference, cheap to dear.
-
-    off, bar : the difference from the reference and its error bar, in parts of what is allowed.
-    """
+    """Return the rows of an average; off, bar : from the reference, and error bar, in parts of what is allowed."""
     part = of(frame, quantity)
     reference, own = part[part["reference"]], part[~part["reference"]]
     if not len(reference):
@@ -71,7 +67,6 @@ def cost_text(cost: pd.Series) -> str:
 
 
 def pairing(frame: pd.DataFrame) -> pd.Series:
-    """Return the largest pairing defect of each method."""
     worst = of(frame, SUM).groupby("method")["pairing_defect"].max()
     return worst.reindex([m for m in dict.fromkeys(frame["method"]) if m in worst.index])
 
@@ -106,10 +101,8 @@ def costs_view(frame: pd.DataFrame) -> View:
         return Cell(cost_text(cost), float(cost["cost"]), mark if cost["first"] else None)
 
     allowed = names([f"{100 * part:g} % ({quantity})" for quantity, part in ALLOWED.items()])
-    true = frame[frame["reference"]]
-    reference = f" ({true['method'].iloc[0]}, {true['setting'].iloc[0]})" if len(true) else ""
     legend = (
-        f"Evaluations per unit of time from which on an average stays within {allowed} of the reference{reference}; "
+        f"Evaluations per unit of time from which on an average stays within {allowed} of the reference; "
         f"{SURE:g} error bars included; ≤: at its cheapest setting. A factor {RUNG:g} is a tie. "
         f"{DASH}: wrong at every setting, or not measured. [How to read it](../docs/reading.md#long-chaotic-runs)."
     )

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 from typing import Any, NamedTuple
 
-PAPER = "#ffffff"
 #: a curve that is not the best of its family
 MUTED = "#c4c8cc"
 
@@ -87,7 +86,6 @@ SPARE = ("p", "8", "s", "D", "^", "v")
 
 
 def look(method: str, family: str = "") -> Look:
-    """Return the look of a method; of one unknown here it follows from its name and the family it declares."""
     known = METHODS.get(method)
     spare = SPARE[hashlib.sha256(method.encode()).digest()[0] % len(SPARE)]
     return known or Look(family if family in FAMILIES else "other", spare)
@@ -98,9 +96,9 @@ BLACK, BLUE, ORANGE = "#000000", "#0077BB", "#CC3311"
 #: what is no method, as matplotlib line properties
 ROLES: dict[str, dict[str, Any]] = {
     "truth": {"color": "#bbbbbb", "linewidth": 4.0},
-    "law": {"color": ORANGE, "linestyle": ":", "linewidth": 1.6},
+    "law": {"color": ORANGE, "linestyle": ":", "linewidth": 1.6, "zorder": 3},
     "guide": {"color": "#999999", "linestyle": ":", "linewidth": 1.0},
-    "criterion": {"color": BLACK, "linestyle": "--", "linewidth": 1.4},
+    "criterion": {"color": BLACK, "linestyle": "--", "linewidth": 1.4, "zorder": 3},
     "conservative": {"color": BLACK, "linewidth": 0.9},
     "dissipative": {"color": BLUE, "linestyle": "--", "linewidth": 1.3},
     "flow": {"color": "#999999", "linewidth": 0.7},

@@ -9,7 +9,7 @@ import pandas as pd
 
 from contactbench.report.chapters import Contents, Part, Section, Text
 from contactbench.report.drawing import Figure
-from contactbench.report.views import Cell, Head, Mark, View
+from contactbench.report.views import Cell, Mark, View
 
 #: how a mark is written
 WRITTEN = {Mark.best: "**{}**", Mark.kept: "**{}**", Mark.tie: "*{}*", Mark.exception: "{} !"}
@@ -23,15 +23,11 @@ def without_html(text: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return inline Markdown that stays in its cell: one line, no column ends in it, no HTML."""
     return " ".join(without_html(text).replace("|", "\\|").split())
 
 
 def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterable[bool]) -> str:
-    """Return a GitHub table; the first column and columns of words left, the others right aligned.
-
-    Columns are padded to line up in the source unless a cell is longer than PADDED.
-    """
+    """Return a GitHub table, its columns padded to line up in the source unless a cell is longer than PADDED."""
     lines = [list(header), *([str(cell) for cell in row] for row in rows)]
     left = [True, *list(words)[1:]]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -46,20 +42,16 @@ def grid(header: Iterable[str], rows: Iterable[Iterable[object]], words: Iterabl
 
 
 def cell(item: Cell) -> str:
-    """Return the text as its mark says: bold what is best or kept, slanted a tie, ! an exception."""
     text = escaped(item.text)
     if item.link:
         text = f"[{text}]({item.link})"
     return WRITTEN[item.mark].format(text) if text and item.mark in WRITTEN else text
 
 
-def label(head: Head) -> str:
-    return escaped(f"{head.group}: {head.label}" if head.group else head.label)
-
-
 def table(item: View) -> str:
     words = [head.words for head in item.columns]
-    return grid(map(label, item.columns), [map(cell, row) for row in item.rows], words)
+    labels = [escaped(f"{head.group}: {head.label}" if head.group else head.label) for head in item.columns]
+    return grid(labels, [map(cell, row) for row in item.rows], words)
 
 
 def view(item: View, depth: int) -> str:

@@ -16,7 +16,6 @@ def scientific(value: float, digits: int = 1) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as a readable time; a dash for nan."""
     if pd.isna(seconds):
         return DASH
     seconds = float(f"{seconds:.3g}")
@@ -34,7 +33,6 @@ def times(ratio: float) -> str:
 
 
 def count(value: float) -> str:
-    """A whole number; from 10 000 on in groups of three digits."""
     if pd.isna(value):
         return DASH
     return f"{value:.0f}" if abs(value) < 1e4 else f"{value:,.0f}".replace(",", "\u202f")
@@ -46,7 +44,6 @@ def power(value: float) -> str:
 
 
 def readable(value: float) -> str:
-    """Whole numbers in full, moderate ones with four digits, the others scientifically."""
     if value == round(value) and abs(value) < 1e6:
         return count(value)
     return f"{value:.4g}" if 1e-2 <= abs(value) < 1e4 else scientific(value)

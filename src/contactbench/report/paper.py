@@ -18,17 +18,14 @@ NEAR_AXIS = (1, 4, 3)
 
 
 def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
-    """Yield the curves of a panel.
-
-    A method has its own look, an ordered set (λ = …) its shades, the others that of their kind.  A method beside the
-    laws of a set ("λ = 0.1, contact-strang") is points on its law.
-    """
+    """Yield the curves of a panel; a method beside laws of a set ("λ = 0.1, contact-strang") is points on its law."""
     part = rows[rows["panel"] == panel].sort_values("point", kind="stable")
     kinds = part.drop_duplicates("curve").set_index("curve")["kind"]
     ordered = [str(name) for name, kind in kinds.items() if kind == "law" and str(name).startswith("λ")]
     alone = set(kinds) == {"method"}  # nothing else for the points to lie on
     for name, points in part.groupby("curve", sort=False):
-        kind, label, method = str(kinds[name]), with_mathtext(str(name)), ""
+        kind, method = str(kinds[name]), ""
+        label = re.sub(r"\bH0\b", "$H_0$", re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", str(name)))
         role, own = kind, label
         if kind == "method":
             own, _, method = label.rpartition(", ")
@@ -51,26 +48,18 @@ def curves(rows: pd.DataFrame, panel: str) -> Iterator[Curve]:
         )
 
 
-def with_mathtext(label: str) -> str:
-    """Return a label with powers and H0 as mathtext."""
-    return re.sub(r"\bH0\b", "$H_0$", re.sub(r"(\w+\^\{[^}]*\})", r"$\1$", label))
-
-
 def flat(rows: pd.DataFrame, panel: str, title: str, x: Axis, y: Axis, **more: Any) -> Panel:
-    """Return a panel of the table as it is."""
     return Panel(title, x, y, tuple(curves(rows, panel)), **more)
 
 
 # -- panels of single figures ----------------------------------------------------------------------
 def orders(rows: pd.DataFrame) -> Panel:
-    """Return the convergence of figure 7, its fitted orders (the third coordinate) in the title."""
     x, y = Axis("step size h", "log"), Axis(r"max $|H_0 - H_0^\ast|$ over [0, T]", "log")
     fitted = sorted({f"{order:.2f}" for order in rows[rows["panel"] == "convergence"]["z"]})
     return flat(rows, "convergence", f"orders {', '.join(fitted)}", x, y)
 
 
 def by_axis(panel: Panel) -> Panel:
-    """Return the motions of figure 4 in the shades of their first axes."""
     shaded = (
         replace(curve, label=f"near axis {n + 1}", role=f"shade {NEAR_AXIS[n]}", markers=False)
         for n, curve in enumerate(panel.curves)
@@ -79,31 +68,34 @@ def by_axis(panel: Panel) -> Panel:
 
 
 def angles(rows: pd.DataFrame) -> Panel:
-    """Return the angle of M with the axis it started near, against ‖M‖, which falls as exp(−γt)."""
     found = []
     for name, points in rows[rows["panel"] == "momentum"].groupby("curve", sort=False):
         M = points.sort_values("point")[["x", "y", "z"]].to_numpy(dtype=float)
         size = np.linalg.norm(M, axis=1)
         cosine = np.clip(M[:, int(str(name)[-1]) - 1] / size, -1, 1)
         found.append(Curve(floats(size / size[0]), floats(np.degrees(np.arccos(cosine))), str(name)))
-    x = Axis("‖M‖ / ‖M(0)‖ = exp(−γt)", inverted=True, limits=(0.0, 1.0))
-    y = Axis("angle of M with its first axis, degrees", limits=(0.0, 185.0))
+    x = Axis("‖M‖ / ‖M(0)‖ = exp(−γt)", inverted=True)
+    y = Axis("angle of M with its first axis, degrees")
     return Panel("", x, y, tuple(found))
 
 
 def oblique(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return points of space as seen from between axes 1 and 2, a little from above."""
+    """Return the front of the sphere as seen from between axes 1 and 2, a little from above."""
     around, up = np.radians((52, 22))
     towards = rows["x"] * np.cos(around) + rows["y"] * np.sin(around)
     right = rows["y"] * np.cos(around) - rows["x"] * np.sin(around)
-    return rows.assign(x=right, y=rows["z"] * np.cos(up) - towards * np.sin(up))
+    front = towards * np.cos(up) + rows["z"] * np.sin(up) > 0
+    return rows.assign(x=right.where(front), y=rows["z"] * np.cos(up) - towards * np.sin(up))
+
+
+def sphere(rows: pd.DataFrame) -> Panel:
+    panel = flat(oblique(rows), "sphere", "", Axis(""), Axis("axis 3, upwards"), equal=True)
+    around = np.linspace(0, 2 * np.pi, 181)
+    outline = Curve(floats(np.cos(around)), floats(np.sin(around)), role="guide", markers=False)
+    return replace(panel, curves=(outline, *panel.curves))
 
 
 def growth(rows: pd.DataFrame) -> Iterator[Panel]:
-    """Yield where rotations are stable over two entries of D, with the criterion where the table has one.
-
-    Panels are called "axis i, diagonal" and "axis i, full" for the two slices of D.
-    """
     by_kind = rows.assign(curve=rows["kind"])
     for panel in rows["panel"].unique():
         axis, _, cut = panel.partition(", ")
@@ -119,10 +111,8 @@ def growth(rows: pd.DataFrame) -> Iterator[Panel]:
 
 
 # -- the figures -----------------------------------------------------------------------------------
-#: a figure: its title, how its panels are made from its rows, and its caption
-type Plan = tuple[str, Callable[[pd.DataFrame], Iterable[Panel]], str]
-
-PLANS: dict[str, Plan] = {
+#: of each figure: its title, how its panels are made from its rows, and its caption
+PLANS: dict[str, tuple[str, Callable[[pd.DataFrame], Iterable[Panel]], str]] = {
     "paper_2": (
         "Oscillator: closed orbits without damping, spirals with it (figure 2)",
         lambda rows: [flat(rows, "phase", "", Axis("q"), Axis("p"), equal=True)],
@@ -143,8 +133,8 @@ PLANS: dict[str, Plan] = {
     ),
     "paper_5": (
         "Directions u = M/‖M‖: relative equilibria, axis 2 unstable (figure 5, corrected)",
-        lambda rows: [flat(oblique(rows), "sphere", "", Axis(""), Axis("axis 3, upwards"), equal=True)],
-        "The sphere seen from between axes 1 and 2. Relative equilibria, no equilibria: on every axis ‖M'‖ = γ‖M‖.",
+        lambda rows: [sphere(rows)],
+        "The front of the sphere, seen from between axes 1 and 2. Relative, no equilibria: on every axis ‖M'‖ = γ‖M‖.",
     ),
     "paper_7": (
         "2-DOF particle, γ = 0.1: H₀ does not decay exponentially (figure 7, corrected)",

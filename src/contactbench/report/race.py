@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from base64 import b64encode
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import OF_THE_STATE
+from contactbench.measure.law import OF_THE_STATE
 from contactbench.measure.statistics import PROCESSES, WIDEST
-from contactbench.report.chapters import Chapter, Contents, Text, summary
+from contactbench.report.chapters import Chapter, Contents, Part, Text, summary
 from contactbench.report.curves import best_of_each, by_method, cheapest, contest_end
-from contactbench.report.draw import svg
-from contactbench.report.drawing import Axis, Figure, Panel
+from contactbench.report.drawing import Axis, Figure, Live, Panel
 from contactbench.report.laws import law_label
 from contactbench.report.numbers import DASH, count, duration, names, scientific, times
 from contactbench.report.page import page
-from contactbench.report.views import Cell, Mark, View, frame_of
+from contactbench.report.views import Cell, Mark, Show, View, frame_of, pick
 from contactbench.results.judgement import structural_laws
 from contactbench.results.tables import LAWS_TABLE
 
@@ -27,9 +25,17 @@ TITLES = {"compiled": "Compiled", "callbacks": "Calling back into Python"}
 ALIKE = ("tie", "undecided")
 
 
-# -- notes -----------------------------------------------------------------------------------------
+# -- answers and notes -----------------------------------------------------------------------------------------
+def answers(frame: pd.DataFrame) -> pd.DataFrame:
+    first, lines = frame[frame["verdict"].isin(["win", *ALIKE])], []
+    for (kind, error), rows in first.groupby(["kind", "error_asked"], sort=False):
+        ranked = rows.sort_values("time_s", kind="stable")
+        question = f"{TITLES[str(kind)]}, error {error:g}: who is cheapest?"
+        lines.append((question, names(list(ranked["method"]), 4), duration(ranked["time_s"].min())))
+    return summary(*lines)
+
+
 def notes(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield how the reference is known, how ties are told, and what was not compared, and why."""
     reference = frame.attrs["reference"]
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
@@ -54,7 +60,6 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def cuts(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield which methods have no time at which errors, and why; those with one and the same reason together."""
     found: dict[tuple[str, str, str], list[str]] = {}
     missing = frame[frame["reason"] != ""]
     for (method, status, reason), rows in missing.groupby(["method", "status", "reason"], sort=False):
@@ -112,9 +117,7 @@ def times_view(frame: pd.DataFrame, kind: str) -> View:
     errors = [f"{error:g}" for error in dict.fromkeys(frame["error_asked"])]
     labels = [("", "method"), *((f"{what} at error", e) for what in ("time", "evaluations") for e in errors)]
     table = frame_of(rows, [*labels, ("", "at round-off")])
-    legend = (
-        "Least time of a bare call at the coarsest setting found to reach the error; ×: over the cheapest."
-    )
+    legend = "Least time of a bare call at the coarsest setting that reaches the error; ×: over the cheapest."
     return View(f"race_{kind}", TITLES[kind], table, legend, show={"": count})
 
 
@@ -126,6 +129,13 @@ def settings_view(frame: pd.DataFrame) -> View:
         rows.append((str(method), *(reached.get(error, DASH) for error in errors)))
     table = frame_of(rows, ["method", *(f"{error:g}" for error in errors)])
     return View("race_settings", "Setting, and error reached", table, "Of each time above.")
+
+
+def laws_view(frame: pd.DataFrame) -> View:
+    laws = {law: law_label(law) for law in laws_of(frame)}
+    table = pick(frame[frame["status"] == "ok"], "method", "setting", error_asked="error", **laws)
+    show: dict[str, Show] = {"error": "{:g}".format, "": scientific}
+    return View("race_laws", "Laws", table, "Deviations over the run, at five times.", show=show)
 
 
 def views(frame: pd.DataFrame) -> list[View]:
@@ -156,10 +166,7 @@ def panel(title: str, rows: pd.DataFrame, name: str) -> Panel:
 
 
 def front(tried: pd.DataFrame) -> pd.DataFrame:
-    """Return of each method the runs that no cheaper one is as accurate as, from coarse to fine.
-
-    Settings too coarse for the order to show are accurate by chance, or not; joined by lines they tell nothing.
-    """
+    """Return of each method the runs that no cheaper one is as accurate as: too coarse ones are accurate by chance."""
     ordered = tried.sort_values(["cost", "error"], kind="stable")
     least = ordered.groupby("method")["error"].transform(
         lambda errors: errors.cummin().shift(fill_value=np.inf)
@@ -171,21 +178,18 @@ def front(tried: pd.DataFrame) -> pd.DataFrame:
 def html(frame: pd.DataFrame) -> str:
     scene, drawn = str(frame["scene"].iloc[0]), figure(frame)
     chapter = Chapter("compare", f"Comparison on {scene}", "", 0, (), lambda frames: ())
-    parts = (drawn, *views(frame), Text(items=tuple(notes(frame))))
-    return page([Contents(chapter, summary(), tuple(filter(None, parts)))], picture=embed)
-
-
-def embed(figure: Figure) -> str:
-    return f"data:image/svg+xml;base64,{b64encode(svg(figure).encode()).decode()}"
+    parts: tuple[Part, ...] = (*views(frame), laws_view(frame), Text(items=tuple(notes(frame))))
+    panels = {(scene, panel.title): panel for panel in drawn.panels} if drawn else {}
+    live = Live(drawn.title, panels, drawn.caption) if drawn else None
+    return page([Contents(chapter, answers(frame), parts)], live=live)
 
 
 def text(frame: pd.DataFrame) -> str:
-    """Return the tables and the notes for a terminal."""
     legends = {f"race_{kind}": "time at each error, then evaluations" for kind in TITLES}
     legends["race_settings"] = "for each time above"
     blocks = []
     for each in views(frame):
-        lines = [[*(head.label for head in each.columns)], *([c.text for c in row] for row in each.rows)]
+        lines = [[head.label for head in each.columns], *([cell.text for cell in row] for row in each.rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         rows = ("  ".join(t.ljust(w) for t, w in zip(line, widths, strict=True)).rstrip() for line in lines)
         blocks.append("\n".join([f"{each.title}: {legends[each.name]}", *rows]))

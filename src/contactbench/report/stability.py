@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
-from contactbench.report.curves import best_of_each, by_method, family_and_order, highest
+from contactbench.report.curves import best_of_each, by_method, highest
 from contactbench.report.drawing import Axis, Figure, Panel
 from contactbench.report.laws import LEGEND, drift_cell, law_label, with_bounds
 from contactbench.report.numbers import DASH, count, how_often, names, scientific
-from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix, pick
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
 from contactbench.report.work_precision import Contest, contest, losses_view, tally, winners_view
 from contactbench.results.contest import EVALUATIONS
 from contactbench.results.judgement import laws_in
@@ -32,10 +32,7 @@ def hard_contest(frames: Frames) -> Contest:
 
 
 def started_runs(hard: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs that were started: supported, and no looser tolerance had spent the budget.
-
-    right : it ends as the true motion does: in time, or where that reaches infinity by diverging.
-    """
+    """Return the runs that were started; right : it ends as the true motion does, in time or by diverging."""
     skipped = (hard["status"] == "budget") & hard["end_time"].isna()
     rows = hard[(hard["status"] != "unsupported") & ~skipped]
     wanted = rows["blow_up_time"].isna().map({True: "ok", False: "diverged"})
@@ -54,7 +51,6 @@ def answers(frames: Frames) -> pd.DataFrame:
 
 # -- views -----------------------------------------------------------------------------------------
 def rungs(rows: pd.DataFrame) -> list[str]:
-    """Return the settings of a scene's ladder, coarse to fine."""
     heads = []
     for _, part in rows.groupby(rows.groupby(["method", "engine"]).cumcount()):
         steps, rtol = part[part["control"] == "step"], part[part["control"] == "rtol"]["value"].max()
@@ -118,44 +114,34 @@ CHAPTERS.add(Chapter("stability", TITLE, QUESTION, 50, ("stability",), parts, an
 
 # -- the chapter of limits ---------------------------------------------------------------------------
 def limit_cell(rows: pd.DataFrame) -> Cell:
-    """Return one limit with theory in parentheses, marked where larger steps are stable again."""
     row = rows.iloc[0]
     cell, theory = (as_cell(row[name], "{:.4g}".format) for name in ("limit", "theory"))
     text = cell.text if theory.value is None else f"{cell.text} ({theory.text})"
     return replace(cell, text=text, mark=Mark.exception if row["windows"] else None)
 
 
-def limit_views(frame: pd.DataFrame) -> list[View]:
-    """Return the limits at ω = 1, methods × damping, and the intervals of unstable steps below larger stable ones."""
+def limit_view(frame: pd.DataFrame) -> View:
     one = frame[(frame["omega"] == 1.0) & frame["limit"].notna()].sort_values("gamma", kind="stable")
     table = matrix(one, "method", "gamma", limit_cell, "γ = {:g}".format)
     legend = (
-        "Largest stable step of q'' + γq' + q = 0. In parentheses: theory. Marked: larger steps are stable again, see "
-        "the windows. Columns `limit_kernel` and `limit_saved`: processed methods saved at the end only, at every step."
+        "Largest stable step of q'' + γq' + q = 0. In parentheses: theory. Marked: larger steps are stable again "
+        "(column `windows`). Columns `limit_kernel` and `limit_saved`: processed methods saved at the end only, at "
+        "every step."
     )
-    rows = frame[(frame["omega"] == 1.0) & (frame["windows"] != "")]
-    windows = pick(rows, "method", gamma="γ", limit="first loss of stability", windows="unstable steps")
-    short = (
-        "ω = 1. Intervals of stable steps no longer than 1 % of the step at which they begin are left out."
-    )
-    return [
-        View("limit", "First loss of stability", table, legend, LIMITS),
-        View("windows", "Windows of instability", windows, short, LIMITS),
-    ]
+    return View("limit", "First loss of stability", table, legend, LIMITS)
 
 
 def stability_map(frame: pd.DataFrame) -> Figure:
     rows = frame[frame["gamma"] > 0].assign(ratio=lambda f: f["gamma"] / f["omega"])
     rows = rows.sort_values("ratio", kind="stable").drop_duplicates(["method", "ratio"])
     rows = rows.assign(scaled=rows["per_evaluation"] * rows["omega"])
-    curves = best_of_each(by_method(rows, "ratio", "scaled"), highest, family_and_order)
+    curves = best_of_each(by_method(rows, "ratio", "scaled"), highest, by_order=True)
     last = rows[rows["ratio"] == rows["ratio"].max()].set_index("method")["scaled"]
     title = "First loss of stability"
     if len(finite := last[np.isfinite(last)]):
-        free = ", ".join(last.index[np.isinf(last)])
         title = (
             f"At γ = {rows['ratio'].max():g} ω {finite.idxmax()} is stable to {finite.max():.3g}/ω an evaluation, the "
-            f"median method to {last.median():.2g}/ω" + (f"; {free} at any step" if free else "")
+            f"median method to {last.median():.2g}/ω"
         )
     panel = Panel("", Axis("γ/ω", "log"), Axis("ω × first unstable step / evaluations", "log"), curves)
     caption = (
@@ -166,7 +152,7 @@ def stability_map(frame: pd.DataFrame) -> Figure:
 
 
 def limit_parts(frames: Frames) -> list[Part]:
-    return [*limit_views(frames["stability_limits"]), stability_map(frames["stability_limits"])]
+    return [limit_view(frames["stability_limits"]), stability_map(frames["stability_limits"])]
 
 
 TITLE, QUESTION = "Stability limits", "Up to which step does a bounded motion stay bounded?"

@@ -23,8 +23,6 @@ type Show = Callable[[float], str]
 
 
 class Mark(StrEnum):
-    """What a cell is to be seen as; a renderer gives each its look."""
-
     best = "best"  #: the best of its column or row, alone
     tie = "tie"  #: no worse than the best by more than the noise
     kept = "kept"  #: a law kept to round-off
@@ -53,8 +51,6 @@ class Cell:
 
 @dataclass(frozen=True)
 class Head:
-    """A column: its label, whether it holds words (left aligned), its group."""
-
     label: str
     words: bool = False
     group: str = ""
@@ -81,7 +77,6 @@ class View:
 
     @cached_property
     def rows(self) -> tuple[tuple[Cell, ...], ...]:
-        """The entries as cells."""
         shows = [self.show.get(label, self.show.get("", readable)) for _, label in self.labels]
         return tuple(
             tuple(as_cell(value, show) for value, show in zip(row, shows, strict=True))
@@ -90,7 +85,6 @@ class View:
 
     @cached_property
     def columns(self) -> tuple[Head, ...]:
-        """The heads; a column without a number holds words."""
         columns = list(zip(*self.rows, strict=True)) or [()] * len(self.labels)
         words = (all(cell.value is None for cell in column) for column in columns)
         return tuple(
@@ -120,12 +114,10 @@ def as_cell(value: object, show: Show = readable, mark: Mark | None = None) -> C
 def frame_of(
     rows: Iterable[Sequence[object]], labels: Sequence[str] | Sequence[tuple[str, str]]
 ) -> pd.DataFrame:
-    """Return rows of entries as a frame that keeps them as they are."""
     return pd.DataFrame(list(rows), columns=pd.Index(labels, tupleize_cols=False), dtype=object)
 
 
 def pick(frame: pd.DataFrame, *same: str, **others: str) -> pd.DataFrame:
-    """Return columns of a frame under their own names, then others under labels: COLUMN=LABEL."""
     return frame[[*same, *others]].rename(columns=others)
 
 
@@ -136,7 +128,6 @@ def matrix(
     cell: Callable[[pd.DataFrame], object],
     label: Callable[[Any], str] = str,
 ) -> pd.DataFrame:
-    """Return a line for each value of one column with an entry for each value of another; a dash without rows."""
     parts = dict(list(frame.groupby([row, column], sort=False)))
     names, values = (list(dict.fromkeys(frame[key])) for key in (row, column))
     lines = [(n, *(cell(parts[n, v]) if (n, v) in parts else DASH for v in values)) for n in names]

@@ -13,7 +13,7 @@ import pandas as pd
 
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, summary
 from contactbench.report.curves import TARGETS, best_of_each, by_method, cheapest, contest_end
-from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.drawing import Axis, Curve, Figure, Live, Panel
 from contactbench.report.numbers import DASH, count, duration, how_often, power, times
 from contactbench.report.views import Cell, Mark, View, matrix
 from contactbench.results import contest as judge
@@ -36,8 +36,6 @@ MARKS = {"win": Mark.best, CONTACT: Mark.best, "tie": Mark.tie, "undecided": Mar
 
 @dataclass(frozen=True)
 class Contest:
-    """All costs of one kind, with their standings and the contests between contact methods and others."""
-
     kind: Kind
     standings: pd.DataFrame
     contests: pd.DataFrame
@@ -54,7 +52,6 @@ def all_contests(frames: Frames) -> dict[str, Contest]:
 
 
 def tally(won: pd.DataFrame) -> tuple[str, str]:
-    """Return how often a contact method wins, and the counts: wins, ties, and who wins the rest."""
     judged = won[won["winner"] != ""]
     counted = judged["winner"].value_counts()
     others = judged[judged["winner"] == OTHER]["other"].value_counts()
@@ -76,14 +73,12 @@ def error_label(error: float) -> str:
 
 
 def cost_text(row: Any, show: Callable[[float], str]) -> str:
-    """Return a cost of `standings`; its reason where the error is not reached."""
     if math.isnan(row.cost):
         return row.reason or DASH
     return f"{'≤ ' if row.bound else ''}{show(row.cost)}{' °' if row.fixed > 0.5 else ''}"
 
 
 def cost_cell(rows: pd.DataFrame, show: Callable[[float], str] = duration) -> Cell:
-    """Return the cost of one method, with its mark."""
     row = next(rows.itertuples())
     return Cell(cost_text(row, show), None if math.isnan(row.cost) else row.cost, MARKS.get(row.verdict))
 
@@ -109,10 +104,6 @@ def winners_view(own: Contest, name: str, source: str = SOURCE) -> View:
 
 
 def losses_view(won: Mapping[str, pd.DataFrame], name: str, source: str = SOURCE) -> View:
-    """Return at how many errors of each scene another method wins, by kind of cost, and by how much at most.
-
-    won : the contests by title of their kind.
-    """
 
     def cell(own: pd.DataFrame) -> Cell:
         lost, judged = own[own["winner"] == OTHER], own[own["winner"] != ""]
@@ -159,15 +150,16 @@ def parts(frames: Frames) -> list[Part]:
 #: beyond an error of two there is nothing left of the motion, below round-off nothing is known
 ERROR = Axis("error of the solution (more accurate to the right)", "log", inverted=True, within=(1e-16, 2.0))
 #: the axis of each cost, and its scale
-AXES = {EVALUATIONS: ("evaluations", 1.0), COMPILED: ("time of a solve, ms", 1e3)}
+AXES = {
+    "rhs_equivalents": ("evaluations", 1.0),
+    "time_min_s": ("time of a solve, ms", 1e3),
+    "marginal_s": ("time per unit of simulated time, ms", 1e3),
+}
+IN_COLOUR = "Cheaper below. In colour: the cheapest of each family at most errors; thin and grey: the others."
 
 
-def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
-    """Return error on x, cost on y; the axis of cost ends where the contest ends.
-
-    named : methods to be in colour, whatever others of their families cost.
-    """
-    label, size = AXES[kind]
+def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str] = ()) -> Panel:
+    label, size = AXES[kind.cost]
     curves = by_method(rows, "solution_error", kind.cost, size)
 
     def score(curve: Curve, own: Sequence[Curve]) -> float:
@@ -177,7 +169,6 @@ def panel(rows: pd.DataFrame, kind: Kind, named: Sequence[str]) -> Panel:
 
 
 def compared(work: pd.DataFrame, scene: str, kind: Kind) -> pd.DataFrame:
-    """Return the rows of a scene that compete in a kind of cost, each method on its fastest engine."""
     rows = contestants(work)
     rows = rows[(rows["scene"] == scene) & (rows["status"] == "ok")]
     rows = rows[kind.compares(rows) & rows[kind.cost].notna()]
@@ -190,16 +181,11 @@ def figure(work: pd.DataFrame, scene: str) -> Figure | None:
     title, named = message(work, scene)
     found = {kind: compared(work, scene, kind) for kind in (COMPILED, EVALUATIONS)}
     panels = tuple(panel(rows, kind, named) for kind, rows in found.items() if len(rows))
-    caption = (
-        "Cheaper below. In colour: the method of each family that is cheapest at most errors; thin and grey: the "
-        "others. Costs beyond 30 times the least of the contest are outside the panels."
-    )
+    caption = f"{IN_COLOUR} Costs beyond 30 times the least of the contest are outside the panels."
     return Figure(f"work_precision_{scene}", title, panels, caption) if panels else None
 
 
 def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
-    """Return the title and the methods it names: the best contact method beside the best other, compiled, at the
-    middle of the errors that both reach."""
     rows = contestants(work)
     table = judge.contests(judge.costs(rows[rows["scene"] == scene], COMPILED))
     table = table[np.isfinite(table["ratio"].astype(float)) & (table["ratio"] > 0)]
@@ -212,6 +198,19 @@ def message(work: pd.DataFrame, scene: str) -> tuple[str, list[str]]:
     if row["winner"] == OTHER:
         both, ratio = both[::-1], 1 / ratio
     return f"{scene}: {both[0]} needs {1 / ratio:.0%} of the time of {both[1]} {at}", both
+
+
+def live(frames: Frames) -> Live | None:
+    compared_in = {"work_precision": KINDS, "stability": (EVALUATIONS,)}
+    panels = {
+        (str(scene), kind.title): panel(rows, kind)
+        for table, kinds in compared_in.items()
+        for scene in dict.fromkeys(frames[table]["scene"])
+        for kind in kinds
+        if len(rows := compared(frames[table], scene, kind))
+    }
+    caption = f"{IN_COLOUR} Click a family to hide it; of one or two families every method is in colour."
+    return Live("Cost against error", panels, caption) if panels else None
 
 
 TITLE, QUESTION = "Cost at equal error", "What does an error cost?"

@@ -6,20 +6,25 @@ Nothing is solved here.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from contactbench.errors import BadInput
-from contactbench.report import draw, headline, markdown, page
-from contactbench.report.chapters import Frames, Tables, chapters, every
+from contactbench.measure.ladder import stepping
+from contactbench.report import draw, headline, markdown, page, work_precision
+from contactbench.report.chapters import Frames, Part, Section, Tables, chapters, every
 from contactbench.report.drawing import Figure
-from contactbench.report.glossary import Registries, glossary
+from contactbench.report.views import View, frame_of
 from contactbench.results.provenance import runs
 from contactbench.results.schema import TABLES
 from contactbench.results.store import read, replacing
 
+#: the caller hands over the registries: the report itself knows no solvers
+Registries = Mapping[str, Mapping[str, Any]]
 README_PART = ("<!-- computed from results/: begin -->\n", "<!-- computed from results/: end -->")
 #: points by which what is drawn may be elsewhere
 APART = 0.02
@@ -28,14 +33,12 @@ NUMBER = re.compile(r"(?<![\w#.])[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def tables(results: Path) -> Tables:
-    """Return every table of a folder; those without a file have no rows."""
     return Tables({name: read(table, results) for name, table in TABLES.items()})
 
 
 def documents(
     results: Path, registries: Registries, readme: Path | None
 ) -> tuple[dict[Path, str], list[Figure]]:
-    """Return the text of every file that the tables of a folder give, and the figures among them."""
     frames, recorded = tables(results), runs(results)
     found = [chapter.fill(frames) for chapter in chapters(frames)]
     if found and found[0].chapter.name == headline.NAME:
@@ -44,25 +47,19 @@ def documents(
     words = glossary(registries)
     texts = {one.chapter.file: markdown.document(one) for one in found}
     texts["glossary.md"] = f"# Glossary\n\n{markdown.parts(words)}\n"
-    texts["report.html"] = page.page(found, recorded, words, page.LINKS)
+    texts["report.html"] = page.page(found, recorded, words, page.LINKS, work_precision.live(frames))
     texts |= {f"figures/{figure.name}.svg": draw.svg(figure) for figure in drawn}
     paths = {results / name: text for name, text in texts.items()}
     return paths | ({readme: with_answers(readme, frames)} if readme else {}), drawn
 
 
-def parts_beside(readme: Path) -> tuple[str, str]:
-    """Return a README's text before its computed part and after it.  Raises `BadInput` without its marks."""
+def with_answers(readme: Path, frames: Frames) -> str:
     text = readme.read_text(encoding="utf-8")
     begin, end = README_PART
     if text.count(begin) != 1 or text.count(end) != 1:
         raise BadInput(f"{readme}: needs the lines {begin.strip()!r} and {end!r}, once each")
-    return text.partition(begin)[0], text.partition(end)[2]
-
-
-def with_answers(readme: Path, frames: Frames) -> str:
-    """Return a README's text with its computed part as the tables have it."""
-    (before, after), (begin, end) = parts_beside(readme), README_PART
-    return f"{before}{begin}\n{markdown.answers(headline.answers(frames))}\n\n{end}{after}"
+    answers = markdown.answers(headline.answers(frames))
+    return f"{text.partition(begin)[0]}{begin}\n{answers}\n\n{end}{text.partition(end)[2]}"
 
 
 def report(
@@ -84,9 +81,30 @@ def report(
     return [*texts, *(draw.save_png(figure, results / "figures") for figure in drawn if png)]
 
 
+# -- the glossary: what the registries say of methods, scenes and columns ----------------------------
+def glossary(registries: Registries) -> tuple[Part, ...]:
+    methods = [
+        (name, m.family, str(m.order or "variable"), stepping(m), ", ".join(m.engines), m.about)
+        for name, m in registries["methods"].items()
+    ]
+    labels = ["method", "family", "order", "steps", "engines", "what it is"]
+    scenes = [(name, scene.about) for name, scene in registries["scenes"].items()]
+    return (
+        View("methods", "Methods", frame_of(methods, labels)),
+        View("scenes", "Scenes", frame_of(scenes, ["name", "what it is"])),
+        Section("Columns", tuple(columns_view(name) for name in TABLES)),
+    )
+
+
+def columns_view(name: str) -> View:
+    table = TABLES[name]
+    rows = [(f"`{label}`", column.type, column.meaning) for label, column in table.columns.items()]
+    about = f"{table.about[:1].upper()}{table.about[1:]}."
+    return View(f"columns_{name}", f"{name}.csv", frame_of(rows, ["column", "type", "meaning"]), about)
+
+
 # -- do the committed documents and figures say what the committed tables say? -----------------------
 def differing(results: Path, readme: Path | None, registries: Registries) -> list[str]:
-    """Return one line for each document, figure or README that is not what the tables of the folder give."""
     wanted, _ = documents(results, registries, readme)
     lines = []
     for path, text in wanted.items():
@@ -107,10 +125,7 @@ def same(one: str, other: str, drawn: bool) -> bool:
 
 
 def split(drawing: str) -> tuple[list[str], list[float]]:
-    """Return what a drawing has but numbers, and the numbers.
-
-    Paths that are defined once and used again have names by content; here they have numbers in order.
-    """
+    # paths that are defined once and used again have names by content; here they have numbers in order
     names: dict[str, str] = {}
     text = NAME.sub(lambda name: names.setdefault(name[0], f"name {len(names)}"), drawing)
     return NUMBER.split(text), [float(number) for number in NUMBER.findall(text)]

@@ -68,7 +68,6 @@ class Cells:
             json.dump(entry, file, default=np.generic.item)
 
     def rows(self, cell: Cell) -> Rows | None:
-        """Return the rows of a cell that is done, None of another one."""
         for name in (f"{_digest(*cell)}-{self.run}{NEW}", f"{_digest(*cell)}{DONE}"):
             path = self.folder / name
             if path.exists() and path.stat().st_mtime >= self._begun() and (entry := _read(path)):
@@ -83,7 +82,6 @@ class Cells:
         self.merge()
 
     def begin_anew(self) -> None:
-        """Take no cell for done, whatever an earlier run of this selection has finished."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self.mark.touch()
 
@@ -119,7 +117,6 @@ class Cells:
                     entry.path.unlink()
 
     def _whole(self, expected: set[Cell], entries: Iterable[Entry]) -> dict[str, list[dict[str, Any]]]:
-        """Return the rows of tables whose experiments are all done, by table; every table is made by one file."""
         done = self.done() if expected else {}
         done |= {e.cell: e.rows for e in entries if e.cell and e.path.parent == self.folder}
         unfinished = {file for file, name in expected if (file, name) not in done}

@@ -33,8 +33,6 @@ LIMIT = "limit"
 #: the winner of a contest that no contact method wins
 OTHER = "other"
 CALLBACKS = ("python", "c+python")
-#: engines at extended precision, never timed
-UNTIMED = ("mpmath",)
 #: statuses of runs that our own limits ended: a finer setting might be more accurate
 CUT = ("budget", "timeout")
 #: one integrator of two makers: where engines do not matter one contestant
@@ -64,7 +62,7 @@ class Kind:
     resolved: bool = False
 
     def compares(self, rows: pd.DataFrame) -> pd.Series:
-        called_back, chosen = rows["engine"].isin(CALLBACKS), ~rows["engine"].isin(UNTIMED)
+        called_back, chosen = rows["engine"].isin(CALLBACKS), rows["engine"] != "mpmath"
         if self.engines != "any":
             chosen &= called_back if self.engines == "callbacks" else ~called_back
         if self.resolved:
@@ -144,6 +142,8 @@ def costs(
     spreads = {str(engine): kind.process_spread(part, engine) for engine in part["engine"].unique()}
     if not kind.timed:
         part = part.assign(method=part["method"].replace(SAME_INTEGRATOR))
+        said = part.groupby(list(keys))[kind.cost].transform("count")  # by some solvers never
+        part = part[said > 0]
     found: list[dict[str, Any]] = []
     for key, own in part.groupby(list(keys), sort=False):
         engines = [one for _, one in own.groupby("engine", sort=False)] if kind.timed else [own]
@@ -162,7 +162,6 @@ def _preference(row: dict[str, Any]) -> tuple[bool, float]:
 def _costs_on(
     rows: pd.DataFrame, kind: Kind, targets: Sequence[float], processes: float
 ) -> Iterator[dict[str, Any]]:
-    """Yield what `costs` says of each error, interpolated log–log between the settings of one method on one engine."""
     reason, rows = cut_off(rows), rows[rows["status"] == "ok"]
     errors, spent = (_floats(rows[name]) for name in ("solution_error", kind.cost))
     front = envelope(errors, spent)
@@ -187,16 +186,11 @@ def _costs_on(
 
 
 def cut_off(rows: pd.DataFrame) -> str:
-    """Return the status of a finer setting that our own limit ended, or "": no finer one would be more accurate.
-
-    rows : of one method on one scene.
-    """
-    runs = list(zip(rows["value"], rows["status"], rows["solution_error"].astype(float), strict=True))
-    best = min(
-        ((error, value) for value, status, error in runs if status == "ok"), default=(math.inf, math.inf)
-    )
-    ended = [(value, status) for value, status, _ in runs if status in CUT and value < best[1]]
-    return str(max(ended)[1]) if ended else ""
+    """Return the status of a finer setting that our own limit ended, or "": no finer one would be more accurate."""
+    done = rows[rows["status"] == "ok"].sort_values(["solution_error", "value"])
+    best = done["value"].iloc[0] if len(done) else math.inf
+    ended = rows[rows["status"].isin(CUT) & (rows["value"] < best)].sort_values(["value", "status"])
+    return str(ended["status"].iloc[-1]) if len(ended) else ""
 
 
 def _floats(column: pd.Series) -> list[float]:
@@ -204,7 +198,6 @@ def _floats(column: pd.Series) -> list[float]:
 
 
 def pair_margin(one: Any, other: Any) -> float:
-    """Return the ratio up to which two costs cannot be told apart; each has `halves` and `processes`."""
     return margin((one.halves, other.halves), max(one.processes, other.processes))
 
 
@@ -255,16 +248,11 @@ def contests(costs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _contest(ours: Any, theirs: Any) -> dict[str, Any]:
-    """Return the columns of `contests` for the best of either, None where nobody reaches the error."""
-    row = {
-        "contact": ours.method if ours else "",
-        "contact_cost": ours.cost if ours else math.nan,
-        "other": theirs.method if theirs else "",
-        "other_cost": theirs.cost if theirs else math.nan,
-    }
+    row = {"contact": ours.method, "contact_cost": ours.cost} if ours else {"contact": ""}
+    row |= {"other": theirs.method, "other_cost": theirs.cost} if theirs else {"other": ""}
     if ours is None or theirs is None:
         alone = (CONTACT, math.inf) if ours else (OTHER, 0.0) if theirs else ("", math.nan)
-        return row | {"ratio": alone[1], "margin": math.nan, "winner": alone[0]}
+        return row | {"ratio": alone[1], "winner": alone[0]}
     most = pair_margin(ours, theirs)
     found = verdict(ours.cost / theirs.cost, most)
     winner = {Verdict.win: CONTACT, Verdict.loss: OTHER}.get(found, str(found))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.round_off import JUDGEMENT, OF_THE_STATE, UNSURE, structural_bound
+from contactbench.measure.law import JUDGEMENT, OF_THE_STATE, UNSURE, structural_bound
 from contactbench.results.contest import LIMIT
 from contactbench.results.schema import Column, Rule, Table, numbers
 from contactbench.results.tables import DECAY_LAWS, LAWS_TABLE
@@ -24,7 +24,6 @@ COLUMNS += ("value", "uncertainty", "clamped", "frozen", "unsure", "bound", *FLA
 
 
 def laws_in(table: Table, view: str = "laws") -> dict[str, Column]:
-    """Return the laws that a table shows in a view, with their columns."""
     return {name: column for name, column in table.columns.items() if view in column.shown}
 
 
@@ -35,7 +34,6 @@ def structural_laws() -> dict[str, Column]:
 
 
 def laws_at_equal_cost() -> list[str]:
-    """Return the laws of the table at equal cost, in its order."""
     own = [n for n in DECAY_LAWS.columns if n in laws_in(LAWS_TABLE) and not n.endswith(FROZEN)]
     return [n for n in own if n != "solution_error"]
 
@@ -72,7 +70,6 @@ def law_rows(frames: Mapping[str, pd.DataFrame], law: str) -> pd.DataFrame:
 
 
 def _judged(rows: pd.DataFrame, law: str) -> pd.DataFrame:
-    """Return the rows of one table with the columns of `law_rows`."""
     value, uncertainty = numbers(rows, law), numbers(rows, f"{law}_uncertainty", 0.0)
     rows = rows.assign(
         value=value,

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from contactbench.errors import BadInput, Registry
-from contactbench.measure.round_off import STRUCTURE
+from contactbench.measure.law import STRUCTURE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 PROFILES = ("smoke", "standard", "full")
 SEPARATOR = " // "  #: between the measurements listed in one cell
 BEYOND = "beyond the paper"  #: where a claim stands that is not the paper's
-
-Type = Literal["text", "number", "whole", "flag", "answer"]
 
 
 class Rule(Enum):
@@ -42,16 +40,13 @@ class Rule(Enum):
     slope = "the slope of an error, compared in its asymptotic range (column in_fit)"
     order = "a fitted order: within 0.05"
     value = "a quantity that is no error: within a hundredth"
-    measured = (
-        "what a claim measured: by a factor of two, or a hundredth, above round-off and far from its bound"
-    )
+    measured = "what a claim measured: a factor of two or a hundredth, above round-off and far from its bound"
     point = "a coordinate of a curve: within a hundredth of the largest along the curve, above round-off"
     end = "how far a run got: exact where it ended well, else within a tenth"
     profile = "may be of a smaller profile, never only of a larger one"
 
     @property
     def decades(self) -> bool:
-        """Whether what it judges is an error, which counts in decades and has a round-off floor."""
         return self in (Rule.error, Rule.structure)
 
 
@@ -66,7 +61,7 @@ class Column:
     """
 
     meaning: str
-    type: Type = "text"
+    type: Literal["text", "number", "whole", "flag", "answer"] = "text"
     rule: Rule | None = None
     timed: bool = False
     exact: bool = False
@@ -76,15 +71,13 @@ class Column:
     infinite: bool = False
 
 
-SCHEMA = Column("version of this table's columns", "whole", ungated="a file of another version is refused")
 PROVENANCE = {
-    "schema": SCHEMA,
+    "schema": Column("version of the columns", "whole", ungated="a file of another version is refused"),
     "profile": Column(
         "smallest profile that makes the row: a run of it, or of a larger one, must have it",
         rule=Rule.profile,
     ),
 }
-KEY = ("scene", "method", "engine", "setting")
 #: a column that some tables have: by how much counts of the row turn on roundings of its initial data
 SPREAD = "evaluations_spread"
 
@@ -101,7 +94,7 @@ class Table:
     name: str
     about: str
     declared: Mapping[str, Column] | Callable[[], Mapping[str, Column]]
-    key: tuple[str, ...] = KEY
+    key: tuple[str, ...] = ("scene", "method", "engine", "setting")
     whole: tuple[str, ...] = ()
     version: int = 3
 
@@ -116,7 +109,6 @@ class Table:
 
     @cached_property
     def every_column(self) -> dict[str, Column]:
-        """All columns of a frame, in order: the table's own, then the provenance."""
         return {**self.columns, **PROVENANCE}
 
     @property
@@ -132,26 +124,18 @@ class Table:
         untimed = [name for name, column in self.every_column.items() if not column.timed]
         files = {self.path(results): untimed}
         if self.timed:
-            files[self.times_path(results)] = [*self.key, *self.timed, "schema"]
+            files[results / f"{self.name}_times.csv"] = [*self.key, *self.timed, "schema"]
         return files
 
     def path(self, results: Path) -> Path:
         return results / f"{self.name}.csv"
 
-    def times_path(self, results: Path) -> Path:
-        return results / f"{self.name}_times.csv"
 
-
-TABLES: dict[str, Table] = Registry("table", Table)
-
-
-def table(name: str, about: str, columns: Any, **options: Any) -> Table:
-    return TABLES.add(Table(name, about, columns, **options))  # type: ignore[attr-defined]
+TABLES = Registry("table", Table)
 
 
 # -- round-off -------------------------------------------------------------------------------------
 def numbers(rows: pd.DataFrame, column: str, default: float = np.nan) -> pd.Series:
-    """Return a column as floats, `default` where it is blank or missing."""
     import pandas as pd  # takes long to load, and `import contactbench` needs the tables' names alone
 
     if column not in rows:

@@ -52,7 +52,6 @@ def read(table: Table, results: Path) -> pd.DataFrame:
 
 
 def read_file(table: Table, path: Path, names: Sequence[str]) -> pd.DataFrame:
-    """Return the rows of one of the table's files, typed, with those of the columns that it has."""
     try:
         frame = pd.read_csv(path, dtype=str, keep_default_na=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
@@ -61,14 +60,11 @@ def read_file(table: Table, path: Path, names: Sequence[str]) -> pd.DataFrame:
     foreign = f"{path}: columns are not those of table {table.name!r}; move it away or restore it"
     if "schema" not in frame or not set(table.key) & set(frame):
         raise BadInput(foreign)
-    require(
-        path, frame["schema"].isin(["", np.nan]), ": cut short; restore the file"
-    )  # every row ends with it
+    require(path, frame["schema"].isin(["", np.nan]), ": cut short; restore the file")
     old = sorted(set(frame["schema"]) - {str(table.version)})
     if old:
-        raise OldTable(
-            f"{path}: schema {', '.join(old)}, this version reads {table.version}; run the benchmark (tox -e bench)"
-        )
+        why = f"schema {', '.join(old)}, this version reads {table.version}; run the benchmark (tox -e bench)"
+        raise OldTable(f"{path}: {why}")
     if not set(table.key) <= set(frame):
         raise BadInput(foreign)
     unknown = [name for name in frame if name not in names]
@@ -89,7 +85,6 @@ def read_file(table: Table, path: Path, names: Sequence[str]) -> pd.DataFrame:
 
 
 def require(path: Path, wrong: pd.Series, why: str) -> None:
-    """Raise `BadInput` with the line of the first row that is wrong, if one is; the header is the first line."""
     if wrong.any():
         raise BadInput(f"{path}, line {int(np.flatnonzero(wrong)[0]) + 2}{why}")
 
@@ -114,7 +109,6 @@ def set_types(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
 
 
 def parse(values: pd.Series, column: Column) -> pd.Series:
-    """Return the values in the type of a column, a flag as an answer; what is not of that type is missing."""
     if values.dtype == DTYPES[column.type] and column.type not in ("text", "number"):
         return values
     if column.type == "text":
@@ -166,7 +160,6 @@ def merge(
 
 
 def canonical(table: Table, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Return rows as the table has them: typed, with the digits that are written, the last of each key."""
     frame = pd.DataFrame(list(rows))
     unknown = set(frame.columns) - set(table.every_column)
     if unknown:
@@ -182,12 +175,10 @@ def keys(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[tuple[Any, ...
 
 
 def index(frame: pd.DataFrame, names: list[str]) -> pd.Index:
-    """The rows by some of their columns, as plain tuples."""
     return pd.Index(list(frame[names].astype(object).itertuples(index=False, name=None)), tupleize_cols=False)
 
 
 def in_order(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """Registry order for scenes and methods, coarse to fine for settings, then the other keys."""
     from contactbench.methods import METHODS
     from contactbench.scenes import SCENES
 
@@ -205,7 +196,6 @@ def in_order(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
 
 
 def write(frame: pd.DataFrame, table: Table, results: Path) -> None:
-    """The table's files, each replaced atomically; a row without any time is not in the file of times."""
     for path, names in table.files(results).items():
         part = frame[names]
         if path != table.path(results):
@@ -233,7 +223,6 @@ def as_text(values: pd.Series, column: Column) -> list[str]:
 
 
 def round_digits(frame: pd.DataFrame, table: Table) -> pd.DataFrame:
-    """The frame with the digits that are written: no more than say something."""
     for name in frame:
         column = table.every_column[name]
         if column.type == "number" and not column.exact and frame[name].notna().any():

@@ -5,12 +5,15 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from contactbench.measure.law import Law
+from contactbench.errors import BadInput
+from contactbench.measure.law import JUDGEMENT
 from contactbench.measure.laws import LAWS
-from contactbench.measure.round_off import JUDGEMENT
-from contactbench.results.schema import Column, Rule, Table, table
+from contactbench.results.schema import TABLES, Column, Rule, Table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 DECLARED = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
 #: why a column has no rule
@@ -21,37 +24,30 @@ def column(meaning: str, rule: str | None = None, **more: Any) -> Column:
     return Column(meaning, rule=Rule[rule] if rule else None, **more)
 
 
-def number(meaning: str, rule: Rule | None = None, **more: Any) -> Column:
-    return Column(meaning, "number", rule, **more)
-
-
-COMMON, COUNTS, TIMING, DRIFTS = (
-    {name: column(**entry) for name, entry in group.items()} for group in DECLARED["groups"].values()
-)
-
-
-def law_column(law: Law) -> Column:
-    label, counts = law.label or law.name.replace("_", " "), law.gate.value == "count"
-    kind: Any = "whole" if counts else "number"
-    return Column(law.definition, kind, Rule[law.gate.value], label=label, shown=law.shown)
+GROUPS = {
+    f"+{group}": {name: column(**entry) for name, entry in entries.items()}
+    for group, entries in DECLARED["groups"].items()
+}
+COMMON = GROUPS["+common"]
 
 
 def law_columns() -> dict[str, Column]:
-    """Return a column for each law that is registered by now, and of the structural ones the judgement."""
-    columns = {name: law_column(law) for name, law in LAWS.items()}
-    for law in filter(lambda law: law.structural, LAWS.values()):
-        about = {what: f"{law.name}: {meaning}" for what, meaning in JUDGEMENT.items()}
-        columns[f"{law.name}_claimed"] = Column(about["claimed"], "flag", Rule.same)
+    columns = {}
+    for name, law in LAWS.items():
+        kind: Any = "whole" if law.gate.value == "count" else "number"
+        label = law.label or name.replace("_", " ")
+        columns[name] = Column(law.definition, kind, Rule[law.gate.value], label=label, shown=law.shown)
+    for name in [name for name, law in LAWS.items() if law.structural]:
+        about = {what: f"{name}: {meaning}" for what, meaning in JUDGEMENT.items()}
+        columns[f"{name}_claimed"] = Column(about["claimed"], "flag", Rule.same)
         for what in ("kept", "undecided"):
-            columns[f"{law.name}_{what}"] = Column(about[what], "answer", ungated=FOLLOWS)
-        columns[f"{law.name}_bound"] = number(about["bound"], ungated=FOLLOWS)
+            columns[f"{name}_{what}"] = Column(about[what], "answer", ungated=FOLLOWS)
+        columns[f"{name}_bound"] = Column(about["bound"], "number", ungated=FOLLOWS)
     return columns
 
 
 # -- tables ---------------------------------------------------------------------------------------
 def columns(declared: Mapping[str, Any]) -> dict[str, Column]:
-    """Return the columns of a table, those of the laws that are registered by now among them."""
-    groups = {"+common": COMMON, "+counts": COUNTS, "+timing": TIMING, "+drifts": DRIFTS}
     found: dict[str, Column] = {}
     for name, entry in declared.items():
         if name == "+laws":
@@ -59,17 +55,17 @@ def columns(declared: Mapping[str, Any]) -> dict[str, Column]:
         elif name == "+laws_at_equal_cost":
             found |= {law: law_columns()[law] for law in entry}
         else:
-            found |= groups.get(name) or {name: column(**entry)}
+            found |= GROUPS.get(name) or {name: column(**entry)}
     return found
 
 
 def declare(name: str) -> Table:
-    given = DECLARED["tables"][name]
-    own = given["columns"]
-    by_law = any(entry.startswith("+laws") for entry in own)
-    options = {option: given[option] for option in ("version",) if option in given}
-    options |= {option: tuple(given[option]) for option in ("key", "whole") if option in given}
-    return table(name, given["about"], (lambda: columns(own)) if by_law else columns(own), **options)
+    given: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in DECLARED["tables"][name].items()
+    }
+    own = given.pop("columns")
+    by_law = any(entry.startswith("+laws") for entry in own)  # depend on what is registered
+    return TABLES.add(Table(name, declared=(lambda: columns(own)) if by_law else columns(own), **given))
 
 
 CONVERGENCE = declare("convergence")
@@ -92,3 +88,32 @@ LONG_TIME = declare("long_time")
 #: per unit of time; the dimension of Kaplan and Yorke, of the section once in a period; and 0 for the true flow
 ENERGY, EXPONENT, DIMENSION = "mean H0 at phase 0", "largest exponent", "dimension"
 SUM = "sum of exponents plus γ"
+
+
+# -- those that come with the package ----------------------------------------------------------------
+def shipped_folder() -> Path | None:
+    here = Path(__file__).resolve()
+    for folder in (here.parents[3] / "results", here.parents[1] / "_results"):
+        if any(folder.glob("*.csv")):
+            return folder
+    return None
+
+
+def results(name: str, folder: Path | str | None = None) -> pd.DataFrame:
+    """A result table as the benchmark wrote it: typed columns, times included.
+
+    name : of a table, such as "laws", "work_precision", "stability", "claims", "ensemble".
+    folder : of a run of your own; by default the tables that came with the package.
+    ``attrs["columns"]`` says what each column means.  Raises `BadInput` for an unknown name or absent tables.
+    """
+    from contactbench.results.store import read  # takes long to load, as pandas does
+
+    table = TABLES[name]
+    where = shipped_folder() if folder is None else Path(folder)
+    if where is None:
+        raise BadInput("no result tables in this installation; give that of a run, results(name, folder)")
+    if not table.path(where).is_file():
+        raise BadInput(f"folder = {str(where)!r}: has no table {name!r}")
+    frame = read(table, where)
+    frame.attrs["columns"] = {key: column.meaning for key, column in table.every_column.items()}
+    return frame

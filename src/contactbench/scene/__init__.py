@@ -24,7 +24,7 @@ from contactbench.scene.algebra import (
     shifted,
     times,
 )
-from contactbench.scene.base import Scene, System
+from contactbench.scene.base import Cache, Scene, System, key
 from contactbench.scene.definition import verify
 from contactbench.scene.driven import Driven, DrivenState
 from contactbench.scene.mechanical import GeneralDamping, Mechanical

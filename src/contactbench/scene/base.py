@@ -13,16 +13,18 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import is_ours, their_code
 from contactbench.errors import (
     BadInput,
+    Registry,
     excerpt,
     finite,
     function,
+    is_ours,
     items_of,
     positive,
     switch,
     text,
+    their_code,
     unknown_name,
 )
 from contactbench.numbers.dual import leaves, rebuild
@@ -59,8 +61,30 @@ def named_numbers(name: str, value: Any) -> dict[str, float]:
 
 
 def reciprocal(value: Any) -> Any:
-    """Return 1/value, of each number in a tuple."""
     return rebuild(value, [1 / number for number in leaves(value)])
+
+
+class Cache[Made]:
+    """The latest `size` things made, by key; None is no key: what has none is made anew every time."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.items: dict[Hashable, Made] = {}
+
+    def get(self, key: Hashable | None, make: Callable[[], Made]) -> Made:
+        if key is None:
+            return make()
+        made = self.items.get(key)
+        if made is None:
+            made = self.items[key] = make()
+            if len(self.items) > self.size:
+                del self.items[next(iter(self.items))]
+        return made
+
+
+def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
+    """Return the key of what depends on a scene or a method, and more; None where the first of them is."""
+    return None if identity is None else (identity, *rest)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +157,8 @@ class System(ABC):
         return tuple(y)
 
     @staticmethod
-    def pack(state: Any) -> list[Any]:
-        """Return a state as a flat list, fields that are not carried left out."""
+    def pack(state: Sequence[Any]) -> list[Any]:
+        """Return a state, numbers and tuples of them, as a flat list, fields that are not carried left out."""
         flat: list[Any] = []
         for part in state:
             if isinstance(part, tuple):
@@ -168,16 +192,19 @@ class System(ABC):
         return self.structure if known else None
 
     @property
+    def has_users_functions(self) -> bool:
+        """Whether any of its functions, or of their derivatives, is not of this package."""
+        given = (getattr(self, name) for name in self.functions)
+        return not all(part is None or is_ours(part) for part in given)
+
+    @property
     def own_equations(self) -> str | None:
         """Why the flows of its kind do not solve a user's own kind, which writes equations anew; None where they do."""
         base = next(each for each in type(self).__mro__ if is_ours(each))
         names = ("rhs", "kinetic", "dissipation", "dissipation_rate", "damping_at", "damp_matrix_function")
         anew = [name for name in names if getattr(type(self), name, None) is not getattr(base, name, None)]
-        if not anew:
-            return None
-        return (
-            f"its flows are those of {self.kind}, and {type(self).__name__} has {', '.join(anew)} of its own"
-        )
+        own = f"{type(self).__name__} has {', '.join(anew)} of its own"
+        return f"its flows are those of {self.kind}, and {own}" if anew else None
 
     def recorded(self) -> Self:
         """Return the scene with its user's functions as formulas: what they compute now.
@@ -327,13 +354,12 @@ class Scene(System):
 
     def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
+        wanted = f"must have a name of its own, none of {', '.join(sorted(taken))}"
         for name, check in self.checks.items():
             self._fix(name, check(name, getattr(self, name)))
         for name in getattr(self, "parameters", {}):
             if name in taken:
-                raise BadInput(
-                    f"parameter {name!r}: must have a name of its own, none of {', '.join(sorted(taken))}"
-                )
+                raise BadInput(f"parameter {name!r}: {wanted}")
         for name, kept in self.reciprocals.items():
             value = getattr(self, name)
             self._fix(kept, reciprocal(value))
@@ -359,7 +385,7 @@ class Scene(System):
         return dataclasses.replace(self, **changes)
 
     def numbers(self) -> list[float]:
-        own = leaves([getattr(self, name) for name in self.coefficients])
+        own = self.pack([getattr(self, name) for name in self.coefficients])
         return [*own, *getattr(self, "parameters", {}).values()]
 
     def number_names(self) -> list[str]:
@@ -386,10 +412,8 @@ class Scene(System):
         return (self.kind, *functions, *sizes, *getattr(self, "parameters", ()), *self.decided)
 
     def fields_in(self, carry: Sequence[str]) -> list[str]:
-        """Return the names of the fields of its states that are integrated."""
-        return [
-            name for name in self.initial_fields if name in carry or name not in self.state._field_defaults
-        ]
+        defaults = self.state._field_defaults
+        return [name for name in self.initial_fields if name in carry or name not in defaults]
 
     def labels(self, carry: Sequence[str]) -> list[str]:
         found: list[str] = []
@@ -482,3 +506,16 @@ class Scene(System):
     def bounds_energy(self) -> bool:
         """H0 never exceeds what it was at the start."""
         return not self.may_gain_energy
+
+
+#: name → scene, in table order
+SCENES = Registry("scene", Scene)
+
+
+def scene_of(scene: object) -> Scene:
+    """Return a scene, itself or by name, its functions recorded; else raise `UnknownName` with a suggestion."""
+    if isinstance(scene, str):
+        scene = SCENES[scene]
+    if not isinstance(scene, Scene):
+        raise BadInput(f"scene = {excerpt(scene)}: must be a scene or the name of one: {', '.join(SCENES)}")
+    return scene.recorded()

@@ -1,5 +1,5 @@
-"""Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's parts
-fit each other, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
+"""Verification of a user's scene: its gradient is the potential's, its Hessian the gradient's, its damping's slope
+is right, its symmetry is there.  A wrong one would be integrated without a word, the reference included.
 
 Derivatives are compared with differences near the initial data and along the motion, not with dual numbers, since a
 user's functions may be ones that these cannot pass through.
@@ -15,11 +15,8 @@ from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
-from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, is_number
-from contactbench.scene.base import Scene
-from contactbench.scene.cache import Cache, key
-from contactbench.scene.driven import Driven
+from contactbench.errors import BadInput, excerpt, is_number, their_code
+from contactbench.scene.base import Cache, Scene, key
 from contactbench.scene.mechanical import GeneralDamping, Mechanical
 from contactbench.trace.formula import Formula
 
@@ -35,17 +32,14 @@ UNSURE = 1e-3
 
 #: evaluations that a motion is followed for, and places on every step of it
 FOLLOWED, BETWEEN = 3000, 4
-#: states of a motion at which is compared what is called state by state, and the step of its flows in parts of t_end
-SOME, LATER = 32, 1e-2
+#: states of a motion at which is compared what is called state by state
+SOME = 32
 
 _verified: Cache[bool] = Cache(1024)
 
 
 def verify(scene: Scene) -> None:
-    """Raise `BadInput` unless a scene's functions fit each other near its start; once per definition.
-
-    The functions of this package have tests of their own.
-    """
+    """Raise `BadInput` unless a user's functions fit each other near the start; once per definition."""
     _once(scene, "near the start", _verify)
 
 
@@ -62,8 +56,7 @@ def verify_at(scene: Scene, y: np.ndarray) -> None:
 
 
 def _has_functions(scene: Scene) -> TypeGuard[Mechanical]:
-    given = (getattr(scene, name) for name in scene.functions)
-    return isinstance(scene, Mechanical) and not all(part is None or is_ours(part) for part in given)
+    return isinstance(scene, Mechanical) and scene.has_users_functions
 
 
 def _once(scene: Scene, where: str, check: Callable[[Mechanical], None]) -> None:
@@ -91,7 +84,6 @@ def _within_the_domain() -> Iterator[None]:
         return
 
 
-# -- states ----------------------------------------------------------------------------------------
 def _verify(scene: Mechanical) -> None:
     """Compare near the start, the Hessian too; what is wrong with the scene's own data is reported."""
     carry, n, rng = scene.carry(("s",)), len(scene.q), np.random.default_rng(1)
@@ -109,9 +101,7 @@ def _motion(scene: Mechanical) -> np.ndarray:
 
     carry = scene.carry(("s",))
 
-    def slope(t: float, y: np.ndarray) -> list[float]:
-        return scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))
-
+    slope = lambda t, y: scene.pack(scene.rhs(scene.unpack(y.tolist(), carry)))  # noqa: E731
     start = scene.pack(scene.initial(carry))
     path = [np.empty((0, len(start)))]
     with _within_the_domain():  # the motion ends there
@@ -139,9 +129,7 @@ class Claim(NamedTuple):
     where: str
 
 
-def _check(
-    scene: Mechanical, states: np.ndarray, claims: Callable[[Mechanical, np.ndarray], Iterator[Claim]]
-) -> None:
+def _check(scene: Mechanical, states: np.ndarray, claims: Callable[..., Iterator[Claim]]) -> None:
     some = states[:: max(1, len(states) // SOME)]
     for y in some:
         with _within_the_domain():
@@ -151,7 +139,6 @@ def _check(
         _symmetry(scene, some[:, : len(scene.q)])
 
 
-# -- what is claimed -------------------------------------------------------------------------------
 def _is_given(function: Any) -> bool:
     return function is not None and not (isinstance(function, Formula) and function.live is None)
 
@@ -163,9 +150,8 @@ def _time(scene: Mechanical, y: np.ndarray) -> list[float]:
 def _potential(scene: Mechanical, q: np.ndarray, time: list[float]) -> float:
     value = scene.V(tuple(q.tolist()), *time)
     if not is_number(value):
-        raise BadInput(
-            f"scene {scene.name!r}: its potential is {excerpt(value)} at q = {_at(q)}: must be a number"
-        )
+        there = f"{excerpt(value)} at q = {_at(q)}"
+        raise BadInput(f"scene {scene.name!r}: its potential is {there}: must be a number")
     return float(value)
 
 
@@ -174,37 +160,16 @@ def _force(scene: Mechanical, q: np.ndarray, time: list[float]) -> np.ndarray:
 
 
 def _claims(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
-    q, time, h = y[: len(scene.q)], _time(scene, y), LATER * scene.t_end
+    q, time = y[: len(scene.q)], _time(scene, y)
     if _is_given(scene.gradient):
         says = "its gradient is not the potential's: component {j} is"
-        force = [_force(scene, q, time)]
-        yield Claim(
-            lambda q: [_potential(scene, q, time)], q, force, _size(q), says, "potential", f"q = {_at(q)}"
-        )
+        force, potential = [_force(scene, q, time)], lambda q: [_potential(scene, q, time)]
+        yield Claim(potential, q, force, _size(q), says, "potential", f"q = {_at(q)}")
     if isinstance(scene, GeneralDamping):
-        s, flow, where = float(y[-1]), scene.damping_flow, f"s = {y[-1]:.6g}"
+        s, where = float(y[-1]), f"s = {y[-1]:.6g}"
         says = "damping_slope is not the damping's: it is"
         slope = [[scene.damping_slope(s)]]
         yield Claim(lambda s: [scene.damping(float(s[0]))], [s], slope, [1.0], says, "damping", where)
-        if flow is not None:
-            rate = -scene.damping(flow(s, h, math))
-            yield _flow(scene, "damping_flow", lambda h: flow(s, float(h[0]), math), s, h, rate, where)
-    if isinstance(scene, Driven) and scene.span is not None:
-        (t,), spent, where = time, scene.spent, f"t = {time[0]:.6g}"
-        rates = scene.rate_at(t + h), math.exp(-spent(t, h, math)[0])
-        yield _flow(scene, "span[0]", lambda h: spent(t, float(h[0]), math)[0], 0.0, h, rates[0], where)
-        yield _flow(scene, "span[1]", lambda h: spent(t, float(h[0]), math)[1], 0.0, h, rates[1], where)
-
-
-def _flow(
-    scene: Mechanical, name: str, f: Callable[[Any], Any], start: float, h: float, rate: float, where: str
-) -> Claim:
-    """Return the claim that f has the slope `rate` at h; raise `BadInput` unless it begins with `start`."""
-    begun = f([0.0])
-    if abs(begun - start) > TOLERANCE * max(abs(start), abs(f([h]))):
-        raise BadInput(f"scene {scene.name!r}: {name} is {begun:.6g} at {where}, h = 0: must be {start:.6g}")
-    says = f"{name} has not the slope of its definition: this is"
-    return Claim(lambda h: [f(h)], [h], [[rate]], [h / 2], says, "function by h", f"{where}, h = {h:.6g}")
 
 
 def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
@@ -218,9 +183,8 @@ def _hessian(scene: Mechanical, y: np.ndarray) -> Iterator[Claim]:
     except (TypeError, ValueError):
         given = np.empty(0)
     if given.shape != (n, n) or given.dtype.kind not in "fiub":
-        raise BadInput(
-            f"scene {scene.name!r}: its Hessian is {excerpt(rows)}: must be {n} rows of {n} real numbers"
-        )
+        wanted = f"must be {n} rows of {n} real numbers"
+        raise BadInput(f"scene {scene.name!r}: its Hessian is {excerpt(rows)}: {wanted}")
     says = "its Hessian is not the gradient's derivative: entry ({i}, {j}) is"
     yield Claim(lambda q: _force(scene, q, []), q, given, _size(q), says, "gradient", f"q = {_at(q)}")
 
@@ -244,9 +208,7 @@ def _symmetry(scene: Mechanical, places: np.ndarray) -> None:
 
 # -- derivatives -----------------------------------------------------------------------------------
 def _compare(scene: Mechanical, claim: Claim) -> None:
-    def f(x: np.ndarray) -> np.ndarray:
-        return np.array(claim.f(x), dtype=float)
-
+    f = lambda x: np.array(claim.f(x), dtype=float)  # noqa: E731
     x, given, size = (np.array(part, dtype=float) for part in (claim.x, claim.given, claim.size))
     rng = np.random.default_rng(1)
     direction = size * rng.uniform(0.5, 1, len(x)) * rng.choice([-1, 1], len(x))
@@ -265,9 +227,7 @@ def _compare(scene: Mechanical, claim: Claim) -> None:
     )
 
 
-def difference(
-    f: Callable[[np.ndarray], np.ndarray], q: np.ndarray, direction: np.ndarray
-) -> tuple[np.ndarray, float]:
+def difference(f: Callable[[Any], Any], q: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the derivative of f along a direction by central differences of order 4, and about its error.
 
     Two estimates may agree by luck where rounding leaves f but a few values: it adds ε |f| over the step.

@@ -79,9 +79,8 @@ class Driven(Mechanical):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.kappa or self.hessian is not None or self.rotation_invariant:
-            raise BadInput(
-                f"scene {self.name!r}: kappa, hessian and rotation_invariant are for scenes without time"
-            )
+            fields = "kappa, hessian and rotation_invariant"
+            raise BadInput(f"scene {self.name!r}: {fields} are for scenes without time")
         if self.rate is not None:
             if self.gamma:
                 raise BadInput(f"gamma = {self.gamma!r}: the rate of damping has it in it")
@@ -93,7 +92,6 @@ class Driven(Mechanical):
             if not (isinstance(pair, tuple | list) and len(pair) == 2 and all(map(is_number, pair))):
                 raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(pair)}")
 
-    # -- state ---------------------------------------------------------------------------------
     @property
     def clock(self) -> int:
         return 2 * len(self.q)
@@ -107,7 +105,6 @@ class Driven(Mechanical):
     def coefficients(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("mass",) if self.rate else ("gamma", "mass")
 
-    # -- physics -------------------------------------------------------------------------------
     def V(self, q: Vector, t: Any = None) -> Any:
         """Return V(q, t), at the start where no time is given."""
         return self.potential(q, self.t if t is None else t, **self.parameters)

@@ -14,8 +14,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import their_code
-from contactbench.errors import BadInput, array, excerpt, finite, function, whole
+from contactbench.errors import BadInput, array, excerpt, finite, function, their_code, whole
 from contactbench.numbers.functions import namespace
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import BOUNDARIES, neighbour, pairs, total

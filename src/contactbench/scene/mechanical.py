@@ -10,8 +10,18 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from contactbench.boundary import is_ours, their_code
-from contactbench.errors import BadInput, excerpt, finite, function, positive, require_number, switch, vector
+from contactbench.errors import (
+    BadInput,
+    excerpt,
+    finite,
+    function,
+    is_ours,
+    positive,
+    require_number,
+    switch,
+    their_code,
+    vector,
+)
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
@@ -19,8 +29,6 @@ from contactbench.trace.formula import Formula, formula
 
 #: components up to which a Hessian is derived
 LARGEST_HESSIAN = 32
-
-
 #: derivatives of formulas, taken once; both raise `CannotRecord` where one is not known
 derived_gradient = lru_cache(256)(Formula.gradient)
 derived_hessian = lru_cache(256)(Formula.hessian)
@@ -158,9 +166,7 @@ class Mechanical(Canonical):
     kappa_sign: int = field(init=False, repr=False, default=0)
 
     kind: ClassVar[str] = "mechanical"
-    functions: ClassVar[dict[str, tuple[str, ...]]] = dict.fromkeys(
-        ("potential", "gradient", "hessian"), ("q", "**")
-    )
+    functions: ClassVar[Any] = dict.fromkeys(("potential", "gradient", "hessian"), ("q", "**"))
     state: ClassVar[Any] = State
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     coefficients: ClassVar[tuple[str, ...]] = ("gamma", "kappa", "mass")
@@ -190,9 +196,8 @@ class Mechanical(Canonical):
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
             force = self.dV(self.q)
         if not isinstance(force, tuple | list | np.ndarray):
-            raise BadInput(
-                f"gradient: must return {len(self.q)} numbers, a tuple; it returns {excerpt(force)}"
-            )
+            wanted = f"must return {len(self.q)} numbers, a tuple"
+            raise BadInput(f"gradient: {wanted}; it returns {excerpt(force)}")
         vector(f"q = {excerpt(self.q)}, where gradient", force, len(self.q))
 
     @property
@@ -218,9 +223,8 @@ class Mechanical(Canonical):
                     potential = formula(potential, sizes, tuple(self.parameters))
                 scene = scene._replaced(gradient=derived_gradient(potential))
             except CannotRecord as why:
-                raise BadInput(
-                    f"scene {self.name!r}: its gradient is missing, and the potential cannot be differentiated: {why}"
-                ) from why
+                missing = "its gradient is missing, and the potential cannot be differentiated"
+                raise BadInput(f"scene {self.name!r}: {missing}: {why}") from why
         if not is_ours(type(self)) or "hessian" not in self.functions or scene.hessian is not None:
             return scene
         if isinstance(scene.gradient, Formula) and len(scene.q) <= LARGEST_HESSIAN:
@@ -261,7 +265,7 @@ class Mechanical(Canonical):
         rows = [[0.0] * n + [over_m[i] if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
             damping = [-rate if i == j else 0.0 for j in range(n)]
-            column = [] if x.s is None else [-self.kappa * x.p[i] if self.nonlinear_damping else 0.0]
+            column = [-self.kappa * x.p[i]] if x.s is not None and self.nonlinear_damping else tail
             rows.append([-hess[i][j] for j in range(n)] + damping + column)
         if x.s is not None:
             rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])

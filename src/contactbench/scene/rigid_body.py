@@ -71,7 +71,7 @@ class RigidBody(Scene):
     gamma: Any = None
     damping: Any = None
     R: Any = 1
-    #: eigenvalues of an anisotropic D, and its eigenvectors as columns (None when D is diagonal)
+    #: eigenvalues of an anisotropic D, and the matrix of its eigenvectors, row by row (None when D is diagonal)
     rates: Vector = field(init=False, repr=False, default=())
     axes: Any = field(init=False, repr=False, default=None)
     inverse_inertia: Vector = field(init=False, repr=False, default=())
@@ -101,7 +101,7 @@ class RigidBody(Scene):
         diagonal = not np.any(matrix - np.diag(np.diag(matrix)))
         rates, axes = (np.diag(matrix), None) if diagonal else np.linalg.eigh(matrix)
         self._fix("rates", tuple(np.maximum(rates, 0.0).tolist()))
-        self._fix("axes", None if axes is None else tuple(map(tuple, axes.tolist())))
+        self._fix("axes", None if axes is None else tuple(axes.ravel().tolist()))
 
     def with_(self, **changes: Any) -> Self:
         if changes.get("gamma") is not None and "damping" not in changes:
@@ -140,7 +140,6 @@ class RigidBody(Scene):
     def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
         return self.by_inertia
 
-    # -- physics -------------------------------------------------------------------------------
     def angular_velocity(self, M: Vector) -> Vector:
         return tuple(m * i for m, i in zip(M, self.inverse_inertia, strict=True))
 
@@ -150,9 +149,8 @@ class RigidBody(Scene):
             return tuple(f(self.gamma) * m for m in M)
         if self.axes is None:
             return tuple(f(d) * m for d, m in zip(self.rates, M, strict=True))
-        columns = tuple(zip(*self.axes, strict=True))
-        modal = tuple(f(d) * dot(c, M) for d, c in zip(self.rates, columns, strict=True))
-        return tuple(dot(row, modal) for row in self.axes)
+        modal = tuple(f(d) * dot(self.axes[j::3], M) for j, d in enumerate(self.rates))
+        return tuple(dot(self.axes[i : i + 3], modal) for i in (0, 3, 6))
 
     def energy(self, x: BodyState) -> Any:
         return dot(x.M, self.angular_velocity(x.M)) / 2
@@ -187,12 +185,9 @@ class RigidBody(Scene):
             for i in range(3):
                 rows[i][j] = other[i] + gyroscopic[i] - damped[i]
         if x.R is not None:
-            columns = [
-                quaternion_product(x.R, (0.0, *(inv[j] * c / 2 for c in e))) for j, e in enumerate(UNIT)
-            ]
-            half = (0.0, *(w / 2 for w in omega))
-            for j in range(4):
-                columns.append(quaternion_product(tuple(1.0 if i == j else 0.0 for i in range(4)), half))
+            R, half = x.R, (0.0, *(w / 2 for w in omega))
+            columns = [quaternion_product(R, (0.0, *(inv[j] * c / 2 for c in e))) for j, e in enumerate(UNIT)]
+            columns += [quaternion_product(tuple(unit), half) for unit in np.eye(4).tolist()]
             for i in range(4):
                 rows[3 + i][:7] = [column[i] for column in columns]
         if x.s is not None:

@@ -88,11 +88,9 @@ def forced_oscillator(scene: Driven, t: Any, mp: Any) -> DrivenState:
     digits, gamma = mp.dps, mp.mpf(scene.gamma)
     with mp.workdps(8 * digits):
         near = mp.mpf(10) ** -digits
-        if omega == 0 and drive == 0:
-            omega = near
-        if gamma == 0 or gamma * gamma / 4 == omega * omega / mp.mpf(scene.mass):
-            gamma += near
-        return oscillation(scene, omega, gamma, t, mp)
+        omega = near if omega == 0 and drive == 0 else omega
+        resting = gamma == 0 or gamma * gamma / 4 == omega * omega / mp.mpf(scene.mass)
+        return oscillation(scene, omega, gamma + near if resting else gamma, t, mp)
 
 
 def oscillation(scene: Driven, omega: Any, gamma: Any, t: Any, mp: Any) -> DrivenState:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from contactbench.scene import Mechanical, RigidBody
-from contactbench.scenes.closed_form import damped_body, damped_oscillator
+from functools import lru_cache
+from typing import Any
+
+from contactbench.scene import BodyState, Mechanical, RigidBody, State, dot
 
 
 def harmonic(q, omega):
@@ -56,6 +58,77 @@ def quartic_hessian(q, stiffness):
     return ((slope + 2 * stiffness * x * x, mixed), (mixed, slope + 2 * stiffness * y * y))
 
 
+# -- closed forms: ``(scene, t, mp)`` with an mpmath context and mpmath numbers ----------------------
+def damped_oscillator(scene: Mechanical, t: Any, mp: Any) -> State:
+    """V = ½ ω² q², Γ = γ s: the linear damped oscillator, and s = ½ q p + e^{−γt} (s0 − ½ q0 p0).
+
+    The s formula: d(½ q p)/dt = T − V − γ (½ q p), the equation of s itself, so their difference
+    decays as e^{−γt}.
+    """
+    m, gamma = scene.mass, scene.gamma
+    square = scene.parameters["omega"] ** 2 / m
+    q0, v0, s0 = scene.q[0], scene.p[0] / m, scene.s
+    root = mp.sqrt(square - gamma**2 / 4 + mp.mpc(0))  # imaginary when overdamped
+    decay = mp.exp(-gamma * t / 2)
+    cos, sinc = mp.cos(root * t).real, (mp.sin(root * t) / root).real if root != 0 else t
+    q = decay * (q0 * cos + (v0 + gamma * q0 / 2) * sinc)
+    v = decay * (v0 * cos - (square * q0 + gamma * v0 / 2) * sinc)
+    s = q * m * v / 2 + mp.exp(-gamma * t) * (s0 - q0 * m * v0 / 2)
+    return State((q,), (m * v,), s)
+
+
+def damped_body(scene: RigidBody, t: Any, mp: Any) -> BodyState:
+    """M(t) = e^{−γt} m(τ), τ = (1 − e^{−γt})/γ, m the free top (Landau–Lifshitz, Mechanics, §37).
+
+    Attitude is not given (R = None); s = e^{−γt} (s0 + τ H0(0)) since H0 = H0(0) e^{−2γt}.
+    """
+    gamma = scene.gamma
+    tau = -mp.expm1(-gamma * t) / gamma if gamma else t
+    decay = mp.exp(-gamma * t)
+    m = free_top(scene.inertia, scene.M, tau, mp)
+    s = decay * (scene.s + tau * dot(scene.M, scene.angular_velocity(scene.M)) / 2)
+    return BodyState(tuple(decay * c for c in m), None, s)
+
+
+@lru_cache(16)
+def elliptic_phase(sine: Any, cosine: Any, modulus: Any, mp: Any, precision: int) -> Any:
+    """F of the angle with these sides, to so many bits: where the motion starts, the same for all of its times."""
+    return mp.ellipf(mp.atan2(sine, cosine), modulus)
+
+
+def free_top(inertia: tuple, M0: tuple, tau: Any, mp: Any) -> tuple:
+    """Body momentum of the free asymmetric top at time tau, by Jacobi elliptic functions.
+
+    With axes ordered so that the motion encircles the last one,
+    M = (A1 cn u, A2 sn u, ±A3 dn u) with u linear in time; Euler's equation for the middle
+    component gives the direction in which u runs.
+    """
+    axes = sorted(range(3), key=lambda i: inertia[i])
+    square = dot(M0, M0)
+    twice = sum(m * m / i for m, i in zip(M0, inertia, strict=True))
+    if square < twice * inertia[axes[1]]:  # encircles the axis of smallest inertia
+        axes.reverse()
+    I1, I2, I3 = (inertia[i] for i in axes)
+    M1, M2, M3 = (M0[i] for i in axes)
+    # 2E I3 − ‖M‖² and ‖M‖² − 2E I1 up to the common sign of I3 − I1, free of cancellation
+    outer = abs(M1 * M1 * (I3 - I1) / I1 + M2 * M2 * (I3 - I2) / I2)
+    inner = abs(M2 * M2 * (I2 - I1) / I2 + M3 * M3 * (I3 - I1) / I3)
+    if outer == 0 or inner == 0 or I3 == I2:  # steady rotation, or a sphere
+        return tuple(M0)
+    A1, A2 = mp.sqrt(I1 * outer / abs(I3 - I1)), mp.sqrt(I2 * outer / abs(I3 - I2))
+    A3 = mp.sqrt(I3 * inner / abs(I3 - I1))
+    rate = mp.sqrt(abs(I3 - I2) * inner / (I1 * I2 * I3))
+    modulus = abs(I2 - I1) * outer / (abs(I3 - I2) * inner)
+    right_handed = axes in ([0, 1, 2], [1, 2, 0], [2, 0, 1])
+    side = 1 if M3 >= 0 else -1
+    forward = (right_handed == (I1 < I3)) == (side > 0)
+    u = elliptic_phase(M2 / A2, M1 / A1, modulus, mp, mp.prec) + (rate * tau if forward else -rate * tau)
+    cn, sn, dn = (mp.ellipfun(kind, u, m=modulus) for kind in ("cn", "sn", "dn"))
+    by_axis = dict(zip(axes, (A1 * cn, A2 * sn, side * A3 * dn), strict=True))
+    return tuple(by_axis[i] for i in range(3))
+
+
+# -- scenes ----------------------------------------------------------------------------------------
 OSCILLATOR = Mechanical(
     name="oscillator",
     about="linear damped oscillator; everything is known in closed form",

@@ -101,7 +101,6 @@ def number(coefficient: Fraction, xp: Any) -> Any:
 
 # -- a composition on a scene ----------------------------------------------------------------------
 def refusal(composition: Composition, scene: Scene) -> str | None:
-    """Return why the composition does not have its order on this scene, or None."""
     if composition.nystrom and "drift_damp" not in flows_of(scene):
         return f"{composition.name} needs kicks and a merged drift and damping; scene {scene.name!r} has none"
     return scene.own_equations
@@ -171,8 +170,7 @@ def advance(
     """
     if by_the_clock(composition, scene):
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
-    flows = flows_of(scene)
-    steps = plan(composition, scene)
+    flows, steps = flows_of(scene), plan(composition, scene)
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
     constants = stage_constants((*opening, *inner, *closing, *joint), scene, h, xp)
     rolled = repeat.over_stages
@@ -191,9 +189,8 @@ def advance(
 
         if period == len(stages):
             return round_of(0, x)
-        return repeat(
-            len(stages) // period, lambda carried: (round_of(carried[1], carried[0]), carried[1] + 1), (x, 0)
-        )[0]
+        another = lambda carried: (round_of(carried[1], carried[0]), carried[1] + 1)  # noqa: E731
+        return repeat(len(stages) // period, another, (x, 0))[0]
 
     if not joint:
         return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))

@@ -125,10 +125,9 @@ def _over_D(x: State, half_kappa: Any, xp: Any) -> Any:
 
 
 def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
-    linear = -scene.gamma * h
     if not scene.nonlinear_damping:
-        return linear
-    return linear - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
+        return -scene.gamma * h
+    return -scene.gamma * h - 2 * xp.log1p(scene.kappa * x.s * damped_time(scene.gamma, h, xp) / 2)
 
 
 def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:

@@ -247,9 +247,8 @@ def jacobi(u: Any, m: Any, m1: Any, xp: Any) -> tuple[Any, Any, Any, Any]:
         (sn, cn, dn), (k, rest) = x, moduli
         over = 1 / (1 + k * sn * sn)
         rising, falling, dn = (1 + k) * sn * over, cn * dn * over, (rest + k * cn * cn) * over
-        over = 1 / xp.sqrt(
-            rising * rising + falling * falling
-        )  # 1, but for errors that would treble every level
+        # 1, but for errors that would treble every level
+        over = 1 / xp.sqrt(rising * rising + falling * falling)
         return rising * over, falling * over, dn
 
     one = xp.cos(0 * u * m)  # as a number of the engine's kind

@@ -99,13 +99,10 @@ def lift(x: Any, direction: Any) -> tuple[Dual, ...]:
 
 
 def has_modified_hamiltonian(composition: Composition) -> bool:
-    """Return whether n steps are the flow of one H̃."""
     return composition.two_part and composition.palindromic and not composition.processor
 
 
-def modified_hamiltonian(
-    scene: Any, composition: Composition, x: State, h: float, degree: int = DEGREE
-) -> Any:
+def modified_hamiltonian(scene: Any, composition: Composition, x: State, h: Any, degree: int = DEGREE) -> Any:
     """Return H̃ at x for steps of size h, brackets of up to `degree` parts included, on a mechanical
     scene; needs s.  Its error is O(h^{degree+1})."""
     total = scene.hamiltonian(x)

@@ -12,14 +12,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from contactbench.splitting.composition import (
-    HALF,
-    ONE,
-    Composition,
-    balance,
-    palindrome,
-    strang_composition,
-)
+from contactbench.splitting.composition import HALF, ONE, Composition, balance, palindrome, strang_composition
 
 BLANES_MOAN = "Blanes, Moan, J. Comput. Appl. Math. 142, 313 (2002), doi:10.1016/S0377-0427(01)00492-7"
 

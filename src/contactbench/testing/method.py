@@ -13,8 +13,7 @@ import numpy as np
 from contactbench.errors import NAME, BadInput, excerpt
 from contactbench.measure.laws import LAWS
 from contactbench.measure.order import march, order_at
-from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method
-from contactbench.methods.entry import prepare
+from contactbench.methods.base import CALLBACKS, ENGINES, FAMILIES, METHODS, Method, prepare
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.methods.fixed_step_run import trajectory
 from contactbench.methods.prepared import Prepared, Refused
@@ -70,10 +69,7 @@ class MethodCase:
         return prepare(scene, self.method, engine=self.engine, **{"save_at": [scene.t_end]} | options)
 
     def gap(self, a: np.ndarray, b: np.ndarray) -> float:
-        """The largest difference of packed states (k, d) or their derivatives (k, d, m), over their largest size.
-
-        A quaternion and its negative are one attitude.
-        """
+        """Return the largest relative difference of states or derivatives; ± a quaternion is one attitude."""
         part = [i for i, name in enumerate(self.scene.labels(self.scene.carry())) if name.startswith("R_")]
         axes = tuple(range(1, a.ndim))
         turned = (a[:, part] * b[:, part]).sum(axis=axes, keepdims=True) < 0
@@ -85,7 +81,6 @@ class MethodCase:
         return LAWS["solution_error"](self.run(level, **options)())
 
     def require_below(self, bound: float, what: str, value: float, message: str) -> None:
-        """Note what was measured; raises `AssertionError` unless it is below a bound."""
         self.measured[what] = value
         require(value < bound, f"{message}: {what} {value:.1e}")
 
@@ -293,8 +288,6 @@ Rule = Callable[[MethodCase], str | None]
 
 
 def runs(rule: Rule) -> Rule:
-    """Return a rule that does not apply where the scene is refused."""
-
     @wraps(rule)
     def follow_rule(case: MethodCase) -> str | None:
         return rule(case) if case.method.refuses(case.scene) is None else "the scene is refused"
@@ -322,7 +315,6 @@ def method_cases(
 def method_findings(
     method: Method, engines: Iterable[str] | None = None, scenes: Iterable[Scene] = CASES
 ) -> Iterator[Finding]:
-    """`check_method`, a finding at a time."""
     cases = list(method_cases(method, engines, scenes))
     for case in cases:
         yield from case_findings(case)
@@ -351,6 +343,5 @@ def check_method(
 
 
 def case_findings(case: MethodCase) -> Iterator[Finding]:
-    """Follow every rule on one engine and scene; raises `Violation`."""
     what = f"{case.method.name} ({case.engine}) on {case.scene.name}"
     return follow(METHOD_RULES, case, what, case.engine, case.scene.name)

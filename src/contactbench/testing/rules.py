@@ -43,7 +43,6 @@ def require(condition: Any, message: str) -> None:
 def follow(
     rules: Mapping[int, Callable[[Any], str | None]], case: Any, what: str, engine: str, scene: str
 ) -> Iterator[Finding]:
-    """Follow every rule on a case; raises `Violation` for the first that is broken, or that cannot be followed."""
     for number, rule in rules.items():
         case.measured.clear()
         try:

@@ -30,10 +30,7 @@ STATES = 3
 
 @dataclass(frozen=True)
 class SceneCase:
-    """A scene and some generic states of it, as floats and at 50 digits.
-
-    measured : the largest gap between numbers that a rule compares, relative to their size.
-    """
+    """A scene and some generic states, as floats and at 50 digits; measured : the largest gap, relative to the size."""
 
     scene: Scene
     measured: dict[str, float] = field(default_factory=dict, compare=False)
@@ -59,7 +56,6 @@ class SceneCase:
 
     @cached_property
     def exact(self) -> list[Any]:
-        """The states again, as 50-digit numbers."""
         return [self.read([self.xp.mpf(repr(float(c))) for c in self.scene.pack(x)]) for x in self.states]
 
     def read(self, y: Any) -> Any:
@@ -70,7 +66,6 @@ class SceneCase:
         return self.read([a + amount * b for a, b in pairs])
 
     def derivative(self, f: Callable[[Any], Any]) -> list[Any]:
-        """Return the derivative at 0 of f(d), a list of numbers."""
         delta = self.xp.mpf(DELTA)
         return [(a - b) / (2 * delta) for a, b in zip(f(delta), f(-delta), strict=True)]
 
@@ -82,7 +77,6 @@ class SceneCase:
         return self.slope(lambda x: [self.twin.hamiltonian(x)], x, along_s)[0]
 
     def near(self, a: Any, b: Any, what: str) -> None:
-        """Require that two lists are equal up to the round-off of float64 states."""
         a, b = list(a), list(b)
         size = max([1.0, *(float(abs(c)) for c in b)])
         gap = max(float(abs(p - q)) for p, q in zip(a, b, strict=True))
@@ -243,7 +237,6 @@ SCENE_RULES: dict[int, Callable[[SceneCase], str | None]] = dict(enumerate((*EQU
 
 
 def scene_findings(scene: Scene) -> Iterator[Finding]:
-    """`check_scene`, a finding at a time."""
     return follow(SCENE_RULES, SceneCase(scene), scene.name, "", scene.name)
 
 

@@ -24,6 +24,8 @@ from contactbench.trace import form
 
 #: folder for generated files and compiled programs; by default the user's cache folder
 VARIABLE = "CONTACTBENCH_CACHE"
+#: whether numba is allowed to
+COMPILES = os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
 #: the arrays a program works on: how many dimensions, and of whole numbers
 DIMENSIONS = {"spans": 2, "w": 2, "after": 2, "y": 2, "starts": 2, "ends": 3}
 WHOLE = ("shape", "part")
@@ -135,7 +137,6 @@ class Lowering:
 
     # -- elements of arrays ------------------------------------------------------------------------
     def place(self, element: form.Element) -> Any:
-        """The pointer to an element, in tiles to those of all states of the tile."""
         array, add, mul = self.arrays[element.array], self.builder.add, self.builder.mul
         *rows, last = map(self.value, element.indices)
         offset = last if element.shift == 0 else add(last, self.value(element.shift))
@@ -174,7 +175,6 @@ class Lowering:
         return self.builder.sitofp(value, self.double) if value.type == self.whole else value
 
     def spread(self, value: Any) -> Any:
-        """A number as a vector of it."""
         value = self.floating(value)
         if value.type != self.double or self.lanes == 1:
             return value
@@ -313,22 +313,13 @@ def compile_function(function: form.Function, lanes: int = 1, fused: bool = True
     return getattr(module, function.name)
 
 
-def compiles() -> bool:
-    return os.environ.get("NUMBA_DISABLE_JIT", "0").strip() in ("", "0")
-
-
-def require_compiler() -> None:
-    """Raise `CannotRecord` where numba is told not to compile."""
-    if not compiles():
-        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
-
-
 def import_source(source: str, names: Any) -> ModuleType:
     """A module from a file of the cache folder, which is written unless it is there.
 
     names() : what the source finds defined.
     """
-    require_compiler()
+    if not COMPILES:
+        raise CannotRecord("NUMBA_DISABLE_JIT is set: numba compiles nothing")
     name = f"program_{hashlib.sha256(source.encode()).hexdigest()[:32]}"
     path = folder() / f"{name}.py"
     if not path.exists() or path.read_text() != source:

@@ -1,14 +1,15 @@
 """The intermediate form of recorded programs.
 
 A `Function` is a list of statements on scalars and on the elements of arrays.  Every name is assigned once, by an
-`Assign`; what changes in a loop is a variable, set by `Update`.  An operand is a name or a constant.  Nothing in it
-knows a back end: `python.py` prints it, `llvm.py` turns it into instructions.
+`Assign`; what changes in a loop is a variable, set by `Update`.  An operand is a name or a constant.  `execute`
+prints it as Python; `compiled.py` turns it into instructions.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -51,8 +52,6 @@ class Assign(NamedTuple):
 
 
 class Update(NamedTuple):
-    """Variables set to new values, all at once."""
-
     variables: tuple[str, ...]
     values: tuple[Operand, ...]
 
@@ -121,7 +120,6 @@ def digest(*parts: Any) -> str:
 
 
 def text(operand: Operand) -> str:
-    """A name, or a constant as Python writes it."""
     if isinstance(operand, str):
         return operand
     if isinstance(operand, int):
@@ -132,7 +130,6 @@ def text(operand: Operand) -> str:
 
 
 def read_by(statement: Any) -> set[Operand]:
-    """The operands that an assignment or a store reads."""
     if isinstance(statement, Assign) and isinstance(statement.value, Operation):
         return {*statement.value.operands}
     element = statement.element if isinstance(statement, Store) else statement.value
@@ -148,3 +145,77 @@ def prune(statements: list[Any], result: Results) -> tuple[Any, ...]:
             kept.append(statement)
             read |= read_by(statement)
     return tuple(kept[::-1])
+
+
+# -- printed as Python, and run by Python itself: arrays are lists of lists there --------------------------
+#: operations that are no calls
+NAMES = ("add", "sub", "mul", "div", "pow", "lt", "le", "gt", "ge", "eq", "ne", "and", "or")
+SIGNS = ("+", "-", "*", "/", "**", "<", "<=", ">", ">=", "==", "!=", "and", "or")
+FORMS = {
+    **{name: f"{{}} {sign} {{}}" for name, sign in zip(NAMES, SIGNS, strict=True)},
+    "neg": "-{}",
+    "not": "not {}",
+    "where": "{1} if {0} else {2}",
+}
+#: the names that printed functions use
+SCOPE = {name: getattr(math, name) for name in (*FUNCTIONS, "atan2", "hypot", "inf", "nan")}
+READ = {"f": "{}", "i": "int({})", "b": "{} != 0.0"}
+
+
+def execute(
+    function: Function, forms: Mapping[str, str] = FORMS, scope: Mapping[str, Any] = SCOPE
+) -> Callable[..., Any]:
+    """The function, run by Python; forms : how operations are written, scope : what names stand for."""
+    names = dict(scope)
+    exec(source(function, forms), names)
+    return names[function.name]
+
+
+def source(function: Function, forms: Mapping[str, str] = FORMS) -> str:
+    head = f"def {function.name}({', '.join(function.arguments)}):"
+    return "\n".join([head, *lines(function.body, forms), f"    return {render(function.result)}", ""])
+
+
+def render(results: Results) -> str:
+    if isinstance(results, tuple):
+        return f"({''.join(f'{render(part)}, ' for part in results)})"
+    return text(results)
+
+
+def place(element: Element) -> str:
+    *rows, last = map(text, element.indices)
+    if element.shift != 0:
+        last = f"{last} + {text(element.shift)}"
+    return "".join([element.array, *(f"[{index}]" for index in (*rows, last))])
+
+
+def value(expression: Operation | Element, forms: Mapping[str, str]) -> str:
+    if isinstance(expression, Element):
+        return READ[expression.kind].format(place(expression))
+    function, operands = expression
+    template = forms.get(function) or f"{function}({', '.join(['{}'] * len(operands))})"
+    return template.format(*map(text, operands))
+
+
+def lines(body: Sequence[Any], forms: Mapping[str, str] = FORMS, indent: str = "    ") -> Iterator[str]:
+    within = indent + "    "
+    for statement in body:
+        match statement:
+            case Assign(target, expression):
+                yield f"{indent}{target} = {value(expression, forms)}"
+            case Update(variables, values):
+                yield f"{indent}{', '.join(variables)} = {', '.join(map(text, values))}"
+            case Unpack(targets, sequence):
+                yield f"{indent}{', '.join(targets)}, = {sequence}"
+            case Store(element, stored):
+                number = f"1.0 if {text(stored)} else 0.0" if element.kind == "b" else text(stored)
+                yield f"{indent}{place(element)} = {number}"
+            case Loop(index, times, inner):
+                yield f"{indent}for {index} in range({text(times)}):"
+                yield from lines(inner, forms, within)
+            case While(test, condition, inner):
+                yield f"{indent}while True:"
+                yield from lines(test, forms, within)
+                yield f"{within}if not {text(condition)}:"
+                yield f"{within}    break"
+                yield from lines(inner, forms, within)

@@ -18,8 +18,7 @@ from contactbench.numbers import functions
 from contactbench.numbers.dual import DERIVATIVES, leaves
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.trace import form
-from contactbench.trace.form import Operand, Operation, Results
-from contactbench.trace.python import FORMS, execute
+from contactbench.trace.form import FORMS, Operand, Operation, Results, execute
 from contactbench.trace.recording import Recorded, RecordedNumbers, Tape, attempt, operand_of
 
 
@@ -115,10 +114,8 @@ class Formula(form.Digested):
         for target, operation in self.body:
             there = Operation(operation.function, tuple(moved.get(x, x) for x in operation.operands))
             moved[target] = tape.assign(there, "f", tape.root).name
-        results, along = (
-            [moved.get(x, x) for x in leaves(self.results)],
-            argument_names(self.arguments[:1], ()),
-        )
+        results = [moved.get(x, x) for x in leaves(self.results)]
+        along = argument_names(self.arguments[:1], ())
         chosen = attempt(lambda: choose(derivatives(tape, results, along)))
         return make_formula(self.arguments, self.names, tape, chosen)
 
@@ -218,7 +215,6 @@ def argument_names(arguments: tuple[int | str, ...], names: Sequence[str]) -> tu
 
 
 def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], names: Sequence[str]) -> Formula:
-    """Record a function; arguments, names : as in `Formula`.  Raises `CannotRecord`."""
     tape = Tape()
     supply = (Recorded(tape, name, "f", tape.root) for name in argument_names(arguments, names))
     given: list[Any] = []
@@ -234,6 +230,5 @@ def formula(function: Callable[..., Any], arguments: tuple[int | str, ...], name
 def make_formula(
     arguments: tuple[int | str, ...], names: tuple[str, ...], tape: Tape, results: Any, live: Any = None
 ) -> Formula:
-    """The formula of some results, without the operations that none of them needs."""
     found = tape.results(results)
     return Formula(arguments, names, form.prune(tape.root.statements, found), found, live)

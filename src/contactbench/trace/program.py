@@ -91,8 +91,6 @@ class Vector(Recorded):
 
 
 class ProgramTape(Tape):
-    """A recording with vectors, and with a part that is computed once."""
-
     def __init__(self) -> None:
         super().__init__()
         #: whole numbers both functions are called with: known when everything is recorded
@@ -105,7 +103,6 @@ class ProgramTape(Tape):
         self.exported: dict[str, str] = {}
 
     def size(self, key: Any, number: Callable[[], int]) -> Recorded:
-        """A whole number that is an argument of the program."""
         if key not in self.whole.known:
             i, name = len(self.shape), f"i0{len(self.shape)}"
             self.whole.known[key] = name
@@ -179,16 +176,13 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     ends = tuple(tape.read(value, tape.main) for value in end)
     once = setup(tape)  # adds to the shape
     head, last = watch(tape, d, bounded, factor)
-    return Program(
-        once,
-        Function(
-            "run", ("start", "w", "shape", "after"), steps(tape, "start", ends, "after", head, last), "bad"
-        ),
-        Function("many", ("starts", "w", "shape", "ends", "part"), steps(tape, "starts", ends, "ends")),
-        np.array([value for column in tape.columns for value in column.data], dtype=float),
-        np.array([number() for number in tape.shape], dtype=np.int64),
-        len(tape.exported) + sum(len(column.data) * len(column.stored) for column in tape.columns),
-    )
+    body, beside = steps(tape, "start", ends, "after", head, last), steps(tape, "starts", ends, "ends")
+    run = Function("run", ("start", "w", "shape", "after"), body, "bad")
+    many = Function("many", ("starts", "w", "shape", "ends", "part"), beside)
+    data = np.array([value for column in tape.columns for value in column.data], dtype=float)
+    shape = np.array([number() for number in tape.shape], dtype=np.int64)
+    width = len(tape.exported) + sum(len(column.data) * len(column.stored) for column in tape.columns)
+    return Program(once, run, many, data, shape, width)
 
 
 def setup(tape: ProgramTape) -> Function:

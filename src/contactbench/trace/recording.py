@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import place, plain_function
+from contactbench.errors import place, plain_function
 from contactbench.numbers.dual import Dual, leaves, rebuild
 from contactbench.numbers.protocol import LARGEST_POWER, CannotRecord, ChoosingNumbers, Unknown
 from contactbench.trace import form
@@ -42,8 +42,6 @@ class Block:
 
 
 class Tape:
-    """A recording: names of values, and the block that is being written."""
-
     def __init__(self) -> None:
         self.root = self.block = Block()
         self.count = 0
@@ -53,7 +51,6 @@ class Tape:
         return f"{kind}{self.count}"
 
     def assign(self, value: Operation | Element, kind: str, block: Block) -> Recorded:
-        """A value, assigned in a block unless it has been."""
         # by text, since -0.0 == 0.0 and 1 == 1.0
         key = (value.function, *map(text, value.operands)) if isinstance(value, Operation) else value
         if key not in block.known:
@@ -71,7 +68,6 @@ class Tape:
         return self.assign(Operation(function, tuple(self.read(x, block, of) for x in operands)), kind, block)
 
     def read(self, x: Any, block: Block, kind: str = "f") -> Operand:
-        """A number as an operand, where it is used in a block."""
         if isinstance(x, Recorded) and not block.within(x.block):
             raise CannotRecord("vectors of different origin are combined")
         return operand_of(x, kind)
@@ -84,7 +80,6 @@ class Tape:
         return self._loop(x, body, lambda inner: form.Loop("_", self.read(n, self.block, "i"), tuple(inner)))
 
     def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
-        """Application as long as a condition holds, recorded as a loop."""
         tests: list[Any] = []
 
         def turn(x: Any) -> Any:
@@ -99,7 +94,6 @@ class Tape:
         return self._loop(x, turn, loop)
 
     def _loop(self, x: Any, body: Callable[[Any], Any], make: Callable[[list[Any]], Any]) -> Any:
-        """Record the body in a block of its own, of which `make` is to make a statement."""
         outer, start = self.block, leaves(x)
         kinds = ["i" if isinstance(v, int) else v.kind if isinstance(v, Recorded) else "f" for v in start]
         inner, names = Block(outer), tuple(map(self.name, kinds))
@@ -303,7 +297,6 @@ def attempt(function: Callable[[], Any]) -> Any:
 
 
 def reason_of(error: BaseException) -> CannotRecord:
-    """The reason, and what to write instead where that is known."""
     if (advice := plain_function(error)) is not None:
         return CannotRecord(f"{place(error)[2:]}: {advice}")
     if isinstance(error, CannotRecord):

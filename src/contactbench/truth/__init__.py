@@ -1,18 +1,22 @@
 """The truth: closed forms, frozen high-precision files, live high-precision solutions."""
 
-from contactbench.truth.digits import (
+from contactbench.truth.engines import (
+    BlowUp,
+    OutOfTime,
     Rows,
     agreeing_digits,
     decimal_context,
     disagreement,
     distance,
+    extrapolated,
+    extrapolation,
     matching_digits,
     place,
     rounded,
     scales,
+    taylor,
     with_decimals,
 )
-from contactbench.truth.engines import BlowUp, OutOfTime, extrapolated, extrapolation, taylor
 from contactbench.truth.frozen import condition_number, digest, frozen, frozen_folder, manifest, table
 from contactbench.truth.reference import (
     BLOW_UP_COLLAPSE,

@@ -1,9 +1,14 @@
-"""The two engines of high precision: heyoka's Taylor series, and extrapolation, which shares nothing with them."""
+"""High-precision numbers, how many digits of two computations agree, and two engines: heyoka's Taylor series, and
+extrapolation, which shares nothing with them.
+
+mpmath is imported when it is first used: its import would be a quarter of the command line's start.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from decimal import Decimal, localcontext
 from importlib.util import find_spec
 from time import perf_counter
 from typing import Any
@@ -13,8 +18,74 @@ import numpy as np
 from contactbench.errors import BadInput
 from contactbench.numbers.series import NO_SERIES, equations
 from contactbench.scene import Scene
-from contactbench.truth.digits import Rows, decimal_context, distance, with_decimals
 
+Rows = list[list[Any]]  #: one list of components per time
+
+
+def scales(rows: Rows) -> list[Any]:
+    """Return the largest |entry| of every column (1 for a column of zeros)."""
+    return [max(abs(x) for x in column) or 1 for column in zip(*rows, strict=True)]
+
+
+def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+
+
+def disagreement(a: Rows, b: Rows) -> list[Any]:
+    return [distance(p, q) for p, q in zip(zip(*a, strict=True), zip(*b, strict=True), strict=True)]
+
+
+def agreeing_digits(a: Rows, b: Rows, at_most: int) -> int:
+    """Return the decimal digits to which two computations agree, relative to the scale of the worst column."""
+    worst = max(e / scale for e, scale in zip(disagreement(a, b), scales(b), strict=True))
+    return matching_digits(worst, at_most)
+
+
+def matching_digits(error: Any, at_most: int) -> int:
+    import mpmath
+
+    return at_most if error == 0 else max(0, min(at_most, int(mpmath.floor(-mpmath.log10(error)))))
+
+
+def rounded(value: Any, places: int) -> str:
+    """Return a number to a number of decimal places (half to even), in plain or scientific notation."""
+    import mpmath
+
+    with localcontext() as context:
+        context.prec = 200
+        exact = Decimal(mpmath.nstr(value, 100))
+        return str(exact.quantize(Decimal(1).scaleb(-places)))
+
+
+def place(value: Any, digits: int) -> int:
+    """Return the decimal place of the last of `digits` significant digits of value."""
+    import mpmath
+
+    return digits if value == 0 else digits - 1 - int(mpmath.floor(mpmath.log10(abs(value))))
+
+
+def decimal_context(digits: int) -> Any:
+    """Return an mpmath context of its own, so that nobody's global precision is touched."""
+    import mpmath
+
+    context = mpmath.MPContext()
+    context.dps = digits
+    return context
+
+
+def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
+    """Return the scene with every float x, initial data included, replaced by ``number(repr(x))``."""
+
+    def convert(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return np.array([convert(x) for x in value], dtype=object)
+        return tuple(map(convert, value)) if isinstance(value, tuple) else number(repr(float(value)))
+
+    start = {name: convert(getattr(scene, name)) for name in scene.initial_fields}
+    return scene.with_numbers([convert(x) for x in scene.numbers()])._replaced(**start)
+
+
+# -- how long it may take ----------------------------------------------------------------------------
 #: a moment that never comes, on the clock of `perf_counter`
 NEVER = math.inf
 #: seconds after which the rest of a computation is foreseen, and how many times its budget it may still need
@@ -28,9 +99,8 @@ class BlowUp(BadInput):
     """The trajectory reaches infinity at `time`, an mpmath number."""
 
     def __init__(self, scene: Scene, time: Any) -> None:
-        super().__init__(
-            f"no reference for scene {scene.name!r}: the trajectory blows up at t = {float(time):.6g}"
-        )
+        at = f"the trajectory blows up at t = {float(time):.6g}"
+        super().__init__(f"no reference for scene {scene.name!r}: {at}")
         self.time = time
 
 
@@ -46,13 +116,11 @@ class Stopwatch:
 
     def is_over(self, t: float) -> bool:
         """Return whether the deadline has passed, or, seen from t, will pass long before the end."""
-        now = perf_counter()
-        spent = now - self.begun
+        spent = (now := perf_counter()) - self.begun
         hopeless = spent * self.span > HOPELESS * (self.deadline - self.begun) * t
         return now > self.deadline or (spent > FORESEEN and hopeless)
 
     def check(self, t: float) -> None:
-        """Raise `OutOfTime` if it is over."""
         if self.is_over(t):
             faster = "" if find_spec("heyoka") else ", or install heyoka, which is much faster"
             raise OutOfTime(
@@ -91,9 +159,8 @@ def taylor(
 
     system, own = taylor_system(scene, carry, bits)
     origin_state = own if start is None else [heyoka.real(x, bits) for x in start]
-    integrator = heyoka.taylor_adaptive(
-        system, np.array(origin_state), fp_type=heyoka.real, prec=bits, compact_mode=True
-    )
+    kind = {"fp_type": heyoka.real, "prec": bits, "compact_mode": True}
+    integrator = heyoka.taylor_adaptive(system, np.array(origin_state), **kind)
     origin = [] if float(times[0]) == 0 else ["0.0"]
     grid = np.array([heyoka.real(t, bits) for t in [*origin, *times]])
     end = float(times[-1])
@@ -110,9 +177,8 @@ def taylor(
     if outcome != heyoka.taylor_outcome.time_limit:
         watch.check(float(integrator.time))
         if math.isnan(float(integrator.time)):
-            raise BadInput(
-                f"no reference for scene {scene.name!r}: its Taylor series is not finite at the start; {NO_SERIES}"
-            )
+            why = f"its Taylor series is not finite at the start; {NO_SERIES}"
+            raise BadInput(f"no reference for scene {scene.name!r}: {why}")
         raise BlowUp(scene, context.mpf(str(integrator.time)))
     return [[context.mpf(str(x)) for x in row] for row in states[len(origin) :]]
 

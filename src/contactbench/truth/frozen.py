@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, is_ours
 from contactbench.scene import Scene
 from contactbench.scene.many import Many
 from contactbench.trace.formula import Formula
@@ -88,7 +87,6 @@ def table(path: Path, sha256: str) -> tuple[list[str], list[list[str]]]:
 
 
 def entries(scene: Scene) -> Iterator[dict[str, Any]]:
-    """Yield the manifest's entries of this very scene, whatever its name and end."""
     folder, wanted = frozen_folder(), digest(scene)
     for entry in manifest(folder).values() if folder else ():
         if entry["scene_digest"] == wanted:
@@ -96,7 +94,6 @@ def entries(scene: Scene) -> Iterator[dict[str, Any]]:
 
 
 def frozen(scene: Scene, t: np.ndarray, carry: tuple[str, ...]) -> tuple | None:
-    """Return decimals, digits and source from the frozen file of this very scene, if it has these times."""
     for entry in entries(scene):
         header, rows = table(frozen_folder() / entry["file"], entry["sha256"])  # type: ignore[operator]
         grid = np.array([float(row[0]) for row in rows])

@@ -14,27 +14,29 @@ from typing import Any
 
 import numpy as np
 
-from contactbench.boundary import is_ours, plain_function
-from contactbench.boundary import place as place_of
-from contactbench.errors import BadInput, array, excerpt, is_real, one_line
-from contactbench.scene import Scene, verify
-from contactbench.scene.cache import Cache, key
+from contactbench.errors import BadInput, array, excerpt, is_ours, is_real, one_line, plain_function
+from contactbench.errors import place as place_of
+from contactbench.scene import Cache, Scene, key, verify
+from contactbench.scene.base import scene_of
 from contactbench.scene.definition import verify_along
 from contactbench.scene.many import Many
-from contactbench.scenes import scene_of
-from contactbench.truth.digits import (
+from contactbench.truth.engines import (
+    NEVER,
+    BlowUp,
     Rows,
     agreeing_digits,
     decimal_context,
     disagreement,
     distance,
+    extrapolation,
+    heyoka_reads_rhs,
     matching_digits,
     place,
     rounded,
     scales,
+    taylor,
     with_decimals,
 )
-from contactbench.truth.engines import NEVER, BlowUp, extrapolation, heyoka_reads_rhs, taylor
 from contactbench.truth.frozen import digest, entries, frozen
 from contactbench.truth.many import FEW, doubles
 
@@ -116,9 +118,8 @@ def reference(
     def make() -> Reference:
         if isinstance(scene, Many):
             return of_many(scene, t, carry, seconds)
-        found = closed_form(scene, t, carry) or frozen(scene, t, carry)
-        found = found or live(scene, t, carry, perf_counter() + seconds)
-        decimals, digits, source = found
+        stored = closed_form(scene, t, carry) or frozen(scene, t, carry)
+        decimals, digits, source = stored or live(scene, t, carry, perf_counter() + seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
         t.setflags(write=False)
         y.setflags(write=False)  # shared by every caller through the cache
@@ -272,9 +273,8 @@ def computations(
         raise
     except Exception as error:
         says = plain_function(error) or f"{type(error).__name__}: {one_line(error, 150)}"
-        raise BadInput(
-            f"no reference for scene {scene.name!r}: its equations fail in high precision{place_of(error)}: {says}"
-        ) from error
+        why = f"its equations fail in high precision{place_of(error)}: {says}"
+        raise BadInput(f"no reference for scene {scene.name!r}: {why}") from error
 
 
 def confirmed(found: Reference, seconds: float = NEVER) -> int | None:

@@ -109,11 +109,7 @@ def function(name: str) -> Any:
 
 array_of, entries_of = function("N_VGetArrayPointer"), function("SUNDenseMatrix_Data")
 reinitialise, set_stop_time = function("CVodeReInit"), function("CVodeSetStopTime")
-set_max_steps, advance, interpolate = (
-    function("CVodeSetMaxNumSteps"),
-    function("CVode"),
-    function("CVodeGetDky"),
-)
+set_max_steps, advance, interpolate = map(function, ("CVodeSetMaxNumSteps", "CVode", "CVodeGetDky"))
 steps_of, error_failures_of = function("CVodeGetNumSteps"), function("CVodeGetNumErrTestFails")
 newton_failures_of = function("CVodeGetNumStepSolveFails")
 pointer, integer, real = types.intp, types.int32, types.float64
@@ -154,7 +150,6 @@ def _jacobian(t, y, dy, J, user, work1, work2, work3):  # type: ignore[no-untype
 
 @numba.njit(cache=True)
 def restart(start, memory, vector, y, data, clock, end):  # type: ignore[no-untyped-def]
-    """Back to t = 0 and a state; the calls counted from zero."""
     split(start, y, data, clock)
     data[RHS_CALLS] = data[JACOBIAN_CALLS] = 0.0
     reinitialise(memory, 0.0, vector)

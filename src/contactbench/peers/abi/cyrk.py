@@ -26,7 +26,6 @@ from contactbench.peers.compiled import (
 
 __all__ = ["at_times", "find_ode_method_int", "get_error_message", "in_a_loop", "to_end"]
 
-
 if not CyRK.__version__.startswith(INTERFACE):
     raise ImportError(
         f"CyRK {CyRK.__version__} may have another C interface than {INTERFACE}, which this is written for"
@@ -34,7 +33,6 @@ if not CyRK.__version__.startswith(INTERFACE):
 
 
 def function(name: str, word: str) -> Any:
-    """A C function, by its name in `CyRK.nb.numba_c_api` and its signature."""
     return external(f"contactbench_cyrk_{name}", getattr(numba_c_api, f"get_{name}_func_ptr")(), word)
 
 
@@ -55,18 +53,8 @@ def solve(rhs, method, start, data, times, end, rtol, atol, max_steps):  # type:
     """CyRK's result; times : where states are wanted, none for every step."""
     tolerances = np.array([rtol, atol])
     place = tolerances.ctypes.data
-    problem = (
-        rhs,
-        0.0,
-        end,
-        start.ctypes.data,
-        len(start),
-        method,
-        NOTHING,
-        NOTHING,
-        data.ctypes.data,
-        data.size * 8,
-    )
+    state = (rhs, 0.0, end, start.ctypes.data, len(start))
+    problem = (*state, method, NOTHING, NOTHING, data.ctypes.data, data.size * 8)
     saves = (max_steps, UNLIMITED, False, times.ctypes.data, times.size, NOTHING, NOTHING, NOTHING)
     # no bound on the step, the first chosen by the solver, which is kept: it knows where it stopped
     steps = (place, 1, place + 8, 1, np.inf, 0.0, True)

@@ -1,22 +1,27 @@
 """``report.html``: all chapters on one page that needs no network.
 
 A renderer: it knows no question, no table and no method.  Figures are the SVG files beside the page; tables are
-embedded as JSON and drawn when they are opened.
+embedded as JSON and drawn when they are opened; one plot is live (`drawing.Live`).
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jinja2
+import numpy as np
 from markupsafe import Markup, escape
+from matplotlib.markers import MarkerStyle
+from matplotlib.transforms import Affine2D
 
-from contactbench.report.chapters import Contents, Part, Section, Text, every
-from contactbench.report.drawing import Figure
+from contactbench.report.chapters import Contents, Part, every
+from contactbench.report.drawing import Curve, Figure, Live
+from contactbench.report.look import DASHES, look
 from contactbench.report.views import Cell, View
 
 #: where readers go from here: documents beside the page, and the source above it
@@ -26,7 +31,6 @@ LINKS = {
     "glossary": "glossary.md",
     "source": "../README.md",
 }
-KINDS: dict[type, str] = {Text: "text", View: "view", Figure: "figure", Section: "section"}
 
 # -- inline Markdown and simple mathtext as HTML; everything else is escaped -----------------------
 INLINE = re.compile(
@@ -40,10 +44,7 @@ SHIFTED = re.compile(r"(?P<sign>[\^_])(?:\{(?P<group>[^}]*)\}|(?P<letter>.))")
 
 
 def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
-    """Return inline Markdown (see views.py) as HTML.
-
-    addresses : where documents are on this page (file name → anchor); other files are linked beside it.
-    """
+    """Return inline Markdown (see views.py) as HTML; addresses : file name → anchor of what is on this page."""
 
     def mark(found: re.Match[str]) -> Markup:
         kind = str(found.lastgroup)
@@ -62,7 +63,6 @@ def inline(text: str, addresses: Mapping[str, str] | None = None) -> Markup:
 
 
 def mathematics(text: str) -> Markup:
-    """Return simple mathtext with its superscripts and subscripts as HTML."""
     for sign, symbol in SYMBOLS.items():
         text = text.replace(sign, symbol)
 
@@ -74,7 +74,6 @@ def mathematics(text: str) -> Markup:
 
 
 def substitute(pattern: re.Pattern[str], text: str, mark: Callable[[re.Match[str]], Markup]) -> Markup:
-    """Return the text with what a pattern finds marked, and all else escaped."""
     out, last = Markup(), 0
     for found in pattern.finditer(text):
         out += escape(text[last : found.start()]) + mark(found)
@@ -84,7 +83,6 @@ def substitute(pattern: re.Pattern[str], text: str, mark: Callable[[re.Match[str
 
 # -- tables as JSON --------------------------------------------------------------------------------
 def cell(of: Cell, addresses: Mapping[str, str]) -> str | list[Any]:
-    """Return the HTML of an entry; with what it is sorted by, its mark and its address, where it has any."""
     value = None if of.value is None else float(f"{of.value:.6g}")
     more: list[Any] = [str(inline(of.text, addresses)), value, of.mark or "", addresses.get(of.link, of.link)]
     while not more[-1] and len(more) > 1:
@@ -103,22 +101,50 @@ def table(view: View, addresses: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
+# -- the live plot as JSON -------------------------------------------------------------------------
+def live_look(curve: Curve) -> dict[str, Any]:
+    own = look(curve.method, curve.family)
+    style = MarkerStyle(own.marker)
+    path = style.get_path().transformed(style.get_transform() + Affine2D().scale(100, -100))
+    lines = map(np.asarray, path.to_polygons(closed_only=False))
+    outline = "".join("M" + "L".join(f"{x:.0f} {y:.0f}" for x, y in line) for line in lines)
+    dash, filled = " ".join(f"{1.5 * part:g}" for part in DASHES.get(own.order, ())), own.family == "contact"
+    return {"family": own.family, "color": own.color, "outline": outline, "filled": filled, "dash": dash}
+
+
+def live_points(curve: Curve) -> list[tuple[float, float, str]]:
+    points = zip(curve.x, curve.y, curve.settings, strict=True)
+    known = [point for point in points if 0 < point[0] < math.inf and 0 < point[1] < math.inf]
+    return [(float(f"{x:.3g}"), float(f"{y:.3g}"), setting) for x, y, setting in known]
+
+
+def live_plot(live: Live) -> dict[str, Any]:
+    panels: dict[str, dict[str, Any]] = {}
+    looks: dict[str, dict[str, Any]] = {}
+    for (scene, cost), panel in live.panels.items():
+        curves = [{"name": c.method, "muted": c.muted, "points": live_points(c)} for c in panel.curves]
+        axes = {"x": panel.x.label, "y": panel.y.label, "ends": (*panel.x.within, panel.y.within[1])}
+        panels.setdefault(scene, {})[cost] = {**axes, "curves": curves}
+        looks |= {curve.method: live_look(curve) for curve in panel.curves}
+    return {"panels": panels, "looks": looks}
+
+
 # -- the page --------------------------------------------------------------------------------------
 def page(
     contents: Sequence[Contents],
     recorded: Sequence[Mapping[str, Any]] = (),
     glossary: Sequence[Part] = (),
     links: Mapping[str, str] | None = None,
-    picture: Callable[[Figure], str] = lambda figure: f"figures/{figure.name}.svg",
+    live: Live | None = None,
 ) -> str:
-    """Return the HTML text.
-
-    recorded : the runs that made the tables.  glossary : parts of a last section.  links : name → address.
-    picture : the address of a figure.
-    """
+    """Return the HTML; recorded : runs behind the tables; live : stands for the figures of the first chapter."""
+    if live:
+        first = tuple(part for part in contents[0].parts if not isinstance(part, Figure))
+        contents = [replace(contents[0], parts=first), *contents[1:]]
     addresses = {one.chapter.file: f"#{one.chapter.name}" for one in contents}
     shown = [*(part for one in contents for part in one.parts), *glossary]
-    data = {view.name: table(view, addresses) for view in every(View, shown)}
+    views = {view.name: table(view, addresses) for view in every(View, shown)}
+    data = {"views": views, "live": live and live_plot(live)}
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("contactbench.report", "page"),
         autoescape=True,
@@ -127,19 +153,13 @@ def page(
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["inline"] = lambda text: inline(text, addresses)
-    environment.filters["picture"] = picture
-    environment.filters["kind"] = lambda part: KINDS[type(part)]
+    environment.filters["kind"] = lambda part: type(part).__name__
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return environment.get_template("page.html").render(
-        css=source("page.css"),
-        script=source("tables.js"),
         data=text.replace("<", "\\u003c"),  # it stands inside a script element
         contents=contents,
+        live=live,
         runs=recorded,
         glossary=glossary,
         links=links or {},
     )
-
-
-def source(name: str) -> str:
-    return files("contactbench.report.page").joinpath(name).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Chunks mapped by executors: the ensemble of one process, also where a worker dies midway."""
+"""How an ensemble is shared out: among cores, by executors, also where a worker dies midway; and its memory."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ import numpy as np
 import pytest
 
 import contactbench as cb
-from contactbench.ensembles.chunks import ATTEMPTS
+from contactbench.ensembles import chunks
+from contactbench.ensembles.chunks import AHEAD, ATTEMPTS, LANES, equal_share, on_cores
+from contactbench.ensembles.members import ENERGY
 
 MANY, CHUNK = 10_000, 500
 SCENE = cb.SCENES["particle"]
 
 
-def data():
-    rng = np.random.default_rng(0)
-    return {"q": tuple(c + 0.05 * rng.normal(size=MANY) for c in SCENE.q)}
-
-
 def solved(**options):
-    return cb.ensemble(SCENE, "contact-rkn6", data(), step=0.005, progress=False, **options)
+    rng = np.random.default_rng(0)
+    data = {"q": tuple(c + 0.05 * rng.normal(size=MANY) for c in SCENE.q)}
+    return cb.ensemble(SCENE, "contact-rkn6", data, step=0.005, progress=False, **options)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +113,52 @@ def test_a_chunk_is_given_again_but_not_for_ever(alone):
 
 
 def test_an_error_of_the_chunk_itself_is_not_tried_again():
-    executor = Losing(0)
-    own = {"parameters": {"gamma": np.full(4, 0.1)}, "engine": "numba", "progress": False}
     with pytest.raises(cb.BadInput, match="engine = 'numba'"):
-        cb.ensemble(SCENE, "rk4", {"q": (np.ones(4), 0.5)}, step=0.1, executor=executor, **own)
+        solved(executor=Losing(0), parameters={"gamma": np.full(MANY, 0.1)}, engine="numba")
+
+
+# -- cores -----------------------------------------------------------------------------------------
+def states(n):
+    """Packed initial states (4, n)."""
+    return np.array([*SCENE.q, *SCENE.p])[:, None] + 0.05 * np.random.default_rng(1).normal(size=(4, n))
+
+
+@pytest.mark.parametrize("n", [1, 31, 1000, 4096, 200_000, 999_999])
+@pytest.mark.parametrize("workers", [1, 2, 3, 16])
+@pytest.mark.parametrize("chunk", [LANES, 1000, 2**16])
+def test_no_core_has_more_than_a_tile_a_chunk_above_its_share(n, workers, chunk):
+    share = equal_share(n, workers, chunk)
+    parts = [min(share, n - first) for first in range(0, n, share)]
+    assert max(parts) <= chunk
+    assert sum(parts) == n
+    loads = [sum(-(-part // LANES) for part in parts[k::workers]) for k in range(workers)]
+    even = -(-n // LANES) / workers
+    assert max(loads) <= even + -(-len(parts) // workers)
+
+
+def prepared():
+    run = cb.prepare(SCENE, "contact-rkn6", step=1.0, save_at=[SCENE.t_end], carry=(), engine="numba")
+    return run, run.loop
+
+
+def test_a_few_chunks_are_begun_ahead_and_no_more(monkeypatch):
+    """Memory stays bounded where only the statistics are kept, however slowly they are asked for."""
+    begun, integrate = [], chunks.side_by_side
+    monkeypatch.setattr(chunks, "side_by_side", lambda *args: begun.append(1) or integrate(*args))
+    results = on_cores(*prepared(), [ENERGY], states(100 * LANES), 2, LANES)
+    for done in range(3):
+        next(results)
+        assert done < len(begun) <= done + 1 + 2 * AHEAD
+    assert len(list(results)) == 97
+    assert len(begun) == 100
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_the_number_of_cores_changes_nothing(workers):
+    y0 = states(1001)
+    run, loop = prepared()
+    parts = list(on_cores(run, loop, [ENERGY], y0, workers, 300))
+    y, measures, end = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
+    (alone,) = on_cores(run, loop, [ENERGY], y0, 1, 2000)
+    for ours, theirs in zip((y, measures, end), alone, strict=True):
+        np.testing.assert_array_equal(ours, theirs)

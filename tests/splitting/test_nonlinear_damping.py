@@ -1,4 +1,4 @@
-"""Γ(s) = ½κs²: the laws where the rate of decay changes along the motion."""
+"""Γ(s) = ½κs² and a Γ(s) of one's own: the laws where the rate of decay changes along the motion."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from mpmath import mp
 
 import contactbench as cb
 import decimals
-from cases import random_state
+from cases import in_mp, random_state
 from contactbench.measure import order as precision
 from contactbench.measure.laws import decay_rate
 from contactbench.splitting import composition
+from contactbench.splitting.flows import decay
+from contactbench.testing import check_scene
 from contactbench.truth import decimal_context, with_decimals
 from contactbench.xla import jax, jnp
+from properties import GENERAL, cubic_flow
 
 SCENE = cb.SCENES["quadratic_damping"]
 TIMES = SCENE.t_end * np.arange(1, 26) / 25
@@ -108,23 +112,84 @@ def test_nystrom_tables_keep_their_order_under_nonlinear_damping(method, within)
     assert precision.order_at(method, SCENE, 2.0, 40) == pytest.approx(method.order, abs=within)
 
 
+FEEDING = {"damping": lambda s: -s * s * s, "damping_slope": lambda s: -3 * s * s}
+AT_REST = {"name": "runaway", "potential": lambda q: 0 * q[0], "q": (0.0,), "p": (0.0,), "t_end": 20.0}
+PUSHED = cb.Mechanical(**AT_REST | {"p": (0.8,)}, s=1.5, kappa=-2.0)
+#: s' = T − ½κs² reaches infinity when its closed form does, 1 + wφ = rφ; ds/dt = s³ from 1 at t = ½
+RUNAWAYS = [(PUSHED, name, 1 / (math.sqrt(0.32) + 1.5), None) for name in ("strang", "rkn6", "abc")]
+RUNAWAYS += [(cb.Mechanical(**AT_REST, s=-3.0, kappa=1.0), "abc", 2 / 3, None)]
+RUNAWAYS += [(cb.GeneralDamping(**AT_REST, s=1.0, **FEEDING), "abc", 0.5, 1 / math.sqrt(1 - 0.8))]
+
+
 @pytest.mark.parametrize("engine", ["numba", "jax", "python"])
-@pytest.mark.parametrize(
-    ("kappa", "s", "p", "method"),
-    [
-        (-2.0, 1.5, 0.8, "contact-strang"),
-        (-2.0, 1.5, 0.8, "contact-rkn6"),
-        (-2.0, 1.5, 0.8, "contact-abc"),
-        (1.0, -3.0, 0.0, "contact-abc"),
-    ],
-)
-def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, kappa, s, p, method):
-    """No force: s' = T − ½κs² reaches infinity when its closed form does, 1 + wφ = rφ."""
-    free = {"potential": lambda q: 0 * q[0], "gradient": lambda q: (0 * q[0],), "q": (0.0,)}
-    scene = cb.Mechanical(name="runaway", **free, p=(p,), s=s, kappa=kappa, t_end=20.0)
-    infinity = 1 / (math.sqrt(abs(kappa) * p * p / 4) - kappa * s / 2)
-    solution = cb.solve(scene, method, step=0.01, save_at=[0.5 * infinity, 20.0], engine=engine)
+@pytest.mark.parametrize(("scene", "method", "infinity", "grown"), RUNAWAYS)
+def test_blow_up_in_finite_time_ends_as_diverged_with_the_time(engine, scene, method, infinity, grown):
+    times = [(0.8 if grown else 0.5) * infinity, 20.0]
+    solution = cb.solve(scene, f"contact-{method}", step=0.01, save_at=times, engine=engine)
     assert solution.status is cb.Status.diverged
     assert solution.end_time == pytest.approx(infinity, abs=0.011)
     assert np.isfinite(solution.y[0]).all()
     assert np.isnan(solution.y[1]).all()
+    assert solution.s[0] == pytest.approx(grown or solution.s[0], rel=1e-9)
+
+
+# -- a damping of one's own: Γ and Γ' are enough, a closed form of s' = −Γ(s) makes it faster -------------
+QUADRATURE = GENERAL.with_(name="quadrature", rotation_invariant=True)
+CUBIC = QUADRATURE.with_(name="cubic", damping_flow=cubic_flow)
+both = pytest.mark.parametrize("scene", [CUBIC, QUADRATURE], ids=lambda s: s.name)
+
+
+@both
+def test_it_keeps_the_contract_of_a_scene(scene):
+    check_scene(scene)
+
+
+def test_compositions_for_any_force_take_it_and_other_methods_do_not():
+    taken = {name for name, method in cb.METHODS.items() if method.contact and method.refuses(CUBIC) is None}
+    assert taken == {f"contact-{name}" for name in ("printed", "abc", "strang", "bm4", "rkn4", "bm6", "o8")}
+
+
+@pytest.mark.parametrize("s", [0.0, 1e-12, -0.3, 0.7, 2.0])
+@pytest.mark.parametrize("h", [1e-3, 0.3, -0.2, 0.8])
+def test_quadrature_is_the_closed_form(s, h):
+    """To round-off in doubles where Γ'h is below one, to 45 digits in mpmath; 2.5 are the largest here."""
+    with mp.workdps(50):
+        exact, _ = in_mp(QUADRATURE, QUADRATURE.initial(("s",)))
+        true = cubic_flow(mp.mpf(s), mp.mpf(h), mp)
+        assert abs(decay(exact, mp.mpf(s), mp.mpf(h), mp) - true) < mp.mpf(10) ** -45
+    tolerance = 1e-15 * abs(s) if abs(s) < 1 else 1e-11
+    assert decay(QUADRATURE, s, h, math) == pytest.approx(float(true), rel=0, abs=tolerance)
+    together = decay(QUADRATURE, np.array([s, s]), h, np)
+    np.testing.assert_allclose(together, float(true), rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("method", ["contact-abc", "contact-bm4", "contact-bm6"])
+def test_compositions_keep_their_order(method):
+    method = cb.METHODS[method]
+    assert precision.order_at(method, CUBIC, 1.0, 20) == pytest.approx(method.order, abs=0.05)
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
+@both
+@pytest.mark.quick(scene="cubic")
+def test_it_runs_on_every_engine_and_keeps_its_own_factor(scene, engine):
+    times = [2.0, 4.0]
+    solution = cb.solve(scene, "contact-bm4", step=0.05, save_at=times, engine=engine)
+    assert solution.ok
+    other = cb.solve(CUBIC, "contact-bm4", step=0.05, save_at=times, engine="python")
+    np.testing.assert_allclose(solution.y, other.y, rtol=0, atol=1e-12)
+    assert cb.LAWS["own_factor_drift"](solution) < 1e-11
+    assert cb.LAWS["solution_error"](solution) < 1e-6
+    accurate = cb.solve(scene, "scipy-dop853", rtol=1e-11, save_at=times)
+    np.testing.assert_allclose(accurate.y, solution.y, rtol=0, atol=1e-6)
+
+
+def test_a_derived_hessian_is_no_jacobian():
+    functions = {
+        "potential": lambda q: q[0] ** 4 / 4,
+        "damping": lambda s: s**3,
+        "damping_slope": lambda s: 3 * s * s,
+    }
+    scene = cb.GeneralDamping(name="mine", q=(1.0,), p=(0.0,), s=0.3, t_end=3.0, **functions)
+    runs = [cb.solve(scene, name, rtol=1e-8, save_at=[3.0]) for name in ("scipy-radau", "scipy-dop853")]
+    np.testing.assert_allclose(runs[0].y, runs[1].y, rtol=0, atol=1e-6)

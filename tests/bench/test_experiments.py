@@ -1,0 +1,307 @@
+"""The benchmark: its profiles, timed cells, rows of averages over long runs, and a disk that is full."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+import bench_long_time as long_time
+import contactbench as cb
+from bench_claims import LONG
+from bench_decay import COSTS, SAVES, evaluations, value_at
+from bench_work_precision import error, errors, evaluations_spread, passes_through
+from cases import REPOSITORY, bench, few_slow, finished
+from cells import DEAR, step_at, tolerance_at
+from clock import SAMPLE, Entry, Timetable
+from conftest import PROFILES
+from contactbench.claims import CLAIMS
+from contactbench.claims.curves import FIGURES
+from contactbench.measure.clock import Part, Visit
+from contactbench.measure.ladder import ENDS, work_ladder
+from contactbench.results.schema import PROFILES as NAMES
+from contactbench.results.store import read
+from contactbench.results.tables import DEFINITIONS, DIMENSION, ENERGY, EXPONENT, LONG_TIME, SUM
+from contactbench.scenes import scenes_of
+
+
+class Scripted:
+    """A call whose visits take so long, one after the other; `order` says when it was visited."""
+
+    def __init__(self, name, order, *times):
+        self.name, self.order, self.times = name, order, iter(times)
+
+    def warm_up(self):
+        return 1.0
+
+    def visit(self, rounds=3):
+        self.order.append(self.name)
+        t = next(self.times)
+        return Visit([2 * t, t, 3 * t], [t / 2] * 3)
+
+
+def test_visits_are_spread_over_the_timed_part_and_a_cell_is_recorded_with_its_last():
+    order, recorded, cells = [], {}, "abcdef"
+    table = Timetable(dict.fromkeys(cells, ""), visits=8)
+
+    def entry(name):
+        again = Scripted(f"{name} again", order, *[3.0] * 8) if name == "a" else None
+        part = Part(lambda: None, share=0.25, span=1.0)
+        record = lambda columns: recorded.update({name: (columns, len(order))})  # noqa: E731
+        return Entry(Scripted(name, order, *[4.0, 2.0] * 4), part, again, record)
+
+    table.entries += map(entry, cells)
+    table.go()
+    size = len(cells) + 1
+    sweeps = {tuple(order[k : k + size]) for k in range(0, len(order), size)}
+    assert len(sweeps) == 8
+    assert {tuple(sorted(sweep)) for sweep in sweeps} == {("a", "a again", *"bcdef")}
+    for name, (columns, visited) in recorded.items():
+        assert (columns["visits"], columns["rounds"]) == (8, 24)
+        assert columns["time_min_s"] == 2.0
+        assert columns["marginal_s"] == pytest.approx((2.0 - 1.0) / 0.75)
+        assert columns.get("time_process_ratio") == (1.5 if name == "a" else None)
+        assert visited > 7 * size
+
+
+def test_a_sample_of_every_engines_cells_is_timed_in_a_second_process():
+    cells = {k: "numba" if k % 10 else "c" for k in range(1000)} | {1000 + k: "llvm" for k in range(5)}
+    sample = Timetable(cells, 8).sample
+    assert Counter(cells[k] for k in sample) == {"numba": SAMPLE, "c": SAMPLE, "llvm": 3}
+    assert Timetable(cells, 8).sample == sample
+
+
+def test_another_process_prepares_and_times_what_it_is_told():
+    """The C loop of the particle, timed in a process of its own."""
+    from bench_work_precision import prepared_limit
+
+    table = Timetable({}, 8)
+    try:
+        call = table.remote([], [], prepared_limit, ("particle", "contact-strang", 0.1))
+        row = call.prepared.result()[1]
+        assert row["status"] == "ok"
+        assert row["solution_error"] < 0.1
+        call.warm_up()
+        visit = call.visit(2)
+        assert len(visit.whole) == 2
+        assert min(visit.whole) * visit.iterations > 1e-5
+    finally:
+        table.end()
+
+
+# -- The profiles of the benchmark, and which cells they visit -------------------------------------
+def visited(experiment, test, profile="smoke"):
+    """The cells of a test in a profile."""
+    return getattr(import_module(experiment), test).cells(PROFILES[profile])
+
+
+def test_the_smoke_profile_visits_every_scene_method_figure_and_soon_measured_claim():
+    everything = {("scene", name) for name in cb.SCENES} | {("method", name) for name in cb.METHODS}
+    assert set(visited("bench_definitions", "test_definition")) == everything
+    timed = {cell[:2] for cell in visited("bench_work_precision", "test_work_precision_errors")}
+    assert {name for scene, name in timed if scene == "particle"} == set(cb.METHODS)
+    soon = {name for name, method in cb.METHODS.items() if method.engines[0] not in DEAR}
+    assert {cell[1] for cell in visited("bench_laws", "test_laws")} == soon
+    hard = {cell[0] for cell in visited("bench_stability", "test_stability")}
+    assert hard == {scene.name for scene in scenes_of("stability")}
+    assert set(LONG) < set(CLAIMS)
+    assert {cell[0] for cell in visited("bench_claims", "test_claim")} == set(CLAIMS) - set(LONG)
+    assert {cell[0] for cell in visited("bench_claims", "test_paper_figure")} == set(FIGURES)
+
+
+EXPERIMENTS = {
+    "laws": ("bench_laws", "test_laws"),
+    "convergence": ("bench_convergence", "test_convergence"),
+    "decay_laws": ("bench_decay", "test_decay_laws"),
+    "work_precision": ("bench_work_precision", "test_work_precision_errors"),
+}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_a_scene_that_names_its_experiments_is_run_by_these_and_no_others(experiment):
+    few = {name: scene.experiments for name, scene in cb.SCENES.items() if scene.experiments}
+    cells = visited(*EXPERIMENTS[experiment], "standard")
+    assert {cell[0] for cell in cells} & few.keys() == {name for name in few if experiment in few[name]}
+
+
+@pytest.mark.parametrize("experiment", [path.stem for path in sorted(REPOSITORY.glob("bench/bench_*.py"))])
+def test_every_cell_of_a_profile_is_one_of_the_next(experiment):
+    """What `profile` in a row promises: a larger run has the rows of a smaller one."""
+    assert tuple(PROFILES) == NAMES
+    tests = [test for test in vars(import_module(experiment)).values() if hasattr(test, "cells")]
+    assert tests
+    for test in tests:
+        smoke, standard, full = (set(test.cells(profile)) for profile in PROFILES.values())
+        assert standard
+        assert smoke <= standard <= full
+
+
+# -- Rows of averages over long runs ---------------------------------------------------------------
+@pytest.fixture
+def rows(monkeypatch):
+    """The rows of a short run with tangents by their quantities."""
+    for name, value in {"PERIODS": 40, "SETTLE": 20, "TRAJECTORIES": 64}.items():
+        monkeypatch.setattr(long_time, name, value)
+
+    def run(method, steps):
+        made = list(long_time.with_tangents(cb.METHODS[method], "step", long_time.PERIOD / steps, 64))
+        assert all(set(row) <= set(LONG_TIME.columns) for row in made)
+        return {row["quantity"]: row for row in made}
+
+    return run
+
+
+def test_a_run_with_tangents_gives_every_average_and_what_the_pairs_are_off(rows):
+    found = rows("rk4", 16)
+    assert list(found) == [ENERGY, EXPONENT, DIMENSION, SUM]
+    assert found[EXPONENT]["evaluations_per_time"] == pytest.approx(64 / long_time.PERIOD)
+    assert abs(found[SUM]["mean"]) <= found[SUM]["pairing_defect"]
+    assert found[SUM]["mean"] == pytest.approx(-1.8e-3, rel=0.1)  # with the error of order four of rk4
+    assert "pairing_defect" not in found[ENERGY]
+
+
+def test_where_trajectories_are_lost_there_is_a_row_without_numbers(rows):
+    for row in rows("contact-rkn4", 2).values():
+        assert (row["status"], "mean" in row) == ("diverged", False)
+
+
+@pytest.mark.parametrize("name", long_time.FIXED)
+def test_fixed_steps_are_chosen_for_equal_cost(name):
+    method = cb.METHODS[name]
+    each, settings = method.per_step(long_time.SCENE, ()), long_time.settings(method)
+    spent = each * long_time.PERIOD / np.array([value for _, value in settings])
+    assert len(settings) > 5
+    for wanted in long_time.EVALUATIONS:
+        assert np.abs(spent - wanted).min() <= each / 2
+
+
+# -- A disk that is full while a benchmark runs ----------------------------------------------------
+#: from its second cell on, or when the tables are written, there is no room
+FULL = """
+import errno
+from contactbench.methods import METHODS
+from contactbench.results import cells
+
+METHODS["rk4"] = METHODS["rk4"].__class__(**vars(METHODS["rk4"]))  # a plug-in registers something
+
+def full(once):
+    calls = []
+    def write(*arguments):
+        calls.append(1)
+        if len(calls) > {after}:
+            raise OSError(errno.ENOSPC, "No space left on device", "a-file")
+        return once(*arguments)
+    return write
+
+cells.{name} = full(cells.{name})
+"""
+
+
+@pytest.mark.parametrize(("name", "after"), few_slow([("Cells.save", 1), ("merge", 0)], ("merge", 0)))
+def test_a_full_disk_is_one_line_and_what_was_finished_is_kept(name, after, tmp_path):
+    fault, results = tmp_path / "full.py", tmp_path / "results"
+    fault.write_text(FULL.format(name=name, after=after))
+    process = bench(results, "definition and contact", "--plugin", str(fault))
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 2, output
+    (line,) = (line for line in output.splitlines() if "No space left" in line)
+    assert "--resume" in line
+    assert "Traceback" not in output
+    finished(bench(results, "definition and contact", "--resume"))
+    assert len(read(DEFINITIONS, results)) == 11
+
+
+# -- What work–precision adds to a run, and settings at which methods cost the same ----------------
+@pytest.mark.parametrize(
+    ("method", "scene", "rtol", "turns"),
+    [
+        ("cvode-bdf", "particle", 1e-4, False),
+        ("heyoka-taylor", "particle", 1e-4, False),
+        ("cvode-adams", "particle_long", 1e-12, True),  # 31 to 49 thousand evaluations were met
+    ],
+)
+def test_only_a_long_run_at_a_tight_tolerance_turns_on_the_last_digit_of_its_initial_data(
+    method, scene, rtol, turns
+):
+    run = cb.prepare(scene, method, rtol=rtol, save_at=[cb.SCENES[scene].t_end], carry=())
+    spread = evaluations_spread(run, run().counts.evaluations)
+    assert spread > 0.1 if turns else spread == 0
+
+
+FIXED = [method.name for method in cb.METHODS.values() if method.control == "step"]
+
+
+@pytest.mark.parametrize("method", FIXED)
+def test_fixed_steps_pass_through_the_earlier_ends(method):
+    """The error there, of runs of their own and of one that passes through; a processed method has more of it."""
+    scene = cb.SCENES["central"]
+    ends = [scene.t_end * k / ENDS for k in range(1, ENDS)]
+    options = {"step": work_ladder(scene, cb.METHODS[method].order)[2], "engine": "python", "carry": ()}
+    own = error([cb.solve(scene, method, save_at=[t], **options) for t in ends])
+    passing = error([cb.solve(scene, method, save_at=ends, **options)])
+    same = passing == pytest.approx(own, rel=1e-6, abs=1e-14)
+    assert same == passes_through(cb.METHODS[method], "python", "step")
+
+
+@pytest.mark.parametrize(
+    ("scene", "method", "value", "fields"),
+    [
+        ("particle", "contact-strang", 0.8, "q p"),
+        ("quadratic_damping", "contact-strang", 0.8, "q p s"),
+        ("quadratic_damping", "cyrk-vern8", 1e-5, "q p s"),
+        ("rigid_body", "cyrk-vern8", 1e-5, "M R"),
+        ("rigid_body_anisotropic", "cyrk-vern8", 1e-5, "M"),
+        ("forced_oscillator", "contact-strang", 0.8, "q p t"),
+        ("forced_oscillator", "cyrk-vern8", 1e-5, "q p"),
+    ],
+)
+def test_carried_is_what_is_integrated(scene, method, value, fields):
+    item = cb.METHODS[method]
+    row = errors((scene, method, item.engines[0], item.control, value), PROFILES["standard"])
+    assert row["carried"] == fields
+
+
+# -- settings of equal cost ------------------------------------------------------------------------
+RANGE = (1e-13, 1e-1)
+
+
+def smooth(rtol):
+    return 10 * rtol**-0.2
+
+
+@pytest.mark.parametrize("target", [20.0, 137.0, 2000.0])
+def test_a_tolerance_is_found_for_a_cost(target):
+    rtol = tolerance_at(smooth, target, RANGE)
+    assert smooth(rtol) == pytest.approx(target, rel=0.03)
+    assert float(f"{rtol:.3g}") == rtol  # as it is printed
+
+
+def test_bad_ends_at_loose_tolerances_and_spent_budgets_are_avoided():
+    def cost(rtol):
+        return 0.0 if rtol > 1e-4 else math.inf if rtol < 1e-9 else smooth(rtol)
+
+    assert smooth(tolerance_at(cost, 300.0, RANGE)) == pytest.approx(300.0, rel=0.03)
+    cheapest = smooth(1e-4)
+    assert cost(tolerance_at(cost, 15.0, RANGE)) == pytest.approx(cheapest, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["contact-strang", "contact-rkn8", "contact-o8", "rk4", "scipy-dop853"])
+@pytest.mark.parametrize("cost", COSTS)
+def test_costs_are_equal_within_a_tenth_and_settings_the_same_every_time(name, cost):
+    scene, method = cb.SCENES["central"], cb.METHODS[name]
+    target = cost * scene.t_end
+    value = value_at(scene, method, target)
+    assert value == value_at(scene, method, target)
+    assert evaluations(scene, method, value) == pytest.approx(target, rel=0.1)
+
+
+def test_steps_end_at_the_saved_times_and_rotations_count_half():
+    for name in ("contact-strang", "contact-bm4"):
+        method, body = cb.METHODS[name], cb.SCENES["rigid_body"]
+        h = step_at(method, body, 600.0, SAVES)
+        steps = body.t_end / h
+        assert round(steps) % SAVES == 0
+        assert method.counts(body, round(steps)) / 2 == pytest.approx(600, rel=0.1)

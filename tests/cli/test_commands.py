@@ -1,0 +1,253 @@
+"""The command line: ``compare``, ``check``, outputs that cannot be written, and a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import contactbench as cb
+import made_up
+from cases import REPOSITORY
+from contactbench import cli
+from contactbench.cli import main, parsing
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.report import write
+from contactbench.testing import METHOD_RULES, SCENE_RULES
+
+RACE = ["compare", "particle", "rk4", "contact-strang", "--error", "1e-2,1e-3", "--budget", "60s"]
+
+
+@pytest.fixture(autouse=True)
+def cores(monkeypatch):
+    """The tests keep their cores."""
+    monkeypatch.setattr("contactbench.cli.runs.one_core", lambda: None)
+
+
+def test_it_prints_tables_and_writes_only_what_it_is_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([*RACE, "--csv", "out.csv", "--html", "out.html", "--plot", "out.svg"]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("Compiled")
+    assert "at round-off" in out
+    assert err == ""  # no terminal, no progress
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.csv", "out.html", "out.svg"]
+    rows = pd.read_csv("out.csv")
+    assert list(rows["method"]) == ["rk4", "rk4", "contact-strang", "contact-strang"]
+    assert (rows["status"] == "ok").all()
+
+
+def test_json_is_one_object_with_the_rows(capsys):
+    """Methods may follow an option."""
+    line = "compare particle --error 1e-2,1e-3 rk4 --budget 60s contact-strang --json --set gamma=0.3"
+    assert main(line.split()) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"reference", "rows"} <= found.keys()
+    assert [row["error_asked"] for row in found["rows"]] == [1e-2, 1e-3] * 2
+    assert all(row["time_s"] > 0 for row in found["rows"])
+
+
+def test_a_race_that_measures_nothing_is_no_success(capsys):
+    assert main(["compare", "particle", "contact-exact", "--error", "1e-2", "--json"]) == 1
+    assert [row["status"] for row in json.loads(capsys.readouterr().out)["rows"]] == ["unsupported"]
+
+
+def test_an_interrupted_race_prints_what_it_has(capsys, monkeypatch):
+    def stopped(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("contactbench.race.comparison.Comparison.time", stopped)
+    assert main(RACE) == 130
+    out = capsys.readouterr().out
+    assert "not timed" in out
+    assert "Interrupted" in out
+
+
+def test_version_and_help_without_a_command(capsys):
+    assert main(["--version"]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"contactbench {cb.__version__}"
+    assert f"heyoka {metadata.version('heyoka')}, cyrk {metadata.version('cyrk')}" in second
+    assert main([]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("usage: contactbench")
+    assert "compare" in out
+
+
+# -- ``contactbench check`` ------------------------------------------------------------------------
+RK4 = cb.METHODS["rk4"].step
+
+
+@pytest.fixture
+def mine(monkeypatch):
+    """A method that keeps its contract, one that claims a higher order, and a scene of each kind."""
+    for name, order in (("kept", 4), ("broken", 5)):
+        monkeypatch.setitem(cb.METHODS, name, FixedStep(name, order, RK4, evaluations=4, about="planted"))
+    wrong = cb.SCENES["particle"].with_(name="torn", rotation_invariant=True)
+    monkeypatch.setitem(cb.SCENES, "torn", wrong)
+
+
+def rows(out):
+    return [line.split() for line in out.splitlines()[1:]]
+
+
+@pytest.mark.usefixtures("mine")
+def test_a_method_on_one_engine_has_every_rule_on_every_scene(capsys):
+    assert main(["check", "kept", "--engine", "python"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert [int(row[0]) for row in rows(out)] == 3 * list(METHOD_RULES)
+    order = next(row for row in rows(out) if row[0] == "6")
+    assert float(order[order.index("order") + 1].rstrip(",")) == pytest.approx(4, abs=0.02)
+
+
+def test_a_scene_has_every_rule(capsys):
+    assert main(["check", "central"]) == 0
+    assert [int(row[0]) for row in rows(capsys.readouterr().out)] == list(SCENE_RULES)
+
+
+@pytest.mark.usefixtures("mine")
+@pytest.mark.parametrize(("line", "rule"), [(["broken", "--engine", "python"], 6), (["torn"], 7)])
+def test_a_broken_rule_ends_it(line, rule, capsys):
+    assert main(["check", *line]) == 1
+    out, err = capsys.readouterr()
+    assert [int(row[0]) for row in rows(out)] == list(range(1, rule))
+    assert err.startswith(f"contactbench: rule {rule}: {line[0]}")
+    assert err.count("\n") == 1
+
+
+# -- What cannot be written is refused before anything is computed ---------------------------------
+OPTIONS = [
+    ("solve particle rk4 --step 0.1", "--out", ".csv"),
+    ("solve particle rk4 --step 0.1", "--plot", ".svg"),
+    ("compare particle rk4", "--csv", ".csv"),
+    ("compare particle rk4", "--html", ".html"),
+    ("compare particle rk4", "--plot", ".png"),
+]
+
+
+def work(*_, **__):
+    raise AssertionError("the work has begun")
+
+
+def full(*_, **__):
+    raise OSError(30, "Read-only file system")
+
+
+@pytest.fixture
+def idle(monkeypatch):
+    """Nothing may be solved."""
+    monkeypatch.setattr(cb, "solve", work)
+    monkeypatch.setattr(cb, "compare", work)
+
+
+@pytest.mark.usefixtures("idle")
+@pytest.mark.parametrize("place", ["none/x", "file/x", "folder"])
+@pytest.mark.parametrize(("line", "option", "suffix"), OPTIONS)
+def test_an_output_that_cannot_be_written_is_refused_first(line, option, suffix, place, tmp_path, capsys):
+    """In no folder, in a file, in place of a folder."""
+    path = (tmp_path / place).with_suffix(suffix)
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "folder").with_suffix(suffix).mkdir()
+    assert cli.main([*line.split(), option, str(path)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert err.startswith(f"contactbench: {option} {path}: ")
+
+
+def test_trying_a_file_changes_nothing(tmp_path):
+    path = tmp_path / "there.csv"
+    path.write_text("kept")
+    parsing.writable("--csv", path)
+    assert path.read_text() == "kept"
+    parsing.writable("--csv", tmp_path / "new.csv")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_the_system_refuses_is_refused_first(tmp_path, monkeypatch):
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(cb.BadInput, match=r"--csv .*new\.csv: cannot be written: Read-only file system"):
+        parsing.writable("--csv", tmp_path / "new.csv")
+
+
+def test_a_report_that_cannot_be_written_is_refused_first(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(write, "report", work)
+    made_up.folder(tmp_path)
+    readme = tmp_path / "README.md"
+    readme.write_text("nothing to fill in")
+    assert cli.main(["report", "--results", str(tmp_path), "--readme", str(readme)]) == 2
+    assert cli.main(["report", "--results", str(tmp_path), "--readme", str(tmp_path / "none")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+# -- The command line as a process of its own ------------------------------------------------------
+MODULE = [sys.executable, "-m", "contactbench"]
+SOLVE = ["solve", "particle", "rk4", "--step", "0.1", "--t-end", "1"]
+
+
+def run(*command, **variables):
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    return subprocess.run(
+        list(map(str, command)), cwd=REPOSITORY, capture_output=True, timeout=120, env=own | variables
+    )
+
+
+@pytest.mark.parametrize("line", [["list"], ["claim", "C25"], [*SOLVE, "--laws"]])
+def test_what_cannot_be_encoded_is_replaced(line):
+    done = run(*MODULE, *line, PYTHONIOENCODING="ascii")
+    assert done.returncode == 0, done.stderr
+    assert b"?" in done.stdout
+    assert done.stdout.isascii()
+
+
+def test_json_needs_no_other_encoding():
+    done = run(*MODULE, "claim", "C25", "--json", PYTHONIOENCODING="ascii")
+    assert "§" in json.loads(done.stdout)["where"]
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_a_closed_stream_is_no_error(closed):
+    done = run("sh", "-c", f'exec "$@" {closed}', "sh", *MODULE, "list", "laws")
+    assert done.returncode == 0
+    assert done.stderr == b""
+
+
+@pytest.mark.parametrize("platform", ["rocm", "abacus"])
+def test_a_platform_that_is_not_there_is_one_line(platform):
+    done = run(*MODULE, *SOLVE, "--engine", "jax", JAX_PLATFORMS=platform)
+    assert done.returncode == 2
+    assert done.stderr.decode().startswith(f"contactbench: JAX_PLATFORMS = {platform}: must be")
+    assert done.stderr.count(b"\n") == 1
+
+
+INTERPRETED = """
+import json
+import contactbench as cb
+cases = {
+    "rk4": {"step": 0.1}, "contact-strang": {"step": 0.1}, "contact-adaptive": {"rtol": 1e-3},
+    "cvode-adams": {"rtol": 1e-3}, "scipy-dop853": {"rtol": 1e-3}, "cyrk-dop853": {"rtol": 1e-3},
+}
+runs = {name: cb.solve("particle", name, **given) for name, given in cases.items()}
+runs["contact-exact"] = cb.solve("rigid_body", "contact-exact", engine="numba")
+runs["numba"] = cb.solve("particle", "rk4", step=0.1, engine="numba")
+runs["c"] = cb.solve("particle", "cvode-adams", rtol=1e-3, engine="c")
+print(json.dumps({name: (run.engine, run.status, "NUMBA_DISABLE_JIT" in run.message) for name, run in runs.items()}))
+"""
+
+
+def test_where_numba_does_not_compile_python_computes():
+    done = run(sys.executable, "-c", INTERPRETED, NUMBA_DISABLE_JIT="1")
+    assert done.returncode == 0, done.stderr
+    runs = json.loads(done.stdout)
+    by_python = dict.fromkeys(("rk4", "contact-strang", "contact-adaptive", "scipy-dop853"), "python")
+    compiled = {"cyrk-dop853": "c++", "contact-exact": "numba", "numba": "numba", "c": "c"}
+    solved = {
+        name: [engine, "ok", False] for name, engine in {**by_python, "cvode-adams": "c+python"}.items()
+    }
+    assert runs == solved | {name: [engine, "unsupported", True] for name, engine in compiled.items()}
