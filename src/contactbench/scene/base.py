@@ -385,7 +385,7 @@ class Scene(System):
         return dataclasses.replace(self, **changes)
 
     def numbers(self) -> list[float]:
-        own = self.pack([getattr(self, name) for name in self.coefficients])
+        own = System.pack([getattr(self, name) for name in self.coefficients])
         return [*own, *getattr(self, "parameters", {}).values()]
 
     def number_names(self) -> list[str]:
