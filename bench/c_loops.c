@@ -84,3 +84,26 @@ LOOP(rkn6, 11)
 
 ENSEMBLE(strang, 1)
 ENSEMBLE(rkn6, 11)
+
+/* A ring of n sites, W = r^2/2 + beta r^4/4, S drifts a step.  q has a place for a neighbour before the sites and one
+ * after them. */
+#define SLOPE(r) ((r) + beta * (r) * (r) * (r))
+#define BONDS(h)                                                                       \
+    q[-1] = q[n - 1], q[n] = q[0];                                                     \
+    for (int64_t i = 0; i < n; i++)                                                    \
+        p[i] -= (h) * (SLOPE(q[i] - q[i - 1]) - SLOPE(q[i + 1] - q[i]))
+
+void ring(int64_t n, int64_t steps, int64_t S, double beta, const double *b, const double *phi, const double *keep,
+          const double *lose, double *R q, double *R p)
+{
+    BONDS(b[0]);
+    for (int64_t step = 0; step < steps; step++)
+        for (int64_t k = 0; k < S; k++) {
+            const double h = k < S - 1 ? b[k + 1] : step + 1 < steps ? b[S] + b[0] : b[S];
+            for (int64_t i = 0; i < n; i++) {
+                q[i] += phi[k] * p[i];
+                p[i] = keep[k] * p[i] - lose[k] * p[i];
+            }
+            BONDS(h);
+        }
+}

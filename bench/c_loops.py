@@ -18,6 +18,7 @@ from contactbench.splitting.flows import MECHANICAL
 from contactbench.splitting.tables import RKN6, STRANG
 
 KERNELS = {"contact-strang": ("strang", STRANG), "contact-rkn6": ("rkn6", RKN6)}
+FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-shared", "-fPIC")
 
 
 @cache
@@ -68,6 +69,24 @@ def kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], i
         return y.copy()
 
     return run, n * len(numbers[1]) + 1
+
+
+def ring_kernel(method: str, scene, step: float) -> tuple[Callable[[], np.ndarray], int] | str:
+    """As `kernel`, on a ring with the bonds of the β-chain."""
+    loops = library()
+    if isinstance(loops, str):
+        return loops
+    _, steps, numbers = constants(method, scene, step)
+    n, stages, (q, p) = scene.n, len(numbers[1]), staggered(2, scene.n + 2)
+    sizes, beta = map(ctypes.c_int64, (n, steps, stages)), ctypes.c_double(scene.parameters["beta"])
+    arguments = (*sizes, beta, *map(pointer, (*numbers, q[1:], p[1:])))
+
+    def run() -> np.ndarray:
+        q[1:-1], p[1:-1] = scene.q, scene.p
+        loops.ring(*arguments)
+        return np.concatenate([q[1:-1], p[1:-1]])
+
+    return run, steps * stages + 1
 
 
 LINE, PAGE = 64 // 8, 4096 // 8  #: in doubles

@@ -12,6 +12,7 @@ from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.tables import results
 from contactbench.scene import Driven, GeneralDamping, Mechanical, RigidBody, shifted
+from contactbench.scene.many import Lattice, Particles
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import reference

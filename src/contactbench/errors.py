@@ -148,11 +148,11 @@ def positive(name: str, value: Any) -> float:
     return number if number > 0 else refuse(name, value, "> 0")
 
 
-def whole(name: str, value: Any, most: int) -> int:
-    """`value` as an int from 1 to `most`, or `BadInput`."""
+def whole(name: str, value: Any, most: int, least: int = 1) -> int:
+    """`value` as an int from `least` to `most`, or `BadInput`."""
     number = 0.0 if isinstance(value, bool) else finite(name, value)
-    if not 1 <= number <= most or number != int(number):
-        refuse(name, value, f"a whole number ≥ 1, at most {most:.0e}")
+    if not least <= number <= most or number != int(number):
+        refuse(name, value, f"a whole number ≥ {least}, at most {most:g}")
     return int(number)
 
 

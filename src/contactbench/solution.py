@@ -242,11 +242,11 @@ class Solution:
 
     def states(self) -> Any:
         """All saved states at once: a state whose components are arrays over the saved times."""
-        return self.scene.unpack(tuple(self.y.T), self.carry)
+        return self.scene.unpack(self.y.T, self.carry)
 
     def start(self) -> Any:
         """The initial state."""
-        return self.scene.unpack(tuple(self.y0.tolist()), self.carry)
+        return self.scene.unpack(self.scene.entries(self.y0), self.carry)
 
 
 #: a run has diverged when |q|, |p| or |M| exceed this many times the scene's scale

@@ -10,7 +10,16 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.report import damping, ensemble, long_time, markdown, race, stability, work_precision
+from contactbench.report import (
+    damping,
+    ensemble,
+    long_time,
+    markdown,
+    race,
+    scaling,
+    stability,
+    work_precision,
+)
 from contactbench.report.headline import mission_view, most_met_cost
 from contactbench.report.laws import equal_cost_view
 from contactbench.report.numbers import duration
@@ -182,6 +191,46 @@ def test_one_wrong_setting_at_the_end_leaves_no_cost():
 def test_pairs_are_kept_only_where_every_setting_keeps_them(more, kept):
     summary = long_time.answers(frames(long_time=[*PLANTED, *more]))
     assert summary["answer"].iloc[-1] == kept
+
+
+# -- cost against size -----------------------------------------------------------------------------
+def at_sizes(method, each, power=1.0, reach=1e-3, **more):
+    """Rows of an evaluation that takes `each` ns a site at n = 1024 and grows as a power of n."""
+    return [
+        row(
+            "fput",
+            method,
+            0.1,
+            n=n,
+            cores=1,
+            evaluations=10,
+            time_min_s=1e-3,
+            reach_s=reach * n / 1024,
+            **more,
+        )
+        | {"site_ns": each * (n / 1024) ** (power - 1)}
+        for n in (16, 128, 1024, 10_000)
+    ]
+
+
+def test_the_power_by_which_time_grows_is_that_of_large_sizes():
+    rows = table("scaling", at_sizes("contact-a", 0.5, 1.2))
+    rows.loc[rows["n"] == 16, "site_ns"] = 99.0
+    assert scaling.slope(rows) == pytest.approx(1.2)
+    assert np.isnan(scaling.slope(rows[rows["n"] < 1000]))
+
+
+def test_who_is_cheapest_at_the_largest_size_and_who_is_first_at_the_error():
+    rows = [*at_sizes("contact-a", 0.5, reach=2e-3), *at_sizes("rk4", 0.4), *at_sizes("limit-c", 0.2)]
+    rows += [each | {"engine": "python"} for each in at_sizes("scipy-b", 0.1, reach=1e-9)]
+    each, reach, growth = scaling.answers(frames(scaling=rows)).to_dict("records")
+    assert (each["answer"], each["count"]) == ("rk4", "0.4 ns, ×2.00 the C loop")
+    assert (reach["answer"], reach["count"]) == ("rk4", "1 ms, then contact-a ×2.00")
+    assert growth["answer"] == "as n to the power 1.00"
+    rows += at_sizes("contact-b", 0.3, reach=1e-4)
+    contradicted = scaling.answers(frames(scaling=rows))
+    assert list(contradicted["answer"][:2]) == ["contact-b", "contact-b"]
+    assert "contact-b takes 0.3 ns" in scaling.figure(table("scaling", rows)).title
 
 
 # -- Views, numbers and their markdown -------------------------------------------------------------

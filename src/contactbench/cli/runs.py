@@ -99,13 +99,13 @@ def summary(solution: Any) -> dict[str, Any]:
     scene, out = solution.scene, {}
     if solution.ok:
         y = solution.y[-1].tolist()
-        state = scene.unpack(tuple(y), solution.carry)
+        state = scene.unpack(scene.entries(solution.y[-1]), solution.carry)
         momentum = scene.momentum(state)
         out = {
             "state": dict(zip(solution.labels, y, strict=True)),
-            "H0": scene.energy(state),
-            "H": scene.hamiltonian(state) if scene.is_contact else None,
-            "J": None if momentum is None else list(momentum),
+            "H0": float(scene.energy(state)),
+            "H": float(scene.hamiltonian(state)) if scene.is_contact else None,
+            "J": None if momentum is None else list(map(float, momentum)),
         }
     run = {name: getattr(solution, name) for name in ("method", "engine", "setting", "status", "message")}
     ended = {"status": str(solution.status), "t": solution.end_time}

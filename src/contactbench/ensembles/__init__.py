@@ -86,7 +86,7 @@ def ensemble(
         As in `prepare`.
     initial_conditions
         A State, BodyState or dict of fields, each component a number or an array (n,) with one entry per
-        trajectory; fields left out are the scene's own.
+        trajectory, of many sites q and p of shape (numbers, n); fields left out are the scene's own.
     measure_at
         Increasing times at which divergence is noticed and laws are measured, the last of them the end; by default
         the scene's end time alone.
@@ -151,5 +151,5 @@ def ensemble(
     if not keep:
         return found
     y, measures, end_time = kept
-    final, by_name = scene.unpack(tuple(y), request.carry), dict(zip(names, measures, strict=True))
+    final, by_name = scene.unpack(scene.components(y), request.carry), dict(zip(names, measures, strict=True))
     return replace(found, final=final, measures=by_name, end_time=end_time)

@@ -17,6 +17,7 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,10 @@ from contactbench.ensembles.members import Watch
 from contactbench.errors import BadInput
 from contactbench.methods.base import METHODS
 from contactbench.methods.fixed_step import FixedStep
-from contactbench.methods.fixed_step_run import Division, FixedStepRun, Loop, identity, loop_of
+from contactbench.methods.fixed_step_run import Division, FixedStepRun, identity, loop_of
 from contactbench.methods.jax_engine import rolled
+from contactbench.methods.many import SHARED, FieldLoop
+from contactbench.methods.many import loop_of as many_loop
 from contactbench.methods.prepared import Request
 from contactbench.numbers.control import XlaNumbers
 from contactbench.numbers.protocol import CannotRecord
@@ -40,6 +43,8 @@ TASK = 2**14
 ATTEMPTS = 3
 #: trajectories a compiled loop integrates side by side: with fewer each waits for its own last operation
 LANES = 32
+#: numbers that are kept of scenes of many sites at a time, for every core
+AT_ONCE = 2**22
 #: chunks begun for every core before the first of them is asked for
 AHEAD = 2
 
@@ -85,14 +90,16 @@ class Task:
 
         devices = jax.local_devices()
         why = "" if devices[0].platform == "cpu" else f"it runs on a CPU, not on {devices[0].platform}"
-        why = why or ("parameters differ from one trajectory to the next" if own else "")
+        many = run.request.scene.kind == "many"
+        why = why or ("parameters differ from one trajectory to the next" if own and not many else "")
         if self.engine != "jax" and not why:
             try:
-                loop = loop_of(run.method_, run.request.scene, run.request.carry)
+                loop = (many_loop if many else loop_of)(run.method_, run.request.scene, run.request.carry)
             except CannotRecord as error:
                 why = str(error)
             else:
-                yield from on_cores(run, loop, self.names, y0, cores or len(devices), chunk or CHUNK["cpu"])
+                chunk = chunk or CHUNK["cpu"]
+                yield from on_cores(run, loop, self.names, y0, cores or len(devices), chunk, own)
                 return
         if self.engine == "numba":
             raise BadInput(f"engine = 'numba': {why}; leave the choice open, or take 'jax'")
@@ -114,22 +121,38 @@ def results(
 
 # -- by the loop numba compiles, a thread on every core ------------------------------------------------
 def on_cores(
-    run: FixedStepRun, loop: Loop, names: Sequence[str], y0: np.ndarray, cores: int, chunk: int
+    run: FixedStepRun,
+    loop: Any,
+    names: Sequence[str],
+    y0: np.ndarray,
+    cores: int,
+    chunk: int,
+    own: Own | None = None,
 ) -> Iterator[Result]:
     """Yield the results of one chunk after the other.
 
     No core waits for another before the end: all chunks are of one size, so many that they share out evenly,
     and a few are always begun ahead of the one that is asked for.
     """
-    many = compile_function(loop.program.many, LANES)
-    rows, shape = loop.rows(np.array(run.request.scene.numbers()), run.h, run.n)
-    share = equal_share(y0.shape[1], cores, chunk)
+    scene: Any = run.request.scene
+    numbers, own = np.array(scene.numbers()), own or {}
+    work: Any
+    if scene.kind == "many":
+        chunk = min(chunk, max(1, AT_ONCE // (len(run.n) * len(y0))))
+        cores = cores if scene.sites < SHARED else 1
+        work, share = partial(one_by_one, run, loop, names), equal_share(y0.shape[1], cores, chunk, 1)
+    else:
+        many = compile_function(loop.program.many, LANES)
+        rows, shape = loop.rows(numbers, run.h, run.n)
+        work = partial(side_by_side, run, many, rows, shape, names)
+        share = equal_share(y0.shape[1], cores, chunk)
     ahead: deque[Future[Result]] = deque()
     threads = ThreadPoolExecutor(cores)
     try:
         for first in range(0, y0.shape[1], share):
-            part = y0[:, first : first + share]
-            ahead.append(threads.submit(side_by_side, run, many, rows, shape, names, part))
+            part = slice(first, first + share)
+            rest = ({place: values[part] for place, values in own.items()},) if own else ()
+            ahead.append(threads.submit(work, y0[:, part], *rest))
             if len(ahead) > AHEAD * cores:
                 yield ahead.popleft().result()
         while ahead:
@@ -138,10 +161,10 @@ def on_cores(
         threads.shutdown(cancel_futures=True)
 
 
-def equal_share(n: int, cores: int, chunk: int) -> int:
+def equal_share(n: int, cores: int, chunk: int, lanes: int = LANES) -> int:
     """Return the size of the fewest chunks of at most `chunk`, a multiple of `cores`; whole tiles if they fit."""
     share = -(-n // (cores * -(-n // (cores * chunk))))
-    whole = LANES * -(-share // LANES)
+    whole = lanes * -(-share // lanes)
     return whole if whole <= chunk else share
 
 
@@ -165,6 +188,28 @@ def side_by_side(
             x = r.scene.unpack(tuple(y[:, :m]), r.carry)
             marks = watch.at(marks, x, y[:, :m], t)
         return watch.result(marks, x, y[:, :m])
+
+
+def one_by_one(
+    run: FixedStepRun, loop: FieldLoop, names: Sequence[str], y0: np.ndarray, own: Own | None = None
+) -> Result:
+    """Return the same of scenes of many sites, one trajectory after the other, each with parameters of its own."""
+    r = run.request
+    numbers = np.tile(r.scene.numbers(), (y0.shape[1], 1))
+    for place, values in (own or {}).items():
+        numbers[:, place] = values
+    paths = [
+        loop.paths(r.scene, row, start[None], run.h, run.n)[:, 0]
+        for row, start in zip(numbers, np.ascontiguousarray(y0.T), strict=True)
+    ]
+    scene = r.scene.with_numbers(list(numbers.T)) if own else r.scene
+    with np.errstate(all="ignore"):
+        watch = Watch(scene, r.carry, names, run._motion, y0)
+        marks = watch.begun
+        for y, t in zip(np.stack(paths, axis=-1), run.later, strict=True):
+            x = scene.unpack(y, r.carry)
+            marks = watch.at(marks, x, y, t)
+        return watch.result(marks, x, y)
 
 
 # -- by JAX ------------------------------------------------------------------------------------------
@@ -218,6 +263,9 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
 
     base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
 
+    def packed(scene: Any, x: Any) -> Any:
+        return jnp.stack(list(scene.pack(x))) if scene.kind != "many" else scene.pack(x)
+
     def one_tile(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
         values = list(numbers)
         for place, value in zip(places, own, strict=True):
@@ -230,10 +278,10 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
             # parameters of its own give every trajectory stage constants of its own
             h = jnp.broadcast_to(h, tile) if places else h
             x = run.method_.advance(scene, x, h, n, xp, rolled)
-            return (x, watch.at(marks, x, jnp.stack(scene.pack(x)), t)), None
+            return (x, watch.at(marks, x, packed(scene, x), t)), None
 
         (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
-        return watch.result(marks, x, jnp.stack(scene.pack(x)))
+        return watch.result(marks, x, packed(scene, x))
 
     def share(y0: Any, own: Any, numbers: Any, spans: Any) -> Any:
         tiles = [a.reshape(len(a), a.shape[1] // tile, tile).swapaxes(0, 1) for a in (y0, own)]

@@ -9,6 +9,7 @@ doi:10.1016/0168-9274(95)00033-Q.  R is that of the modified Gram–Schmidt proc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,6 +22,7 @@ from contactbench.errors import BadInput, positive, whole
 from contactbench.measure.statistics import Average, blocks, jackknife
 from contactbench.methods.base import lookup, prepare
 from contactbench.methods.fixed_step_run import FixedStepRun, loop_of
+from contactbench.methods.many import loop_of as many_loop
 from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.compiled import FACTS, KNOWN, SUCCESS
@@ -47,7 +49,8 @@ class Lyapunov:
     exponents
         Per unit of time, (m,), in the order of the orthonormalisation, the largest first.
     total
-        Their sum, the mean rate at which volume grows.
+        Their sum, the mean rate at which volume grows.  nan, as the dimension, where only the largest of them are
+        known: a few, of a scene of many sites with more than 65 numbers.
     dimension
         Of Kaplan and Yorke; of a scene with time in it that of a section at one phase.
     energy
@@ -159,7 +162,7 @@ def lyapunov(
             x, v = np.where(alive, x, start), np.where(alive, v, first)
             v, logs = orthonormal(v)
             if k >= 0:
-                rates[k], energy[k, 0] = logs / every, scene.energy(scene.unpack(tuple(x), own))
+                rates[k], energy[k, 0] = logs / every, scene.energy(scene.unpack(scene.components(x), own))
                 spent += evaluations
     rates[:, :, ~alive] = energy[:, :, ~alive] = np.nan
     kept = alive if alive.any() else ~alive
@@ -169,7 +172,9 @@ def lyapunov(
         grows = f"one tangent grows more than e^{APART:g} times as much as another within that"
         raise BadInput(f"every = {every:g}: {grows}, and rounding loses the other: take a shorter interval")
     means = blocks(rates[:, :, kept])
-    exponents, total, dimension = (jackknife(means, f) for f in (np.array, np.sum, kaplan_yorke))
+    whole_spectrum = len(v) == v.shape[1] - (scene.clock is not None)
+    of_all = (np.sum, kaplan_yorke) if whole_spectrum else (lambda each: math.nan,) * 2
+    exponents, total, dimension = (jackknife(means, f) for f in (np.array, *of_all))
     cost, diverged = float(spent[kept].mean()) / (every * count), int((~alive).sum())
     averages = exponents, total, dimension, jackknife(blocks(energy[:, :, kept]), np.sum)
     return Lyapunov(scene, method, *averages, cost, diverged, rates[:, :, kept])
@@ -191,13 +196,24 @@ def orthonormal(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def side_by_side(run: FixedStepRun) -> TangentMap:
     """Return the map by dual numbers through the compiled steps: a trajectory for every tangent of every member."""
     r = run.request
+    sites = r.scene.kind == "many"
     try:
-        loop = loop_of(run.method_, r.scene, r.carry, tangent=True)
+        loop: Any = (many_loop if sites else loop_of)(run.method_, r.scene, r.carry, tangent=True)
     except CannotRecord as error:
         raise BadInput(f"method = {run.method!r}: {error}") from error
+    numbers, evaluations = np.array(r.scene.numbers()), run.totals.evaluations
+    if sites:
+
+        def one(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+            return loop.paths(r.scene, numbers, np.stack([x, v]), run.h, run.n)[-1]
+
+        def follow(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
+            ends = np.array([[one(x[:, i], u[:, i]) for i in range(x.shape[1])] for u in v])  # (m, n, 2, d)
+            return ends[0, :, 0].T, ends[:, :, 1].swapaxes(1, 2), evaluations
+
+        return follow
     many = compile_function(loop.program.many, LANES)
-    rows, shape = loop.rows(np.array(r.scene.numbers()), run.h, run.n)
-    evaluations = run.totals.evaluations
+    rows, shape = loop.rows(numbers, run.h, run.n)
 
     def advance(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
         m, d, n = v.shape

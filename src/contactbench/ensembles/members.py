@@ -19,7 +19,7 @@ def members(
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """Return packed initial states (d, n), and by its place among the scene's numbers each parameter (n,)."""
     if isinstance(given, State | BodyState | DrivenState):
-        given = {name: value for name, value in given._asdict().items() if value is not None}
+        given = scene.data(given)
     if not isinstance(given, Mapping):
         raise BadInput(f"initial_conditions = {type(given).__name__}: must be a state of the scene or a dict")
     if not isinstance(parameters, Mapping):
@@ -49,6 +49,11 @@ def members(
 
 def components(name: str, value: Any, default: Any) -> dict[str, np.ndarray]:
     """Return the columns of an initial value by the names of its components; `default` : the scene's own."""
+    if isinstance(default, np.ndarray):
+        rows = array(name, value, f"{len(default)} numbers, or {len(default)} × n of them")
+        if rows.ndim > 2 or len(np.atleast_1d(rows)) != len(default):
+            raise BadInput(f"{name} has shape {rows.shape}: must be ({len(default)},) or ({len(default)}, n)")
+        return {f"{name}[{i}]": column(f"{name}[{i}]", row) for i, row in enumerate(rows)}
     if not isinstance(default, tuple):
         return {name: column(name, value)}
     try:
@@ -121,7 +126,7 @@ class Watch:
         self, scene: Scene, carry: tuple[str, ...], names: Sequence[str], motion: int, y0: Any, xp: Any = np
     ) -> None:
         self.scene, self.motion, self.xp = scene, motion, xp
-        self.start = scene.unpack(tuple(y0), carry)
+        self.start = scene.unpack(scene.components(y0), carry)
         self.bound = furthest(y0[:motion], xp)
         self.origin = {name: self.quantity(name, self.start) for name in names[1:]}
         nothing = xp.zeros(y0.shape[1])

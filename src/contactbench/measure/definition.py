@@ -12,6 +12,8 @@ import dataclasses
 import hashlib
 from typing import Any
 
+import numpy as np
+
 from contactbench.measure.order import DIGITS, march
 from contactbench.scene import Scene
 from contactbench.scenes import SCENES
@@ -28,7 +30,7 @@ WORDS = ("about", "hard", "experiments")
 
 
 def digits_of(value: Any, context: Any) -> str:
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | np.ndarray):
         return f"[{' '.join(digits_of(each, context) for each in value)}]"
     return str(value) if value is None else context.nstr(context.mpf(value), SHOWN)
 

@@ -88,7 +88,7 @@ def truth(solution: Solution) -> Any:
     scene = solution.scene
     own = scene.pack(scene.initial(solution.carry))
     if solution.y0 is not None and not np.array_equal(own, solution.y0):
-        scene = scene.with_(**{k: v for k, v in solution.start()._asdict().items() if v is not None})
+        scene = scene.with_(**scene.data(solution.start()))
     return reference(scene, solution.t, solution.carry)
 
 

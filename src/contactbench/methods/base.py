@@ -17,7 +17,7 @@ from contactbench.errors import BadInput, array, blame, excerpt, positive, text,
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_slope
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Scene, verify
+from contactbench.scene import Mechanical, Scene, verify
 from contactbench.scene.base import scene_of
 from contactbench.scene.definition import verify_at
 from contactbench.solution import EXACT, Solution
@@ -56,6 +56,8 @@ MOST_STEPS = 10**14
 #: this many equal intervals for adaptive methods
 DEFAULT_SAVES = 1000
 ADAPTIVE_SAVES = 200
+#: numbers in all saved states at most, where the caller names no times: 128 MB
+MOST_SAVED = 2**24
 #: parts of a shorter run are no longer normal numbers
 SHORTEST_RUN = 1e-290
 
@@ -118,6 +120,8 @@ class Method(ABC):
     takes_atol: bool = True
     #: what rtol and atol bound
     tolerance: str
+    #: components at most that it compiles one by one: that takes some ten seconds
+    largest: int = 256
     #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
     own_time: bool = False
 
@@ -243,13 +247,22 @@ def make_request(
         raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
     request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
-    if (why := chosen.refuses(scene)) is not None:
+    if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
         return Refused(chosen.name, request, why)
     if scene.has_users_functions:
         verify(scene)
     require_slope(scene, scene.initial(request.carry))
     chosen.try_step(scene, request.carry, step)
     return request
+
+
+def too_large(chosen: Method, request: Request) -> str | None:
+    """Why a scene has too many components to be compiled one by one, or None."""
+    scene, most = request.scene, chosen.largest
+    if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
+        return None
+    size = f"the {len(scene.q)} components of scene {scene.name!r}, more than {most}"
+    return f"{chosen.name} would compile {size}, one by one: write it as a cb.Lattice or cb.Particles, of any size"
 
 
 def setting_of(
@@ -295,12 +308,13 @@ def tolerance(method: Method, rtol: Any) -> float:
 
 
 def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
+    most = max(1, MOST_SAVED // scene.motion)
     if step is None:
-        return np.linspace(0.0, scene.t_end, ADAPTIVE_SAVES + 1)
+        return np.linspace(0.0, scene.t_end, min(ADAPTIVE_SAVES, most) + 1)
     n = int(steps_in(scene.t_end, scene.t_end, step))
     if n > budget:  # will end as `budget`; no grid of that size is needed
         return np.array([scene.t_end])
-    stride = -(-n // DEFAULT_SAVES)
+    stride = -(-n // min(DEFAULT_SAVES, most))
     marks = np.append(np.arange(0, n, stride), n)
     return marks * (scene.t_end / n)
 

@@ -36,13 +36,15 @@ from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, Request,
 from contactbench.numbers.control import XlaNumbers, choose
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene import Cache, Mechanical, Scene, Vector, key
+from contactbench.scene import Cache, Mechanical, Scene, Vector, key, scaled
+from contactbench.scene.mechanical import derived_hessian
 from contactbench.solution import DIVERGENCE, Counts, Differential, Status
 from contactbench.splitting.composition import advance, plan
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.tables import RKN6
 from contactbench.trace.compiled import compile_function
 from contactbench.trace.form import Element, Function, Operation, Store, execute
+from contactbench.trace.formula import Formula
 from contactbench.trace.recording import RecordedNumbers, Tape, attempt, operand_of
 from contactbench.xla import jnp, lax
 
@@ -55,25 +57,32 @@ SLOWEST = 0.25
 
 # -- the step density --------------------------------------------------------------------------------
 def squared_curvature(scene: Mechanical, q: Vector, v: Vector) -> Dual:
-    """‖∇²V‖²_F at q and its rate of change along v."""
-    if scene.hessian is not None:
-        rows = scene.hessian(tuple(map(Dual, q, v)), **scene.parameters)
+    """‖M^{-1/2} ∇²V M^{-1/2}‖²_F at q and its rate of change along v, less 1/m² where there is one mass."""
+    hessian = scene.hessian
+    if hessian is None and isinstance(scene.gradient, Formula):
+        with suppress(CannotRecord):  # of many components most entries are often zero
+            hessian = derived_hessian(scene.gradient)
+    if hessian is not None:
+        rows = hessian(tuple(map(Dual, q, v)), **scene.parameters)
         entries = [entry for row in rows for entry in row]
     else:
         moving, entries = tuple(map(Dual, q, v)), []
         for j in range(len(q)):
             column = scene.dV(tuple(Dual(x, float(i == j)) for i, x in enumerate(moving)))
             entries += [slope(entry) for entry in column]
-    total = Dual(0.0, 0.0)
-    for entry in entries:
-        total = total + entry * entry
+    total, over_m = Dual(0.0, 0.0), scene.inverse_mass
+    weights = [a * b for a in over_m for b in over_m] if isinstance(over_m, tuple) else [1.0] * len(entries)
+    for entry, weight in zip(entries, weights, strict=True):
+        if isinstance(entry, float) and not entry:
+            continue
+        total = total + entry * entry * weight
     return Dual(value(total), slope(total))
 
 
 def frequency(scene: Mechanical, x: Any, span: Any) -> tuple[Any, Any]:
     """ω, and d ln ω/dt along the motion."""
-    square = scene.inverse_mass * scene.inverse_mass
-    curvature = squared_curvature(scene, x.q, tuple(p * scene.inverse_mass for p in x.p))
+    square = 1.0 if isinstance(scene.inverse_mass, tuple) else scene.inverse_mass * scene.inverse_mass
+    curvature = squared_curvature(scene, x.q, scaled(scene.inverse_mass, x.p))
     damping = scene.gamma * scene.gamma / 64
     fourth = curvature.a * square + damping * damping + 1 / (span * span * span * span)
     return fourth**0.25, curvature.b * square / (4 * fourth)
@@ -371,6 +380,7 @@ class AdaptiveContactMethod(Adaptive):
     about: str = "contact-rkn6 with reversible step density; Hairer, Söderlind, doi:10.1137/040606995"
     engines: tuple[str, ...] = tuple(RUNS)
     evaluations_per_step: int = 12
+    largest: int = 64
     takes_atol: bool = False
     tolerance: str = "a step in local time scales, 3 rtol^{1/6}: the size of the error"
 

@@ -22,6 +22,7 @@ from contactbench.errors import (
 from contactbench.methods.base import CALLBACKS, FAMILIES, METHODS, Method
 from contactbench.methods.fixed_step_run import FixedStepRun, NumbaLoop, PythonLoop
 from contactbench.methods.jax_engine import JaxLoop
+from contactbench.methods.many import MANY_RUNS
 from contactbench.methods.prepared import Prepared, Request
 from contactbench.methods.step_choice import ChosenStep
 from contactbench.numbers.control import Repeat, repeat
@@ -64,7 +65,7 @@ class FixedStep(Method):
     )
 
     def prepare(self, request: Request) -> Prepared:
-        run = RUNS[request.engine]
+        run = (MANY_RUNS if request.scene.kind == "many" else RUNS)[request.engine]
         if request.step is not None:
             return run(self.name, request, self)
         return ChosenStep(self.name, request, self, run)

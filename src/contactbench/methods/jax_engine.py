@@ -32,6 +32,8 @@ class CompiledRun(Prepared):
 
     #: all arguments but the initial state, on the device; made by `together`, taken `apart` in the program
     fixed: Any
+    #: how arguments lie on several devices; None on one
+    everywhere: Any = None
 
     def key(self) -> tuple[Any, ...]:
         """What the program depends on besides the identity and the fields carried."""
@@ -63,6 +65,8 @@ class CompiledRun(Prepared):
         return vector[: self._saves * d].reshape(-1, d), rest[:-d], rest[-d:]
 
     def room(self, saves: int) -> int:
+        if self.request.scene.kind == "many":  # its states are large
+            return saves
         return next((size for size in self.capacities if size >= saves), saves)
 
     @cached_property
@@ -81,12 +85,12 @@ class CompiledRun(Prepared):
 
     @cached_property
     def _start_on_device(self) -> Any:
-        return jax.device_put(self.start)
+        return jax.device_put(self.start, self.everywhere)
 
     def compile(self, states: Callable[..., Any], fixed: np.ndarray) -> None:
         # on the device once: converting them at every call would cost as much as a short run
-        self.fixed = jax.device_put(fixed)
-        self.program, self.compile_s = self.compiled("run", states, self.start, self.fixed)
+        self.fixed = jax.device_put(fixed, self.everywhere)
+        self.program, self.compile_s = self.compiled("run", states, self._start_on_device, self.fixed)
 
     def compiled(self, purpose: str, function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
         """The program for a purpose, and the seconds it took to trace and compile.
@@ -153,6 +157,9 @@ class JaxLoop(FixedStepRun, CompiledRun):
     def identity(self) -> Hashable | None:  # type: ignore[override]
         return identity(self.method_, self.request.scene, self.request.carry)
 
+    def start_of(self, scene: Any, y0: Any) -> Any:
+        return scene.unpack(scene.entries(y0), self.request.carry)
+
     def states(self, y0: Any, fixed: Any) -> Any:
         numbers, h, n = self.apart(fixed)
         r, xp = self.request, XlaNumbers()
@@ -163,7 +170,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
             x = self.method_.advance(scene, x, h, n, xp, rolled)
             return x, jnp.stack(scene.pack(x))
 
-        return lax.scan(interval, scene.unpack(list(y0), r.carry), (h, n.astype(int)))[1]
+        return lax.scan(interval, self.start_of(scene, y0), (h, n.astype(int)))[1]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         derivative = CompiledRun.sensitivity(self, y0)[: len(self.n)]

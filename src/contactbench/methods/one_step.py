@@ -24,8 +24,9 @@ from contactbench.trace.formula import argument_names, formula
 class OneStep:
     """``step(y, h, numbers=None, **parameters) -> y``: one step of size h from the packed state y.
 
-    y : a tuple with an entry for each of `labels`.  numbers : the scene's parameters as a tuple in the order of
-    `names`, by default its own; any of them can also be given by name, as in ``step(y, h, gamma=0.2)``.
+    y : a tuple with an entry for each of `labels`; of a scene of many sites an array.  numbers : the scene's
+    parameters as a tuple in the order of `names`, by default its own; any of them can also be given by name, as in
+    ``step(y, h, gamma=0.2)``.
     All of it may be floats, NumPy arrays (entry by entry), or JAX values under ``jit``, ``vmap`` and ``grad``,
     for which ``jax_enable_x64`` must be set.  In a function compiled with ``numba.njit`` call it as
     ``step(y, h)`` or ``step(y, h, numbers)``, of floats.  A step map has no state and keeps none.
@@ -37,7 +38,12 @@ class OneStep:
 
     def __repr__(self) -> str:
         """One line: of which method and scene, and what its arguments are."""
-        return f"<step map of {self.method.name} on {self.scene.name}: step(y, h), y = ({', '.join(self.labels)})>"
+        y = f"an array ({len(self.start)},)" if self.many else f"({', '.join(self.labels)})"
+        return f"<step map of {self.method.name} on {self.scene.name}: step(y, h), y = {y}>"
+
+    @property
+    def many(self) -> bool:
+        return self.scene.kind == "many"
 
     @property
     def labels(self) -> list[str]:
@@ -50,25 +56,30 @@ class OneStep:
         return self.scene.number_names()
 
     @property
-    def start(self) -> tuple[float, ...]:
+    def start(self) -> Any:
         """The scene's initial state."""
-        return tuple(map(float, self.scene.pack(self.scene.initial(self.carry))))
+        y = self.scene.pack(self.scene.initial(self.carry))
+        return y if self.many else tuple(map(float, y))
 
     def __call__(
         self, y: Sequence[Any], h: Any, numbers: Sequence[Any] | None = None, **parameters: Any
-    ) -> tuple[Any, ...]:
+    ) -> Any:
         given = list(self.scene.numbers() if numbers is None else numbers)
         for name, value in parameters.items():
             if name not in self.names:
                 raise unknown_name(f"parameter of scene {self.scene.name!r}", name, filter(None, self.names))
             given[self.names.index(name)] = value
-        if len(y) != len(self.labels):
-            raise BadInput(f"y has {len(y)} entries: must be {len(self.labels)}, {', '.join(self.labels)}")
+        if len(y) != len(self.start):
+            labels = "" if self.many else f", {', '.join(self.labels)}"
+            raise BadInput(f"y has {len(y)} entries: must be {len(self.start)}{labels}")
+        if self.many:
+            return self.advance(y, h, given, namespace(y, h, *given))
         return self.advance(tuple(y), h, given, namespace(*y, h, *given))
 
-    def advance(self, y: Sequence[Any], h: Any, numbers: Sequence[Any], xp: Any) -> tuple[Any, ...]:
+    def advance(self, y: Sequence[Any], h: Any, numbers: Sequence[Any], xp: Any) -> Any:
         scene = self.scene.with_numbers(numbers)
-        return tuple(scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp)))
+        end = scene.pack(self.method.advance(scene, scene.unpack(y, self.carry), h, 1, xp))
+        return end if self.many else tuple(end)
 
     @property
     def _numba_type_(self) -> Any:

@@ -238,14 +238,14 @@ class Prepared(ABC):
         small beside the terms at the end, after a start next to an equilibrium, is no such rise.
         """
         r = self.request
-        x = r.scene.unpack(y0.tolist(), r.carry)
+        x = r.scene.unpack(r.scene.entries(y0), r.carry)
         start = r.scene.energy(x)
         most = start + r.scene.energy_terms(x)  # no motion from there reaches it
-        x = r.scene.unpack(out.y[-1].tolist(), r.carry)
+        x = r.scene.unpack(r.scene.entries(out.y[-1]), r.carry)
         end = r.scene.energy(x)
         if not (end > most > start and end - start > r.scene.energy_terms(x) / 2):
             return out
-        energies = r.scene.energy(r.scene.unpack(tuple(out.y.T), r.carry))
+        energies = r.scene.energy(r.scene.unpack(out.y.T, r.carry))
         first = int(np.argmax(energies > most))
         y, time = out.y.copy(), float(r.save_at[first])
         y[first:] = math.nan
@@ -355,7 +355,9 @@ BUDGET, CALLBACK_BUDGET, IMPLICIT = 1_000_000, 200_000, 20
 def scale(x: object, v: object) -> float:
     for own, part in zip(x, v, strict=True):  # type: ignore[call-overload]
         moved = part if isinstance(part, tuple) else (part or 0.0,)
-        if any(moved):
+        if np.any(moved):
+            if isinstance(part, tuple) and isinstance(part[0], np.ndarray):
+                return float(np.linalg.norm(np.concatenate(own))) or 1.0
             return norm(own if isinstance(own, tuple) else (own,)) or 1.0
     return 1.0
 

@@ -21,10 +21,12 @@ class Repeat:
     """``repeat(n, body, x)``: n-fold application, by the kind of loop an engine has.
 
     over_stages : the loops over the stages of a step are to be such loops too, for short code.
+    joint_first : a turn begins with the kick that joins two steps: with the drift after it, it is one loop over sites.
     """
 
     loop: Callable[[Any, Callable[[Any], Any], Any], Any]
     over_stages: bool = False
+    joint_first: bool = False
 
     def __call__(self, n: Any, body: Callable[[Any], Any], x: Any) -> Any:
         return self.loop(n, body, x)

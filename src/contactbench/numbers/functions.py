@@ -58,6 +58,8 @@ def function(name: str) -> Callable[[Any], Any]:
                 return -math.inf if name == "log" and x == 0 else math.nan
             except OverflowError:
                 return math.copysign(math.inf, x) if name == "sinh" else math.inf
+        if isinstance(x, np.ndarray) and x.dtype == object:  # of mpmath numbers
+            return np.frompyfunc(apply, 1, 1)(x)
         return getattr(namespace(x), name)(x)
 
     apply.__name__ = apply.__qualname__ = name

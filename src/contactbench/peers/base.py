@@ -57,9 +57,16 @@ class Peer(Adaptive):
     implicit: bool = False
     takes_atol: bool = True
     costs: Mapping[str, float] = field(default_factory=dict)
+    largest: int = Adaptive.largest
+    #: components of a scene of many sites at most, and why no more
+    most: int = 0
+    reason: str = "has a dense Jacobian"
     own_time = True
 
     def refuses(self, scene: Scene) -> str | None:
+        if scene.kind == "many" and self.most and scene.motion > self.most:
+            size = f"scene {scene.name!r} has {scene.motion} components, more than {self.most}"
+            return f"{self.name} {self.reason}: {size}"
         if self.package and importlib.util.find_spec(self.package) is None:
             return f"{self.package} is not installed (pip install contactbench[bench])"
         return None
@@ -79,6 +86,11 @@ class PeerRun(Prepared):
     method_: Peer
 
     sensitivity_source = "variational equations, a run of its own"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.request.scene.kind == "many":  # by differences
+            self.sensitivity_source = ""
 
     def variational(self) -> Self:
         base = self.request.scene
@@ -207,7 +219,8 @@ class CallbackPeer(PeerRun):
     def __post_init__(self) -> None:
         super().__post_init__()
         scene, carry = self.request.scene, self.request.carry
-        self.rhs = record_function(scene, "rhs", carry) or (lambda t, y: scene.slopes(t, y, carry))
+        recorded = None if scene.kind == "many" else record_function(scene, "rhs", carry)
+        self.rhs = recorded or (lambda t, y: scene.slopes(t, y, carry))
         self.jacobian: Callable[[float, Any], Any] | None = None
         if self.method_.implicit and scene.has_jacobian:
             self.jacobian = record_function(scene, "jacobian", carry) or (

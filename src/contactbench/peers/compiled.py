@@ -21,10 +21,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from contactbench.methods.many import slopes_of
 from contactbench.methods.prepared import Outcome, stopwatch
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.peers.base import PeerRun, derivative
 from contactbench.scene import Cache, Scene, key
+from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 from contactbench.trace.compiled import back_end, import_source, intrinsic
 from contactbench.trace.form import Assign, Element, Function, Operation, Store, digest, execute, read_by
@@ -75,11 +77,14 @@ class CFunctions(NamedTuple):
 _compiled: Cache[CFunctions] = Cache(256)
 
 
-def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
+def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions | FieldFunctions:
     """The C functions of a scene, compiled once for its identity and the fields carried.
 
     Raises `CannotRecord` where the right-hand side branches on values.
     """
+
+    if isinstance(scene, Many):
+        return FieldFunctions(scene, carry)
 
     def make() -> CFunctions:
         elapsed = stopwatch()
@@ -93,6 +98,20 @@ def c_functions(scene: Scene, carry: tuple[str, ...]) -> CFunctions:
         return CFunctions(code["rhs"].address, jacobian, execute(constants), elapsed(), code)
 
     return _compiled.get(key(scene.identity, carry), make)
+
+
+class FieldFunctions:
+    """The same of a scene of many sites: sweeps, one function for all sizes."""
+
+    jacobian = 0
+
+    def __init__(self, scene: Many, carry: tuple[str, ...]) -> None:
+        self.scene, self.loop = scene, slopes_of(scene, carry)
+        self.rhs, self.compile_s = self.loop.compiled.address, self.loop.seconds
+
+    def data(self, numbers: Sequence[float]) -> np.ndarray:
+        self.arrays = self.loop.arrays(self.scene, np.array(numbers))  # they live as long as this
+        return self.loop.data(self.scene, self.arrays)
 
 
 def functions(scene: Scene, carry: tuple[str, ...]) -> tuple[Function, dict[str, Function]]:

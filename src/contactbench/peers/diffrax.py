@@ -54,11 +54,11 @@ class DiffraxRun(CompiledRun):
         # time), and through explicit stages where there are more than three components, 1.1 to 1.4 times as
         # fast; a tuple of scalars for two components, 1.1 times as fast; equal for three.
         start = 0.0 if scene.clock is None else y0[scene.clock]
-        y = scene.without_clock(list(y0))
+        y = scene.without_clock(scene.entries(y0))
         as_array = implicit or len(y) > 3
 
         def field(t: Any, x: Any, args: Any) -> Any:
-            slopes = scene.slopes(start + t, list(x), r.carry)
+            slopes = scene.slopes(start + t, scene.entries(x) if as_array else list(x), r.carry)
             return jnp.stack(slopes) if as_array else tuple(slopes)
 
         # recorded once: diffrax calls it at a dozen places of an implicit step, and traces it anew at each
@@ -96,6 +96,8 @@ class DiffraxRun(CompiledRun):
         )
 
         def packed(y: Any, t: Any) -> Any:
+            if r.scene.kind == "many":
+                return y
             components = list(y.T) if as_array else list(y)
             return jnp.stack(scene.with_clock(components, start + t), axis=-1)
 
@@ -142,5 +144,7 @@ for _solver, _order, _stages, _implicit, _about in (
             implicit=_implicit,
             # an implicit step compiled by XLA takes about as long as two right-hand sides in Python
             costs={"jax": 2} if _implicit else {},
+            most=1024 if _implicit else 0,
+            largest=64,
         )
     )

@@ -19,6 +19,7 @@ from contactbench.methods.prepared import Outcome, stopwatch
 from contactbench.numbers.series import NO_SERIES, Series, bare
 from contactbench.peers.base import Peer, PeerRun
 from contactbench.scene import Cache, Scene, key
+from contactbench.scene.many import Many
 from contactbench.solution import Counts, Status
 
 
@@ -47,16 +48,19 @@ class TaylorRun(PeerRun):
 
         super().__post_init__()
         r = self.request
+        scene = r.scene.unrolled() if isinstance(r.scene, Many) else r.scene
 
         def make() -> tuple[Any, float]:
             elapsed = stopwatch()
-            system = taylor_system(r.scene, r.carry, heyoka)
+            system = taylor_system(scene, r.carry, heyoka)
             _, start = self.split_clock(self.start)
             compact = len(self.start) > UNROLLED
             return heyoka.taylor_adaptive(system, start, tol=r.rtol, compact_mode=compact), elapsed()
 
-        numbers = tuple(r.scene.numbers())
-        program, self.compile_s = _integrators.get(key(r.scene.identity, numbers, r.carry, r.rtol), make)
+        numbers = tuple(scene.numbers())
+        program, self.compile_s = _integrators.get(
+            key(scene.recorded().identity, numbers, r.carry, r.rtol), make
+        )
         self.integrator = copy(program)
         #: where a packed state has what is integrated: all of it, but the time
         self.motion: Any = slice(self._clock)
@@ -111,5 +115,7 @@ METHODS.add(
         *(TaylorRun, ("llvm",), (ROUNDING, 1e-1)),
         package="heyoka",
         takes_atol=False,
+        most=1024,
+        reason="compiles every component",
     )
 )

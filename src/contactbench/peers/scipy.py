@@ -23,11 +23,11 @@ class ScipyRun(CallbackPeer):
         r, jacobian = self.request, self.jacobian
 
         def f(t: float, y: np.ndarray) -> Any:
-            return rhs(start + t, y.tolist())
+            return rhs(start + t, self.request.scene.entries(y))
 
         options: dict[str, Any] = {"rtol": r.rtol, "atol": r.atol}
         if jacobian is not None:
-            options["jac"] = lambda t, y: np.array(jacobian(start + t, y.tolist()))
+            options["jac"] = lambda t, y: np.array(jacobian(start + t, self.request.scene.entries(y)))
         solver = getattr(scipy.integrate, self.method_.solver)(f, 0.0, y, self._end, **options)
         if not math.isfinite(solver.h_abs):  # SciPy would never return
             raise OverflowError("the first step is not finite")
@@ -49,5 +49,13 @@ for _solver, _order, _stages, _cost, _about in (
 ):
     _implicit, _fixed = _stages is None, (("python",), (CLAMPED, 1e-1), _solver, "", _order, _stages)
     METHODS.add(
-        Peer(f"scipy-{_solver.lower()}", _about, ScipyRun, *_fixed, _implicit, costs={"python": _cost})
+        Peer(
+            f"scipy-{_solver.lower()}",
+            _about,
+            ScipyRun,
+            *_fixed,
+            _implicit,
+            costs={"python": _cost},
+            most=1024 if _implicit else 0,
+        )
     )

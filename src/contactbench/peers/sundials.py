@@ -60,11 +60,11 @@ class CvodeRun(CallbackPeer):
         r, jacobian = self.request, self.jacobian
 
         def f(t: float, y: np.ndarray, yp: np.ndarray) -> None:
-            yp[:] = rhs(start + t, y.tolist())
+            yp[:] = rhs(start + t, r.scene.entries(y))
 
         def jac(t: float, y: np.ndarray, yp: np.ndarray, J: np.ndarray) -> None:
             assert jacobian is not None
-            J[:, :] = jacobian(start + t, y.tolist())
+            J[:, :] = jacobian(start + t, r.scene.entries(y))
 
         options = {
             "method": self.method_.solver,

@@ -20,7 +20,9 @@ from contactbench.scene.algebra import (
     quaternion_product,
     rotate,
     rotation_matrix,
+    scaled,
     shifted,
+    times,
 )
 from contactbench.scene.base import Cache, Scene, System, key
 from contactbench.scene.definition import verify

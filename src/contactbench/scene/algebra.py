@@ -42,6 +42,18 @@ def shifted(x: Any, h: Any, slope: Any) -> Any:
     return type(x)(*parts)
 
 
+def scaled(c: Any, v: Sequence[Any]) -> Vector:
+    """Return c v; component by component where c is a tuple."""
+    return (
+        tuple(a * b for a, b in zip(c, v, strict=True)) if isinstance(c, tuple) else tuple(c * b for b in v)
+    )
+
+
+def times(c: Any, factor: Any) -> Any:
+    """Return c · factor of a number c, or of each in a tuple."""
+    return tuple(a * factor for a in c) if isinstance(c, tuple) else c * factor
+
+
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
     """Return a·b, summed left to right."""
     total = a[0] * b[0]

@@ -11,6 +11,8 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from contactbench.errors import (
     BadInput,
     Registry,
@@ -33,7 +35,7 @@ from contactbench.trace.formula import Formula, formula
 #: by how much a function of floats may differ from its formula: powers are products there
 SAME = 1e-6
 #: what a scene may ask to be run by
-EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability")
+EXPERIMENTS = ("convergence", "laws", "decay_laws", "work_precision", "stability", "scaling")
 #: what the functions of scenes, and step maps, are called with besides the parameters
 ARGUMENTS = frozenset({"self", "q", "t", "h", "xp", "y", "numbers"})
 #: the step over which a user's function is tried at the start, in parts of the scene's end time
@@ -143,8 +145,16 @@ class System(ABC):
         return y if self.clock is None else [*y[: self.clock], t, *y[self.clock :]]
 
     @abstractmethod
-    def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> Any:
+    def unpack(self, y: Any, carry: Sequence[str]) -> Any:
         """Return a packed state as a NamedTuple of components."""
+
+    def entries(self, y: Any) -> Any:
+        """Return the numbers of a packed state, an array, as `unpack` is to get them."""
+        return y.tolist() if isinstance(y, np.ndarray) else list(y)
+
+    def components(self, y: Any) -> Any:
+        """Return packed states, an array (d, …), as `unpack` is to get them."""
+        return tuple(y)
 
     @staticmethod
     def pack(state: Sequence[Any]) -> list[Any]:
@@ -271,7 +281,7 @@ class System(ABC):
     def jacobian(self, x: Any) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
 
-    def slopes(self, t: Any, y: Sequence[Any], carry: Sequence[str]) -> Sequence[Any]:
+    def slopes(self, t: Any, y: Any, carry: Sequence[str]) -> Sequence[Any]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
         return self.without_clock(self.pack(self.rhs(self.unpack(self.with_clock(y, t), carry))))
 
@@ -296,8 +306,8 @@ class Scene(System):
         and L_X η = −Γ' η, Γ' = ∂H/∂s; a `conformal_rate` that is not None is Γ'.
      7. H0 does not grow unless it `may_gain_energy`; J' = −Γ' J where it `has_momentum_law`; the ``…_terms``
         are no smaller than what they are the terms of.
-     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies; ``displaced`` leaves
-        along them.
+     8. ``tangents`` are a basis of the tangent space, in which the right-hand side lies, of many sites a few vectors
+        at random; ``displaced`` leaves along them.
      9. ``exact``, where given, starts at the initial state and solves the equations.
     """
 
@@ -375,7 +385,7 @@ class Scene(System):
         return dataclasses.replace(self, **changes)
 
     def numbers(self) -> list[float]:
-        own = self.pack([getattr(self, name) for name in self.coefficients])
+        own = System.pack([getattr(self, name) for name in self.coefficients])
         return [*own, *getattr(self, "parameters", {}).values()]
 
     def number_names(self) -> list[str]:
@@ -417,6 +427,10 @@ class Scene(System):
         vectors = {name for name in values if isinstance(getattr(self, name), tuple)}
         kept = self.fields_in(carry)
         return self.state(**{name: tuple(values[name]) if name in vectors else values[name] for name in kept})
+
+    def data(self, x: Any) -> dict[str, Any]:
+        """Return the initial data that a state is, by name, as `with_` takes them."""
+        return {name: value for name, value in x._asdict().items() if value is not None}
 
     def checked(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Return the initial data given by keyword, validated against the scene's own."""

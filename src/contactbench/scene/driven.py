@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
 from contactbench.numbers import quadrature
-from contactbench.scene.algebra import Vector
+from contactbench.scene.algebra import Vector, scaled
 from contactbench.scene.base import Check, optional
 from contactbench.scene.mechanical import Mechanical
 
@@ -127,7 +127,7 @@ class Driven(Mechanical):
 
     def rhs(self, x: Any) -> Any:
         rate = self.damping_at(x)
-        velocity = tuple(p * self.inverse_mass for p in x.p)
+        velocity = scaled(self.inverse_mass, x.p)
         force = tuple(-g - rate * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
         s = None if x.s is None else self.kinetic(x.p) - self.potential_at(x) - rate * x.s
         return DrivenState(velocity, force, 1.0 + 0 * x.t, s)

@@ -23,7 +23,7 @@ from contactbench.errors import (
     vector,
 )
 from contactbench.numbers.protocol import CannotRecord
-from contactbench.scene.algebra import State, Vector, cross, dot, norm
+from contactbench.scene.algebra import State, Vector, cross, dot, norm, scaled
 from contactbench.scene.base import Check, Scene, named_numbers, optional
 from contactbench.trace.formula import Formula, formula
 
@@ -34,8 +34,94 @@ derived_gradient = lru_cache(256)(Formula.gradient)
 derived_hessian = lru_cache(256)(Formula.hessian)
 
 
+def masses(name: str, value: Any) -> Any:
+    """Return one number > 0, or a tuple of such; raise `BadInput` for anything else."""
+    if not isinstance(value, tuple | list | np.ndarray) or np.ndim(value) == 0:
+        return positive(name, value)
+    return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
+
+
+class Canonical(Scene):
+    """What all scenes with H = T(p) + V(q) + γ s + ½ κ s² share, however their components are kept."""
+
+    #: T(p), and V and ∇V at a state
+    kinetic: Callable[[Vector], Any]
+    potential_at: Callable[[Any], Any]
+    gradient_at: Callable[[Any], Vector]
+    gamma: Any
+    inverse_mass: Any
+    kappa: Any = 0.0
+    kappa_sign: int = 0
+
+    def velocity(self, p: Vector) -> Vector:
+        """Return p/m."""
+        return scaled(self.inverse_mass, p)
+
+    def product(self, a: Vector, b: Vector) -> Any:
+        """Return a·b."""
+        return dot(a, b)
+
+    def damping_at(self, x: Any) -> Any:
+        return self.gamma
+
+    @property
+    def nonlinear_damping(self) -> bool:
+        return self.kappa_sign != 0
+
+    def energy(self, x: State) -> Any:
+        return self.kinetic(x.p) + self.potential_at(x)
+
+    def dissipation(self, s: Any) -> Any:
+        linear = self.gamma * s
+        return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
+
+    def dissipation_rate(self, s: Any) -> Any:
+        return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
+
+    def hamiltonian(self, x: State) -> Any:
+        return self.energy(x) + self.dissipation(x.s)
+
+    def rhs(self, x: State) -> State:
+        rate = self.dissipation_rate(x.s)
+        force = tuple(-g - rate * p for g, p in zip(self.gradient_at(x), x.p, strict=True))
+        if x.s is None:
+            return State(self.velocity(x.p), force)
+        return State(
+            self.velocity(x.p), force, self.kinetic(x.p) - self.potential_at(x) - self.dissipation(x.s)
+        )
+
+    @property
+    def rate_changes(self) -> bool:  # type: ignore[override]
+        return self.nonlinear_damping
+
+    @property
+    def may_gain_energy(self) -> bool:  # type: ignore[override]
+        return self.nonlinear_damping or self.gamma <= 0
+
+    @property
+    def bounds_energy(self) -> bool:
+        return not self.nonlinear_damping and self.gamma >= 0
+
+    def energy_terms(self, x: State) -> Any:
+        return self.kinetic(x.p) + abs(self.potential_at(x))
+
+    def contact_form(self, x: State, dx: State) -> Any:
+        return dx.s - self.product(x.p, dx.q)
+
+    def contact_terms(self, x: State, dx: State) -> Any:
+        return abs(dx.s) + self.product(x.p, x.p) ** 0.5 * self.product(dx.q, dx.q) ** 0.5
+
+    def hamiltonian_terms(self, x: State) -> Any:
+        kinetic = self.kinetic(x.p)
+        return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
+
+    @property
+    def conformal_rate(self) -> Any:
+        return None if self.nonlinear_damping else self.gamma
+
+
 @dataclass(frozen=True, kw_only=True)
-class Mechanical(Scene):
+class Mechanical(Canonical):
     """H = ‖p‖²/2m + V(q) + γ s + ½ κ s² on T*Rⁿ × R.
 
     The functions may read globals or attributes: every solve, run and reference is of what they compute when it
@@ -53,7 +139,7 @@ class Mechanical(Scene):
     gamma, kappa
         Damping; κ ≠ 0 makes s part of the dynamics.
     mass
-        > 0.
+        > 0; one number, or one for every component.
     parameters
         Numbers by name that the functions take.
     rotation_invariant
@@ -71,7 +157,7 @@ class Mechanical(Scene):
     p: Vector
     gamma: float = 0.0
     kappa: float = 0.0
-    mass: float = 1.0
+    mass: Any = 1.0
     hessian: Callable[..., Any] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     rotation_invariant: bool = False
@@ -94,7 +180,7 @@ class Mechanical(Scene):
         "p": vector,
         "gamma": finite,
         "kappa": finite,
-        "mass": positive,
+        "mass": masses,
         "rotation_invariant": switch,
         "parameters": named_numbers,
     }
@@ -103,6 +189,8 @@ class Mechanical(Scene):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._fix("kappa_sign", int(self.kappa > 0) - int(self.kappa < 0))
+        if isinstance(self.mass, tuple) and len(self.mass) != len(self.q):
+            raise BadInput(f"mass = {excerpt(self.mass)}: must be one number > 0, or {len(self.q)}")
         if len(self.q) != len(self.p):
             raise BadInput(f"q has {len(self.q)} components and p {len(self.p)}: they must agree")
         with their_code(f"q = {excerpt(self.q)}: the gradient of scene {self.name!r}"):
@@ -119,10 +207,6 @@ class Mechanical(Scene):
     def unpack(self, y: Sequence[Any], carry: Sequence[str]) -> State:
         n = len(self.q)
         return State(tuple(y[:n]), tuple(y[n : 2 * n]), y[2 * n] if "s" in carry else None)
-
-    @property
-    def nonlinear_damping(self) -> bool:
-        return self.kappa_sign != 0
 
     @property
     def decided(self) -> tuple[Any, ...]:  # type: ignore[override]
@@ -150,6 +234,8 @@ class Mechanical(Scene):
 
     # -- physics -------------------------------------------------------------------------------
     def kinetic(self, p: Vector) -> Any:
+        if isinstance(self.inverse_mass, tuple):
+            return dot(p, scaled(self.inverse_mass, p)) / 2
         return dot(p, p) * self.inverse_mass / 2
 
     def V(self, q: Vector) -> Any:
@@ -164,30 +250,6 @@ class Mechanical(Scene):
     def gradient_at(self, x: Any) -> Vector:
         return self.dV(x.q)
 
-    def damping_at(self, x: Any) -> Any:
-        return self.gamma
-
-    def energy(self, x: State) -> Any:
-        return self.kinetic(x.p) + self.potential_at(x)
-
-    def dissipation(self, s: Any) -> Any:
-        linear = self.gamma * s
-        return linear + self.kappa * s * s / 2 if self.nonlinear_damping else linear
-
-    def dissipation_rate(self, s: Any) -> Any:
-        return self.gamma + self.kappa * s if self.nonlinear_damping else self.gamma
-
-    def hamiltonian(self, x: State) -> Any:
-        return self.energy(x) + self.dissipation(x.s)
-
-    def rhs(self, x: State) -> State:
-        rate = self.dissipation_rate(x.s)
-        velocity = tuple(p * self.inverse_mass for p in x.p)
-        force = tuple(-g - rate * p for g, p in zip(self.dV(x.q), x.p, strict=True))
-        if x.s is None:
-            return State(velocity, force)
-        return State(velocity, force, self.kinetic(x.p) - self.V(x.q) - self.dissipation(x.s))
-
     @property
     def has_jacobian(self) -> bool:  # type: ignore[override]
         return self.hessian is not None
@@ -199,13 +261,14 @@ class Mechanical(Scene):
         hess = self.hessian(x.q, **self.parameters)
         rate = self.dissipation_rate(x.s)
         tail: list[Any] = [] if x.s is None else [0.0]
-        rows = [[0.0] * n + [self.inverse_mass if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
+        over_m = scaled(self.inverse_mass, [1.0] * n)
+        rows = [[0.0] * n + [over_m[i] if i == j else 0.0 for j in range(n)] + tail for i in range(n)]
         for i in range(n):
             damping = [-rate if i == j else 0.0 for j in range(n)]
             column = [-self.kappa * x.p[i]] if x.s is not None and self.nonlinear_damping else tail
             rows.append([-hess[i][j] for j in range(n)] + damping + column)
         if x.s is not None:
-            rows.append([-g for g in self.dV(x.q)] + [p * self.inverse_mass for p in x.p] + [-rate])
+            rows.append([-g for g in self.dV(x.q)] + [*scaled(self.inverse_mass, x.p)] + [-rate])
         return rows
 
     def momentum(self, x: State) -> Vector | None:
@@ -223,37 +286,8 @@ class Mechanical(Scene):
     def has_torque(self) -> bool:  # type: ignore[override]
         return len(self.q) == 2 and not self.rotation_invariant and not self.nonlinear_damping
 
-    @property
-    def rate_changes(self) -> bool:  # type: ignore[override]
-        return self.nonlinear_damping
-
-    @property
-    def may_gain_energy(self) -> bool:  # type: ignore[override]
-        return self.nonlinear_damping or self.gamma <= 0
-
-    @property
-    def bounds_energy(self) -> bool:
-        return not self.nonlinear_damping and self.gamma >= 0
-
-    def energy_terms(self, x: State) -> Any:
-        return self.kinetic(x.p) + abs(self.potential_at(x))
-
-    def contact_form(self, x: State, dx: State) -> Any:
-        return dx.s - dot(x.p, dx.q)
-
-    def contact_terms(self, x: State, dx: State) -> Any:
-        return abs(dx.s) + norm(x.p) * norm(dx.q)
-
-    def hamiltonian_terms(self, x: State) -> Any:
-        kinetic = self.kinetic(x.p)
-        return abs(kinetic) + abs(self.hamiltonian(x) - kinetic)
-
     def momentum_terms(self, x: State) -> Any:
         return norm(x.q) * norm(x.p)
-
-    @property
-    def conformal_rate(self) -> Any:
-        return None if self.nonlinear_damping else self.gamma
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,10 @@ from contactbench.scene import Scene
 from contactbench.scene.base import SCENES
 from contactbench.scenes.driven import DRIVEN
 from contactbench.scenes.hard import HARD
+from contactbench.scenes.many import MANY
 from contactbench.scenes.standard import STANDARD
 
-for _scene in (*STANDARD, *DRIVEN, *HARD):
+for _scene in (*STANDARD, *DRIVEN, *HARD, *MANY):
     SCENES.add(_scene)
 
 

@@ -110,6 +110,7 @@ def refusal(composition: Composition, scene: Scene) -> str | None:
 PARTS = {
     "mechanical": ("kick", "drift_damp"),
     "driven": ("kick", "drift_damp"),
+    "many": ("kick", "drift_damp"),
     "general damping": ("kick", "drift", "damp"),
     "isotropic body": ("turn", "top"),
     "body": ("turn", "damp", "top"),
@@ -191,10 +192,12 @@ def advance(
         another = lambda carried: (round_of(carried[1], carried[0]), carried[1] + 1)  # noqa: E731
         return repeat(len(stages) // period, another, (x, 0))[0]
 
-    x = run(opening, x)
     if not joint:
-        return run(closing, repeat(n, lambda x: run(inner, x), x))
-    x = repeat(n - 1, lambda x: run((*inner, *joint), x), x)
+        return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))
+    if repeat.joint_first:
+        x = repeat(n - 1, lambda x: run((*joint, *inner), x), run((*opening, *inner), x))
+        return run(closing, x)
+    x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
     return run((*inner, *closing), x)
 
 

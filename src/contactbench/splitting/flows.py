@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,10 @@ from contactbench.scene import (
     State,
     dot,
     quaternion_product,
+    scaled,
+    times,
 )
+from contactbench.scene.many import like
 from contactbench.splitting.free_body import free
 
 
@@ -92,8 +96,7 @@ def kick(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
 
 def drift(scene: Mechanical, x: State, h: Any, xp: Any) -> State:
     """A: q += h p/m, s += h T(p).  (T is homogeneous of degree two: p·T_p − T = T.)"""
-    over_m = h * scene.inverse_mass
-    q = tuple(q + over_m * p for q, p in zip(x.q, x.p, strict=True))
+    q = tuple(map(add, x.q, scaled(times(scene.inverse_mass, h), x.p)))
     return x._replace(q=q, s=None if x.s is None else x.s + h * scene.kinetic(x.p))
 
 
@@ -130,7 +133,7 @@ def damp_log_factor(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
 def _drift_damp_constants(scene: Mechanical, h: Any, xp: Any) -> Any:
     phi = damped_time(scene.gamma, h, xp)
     half_kappa = (scene.kappa * phi / 2,) if scene.nonlinear_damping else ()
-    return phi * scene.inverse_mass, phi, *damping(scene.gamma, h, xp), *half_kappa
+    return times(scene.inverse_mass, phi), phi, *damping(scene.gamma, h, xp), *half_kappa
 
 
 def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
@@ -145,13 +148,13 @@ def drift_damp(scene: Mechanical, x: Any, constants: Any, xp: Any) -> Any:
     """
     if not scene.nonlinear_damping:
         phi_over_m, phi, keep, lose = constants
-        q = tuple(q + phi_over_m * p for q, p in zip(x.q, x.p, strict=True))
+        q = tuple(map(add, x.q, scaled(phi_over_m, x.p)))
         s = None if x.s is None else x.s + phi * scene.kinetic(x.p)
         s = None if s is None else keep * s - lose * s
         return x._replace(q=q, p=tuple(keep * p - lose * p for p in x.p), s=s)
     phi_over_m, phi, keep, lose, _ = constants
     a, over_y, path = _pinney(scene, x, constants, xp)
-    q = tuple(q + phi_over_m * path * p for q, p in zip(x.q, x.p, strict=True))
+    q = tuple(map(add, x.q, scaled(times(phi_over_m, path), x.p)))
     s = a * x.s + phi * scene.kinetic(x.p)
     p = tuple((keep * p - lose * p) * over_y for p in x.p)
     return settle(State(q, p, (keep * s - lose * s) * over_y), xp)
@@ -223,7 +226,7 @@ def driven_drift_damp(scene: Driven, x: DrivenState, constants: Any, xp: Any) ->
     h, *constant = constants
     if not constant:
         total, phi = scene.spent(x.t, h, xp)
-        constant = phi * scene.inverse_mass, phi, 1.0, -xp.expm1(-total)
+        constant = times(scene.inverse_mass, phi), phi, 1.0, -xp.expm1(-total)
     return drift_damp(scene, x, constant, xp)._replace(t=x.t + h)
 
 
@@ -310,6 +313,26 @@ def damp_generally(scene: Any, x: State, h: Any, xp: Any) -> State:
 def general_log_factor(scene: Any, x: State, h: Any, xp: Any) -> Any:
     return xp.log(survival(scene, x.s, decay(scene, x.s, h, xp), h, xp))
 
+
+def many_drift(scene: Any, x: State, h: Any, xp: Any) -> State:
+    """A on many sites, whose masses may differ."""
+    return drift(scene._replaced(inverse_mass=like(scene.inverse_mass, x.p[0])), x, h, xp)
+
+
+def many_drift_damp(scene: Any, x: State, constants: Any, xp: Any) -> State:
+    """AC on many sites, whose masses may differ."""
+    phi, keep, lose = constants
+    return drift_damp(scene, x, (phi * like(scene.inverse_mass, x.p[0]), phi, keep, lose), xp)
+
+
+def _many_constants(scene: Any, h: Any, xp: Any) -> Any:
+    return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
+
+
+MANY = MECHANICAL | {
+    "drift": Flow(plain, many_drift, {}),
+    "drift_damp": Flow(_many_constants, many_drift_damp, {}, drift_damp_log_factor),
+}
 
 #: no merged flow is known, hence three parts
 GENERAL = {name: MECHANICAL[name] for name in ("kick", "drift")}
@@ -440,6 +463,7 @@ FLOWS = {
     "mechanical": MECHANICAL,
     "driven": DRIVEN,
     "general damping": GENERAL,
+    "many": MANY,
     "isotropic body": ISOTROPIC,
     "body": BODY,
 }

@@ -26,7 +26,7 @@ from math import factorial
 from typing import Any
 
 from contactbench.numbers.dual import Dual, slope, value
-from contactbench.scene import Mechanical, State, dot
+from contactbench.scene import Mechanical, State, dot, scaled
 from contactbench.splitting.composition import Composition, Stage
 
 #: words of A and B, with coefficients
@@ -80,14 +80,14 @@ def weights(stages: tuple[Stage, ...]) -> Words:
 def bracket(scene: Mechanical, letters: str) -> Callable[[Any, Any], Any]:
     """Return {w₁, {w₂, … {w_k, {A, B}}}} as a function of q and p."""
     if not letters:
-        return lambda q, p: -(dot(scene.dV(q), p) * scene.inverse_mass + scene.gamma * scene.V(q))
+        return lambda q, p: -(dot(scene.dV(q), scaled(scene.inverse_mass, p)) + scene.gamma * scene.V(q))
     inner = bracket(scene, letters[1:])
 
     def kicked(q: Any, p: Any) -> Any:
         return slope(inner(lift(q, [0.0] * len(q)), lift(p, scene.dV(q))))
 
     def drifted(q: Any, p: Any) -> Any:
-        velocity, loss = ([c * each for each in p] for c in (scene.inverse_mass, -scene.gamma))
+        velocity, loss = (scaled(c, p) for c in (scene.inverse_mass, -scene.gamma))
         found = inner(lift(q, velocity), lift(p, loss))
         return -(slope(found) + scene.gamma * value(found))
 

@@ -191,13 +191,14 @@ def ends_as_it_says(case: MethodCase) -> None:
 
 def with_counter(scene: Any, kind: str) -> tuple[Any, list[int]]:
     """Return the scene with a function that counts its calls, and the count; it cannot be recorded."""
-    calls, name = [0], "gradient" if kind == "gradient" else "rhs"
+    of_force = "gradient_at" if scene.kind == "many" else "gradient"
+    calls, name = [0], of_force if kind == "gradient" else "rhs"
     original = getattr(scene, name)
 
     def counting(x: Any, **parameters: Any) -> Any:
         calls[0] += 1
-        first = x[0] if kind == "gradient" else x[0][0]
-        require(float(first) < math.inf, "not finite")  # asks for the value
+        first = x[0] if name == "gradient" else x[0][0]
+        require(float(np.ravel(first)[0]) < math.inf, "not finite")  # asks for the value
         return original(x, **parameters)
 
     return scene._replaced(**{name: counting}), calls

@@ -8,7 +8,7 @@ be pickled, runs on every kind of number that the function ran on, and is differ
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -89,6 +89,10 @@ class Formula(form.Digested):
             if isinstance(n, int) and n and len(given) != n:
                 raise BadInput(f"{len(given)} components: this function was recorded for {n}")
         return self.function(*arguments, **named)
+
+    def taken(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of the parameters that it takes."""
+        return {name: parameters[name] for name in self.names}
 
     # -- derivatives -------------------------------------------------------------------------------
     def gradient(self) -> Formula:

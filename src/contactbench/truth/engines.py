@@ -77,6 +77,8 @@ def with_decimals(scene: Scene, number: Callable[[str], Any]) -> Scene:
     """Return the scene with every float x, initial data included, replaced by ``number(repr(x))``."""
 
     def convert(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return np.array([convert(x) for x in value], dtype=object)
         return tuple(map(convert, value)) if isinstance(value, tuple) else number(repr(float(value)))
 
     start = {name: convert(getattr(scene, name)) for name in scene.initial_fields}

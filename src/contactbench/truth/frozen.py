@@ -15,6 +15,7 @@ import numpy as np
 
 from contactbench.errors import BadInput, is_ours
 from contactbench.scene import Scene
+from contactbench.scene.many import Many
 from contactbench.trace.formula import Formula
 
 
@@ -23,6 +24,13 @@ def name_of(function: Any) -> list[str]:
     if is_ours(function):
         return [function.__module__, function.__qualname__]
     return ["", function.digest if isinstance(function, Formula) else f"unknown {id(function)}"]
+
+
+def fingerprint(value: Any) -> Any:
+    """Return numbers as the decimals they print as; of an array, which may have millions, its hash."""
+    if isinstance(value, np.ndarray):
+        return hashlib.sha256(value.tobytes()).hexdigest()
+    return [repr(float(x)) for x in np.ravel(value)]
 
 
 def digest(scene: Scene) -> str:
@@ -38,13 +46,19 @@ def digest(scene: Scene) -> str:
     ]
     kind = type(scene)
     package = ".".join(kind.__module__.split(".")[:2])  # where it is imported from, not where it is written
-    definition = [
+    definition: list[Any] = [
         f"{package}.{kind.__qualname__}",
         functions,
         list(getattr(scene, "parameters", {})),
         [repr(float(x)) for x in scene.numbers()],
-        [[repr(float(x)) for x in np.ravel(getattr(scene, name))] for name in scene.initial_fields],
+        [fingerprint(getattr(scene, name)) for name in scene.initial_fields],
     ]
+    if isinstance(scene, Many):
+        definition += [
+            scene.sites,
+            scene.boundary,
+            *map(fingerprint, scene.constants.values()),
+        ]
     return hashlib.sha256(json.dumps(definition).encode()).hexdigest()
 
 

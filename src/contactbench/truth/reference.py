@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
@@ -19,6 +19,7 @@ from contactbench.errors import place as place_of
 from contactbench.scene import Cache, Scene, key, verify
 from contactbench.scene.base import scene_of
 from contactbench.scene.definition import verify_along
+from contactbench.scene.many import Many
 from contactbench.truth.engines import (
     NEVER,
     BlowUp,
@@ -37,6 +38,7 @@ from contactbench.truth.engines import (
     with_decimals,
 )
 from contactbench.truth.frozen import digest, entries, frozen
+from contactbench.truth.many import FEW, doubles
 
 #: bits of the lower of two precisions, tried in turn until enough digits agree
 LIVE_BITS = (140, 300, 600)
@@ -69,7 +71,7 @@ class Reference:
 
     def states(self) -> Any:
         """Return the states as one NamedTuple of arrays over time."""
-        return self.scene.unpack(tuple(self.y.T), self.carry)
+        return self.scene.unpack(self.y.T, self.carry)
 
 
 def checked_times(times: Any) -> np.ndarray:
@@ -114,6 +116,8 @@ def reference(
     verify_along(scene)
 
     def make() -> Reference:
+        if isinstance(scene, Many):
+            return of_many(scene, t, carry, seconds)
         stored = closed_form(scene, t, carry) or frozen(scene, t, carry)
         decimals, digits, source = stored or live(scene, t, carry, perf_counter() + seconds)
         y = np.array([[float(x) for x in row] for row in decimals])
@@ -123,6 +127,20 @@ def reference(
 
     identity = scene.identity if scene.exact is None or is_ours(scene.exact) else None
     return _cache.get(key(identity, digest(scene), scene.exact, carry, t.tobytes()), make)
+
+
+def of_many(scene: Many, t: np.ndarray, carry: tuple[str, ...], seconds: float) -> Reference:
+    """Return the truth of a scene of many sites: of few of them component by component, to many digits."""
+    if scene.motion <= FEW and scene.exact is None:
+        return replace(reference(scene.unrolled(), t, carry, seconds), scene=scene)
+    unique, back = np.unique(t, return_inverse=True)
+    if scene.exact is not None:
+        states = [scene.exact(scene, time, np) for time in unique.tolist()]
+        rows = [scene.pack(x if "s" in carry else x._replace(s=None)) for x in states]
+        y, digits, source = np.array(rows), 13, "closed form"
+    else:
+        (y, digits), source = doubles(scene, unique, carry, perf_counter() + seconds), "live"
+    return Reference(scene, carry, t, y[back], [], digits, source)
 
 
 # -- closed forms ------------------------------------------------------------------------------------
@@ -264,11 +282,12 @@ def confirmed(found: Reference, seconds: float = NEVER) -> int | None:
 
     t ascending.  None where there was no time for it, or the reference is from that engine itself.
     """
-    if found.source == "live" and importlib.util.find_spec("heyoka") is None:
+    if not found.decimals or (found.source == "live" and importlib.util.find_spec("heyoka") is None):
         return None
+    scene = found.scene.unrolled() if isinstance(found.scene, Many) else found.scene
     times, digits = [repr(x) for x in found.t.tolist()], 20
     try:
-        rows = extrapolation(found.scene, times, found.carry, digits, deadline=perf_counter() + seconds)
+        rows = extrapolation(scene, times, found.carry, digits, deadline=perf_counter() + seconds)
     except BadInput:
         return None
     context = decimal_context(digits + 15)

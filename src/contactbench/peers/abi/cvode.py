@@ -22,7 +22,15 @@ from numba import types
 from numba.extending import intrinsic
 
 from contactbench.peers.abi import LETTERS, external, join, split
-from contactbench.peers.compiled import JACOBIAN_CALLS, KNOWN, MAJOR, RHS_CALLS, TOO_MUCH_WORK, CFunctions
+from contactbench.peers.compiled import (
+    JACOBIAN_CALLS,
+    KNOWN,
+    MAJOR,
+    RHS_CALLS,
+    TOO_MUCH_WORK,
+    CFunctions,
+    FieldFunctions,
+)
 
 #: linear multistep methods, and integration tasks
 METHODS = {"Adams": 1, "BDF": 2}
@@ -32,7 +40,7 @@ PATTERNS = ("libsundials_cvode-*", "libsundials_cvode.so*", "libsundials_cvode*.
 #: the functions used, by their signatures as words; n is the type SUNDIALS counts with
 SIGNATURES = {
     "iip": "SUNContext_Create",
-    "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree",
+    "ip": "SUNContext_ClearErrHandlers SUNContext_Free SUNLinSolFree SUNNonlinSolFree",
     "vp": "N_VDestroy SUNMatDestroy CVodeFree",
     "pp": "N_VGetArrayPointer SUNDenseMatrix_Data",
     "pnpp": "N_VMake_Serial",
@@ -42,8 +50,11 @@ SIGNATURES = {
     "ippdp": "CVodeInit",
     "ipdp": "CVodeReInit",
     "ipdd": "CVodeSStolerances",
-    "ipp": "CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails CVodeGetNumStepSolveFails",
+    "ipp": "CVodeSetNonlinearSolver CVodeSetUserData CVodeSetJacFn CVodeGetNumSteps CVodeGetNumErrTestFails "
+    "CVodeGetNumStepSolveFails",
     "ippp": "CVodeSetLinearSolver",
+    "ppip": "SUNNonlinSol_FixedPoint",
+    "ppiip": "SUNLinSol_SPGMR",
     "ipl": "CVodeSetMaxNumSteps",
     "ipd": "CVodeSetMinStep CVodeSetMaxStep CVodeSetStopTime",
     "ipdppi": "CVode",
@@ -215,7 +226,7 @@ class Memory:
     def __init__(
         self,
         method: str,
-        functions: CFunctions,
+        functions: CFunctions | FieldFunctions,
         data: np.ndarray,
         size: int,
         tolerances: tuple[float, float],
@@ -228,17 +239,32 @@ class Memory:
         check("SUNContext_ClearErrHandlers", context)
         self.vector = library.N_VMake_Serial(size, self.y.ctypes.data, context)
         self.memory = memory = library.CVodeCreate(METHODS[method], context)
-        matrix = library.SUNDenseMatrix(size, size, context)
-        linear = library.SUNLinSol_Dense(self.vector, matrix, context)
-        weakref.finalize(self, free, memory, linear, matrix, self.vector, context)
         check("CVodeInit", memory, _rhs.address, 0.0, self.vector)
+        solvers = self.choose(method, isinstance(functions, FieldFunctions), size, context)
+        weakref.finalize(self, free, memory, solvers, self.vector, context)
         check("CVodeSStolerances", memory, *tolerances)
         check("CVodeSetUserData", memory, self.user.ctypes.data)
-        check("CVodeSetLinearSolver", memory, linear, matrix)
         if functions.jacobian:
             check("CVodeSetJacFn", memory, _jacobian.address)
         check("CVodeSetMinStep", memory, bounds[0])
         check("CVodeSetMaxStep", memory, bounds[1])
+
+    def choose(self, method: str, many: bool, size: int, context: Any) -> dict[str, int]:
+        """Connect what solves for a step, and return it by what frees it.
+
+        Of many sites no dense matrix is made: Adams iterates to a fixed point, BDF solves by GMRES.
+        """
+        if many and method == "Adams":
+            iteration = library.SUNNonlinSol_FixedPoint(self.vector, 0, context)
+            check("CVodeSetNonlinearSolver", self.memory, iteration)
+            return {"SUNNonlinSolFree": iteration}
+        if many:
+            matrix, linear = None, library.SUNLinSol_SPGMR(self.vector, 0, 0, context)
+        else:
+            matrix = library.SUNDenseMatrix(size, size, context)
+            linear = library.SUNLinSol_Dense(self.vector, matrix, context)
+        check("CVodeSetLinearSolver", self.memory, linear, matrix)
+        return {"SUNLinSolFree": linear} | ({"SUNMatDestroy": matrix} if matrix else {})
 
 
 def check(name: str, *arguments: Any) -> None:
@@ -246,9 +272,9 @@ def check(name: str, *arguments: Any) -> None:
         raise RuntimeError(f"{name} returned {flag}")
 
 
-def free(memory: int, linear: int, matrix: int, vector: int, context: c_void_p) -> None:
+def free(memory: int, solvers: dict[str, int], vector: int, context: c_void_p) -> None:
     library.CVodeFree(byref(c_void_p(memory)))
-    library.SUNLinSolFree(linear)
-    library.SUNMatDestroy(matrix)
+    for name, solver in solvers.items():
+        getattr(library, name)(solver)
     library.N_VDestroy(vector)
     library.SUNContext_Free(byref(context))

@@ -1,0 +1,248 @@
+"""Fixed steps on scenes of many sites: compiled sweeps, and arrays."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache, cached_property
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from contactbench.methods.fixed_step_run import FixedStepRun, Loop, is_fixed
+from contactbench.methods.jax_engine import JaxLoop
+from contactbench.methods.prepared import NO_NUMBER, stopwatch
+from contactbench.numbers.dual import Dual, DualNumbers, slope, value
+from contactbench.scene import Cache, State, key
+from contactbench.scene.many import Many
+from contactbench.trace.fields import FieldProgram, record_fields
+from contactbench.trace.sweeps import ADDRESSES, CHUNK, FIRST, PAD, WHOLE, Packing, compile_sweeps
+from contactbench.xla import jax, lax
+
+#: sites from which on all cores share a sweep
+SHARED = 50_000
+#: held by the run whose threads wait for one another: those of two runs would wait for ever
+TOGETHER = Lock()
+
+
+def field_program(advance: Callable[..., Any], scene: Many, packing: Packing) -> FieldProgram:
+    """Record ``advance(scene, x, h, n, xp, repeat)``; with two blocks the state's numbers are dual.
+
+    Raises `CannotRecord`.
+    """
+    (d, with_s, blocks), names = packing, tuple(scene.constants)
+
+    def fields(numbers: Any, h: Any, n: Any, f: Any, s: Any, constants: Any, xp: Any, repeat: Any) -> Any:
+        if blocks > 1:
+            f, s, xp = list(map(Dual, f[: 2 * d], f[2 * d :])), [Dual(*s)] if with_s else [], DualNumbers(xp)
+        twin = scene.with_numbers(numbers)._replaced(**dict(zip(names, constants, strict=True)))
+        x = advance(twin, State(tuple(f[:d]), tuple(f[d:]), s[0] if with_s else None), h, n, xp, repeat)
+        parts = [*x.q, *x.p], [x.s] if with_s else []
+        return [number(c) for part in parts for number in (value, slope)[:blocks] for c in part]
+
+    return record_fields(fields, len(scene.numbers()), 2 * d * blocks, with_s * blocks, len(names))
+
+
+@cache
+def others(count: int) -> Any:
+    """Threads beside this one."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    return ThreadPoolExecutor(count, thread_name_prefix="sweep")
+
+
+os.register_at_fork(after_in_child=others.cache_clear)
+
+
+def threads_for(sites: int) -> int:
+    """How many threads share the sweeps: those numba is to use, for large scenes."""
+    if sites < SHARED:
+        return 1
+    from numba import get_num_threads
+
+    return min(int(get_num_threads()), -(-sites // CHUNK))
+
+
+class FieldLoop(Loop):
+    """A recorded function on fields: one for all numbers of sites of a boundary."""
+
+    program: Any
+
+    def __init__(self, advance: Callable[..., Any], scene: Many, packing: Packing) -> None:
+        elapsed = stopwatch()
+        self.boundary, self.packing = scene.boundary, packing
+        super().__init__(field_program(advance, scene, packing), 0.0)  # type: ignore[arg-type]
+        self.seconds = elapsed()
+
+    @cached_property
+    def compiled(self) -> Any:
+        elapsed, program = stopwatch(), self.program
+        made = compile_sweeps(program.run, self.boundary, program.sums, program.width, self.packing)
+        self.seconds += elapsed()
+        return made
+
+    @cached_property
+    def run(self) -> Any:
+        pointer = ctypes.c_void_p
+        return ctypes.CFUNCTYPE(None, pointer, ctypes.c_double, pointer, pointer)(self.compiled.address)
+
+    def data(self, scene: Many, arrays: dict[str, np.ndarray], rank: int = 0, threads: int = 1) -> np.ndarray:
+        """The argument `data` of the compiled function: the addresses of its arrays, which are to be kept alive."""
+        data = np.zeros(FIRST + len(ADDRESSES) + len(WHOLE))
+        addresses = (arrays[name].ctypes.data for name in ADDRESSES)
+        data.view(np.int64)[FIRST:] = [*addresses, scene.sites, rank, threads]
+        return data
+
+    def arrays(
+        self, scene: Many, numbers: np.ndarray, h: Any = (0.0,), n: Any = (1,)
+    ) -> dict[str, np.ndarray]:
+        """The arrays that the compiled function works on, by name; fields has the constants after the state."""
+        program, sites, constants = self.program, scene.sites, scene.constants.values()
+        w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
+        fields = np.zeros((program.rows, sites + 2 * PAD))
+        first = 2 * self.packing.dimensions * self.packing.blocks
+        for row, constant in zip(fields[first:], constants, strict=False):
+            row[PAD:-PAD] = constant
+            if self.boundary != "fixed":  # the neighbours beyond the ends
+                row[PAD - 1], row[-PAD] = constant[[-1, 0] if self.boundary == "ring" else [0, -1]]
+        sums = np.zeros((max(1, program.sums), -(-sites // CHUNK)))
+        whole = {"shape": shape.astype(np.int64), "sync": np.zeros(1, dtype=np.int64)}
+        return {"w": w, "fields": fields, "sums": sums} | whole
+
+    def paths(self, scene: Any, numbers: np.ndarray, y: np.ndarray, h: Any, n: Any) -> np.ndarray:
+        """Packed states after each interval, (k, blocks, size), of a state and maybe its tangent, (blocks, size)."""
+        arrays, out = self.arrays(scene, numbers, h, n), np.empty((len(n), *y.shape))
+        threads = threads_for(scene.sites)
+        which = arrays["shape"][len(self.program.shape) :].copy()
+        data = [self.data(scene, arrays, rank, threads) for rank in range(threads)]
+        y = np.ascontiguousarray(y, dtype=float)
+        for row, after in zip(which, out, strict=True):
+            arrays["shape"][len(self.program.shape)], arrays["sync"][:] = row, 0
+            calls = [(after.ctypes.data, 0.0, y.ctypes.data, each.ctypes.data) for each in data]
+            if threads == 1:
+                self.run(*calls[0])
+            else:
+                with TOGETHER:
+                    waiting = [others(threads - 1).submit(self.run, *call) for call in calls[1:]]
+                    self.run(*calls[0])
+                    for each in waiting:
+                        each.result()
+            y = after
+        return out
+
+
+_loops: Cache[FieldLoop] = Cache(256)
+
+
+def loop_of(method: Any, scene: Any, carry: tuple[str, ...], tangent: bool = False) -> FieldLoop:
+    """The loop of a method; `CannotRecord`, also where numba is told not to compile."""
+    packing = Packing(scene.dimensions, "s" in carry, 1 + tangent)
+    known = (method, scene.equations) if is_fixed(method) and scene.identity is not None else None
+    return _loops.get(key(known, packing), lambda: FieldLoop(method.advance, scene, packing))
+
+
+def slopes_of(scene: Many, carry: tuple[str, ...]) -> FieldLoop:
+    """The right-hand side."""
+    packing = Packing(scene.dimensions, "s" in carry)
+    known = scene.equations if scene.identity is not None else None
+    return _loops.get(
+        key(known, packing), lambda: FieldLoop(lambda scene, x, *_: scene.rhs(x), scene, packing)
+    )
+
+
+class SweepLoop(FixedStepRun):
+    """Sweeps over the sites, compiled by LLVM."""
+
+    sensitivity_source = "forward-mode AD through the numerical map"
+
+    def __post_init__(self) -> None:
+        self.loop = loop_of(self.method_, self.request.scene, self.request.carry)
+        self.loop.compiled  # noqa: B018, now
+        self.compile_s = self.loop.seconds
+        super().__post_init__()
+
+    @cached_property
+    def tangent_loop(self) -> FieldLoop:  # type: ignore[override]
+        return loop_of(self.method_, self.request.scene, self.request.carry, tangent=True)
+
+    def paths(self, loop: FieldLoop, y: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return loop.paths(self.request.scene, self.numbers, y, h, n)
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return self.paths(self.loop, y0[None], h, n)[:, 0]
+
+    def bare(self, y0: np.ndarray) -> np.ndarray:
+        return self.intervals(y0, self.h, self.n)[-1]
+
+    def sensitivity(self, y0: np.ndarray) -> np.ndarray:
+        tangents = self.tangents(y0)
+        columns = [self.paths(self.tangent_loop, np.stack([y0, v]), self.h, self.n)[:, 1] for v in tangents]
+        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
+
+
+class ArrayLoop(SweepLoop):
+    """The step map on NumPy's arrays."""
+
+    sensitivity_source = "forward-mode AD through the same steps, compiled"
+
+    def __post_init__(self) -> None:
+        FixedStepRun.__post_init__(self)
+
+    def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
+        r, out = self.request, np.full((len(n), len(y0)), math.nan)
+        x = r.scene.unpack(y0, r.carry)
+        with suppress(*NO_NUMBER), np.errstate(all="ignore"):
+            for k, (step, count) in enumerate(zip(h.tolist(), n.tolist(), strict=True)):
+                x = self.method_.advance(r.scene, x, step, count, math)
+                out[k] = r.scene.pack(x)
+        return out
+
+
+class MeshLoop(JaxLoop):
+    """The compiled steps; many sites are divided among all devices, of all processes, where they do so evenly.
+
+    A single process on a CPU divides them where threads would, for which it has a device each.
+    """
+
+    @cached_property
+    def mesh(self) -> Any:
+        from jax.sharding import Mesh
+
+        devices, sites = jax.devices(), self.request.scene.sites  # type: ignore[attr-defined]
+        even = sites >= SHARED and len(devices) > 1 and sites % len(devices) == 0
+        alone = jax.process_count() == 1 and devices[0].platform == "cpu" and threads_for(sites) == 1
+        return Mesh(np.array(devices), ("sites",)) if even and not alone else None
+
+    def along(self, *axes: str) -> Any:
+        from jax.sharding import NamedSharding, PartitionSpec
+
+        return self.mesh and NamedSharding(self.mesh, PartitionSpec(*axes))
+
+    @cached_property
+    def everywhere(self) -> Any:  # type: ignore[override]
+        return self.along()
+
+    def key(self) -> tuple[Any, ...]:
+        return (*super().key(), self.mesh)
+
+    def call(self, y0: np.ndarray, fixed: Any = None) -> np.ndarray:
+        given = (y0 if y0 is self.start or self.mesh is None else jax.device_put(y0, self.everywhere)), fixed
+        return super().call(*given)
+
+    def start_of(self, scene: Any, y0: Any) -> Any:
+        x, divided = super().start_of(scene, y0), self.along("sites")
+        if self.mesh is None:
+            return x
+        q, p = (tuple(lax.with_sharding_constraint(c, divided) for c in part) for part in (x.q, x.p))
+        return x._replace(q=q, p=p)
+
+    def states(self, y0: Any, fixed: Any) -> Any:
+        y = super().states(y0, fixed)
+        return y if self.mesh is None else lax.with_sharding_constraint(y, self.everywhere)
+
+
+MANY_RUNS: dict[str, type[FixedStepRun]] = {"numba": SweepLoop, "jax": MeshLoop, "python": ArrayLoop}

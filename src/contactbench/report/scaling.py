@@ -1,0 +1,140 @@
+"""Cost against the number of degrees of freedom: an evaluation at each of them, and the way to one error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from contactbench.measure.statistics import PROCESSES, Verdict
+from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
+from contactbench.report.curves import best_of_each, by_method, floats, lowest
+from contactbench.report.drawing import Axis, Curve, Figure, Panel
+from contactbench.report.numbers import count, duration, names, times
+from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
+from contactbench.results.contest import COMPILED, LIMIT, standings
+
+SOURCE = "scaling.csv"
+#: the scene that every method is run on, and the size at which the way to the error is asked for
+SCENE, SIZE = "fput", 1024
+#: the slope is that from so many degrees of freedom on: below, a call and the ends of loops count
+LARGE = 100
+EACH, REACH = "site_ns", "reach_s"
+ROW = ["scene", "method", "engine", "n", "cores"]
+MARKS = {Verdict.win: Mark.best, Verdict.tie: Mark.tie}
+AHEAD = (Verdict.win, Verdict.tie, Verdict.undecided)
+
+
+def ranked(frame: pd.DataFrame, cost: str) -> pd.DataFrame:
+    """Return the compiled rows of one core that compete by a column, with their standing at each size of a scene."""
+    rows = frame[COMPILED.compares(frame) & frame[cost].notna() & (frame["cores"] == 1)]
+    rows = rows[rows["family"] != LIMIT]
+    rows = rows.assign(cost=rows[cost], halves=rows["time_halves_ratio"], processes=PROCESSES)
+    return standings(rows, ("scene", "n"))
+
+
+def slope(rows: pd.DataFrame) -> float:
+    """Return the power of n by which the time of an evaluation grows, fitted from `LARGE` on; nan of one size."""
+    own = rows[(rows["n"] >= LARGE) & rows[EACH].notna()]
+    n, each = (np.log(np.array(floats(own[name]))) for name in ("n", EACH))
+    return 1 + float(np.polyfit(n, each, 1)[0]) if len(set(n)) > 1 else np.nan
+
+
+def lines(frame: pd.DataFrame) -> dict[tuple[str, ...], pd.DataFrame]:
+    """Return the rows of each scene, method, engine and number of cores."""
+    ways = ["scene", "method", "engine", "cores"]
+    return {tuple(map(str, way)): own for way, own in frame.groupby(ways, sort=False)}  # type: ignore[arg-type]
+
+
+def beside_loop(frame: pd.DataFrame, n: int, each: float) -> str:
+    """Return the ratio to the C loop in words, "" without one."""
+    loop = frame[(frame["family"] == LIMIT) & (frame["n"] == n) & (frame["cores"] == 1)][EACH].min()
+    return f"{times(each / loop)} the C loop" if loop > 0 else ""
+
+
+def answers(frames: Frames) -> pd.DataFrame:
+    frame = frames["scaling"]
+    main, found = frame[frame["scene"] == SCENE], []
+    for cost, sizes in ((EACH, main["n"]), (REACH, main["n"][main["n"] <= SIZE])):
+        rows = ranked(main, cost)
+        rows = rows[rows["n"] == sizes.max()]
+        first = rows[rows["verdict"].isin(AHEAD)]
+        if not len(first):
+            continue
+        at = f"on `{SCENE}`, n = {count(sizes.max())}?"
+        best, rest = first["cost"].min(), rows[~rows["verdict"].isin(AHEAD)]
+        own = names([str(name) for name in first["method"]], 3)
+        if cost == EACH:
+            asked = f"Which method takes the least time per degree of freedom and evaluation {at}"
+            beside = beside_loop(main, int(sizes.max()), float(best))
+            found.append((asked, own, ", ".join(filter(None, [duration(1e-9 * best), beside]))))
+        else:
+            then = [f"then {rest['method'].iloc[0]} {times(rest['ratio'].iloc[0])}"] if len(rest) else []
+            found.append((f"Who is first at an error of 10⁻⁶ {at}", own, ", ".join([duration(best), *then])))
+    slopes = [s for own in lines(main[main["cores"] == 1]).values() if (s := slope(own)) == s]
+    if slopes:
+        middle = f"as n to the power {np.median(slopes):.2f}"
+        between = f"{min(slopes):.2f} to {max(slopes):.2f}, {len(slopes)} methods and engines"
+        found.append((f"How does the time of an evaluation grow on `{SCENE}`?", middle, between))
+    return summary(*found)
+
+
+def costs_view(frame: pd.DataFrame) -> View:
+    sizes = sorted(frame["n"][frame["scene"] == SCENE].unique())
+    looks = {
+        (cost, *row[:-1]): MARKS.get(row[-1])
+        for cost in (EACH, REACH)
+        for row in ranked(frame, cost)[[*ROW, "verdict"]].itertuples(index=False, name=None)
+    }
+
+    def cell(row: pd.Series, cost: str, unit: float = 1.0) -> Cell:
+        return as_cell(unit * row[cost], duration, looks.get((cost, *row[ROW])))
+
+    rows = []
+    for (scene, method, engine, cores), own in lines(frame[frame[EACH].notna()]).items():
+        by_size = {int(row["n"]): row for _, row in own.sort_values("n").iterrows()}
+        each = {n: cell(row, EACH, 1e-9) for n, row in by_size.items()}
+        other: list[object] = [f"{c.text}, n = {n}" for n, c in each.items() if n not in sizes]
+        largest = by_size[max(by_size)]
+        reach = cell(by_size[max(near)], REACH) if (near := [n for n in by_size if n <= SIZE]) else None
+        more = (slope(own), reach, largest["compile_s"], largest["memory_MB"])
+        at = [each.get(n) for n in sizes]
+        rows.append((f"{method}, {engine}", scene, int(cores), *at, (other or [None])[0], *more))
+    labels = [("", "method"), ("", "scene"), ("", "cores")]
+    labels += [
+        ("an evaluation at a degree of freedom, n =", size) for size in (*map(count, sizes), "another")
+    ]
+    labels += [("", name) for name in ("power of n", "to 10⁻⁶", "compilation", "memory, MB")]
+    legend = (
+        f"Least round. Power of n: of the time of an evaluation, from n = {LARGE} on. To 10⁻⁶: at the "
+        f"largest n ≤ {SIZE}. Memory: beside one state, at the largest n. Bold: the least of one core, compiled; "
+        "italic: a tie. —: not run, or not reached."
+    )
+    show = {"power of n": "{:.2f}".format, "compilation": duration, "memory, MB": "{:.2g}".format}
+    return View("scaling_costs", "Cost by size", frame_of(rows, labels), legend, SOURCE, show)
+
+
+def figure(frame: pd.DataFrame) -> Figure | None:
+    rows = frame[(frame["scene"] == SCENE) & (frame["cores"] == 1) & frame[EACH].notna()]
+    rows = rows[COMPILED.compares(rows)].sort_values(["n", EACH], kind="stable")
+    loop, own = rows[rows["family"] == LIMIT], rows[rows["family"] != LIMIT]
+    own = own.drop_duplicates(["n", "method"])  # the best engine of each
+    if own["n"].nunique() < 2:
+        return None
+    n = int(own["n"].max())
+    least = own[own["n"] == n].iloc[0]
+    beside = beside_loop(frame[frame["scene"] == SCENE], n, float(least[EACH]))
+    title = f"{SCENE}, n = {count(n)}: {least['method']} takes {least[EACH]:.2g} ns a degree of freedom and evaluation"
+    limit = [Curve(floats(loop["n"]), floats(loop[EACH]), "C loop", role="criterion")] if len(loop) else []
+    curves = (*best_of_each(by_method(own, "n", EACH), lowest), *limit)
+    y = Axis("time per degree of freedom and evaluation, ns", "log")
+    panel = Panel("", Axis("degrees of freedom n", "log"), y, curves)
+    caption = "One core, the best engine of each, compiled. In colour: the fastest of each family."
+    return Figure("scaling", ", ".join(filter(None, [title, beside])), (panel,), caption)
+
+
+def parts(frames: Frames) -> list[Part | None]:
+    return [costs_view(frames["scaling"]), figure(frames["scaling"])]
+
+
+TITLE, QUESTION = "Scaling", "How does cost grow with the number of degrees of freedom?"
+CHAPTERS.add(Chapter("scaling", TITLE, QUESTION, 62, ("scaling",), parts, answers))

@@ -1,0 +1,70 @@
+"""Rows of cost against size: the same motion at every size, the same steps as a C loop, memory at its peak."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import pytest
+
+import bench_scaling as bench
+import contactbench as cb
+from c_loops import ring_kernel
+from contactbench.measure.memory import peak_memory
+from contactbench.results.tables import SCALING
+
+
+@pytest.fixture(autouse=True)
+def threads():
+    """A cell says how many threads it takes; the other tests have those of before."""
+    before = numba.get_num_threads()
+    yield
+    numba.set_num_threads(before)
+
+
+def row(n, method="contact-strang", engine="numba"):
+    made, call = bench.prepared(
+        ("fput", method, engine, n, 1), bench.value("fput", method, n), bench.truth("fput").y
+    )
+    assert set(made) <= {*SCALING.columns}
+    return made, call
+
+
+def test_a_method_has_the_same_steps_and_the_same_error_at_every_size():
+    (short, _), (long, call) = row(16), row(128)
+    assert 5e-7 < short["solution_error"] <= 1e-6
+    assert long["solution_error"] == pytest.approx(short["solution_error"], rel=1e-6)
+    assert [long[name] for name in ("n", "value", "steps")] == [128, short["value"], short["steps"]]
+    assert call is not None
+
+
+def test_where_the_steps_would_take_long_they_are_coarser():
+    n = 1_000_000
+    assert bench.value("fput", "contact-strang", n) == pytest.approx(20 / bench.ALLOWED, rel=1e-2)
+    assert bench.value("fput", "contact-strang", 1024) == bench.found("fput", "contact-strang")
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6"])
+def test_the_loop_in_c_computes_what_the_method_does(method):
+    scene = bench.sized("fput", 48)
+    made = ring_kernel(method, scene, 0.1)
+    if isinstance(made, str):
+        pytest.skip(made)
+    run, evaluations = made
+    solution = cb.solve(scene, method, step=0.1, carry=(), save_at=[scene.t_end])
+    np.testing.assert_allclose(run(), solution.y[-1], rtol=0, atol=1e-12)
+    assert evaluations == solution.counts.evaluations
+
+
+def test_a_method_that_does_not_go_so_far_has_a_row_that_says_so():
+    made, call = row(1024, "scipy-radau", "python")
+    assert (made["status"], call) == ("unsupported", None)
+    assert "dense" in made["message"]
+
+
+def test_the_peak_of_memory_is_that_of_the_call():
+    peak = peak_memory(lambda: np.ones(5_000_000).sum())
+    if math.isnan(peak):
+        pytest.skip("the system does not say")
+    assert 3.9e7 < peak < 5e7  # the system counts pages in batches

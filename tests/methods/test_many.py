@@ -1,0 +1,277 @@
+"""Methods and peers on scenes of many sites: every engine computes the same, and the laws hold at any size."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+import contactbench as cb
+from chains import BOUNDARIES, SMALL, bodies, chain, masses
+from contactbench.methods import many
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.peers.base import Peer
+from contactbench.scene import many as many_scene
+
+FIXED = [m.name for m in cb.METHODS.values() if isinstance(m, FixedStep)]
+PEERS = [m.name for m in cb.METHODS.values() if isinstance(m, Peer)]
+#: merges, stages in a loop, processing, no merging: one of each way to be recorded
+SHAPES = ("contact-strang", "contact-rkn6", "contact-abc", "herglotz2", "rk4")
+#: ends of a vector and of a chunk of sites, and beyond
+SIZES = (2, 7, 8, 9, 63, 2047, 2048, 2049, 5000)
+#: relative; ten steps on another compiler leave 2·10⁻¹⁵
+ROUND_OFF = 1e-14
+#: laws over some hundred steps
+KEPT = 1e-12
+
+
+def runs_on(names, scene):
+    return [name for name in names if cb.METHODS[name].refuses(scene) is None]
+
+
+def states(scene, method, engine="numba", carry=("s",), save_at=(0.35, 1.0)):
+    solution = cb.solve(scene, method, step=0.1, save_at=save_at, engine=engine, carry=carry)
+    assert solution.ok, solution.message
+    return solution.y
+
+
+def gap(a, b):
+    return np.abs(a - b).max() / np.abs(b).max()
+
+
+# -- engines -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+@pytest.mark.parametrize("n", SIZES)
+def test_numba_agrees_with_arrays_whatever_the_length(n, boundary):
+    """Held or not, masses of their own or not, with and without s, by every way to be recorded."""
+    for held, mass in ((True, masses(n)), (False, 1.3)):
+        scene = chain(n, boundary, held, mass)
+        for method in runs_on(SHAPES, scene):
+            for carry in ((), ("s",)):
+                mine, plain = (states(scene, method, engine, carry) for engine in ("numba", "python"))
+                assert gap(mine, plain) < ROUND_OFF, (method, held, carry)
+
+
+@pytest.mark.parametrize("scene", SMALL.values(), ids=SMALL)
+@pytest.mark.parametrize("method", FIXED)
+def test_numba_agrees_with_arrays_and_components_for_every_method(method, scene):
+    """Components: the same scene as a `Mechanical` of so many coordinates, by the engine of such scenes."""
+    if method not in runs_on(FIXED, scene):
+        pytest.skip("refused")
+    mine = states(scene, method)
+    assert gap(states(scene, method, "python"), mine) < ROUND_OFF
+    assert gap(states(scene.unrolled(), method), mine) < ROUND_OFF
+
+
+JAX = [
+    ("ring", SMALL["ring masses"]),
+    ("fixed", chain(9, "fixed")),
+    ("free", chain(2049, "free", mass=masses(2049))),
+]
+JAX += [("bodies", SMALL["bodies 3D"])]
+
+
+@pytest.mark.parametrize("scene", [scene for _, scene in JAX], ids=[name for name, _ in JAX])
+def test_jax_agrees(scene):
+    for method in runs_on(("contact-strang", "contact-rkn4", "rk4"), scene):
+        assert gap(states(scene, method, "jax"), states(scene, method)) < ROUND_OFF
+
+
+@pytest.mark.parametrize("n", [2, 7, 8, 9, 65])
+def test_bodies_agree_whatever_their_number(n):
+    for dimensions in (1, 2, 3):
+        scene = bodies(n, dimensions)
+        for carry in ((), ("s",)):
+            mine, plain = (states(scene, "contact-rkn4", engine, carry) for engine in ("numba", "python"))
+            assert gap(mine, plain) < ROUND_OFF
+
+
+def test_energy_and_slopes_are_those_of_the_components():
+    for name, scene in SMALL.items():
+        x, other = scene.initial(("s",)), scene.unrolled()
+        z = other.initial(("s",))
+        assert gap(scene.pack(scene.rhs(x)), np.array(other.pack(other.rhs(z)))) < 1e-15, name
+        assert scene.hamiltonian(x) == pytest.approx(other.hamiltonian(z), rel=1e-15), name
+
+
+@pytest.mark.parametrize("onsite", [None, lambda q: q / 3])
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_a_force_may_be_constant(boundary, onsite):
+    scene = chain(8, boundary, onsite=onsite, bond=lambda r: r / 2, parameters={})
+    for engine in ("python", "jax"):
+        assert gap(states(scene, "contact-strang", engine), states(scene, "contact-strang")) < ROUND_OFF
+    assert gap(states(scene.unrolled(), "contact-strang"), states(scene, "contact-strang")) < ROUND_OFF
+
+
+@pytest.fixture
+def threads():
+    """Set how many threads numba uses."""
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
+@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_two_threads_give_the_same_bits(boundary, threads):
+    scene = chain(many.SHARED + 3, boundary, mass=masses(many.SHARED + 3))
+    for method in ("contact-strang", "contact-rkn6", "rk4"):
+        run, found = cb.prepare(scene, method, step=0.1), []
+        for count in (1, 2):
+            threads(count)
+            found.append(run().y)
+        np.testing.assert_array_equal(*found)
+
+
+# -- peers ---------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 2D"])
+@pytest.mark.parametrize("method", PEERS)
+def test_peers_agree_with_components_to_their_tolerance(method, name):
+    scene = SMALL[name]
+    if method not in runs_on(PEERS, scene):
+        pytest.skip("refused")
+    one, other = (cb.solve(each, method, rtol=1e-8, save_at=[0.5, 1.0]) for each in (scene, scene.unrolled()))
+    assert [one.status, other.status] == [cb.Status.ok] * 2, (one.message, other.message)
+    assert gap(one.y, other.y) < 1e-6
+    assert gap(one.y, cb.reference(scene, [0.5, 1.0]).y) < 1e-6
+
+
+# -- laws ----------------------------------------------------------------------------------------------
+LARGE = 10**5
+
+
+@pytest.mark.parametrize("boundary", ["ring", "free"])
+@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6"])
+def test_total_momentum_decays_to_round_off_however_many_sites(method, boundary):
+    solution = cb.solve(chain(LARGE, boundary, held=False, gamma=0.5), method, step=0.1, save_at=[0.5, 1.0])
+    assert (
+        cb.LAWS["momentum_law"](solution) < 1e-13
+    )  # some ten terms of ΣP, of 10⁵ numbers that cancel to a part of it
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_momentum_of_bodies_decays_to_round_off(dimensions):
+    """Angular, on a line the total one."""
+    solution = cb.solve(bodies(5, dimensions), "contact-rkn6", step=0.1)
+    assert cb.LAWS["momentum_law"](solution) < 1e-13
+    turned = cb.solve("planets", "contact-rkn6", step=100.0)
+    assert cb.LAWS["momentum_law"](turned) < 1e-13
+
+
+@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6"])
+def test_random_tangents_show_a_contact_map_however_many_sites(method):
+    for scene in (chain(LARGE, mass=masses(LARGE)), chain(LARGE, "free")):
+        solution = cb.solve(scene, method, step=0.1, save_at=[1.0])
+        assert cb.LAWS["contact_drift"](solution) < KEPT
+
+
+@pytest.mark.parametrize("name", [*SMALL])
+def test_random_tangents_measure_what_all_of_them_do(name, monkeypatch):
+    """4 tangents: a ratio of two chi-distributed lengths, within 6 of the whole but once in 100; the seed is fixed."""
+    drifts = {}
+    for most in (many_scene.ALL_TANGENTS, 0):
+        monkeypatch.setattr(many_scene, "ALL_TANGENTS", most)
+        for method in ("contact-strang", "rk4"):
+            solution = cb.solve(SMALL[name], method, step=0.25, save_at=[1.0])
+            drifts[method, most] = cb.LAWS["contact_drift"](solution)
+    assert max(drifts["contact-strang", most] for most in (0, 65)) < KEPT
+    assert 1 / 6 < drifts["rk4", 0] / drifts["rk4", 65] < 6
+    assert drifts["rk4", 65] > 1e-7
+
+
+@pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 3D"])
+def test_a_derivative_is_that_of_the_components(name):
+    scene = SMALL[name]
+    mine, other = (
+        cb.prepare(each, "contact-rkn4", step=0.25, save_at=[1.0]) for each in (scene, scene.unrolled())
+    )
+    assert gap(mine.sensitivity(mine.start), other.sensitivity(other.start)) < ROUND_OFF
+
+
+# -- ensembles, step maps, exponents -------------------------------------------------------------------
+def spread(scene, n):
+    rng = np.random.default_rng(3)
+    return {f: getattr(scene, f)[:, None] + 0.1 * rng.normal(size=(len(scene.q), n)) for f in "qp"}
+
+
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+@pytest.mark.parametrize("name", ["ring held", "free masses", "bodies 2D"])
+def test_an_ensemble_is_its_trajectories(name, engine):
+    scene, n = SMALL[name], 5
+    start, gammas = spread(scene, n), np.linspace(0.0, 0.4, n)
+    options = {"step": 0.1, "engine": engine, "measure_at": [0.5, 1.0]}
+    for method in ("contact-abc", "contact-rkn4"):
+        out = cb.ensemble(scene, method, start, parameters={"gamma": gammas}, **options)
+        assert out.ok.all()
+        for i in range(n):
+            one = scene.with_(q=start["q"][:, i], p=start["p"][:, i], gamma=gammas[i])
+            alone = cb.solve(one, method, step=0.1, save_at=[0.5, 1.0])
+            assert gap(np.array(scene.pack(out.final))[:, i], alone.y[-1]) < ROUND_OFF
+            law = cb.LAWS["hamiltonian_law"](alone)
+            assert out.measures["hamiltonian_law"][i] == pytest.approx(law, rel=1e-6, abs=1e-13)
+        again = cb.ensemble(scene, method, out.final, **options)
+        assert again.ok.all()
+
+
+def test_an_ensemble_notices_what_diverges_and_takes_one_start_for_all():
+    scene = chain(6, onsite=lambda q: -q * q * q * q, t_end=4.0)
+    out = cb.ensemble(scene, "contact-strang", {"q": spread(scene, 3)["q"] * [0.0, 0.1, 4.0]}, step=0.05)
+    assert out.ok.tolist()[2] is False
+    assert out.endings[cb.Status.diverged] >= 1
+    out = cb.ensemble(SMALL["ring held"], "rk4", {"s": np.zeros(3)}, step=0.1, keep=False)
+    assert out.endings[cb.Status.ok] == 3
+
+
+@pytest.mark.parametrize("name", ["free masses", "bodies 3D"])
+def test_a_step_map_takes_and_gives_an_array(name):
+    from contactbench.xla import jax, jnp
+
+    scene = SMALL[name]
+    step = cb.step_map(scene, "contact-rkn4")
+    run = cb.solve(scene, "contact-rkn4", step=0.1, save_at=[0.1]).y[0]
+    np.testing.assert_allclose(step(step.start, 0.1), run, rtol=1e-14, atol=1e-14)
+    compiled = jax.jit(lambda y, gamma: step(y, 0.1, gamma=gamma))
+    np.testing.assert_allclose(compiled(jnp.array(step.start), scene.gamma), run, rtol=1e-14, atol=1e-14)
+    slope = jax.jacfwd(step)(jnp.array(step.start), 0.1)
+    ours = cb.prepare(scene, "contact-rkn4", step=0.1, save_at=[0.1])
+    assert gap(np.asarray(slope), ours.sensitivity(ours.start)[0]) < ROUND_OFF
+    with pytest.raises(cb.BadInput, match="y has 3 entries: must be"):
+        step(step.start[:3], 0.1)
+    assert len(repr(step)) < 100
+
+
+def test_exponents_are_those_of_the_components():
+    scene, options = SMALL["ring held"], {"step": 0.1, "every": 0.5, "intervals": 16}
+    mine, other = (cb.lyapunov(each, "contact-strang", **options) for each in (scene, scene.unrolled()))
+    np.testing.assert_allclose(mine.exponents.value, other.exponents.value, rtol=0, atol=1e-11)
+    assert mine.total.value == pytest.approx(-8 * scene.gamma, rel=1e-9)
+    largest = cb.lyapunov(chain(64), "contact-strang", **options)
+    assert len(largest.exponents.value) == many_scene.SOME_TANGENTS
+    assert np.isnan([largest.total.value, largest.dimension.value]).all()
+
+
+# -- ways to end ---------------------------------------------------------------------------------------
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "method", ["contact-strang", "rk4", "scipy-dop853", "scipy-radau", "cvode-adams", "cvode-bdf"]
+)
+def test_a_blow_up_ends_as_diverged_without_warnings(method):
+    scene = chain(6, onsite=lambda q: -cb.math.exp(q), parameters={"k": 1e-3}, t_end=20.0)
+    fixed = method in FIXED
+    for engine in cb.METHODS[method].engines:
+        run = cb.solve(scene, method, engine=engine, **({"step": 0.1} if fixed else {"rtol": 1e-6}))
+        assert run.status is not cb.Status.ok, engine
+        assert np.isnan(run.y[-1]).all()
+
+
+@pytest.mark.parametrize(("method", "setting"), [("rk4", {"step": 0.1}), ("cvode-adams", {"rtol": 1e-6})])
+def test_a_mechanical_scene_of_too_many_components_is_refused_in_a_line_that_names_lattice(method, setting):
+    n = 300
+    scene = cb.Mechanical(
+        name="large", potential=lambda q: q[0] * q[-1], q=(1.0,) * n, p=(0.0,) * n, t_end=1.0
+    )
+    sol = cb.solve(scene, method, **setting)
+    assert str(sol.status) == "unsupported"
+    assert "300" in sol.message
+    assert "cb.Lattice" in sol.message
+    assert "\n" not in sol.message

@@ -1,0 +1,237 @@
+"""Scenes of many sites: what they take, refuse and say, and that they are scenes like any other."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from chains import SMALL, bodies, chain, masses
+from contactbench.cli import main
+from contactbench.methods import entry
+from contactbench.testing import check_method, check_scene
+from test_bad_input import refusal
+
+FPUT = cb.SCENES["fput"]
+
+
+def lattice(**changes):
+    return lambda: chain(4, **changes)
+
+
+def particles(**changes):
+    return lambda: bodies(3, 2, **changes)
+
+
+def ensemble(q):
+    return lambda: cb.ensemble(chain(4), "rk4", {"q": q}, step=0.5)
+
+
+#: a call, and a part of its refusal
+CALLS = [
+    # how many, and where
+    (lambda: chain(4).with_(n=0), "n = 0: must be a whole number ≥ 2"),
+    (lambda: chain(4).with_(n=1), "n = 1: must be a whole number ≥ 2"),
+    (lambda: chain(4).with_(n=2.5), "n = 2.5: must be a whole number"),
+    (lambda: chain(4).with_(n="a"), "n = 'a': must be a finite number"),
+    (lambda: chain(4).with_(n=8), "q has shape (4,): must be 8 numbers, or a function of the index"),
+    (lambda: chain(4, mass=masses(4), q=np.sin, p=np.cos).with_(n=8), "mass has shape (4,): must be"),
+    (lattice(boundary="periodic"), "boundary = 'periodic': must be one of ring, fixed, free"),
+    (particles(masses=(1.0,)), "masses = (1.0,): must be 2 numbers or more"),
+    (particles(masses=3), "masses = 3: must be 2 numbers or more"),
+    (lambda: bodies(3, 2).with_(dimensions=4), "dimensions = 4: must be a whole number ≥ 1, at most 3"),
+    (particles(q=[[1, 0], [1, 0], [0, 1]]), "q: two bodies are at one place"),
+    # initial data
+    (lattice(q=[1.0, 2.0]), "q has shape (2,): must be 4 numbers"),
+    (lattice(p=np.ones((2, 4))), "p has shape (2, 4)"),
+    (particles(q=np.ones((2, 3))), "q has shape (2, 3): must be 3 × 2 numbers"),
+    (lattice(q=[1.0, math.nan, 0.0, 0.0]), "q: must be finite; entry 1 is not"),
+    (lattice(q=lambda i: math.inf), "q: must be finite; entry 0 is not"),
+    (lattice(q="abc"), "q = 'abc': must be 4 numbers"),
+    (lattice(q=[1j] * 4), "must be 4 numbers"),
+    (lattice(q=lambda i: {}["a"]), "<lambda> (test_many.py, line "),
+    (lattice(q=lambda: 0), "takes 0 positional arguments"),
+    (lambda: cb.prepare(chain(4), "rk4", step=0.1)(q=np.ones(3)), "q has shape (3,)"),
+    (lambda: cb.prepare(bodies(3, 2), "rk4", step=0.1)(q=np.zeros(6)), "two bodies are at one place"),
+    # masses, numbers
+    (lattice(mass=0), "mass: must be > 0 and finite, and so 1/mass; the least is 0.0"),
+    (lattice(mass=[1, 1, -2, 1]), "the least is -2.0"),
+    (lattice(mass=5e-324), "the least is 5e-324"),
+    (lattice(mass=[1, 2]), "mass has shape (2,): must be one number > 0, or 4"),
+    (lattice(mass="x"), "mass = 'x': must be one number > 0, or 4"),
+    (particles(masses=(1.0, -1.0, 1.0)), "masses: must be > 0 and finite"),
+    (lattice(gamma=math.nan), "gamma = nan: must be a finite number"),
+    (lattice(parameters={"k": 1.0, "beta": 1.0}), "parameter 'beta': is taken by none of onsite, bond"),
+    (lattice(parameters={"k": 1.0, "r": 1.0}), "parameter 'r': is taken by none of"),
+    (lattice(parameters={"k": 1.0, "gamma": 1.0}), "parameter 'gamma': must have a name of its own"),
+    (lambda: FPUT.with_(bet=1.0), "did you mean 'beta'?"),
+    # potentials
+    (lattice(held=False, bond=None), "needs an onsite potential, a bond, or both"),
+    (lattice(bond=3), "bond = 3: must be a function"),
+    (lattice(bond=lambda r, k: k / r), "bond: must be finite at rest, r = 0, with its derivative"),
+    (lattice(bond=lambda r, k: k * cb.math.sqrt(r * r)), "bond: must be finite at rest"),
+    (lattice(bond=lambda r, k: r if r > k else k), "its bond cannot be recorded: `if`"),
+    (lattice(bond=lambda r, k: k * math.sin(r)), "math.sin takes plain numbers only: use cb.math.sin"),
+    (lattice(bond=lambda r, l: r * l), "missing 1 required positional argument: 'l'"),
+    (lattice(bond=lambda r, k: {}["a"]), "KeyError: 'a'"),
+    (lattice(bond=lambda r, k: k), "bond: must be one number that depends on its arguments"),
+    (lattice(bond=lambda r, k: (r, k)), "bond: must be one number"),
+    (lattice(bond=lambda r, k: "x"), "its bond cannot be recorded"),
+    (lattice(onsite=lambda q: cb.math.log(q - 9)), "potential of scene 'chain' is not finite at the start"),
+    (particles(pair=lambda r2: r2), "takes 1 positional argument but 3 were given"),
+    (particles(pair=None), "pair = None: must be a function"),
+    # what is done with them
+    (lambda: cb.solve(chain(4), "rk4", step=0.1, carry=("R",)), "can carry s"),
+    (ensemble(np.ones((3, 2))), "q has shape (3, 2): must be (4,) or (4, n)"),
+    (ensemble("x"), "q = 'x': must be 4 numbers, or 4 × n of them"),
+]
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(("call", "says"), CALLS, ids=[says for _, says in CALLS])
+def test_a_call_is_refused_in_one_line(call, says):
+    assert says in refusal(call)
+
+
+# -- what is taken -------------------------------------------------------------------------------------
+def test_data_are_arrays_or_functions_of_the_index():
+    index = np.arange(6)
+    given = [
+        0.1 * index,
+        (0.1 * index)[:, None],
+        lambda i: 0.1 * i,
+        lambda i, n: 0.6 * i / n,
+        lambda i: 0.1 * float(i),
+        lambda i, a=0.1: a * i,
+    ]
+    for q in given:
+        np.testing.assert_allclose(chain(6, q=q, p=np.zeros(6)).q, 0.1 * index, rtol=1e-15)
+    rows = bodies(3, 2, q=lambda i: (i, -i), p=np.zeros((3, 2)))
+    assert rows.q.tolist() == [0, 0, 1, -1, 2, -2]
+
+
+def test_functions_of_the_index_follow_the_number_of_sites():
+    scene = FPUT.with_(n=16)
+    np.testing.assert_allclose(scene.q, np.sin(2 * np.pi * np.arange(16) / 16), atol=1e-15)
+    assert FPUT.with_(gamma=0.3, q=np.ones(64)).q[5] == 1.0
+    assert (FPUT.with_(gamma=0.3).q == FPUT.q).all()
+    one = chain(4, mass=masses(4)).with_(mass=2.0)
+    assert (one.mass, one.inverse_mass, one.constants) == (2.0, 0.5, {})
+
+
+def test_what_is_given_cannot_be_changed_afterwards():
+    q = np.ones(4)
+    scene = chain(4, q=q)
+    q[:] = 7.0
+    assert scene.q.tolist() == [1.0] * 4
+    with pytest.raises(ValueError, match="read-only"):
+        scene.q[0] = 2.0
+
+
+# -- as an object --------------------------------------------------------------------------------------
+def test_it_is_printed_in_a_line_of_words():
+    for scene in (FPUT.with_(n=10**6), cb.SCENES["planets"]):
+        assert len(repr(scene)) < 100
+        assert len(repr(cb.prepare(scene, "rk4", step=10.0))) < 200
+        assert len(repr(cb.solve(scene.with_(t_end=1.0), "rk4", step=1.0))) < 200
+
+
+def test_it_equals_what_has_the_same_values():
+    scene = chain(4, mass=masses(4))
+    assert scene == chain(4, mass=masses(4))
+    assert copy.deepcopy(scene) is scene
+    changes = ({"gamma": 0.3}, {"q": np.ones(4)}, {"mass": 1.0}, {"k": 2.0}, {"boundary": "free"}, {"s": 0.0})
+    for change in changes:
+        assert scene != scene.with_(**change)
+    assert scene != cb.SCENES["particle"]
+
+
+@pytest.mark.parametrize(
+    "scene", [FPUT, chain(4, bond=lambda r, k: k * r * r, q=lambda i: 0.1 * i), bodies(3, 2)]
+)
+def test_it_is_pickled_with_its_functions(scene):
+    twin = pickle.loads(pickle.dumps(scene))
+    assert twin.q.tolist() == scene.q.tolist()
+    run = cb.prepare(scene, "contact-strang", step=scene.t_end / 10)
+    np.testing.assert_array_equal(cb.solve(twin, "contact-strang", step=scene.t_end / 10).y, run().y)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(run))().y, run().y)
+
+
+def test_a_function_of_the_index_is_pickled_where_it_can_be():
+    assert pickle.loads(pickle.dumps(FPUT)).with_(n=8).sites == 8
+    with pytest.raises(cb.BadInput, match="must be 8 numbers"):
+        pickle.loads(pickle.dumps(chain(4, q=lambda i: 0.1 * i, p=np.cos))).with_(n=8)
+
+
+@pytest.mark.parametrize("setting", [{"step": 1e-3}, {"rtol": 1e-6}])
+def test_saved_times_take_no_gigabytes(setting, monkeypatch):
+    monkeypatch.setattr(entry, "MOST_SAVED", 16 * 50)
+    method = "rk4" if "step" in setting else "scipy-dop853"
+    run = cb.prepare(chain(8), method, **setting)
+    assert 25 <= len(run.request.save_at) <= 51
+    assert len(cb.prepare(chain(512), method, **setting).request.save_at) == 2
+
+
+# -- the contract --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("scene", SMALL.values(), ids=SMALL)
+def test_it_keeps_the_rules_of_scenes(scene):
+    check_scene(scene)
+
+
+@pytest.mark.parametrize("scene", [SMALL["free masses"], SMALL["bodies 2D"]])
+@pytest.mark.parametrize("method", ["contact-strang", "scipy-dop853"])
+def test_methods_keep_their_rules_on_it(method, scene):
+    check_method(cb.METHODS[method], engines=cb.METHODS[method].engines[:1], scenes=[scene.with_(t_end=4.0)])
+
+
+def test_a_component_that_does_not_solve_the_equations_is_noticed():
+    ring = cb.SCENES["linear_ring"]
+    check_scene(ring.with_(n=8))
+    with pytest.raises(AssertionError, match="rule 9"):
+        check_scene(ring.with_(n=8, bond=lambda r: 0.4999 * r * r))
+
+
+# -- the command line ----------------------------------------------------------------------------------
+PLUGIN = """
+import contactbench as cb
+cb.SCENES.add(cb.Lattice(
+    name="mine", about="a chain of my own", n=6, boundary="fixed",
+    onsite=lambda q: q**4 / 4, bond=lambda r, k: k * r * r / 2, parameters={"k": 2.0},
+    gamma=0.1, q=lambda i: 0.3 * (i - 2), p=lambda i: 0.1 + 0 * i, t_end=1.0))
+"""
+
+
+def test_command_line_solves_and_prints_json(capsys):
+    assert main(["solve", "fput", "contact-rkn6", "--step", "0.1", "--json"]) == 0
+    out = json.loads(capsys.readouterr().out)
+    assert len(out["state"]) == 129
+    assert out["J"][0] == pytest.approx(64 * 0.3 * math.exp(-1e-3 * 20), rel=1e-12)
+    assert main(["solve", "fput", "rk4", "--step", "0.1", "--set", "n=1"]) == 2
+    assert "n = 1: must be a whole number ≥ 2" in capsys.readouterr().err
+
+
+def test_command_line_takes_one_from_a_plug_in(capsys, tmp_path, registries):
+    path = tmp_path / "mine.py"
+    path.write_text(PLUGIN)
+    assert main(["check", "mine", "--plugin", str(path)]) == 0
+    for line in (
+        "solve mine contact-strang --step 0.1 --laws",
+        "solve mine cvode-adams --rtol 1e-8 --set k=3",
+        "list",
+    ):
+        capsys.readouterr()
+        assert main([*line.split(), "--plugin", str(path)]) == 0
+        out = capsys.readouterr().out
+        assert "mine" in out
+        assert "np.float64" not in out
+
+
+def test_command_line_compares(capsys, tmp_path):
+    line = f"compare toda rk4 contact-rkn6 --error 1e-3 --set n=8 --set t_end=2 --quiet --csv {tmp_path / 'out.csv'}"
+    assert main(line.split()) == 0
+    assert "contact-rkn6" in capsys.readouterr().out
