@@ -13,7 +13,6 @@ import pytest
 import contactbench as cb
 from chains import SMALL, bodies, chain, masses
 from contactbench.cli import main
-from contactbench.methods import entry
 from contactbench.testing import check_method, check_scene
 from test_bad_input import refusal
 
