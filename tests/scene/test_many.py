@@ -13,6 +13,7 @@ import pytest
 import contactbench as cb
 from chains import SMALL, bodies, chain, masses
 from contactbench.cli import main
+from contactbench.methods import base
 from contactbench.testing import check_method, check_scene
 from test_bad_input import refusal
 
@@ -169,7 +170,7 @@ def test_a_function_of_the_index_is_pickled_where_it_can_be():
 
 @pytest.mark.parametrize("setting", [{"step": 1e-3}, {"rtol": 1e-6}])
 def test_saved_times_take_no_gigabytes(setting, monkeypatch):
-    monkeypatch.setattr(entry, "MOST_SAVED", 16 * 50)
+    monkeypatch.setattr(base, "MOST_SAVED", 16 * 50)
     method = "rk4" if "step" in setting else "scipy-dop853"
     run = cb.prepare(chain(8), method, **setting)
     assert 25 <= len(run.request.save_at) <= 51
