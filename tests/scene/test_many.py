@@ -35,6 +35,7 @@ def ensemble(q):
 #: a call, and a part of its refusal
 CALLS = [
     # how many, and where
+    (lambda: chain(4).with_(n=0), "n = 0: must be a whole number ≥ 2"),
     (lambda: chain(4).with_(n=1), "n = 1: must be a whole number ≥ 2"),
     (lambda: chain(4).with_(n="a"), "n = 'a': must be a finite number"),
     (lambda: chain(4).with_(n=8), "q has shape (4,): must be 8 numbers, or a function of the index"),

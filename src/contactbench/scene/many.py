@@ -142,7 +142,7 @@ class Many(Canonical):
             given = values
         shape = f"{self.sites} × {self.dimensions} numbers" if self.dimensions > 1 else f"{size} numbers"
         values = array(name, given, f"{shape}, or a function of the index")
-        if values.size != size or values.shape not in ((size,), (self.sites, self.dimensions)):
+        if values.shape not in ((size,), (self.sites, self.dimensions)):
             raise BadInput(f"{name} has shape {values.shape}: must be {shape}, or a function of the index")
         if not np.isfinite(values).all():
             raise BadInput(
