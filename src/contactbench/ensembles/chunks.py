@@ -6,7 +6,7 @@ The loop numba compiles, a thread on every core; JAX, tile by tile, on the GPUs 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -175,47 +175,41 @@ def side_by_side(
 
     rows, shape : as `Loop.rows` gives them.
     """
-    m = y0.shape[1]
+    r, m = run.request, y0.shape[1]
     y = np.pad(y0, ((0, 0), (0, -m % LANES)), mode="edge")  # the last trajectory again and again
     part, place = np.array([0, y.shape[1] // LANES]), len(shape) - len(run.n)
-
-    def states(y: np.ndarray) -> Iterator[np.ndarray]:
-        for which in shape[place:]:
+    with np.errstate(all="ignore"):
+        watch = Watch(r.scene, r.carry, names, run._motion, y0)
+        marks = watch.begun
+        for which, t in zip(shape[place:], run.later, strict=True):
             after = np.empty((1, *y.shape))
             many(y, rows, np.append(shape[:place], which), after, part)
             y = after[0]
-            yield y[:, :m]
-
-    return watched(run, run.request.scene, names, y0, states(y))
-
-
-def watched(
-    run: FixedStepRun, scene: Any, names: Sequence[str], y0: np.ndarray, states: Iterable[np.ndarray]
-) -> Result:
-    """Return the same of the states (d, m) after each interval."""
-    with np.errstate(all="ignore"):
-        watch = Watch(scene, run.request.carry, names, run._motion, y0)
-        marks = watch.begun
-        for y, t in zip(states, run.later, strict=True):
-            x = scene.unpack(scene.components(y), run.request.carry)
-            marks = watch.at(marks, x, y, t)
-        return watch.result(marks, x, y)
+            x = r.scene.unpack(tuple(y[:, :m]), r.carry)
+            marks = watch.at(marks, x, y[:, :m], t)
+        return watch.result(marks, x, y[:, :m])
 
 
 def one_by_one(
     run: FixedStepRun, loop: FieldLoop, names: Sequence[str], y0: np.ndarray, own: Own | None = None
 ) -> Result:
     """Return the same of scenes of many sites, one trajectory after the other, each with parameters of its own."""
-    scene: Any = run.request.scene
-    numbers = np.tile(scene.numbers(), (y0.shape[1], 1))
+    r = run.request
+    numbers = np.tile(r.scene.numbers(), (y0.shape[1], 1))
     for place, values in (own or {}).items():
         numbers[:, place] = values
     paths = [
-        loop.paths(scene, row, start[None], run.h, run.n)[:, 0]
+        loop.paths(r.scene, row, start[None], run.h, run.n)[:, 0]
         for row, start in zip(numbers, np.ascontiguousarray(y0.T), strict=True)
     ]
-    scene = scene.with_numbers(list(numbers.T)) if own else scene
-    return watched(run, scene, names, y0, np.stack(paths, axis=-1))
+    scene = r.scene.with_numbers(list(numbers.T)) if own else r.scene
+    with np.errstate(all="ignore"):
+        watch = Watch(scene, r.carry, names, run._motion, y0)
+        marks = watch.begun
+        for y, t in zip(np.stack(paths, axis=-1), run.later, strict=True):
+            x = scene.unpack(y, r.carry)
+            marks = watch.at(marks, x, y, t)
+        return watch.result(marks, x, y)
 
 
 # -- by JAX ------------------------------------------------------------------------------------------
