@@ -61,8 +61,8 @@ def repository(tmp_path):
     return tmp_path
 
 
-def call(repository, *arguments, command=(sys.executable, "-m", "contactbench")):
-    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+def call(repository, *arguments, command=(sys.executable, "-m", "contactbench"), without=("PYTEST_",)):
+    own = {name: value for name, value in os.environ.items() if not name.startswith(tuple(without))}
     line = [*command, *map(str, arguments), "--plugin", "my.py"]
     return subprocess.run(line, cwd=repository, env=own, capture_output=True, text=True, timeout=550)
 
@@ -104,7 +104,7 @@ def test_it_is_measured_and_gated(repository):
     commit(repository, MY.replace(HALF, WRONG))
     red = call(repository, "gate", "--only", "accuracy")
     assert red.returncode == 1, red.stdout + red.stderr
-    assert "| definitions |  | my-method |" in red.stdout
+    assert "| convergence | particle | my-method |" in red.stdout
     commit(repository)
     green = call(repository, "gate", "--only", "accuracy", "--base", "HEAD~2")
     assert green.returncode == 0, green.stdout + green.stderr
@@ -118,13 +118,15 @@ def test_a_stranger_has_three_paths(repository):
     build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", wheels, ROOT]
     subprocess.run(build, check=True)
     subprocess.run([sys.executable, "-m", "venv", home], check=True)
-    install = [home / "bin" / "pip", "install", "-q", f"{next(wheels.glob('*.whl'))}[bench]"]
+    install = [home / "bin" / "pip", "install", "-q", "-q", f"{next(wheels.glob('*.whl'))}[bench]"]
     subprocess.run([*install, "-c", ROOT / "constraints.txt"], check=True)
     shutil.rmtree(wheels)
     (repository / ".gitignore").write_text("results/.cells\n__pycache__\nenvironment\n")
 
+    program = home / "bin" / "contactbench"
+
     def run(*arguments):
-        return call(repository, *arguments, command=[home / "bin" / "contactbench"])
+        return call(repository, *arguments, command=[program], without=["PYTHON", "PYTEST_"])
 
     raced = run("compare", "double-well", "my-method", "contact-rkn8", "rk4")
     assert raced.returncode == 0, raced.stderr

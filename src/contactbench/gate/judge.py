@@ -132,7 +132,8 @@ def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set
         result = moved["result"] + (", listed" if listed else ", not listed")
         moved = moved.assign(measure="committed " + moved["measure"], result=result, red=not listed)
         found += Findings(moved)
-        rows += check_rows(table, before[name], head[name], now[name])
+        if len(head[name]) or revisions.ours(root):  # of another project's tables some may not be wanted
+            rows += check_rows(table, before[name], head[name], now[name])
     reference = {name: head[name] if name in changed else before[name] for name in TABLES}
     compared = compare_tables(reference, benchmark_runs(old), now, benchmark_runs(fresh), "the base")
     return found + Findings(rows_of(*rows)) + compared

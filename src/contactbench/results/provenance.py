@@ -40,8 +40,7 @@ def environment(profile: str) -> dict[str, Any]:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
     package = Path(__file__).parents[3]
-    # of an installed package, the project that it measures
-    root = package if (package / "bench").is_dir() else Path.cwd()
+    root = package if Path.cwd().is_relative_to(package) else Path.cwd()  # a project that uses this one
     manifest = root / "references" / "MANIFEST.json"
     return {
         "utc": datetime.now(UTC).isoformat(timespec="seconds"),
