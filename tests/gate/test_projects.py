@@ -92,7 +92,7 @@ def test_an_installation_without_the_benchmark_says_so(tmp_path, monkeypatch):
 
 
 def test_it_is_measured_and_gated(repository):
-    """The same is green, another coefficient red."""
+    """Another coefficient is red; the same, by the test below, green."""
     made = call(repository, "bench", "--profile", "smoke", "--untimed", "-k", "my-method and particle")
     assert made.returncode == 0, made.stdout + made.stderr
     tables = {path.stem for path in (repository / "results").glob("*.csv")}
@@ -105,10 +105,6 @@ def test_it_is_measured_and_gated(repository):
     red = call(repository, "gate", "--only", "accuracy")
     assert red.returncode == 1, red.stdout + red.stderr
     assert "| convergence | particle | my-method |" in red.stdout
-    commit(repository)
-    green = call(repository, "gate", "--only", "accuracy", "--base", "HEAD~2")
-    assert green.returncode == 0, green.stdout + green.stderr
-    assert "Nothing moved." in green.stdout
 
 
 @pytest.mark.slow
