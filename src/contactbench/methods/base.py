@@ -264,7 +264,9 @@ def too_large(chosen: Method, request: Request) -> str | None:
     if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
         return None
     size = f"the {len(scene.q)} components of scene {scene.name!r}, more than {most}"
-    return f"{chosen.name} would compile {size}, one by one: write it as a cb.Lattice or cb.Particles, of any size"
+    plain = "take engine='python', or " if "python" in chosen.engines else ""
+    other = f"{plain}write it as a cb.Lattice or cb.Particles, of any size, for methods such as contact-rkn6"
+    return f"{chosen.name} would compile {size}, one by one: {other}"
 
 
 def setting_of(
