@@ -11,7 +11,7 @@ from contactbench.methods.one_step import step_map
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.tables import results
-from contactbench.scene import Driven, GeneralDamping, Mechanical, RigidBody, shifted
+from contactbench.scene import Driven, GeneralDamping, HeavyTop, Mechanical, RigidBody, shifted
 from contactbench.scene.many import Lattice, Particles
 from contactbench.scenes import SCENES
 from contactbench.solution import Counts, Solution, Status
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from contactbench.race.comparison import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
+__all__ += ["HeavyTop"]
 __all__ += ["Lyapunov", "Mechanical", "RigidBody", "Solution", "Status", "UnknownName", "compare"]
 __all__ += ["composition", "ensemble", "fixed_step", "lyapunov", "math", "prepare", "reference", "results"]
 __all__ += ["shifted", "solve", "step_map"]

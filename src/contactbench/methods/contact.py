@@ -56,7 +56,8 @@ class ContactMethod(FixedStep):
         return modified_hamiltonian(scene, self.composition, x, h)
 
     def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
-        kinds = (self.kind_on(scene), *(["attitude"] if "R" in scene.carry(carry) else []))
+        kind = self.kind_on(scene)
+        kinds = (kind, *(["attitude"] if kind == "rotation" and "R" in scene.carry(carry) else []))
         return plan(self.composition, scene).count(flows_of(scene), kinds, n)
 
     def kind_on(self, scene: Scene) -> str:

@@ -152,8 +152,10 @@ class RigidBody(Scene):
         modal = tuple(f(d) * dot(self.axes[j::3], M) for j, d in enumerate(self.rates))
         return tuple(dot(self.axes[i : i + 3], modal) for i in (0, 3, 6))
 
-    def energy(self, x: BodyState) -> Any:
+    def kinetic(self, x: BodyState) -> Any:
         return dot(x.M, self.angular_velocity(x.M)) / 2
+
+    energy = kinetic
 
     def hamiltonian(self, x: BodyState) -> Any:
         return self.energy(x) + self.gamma * x.s

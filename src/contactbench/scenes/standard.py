@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from contactbench.scene import BodyState, Mechanical, RigidBody, State, dot
+from contactbench.scene import BodyState, HeavyTop, Mechanical, RigidBody, State, dot
 
 
 def harmonic(q, omega):
@@ -189,6 +189,18 @@ RIGID_BODY_ANISOTROPIC = RigidBody(
     t_end=20.0,
 )
 
+HEAVY_TOP = HeavyTop(
+    name="heavy_top",
+    about="Lagrange's top with isotropic damping: the vertical momentum decays as e^{-γt}",
+    inertia=(1.0, 1.0, 0.5),
+    weight=1.0,
+    gamma=0.05,
+    M=(0.0, 0.0, 2.0),
+    R=(0.955336489125606, 0.29552020666133955, 0.0, 0.0),
+    t_end=20.0,
+    experiments=("convergence", "laws", "work_precision"),
+)
+
 PARTICLE_LONG = PARTICLE.with_(
     name="particle_long",
     about="the particle with γ = 10⁻³ over a hundred times the span",
@@ -213,6 +225,7 @@ STANDARD = (
     CENTRAL,
     RIGID_BODY,
     RIGID_BODY_ANISOTROPIC,
+    HEAVY_TOP,
     PARTICLE_LONG,
     QUADRATIC_DAMPING,
 )

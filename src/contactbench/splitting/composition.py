@@ -114,9 +114,10 @@ PARTS = {
     "general damping": ("kick", "drift", "damp"),
     "isotropic body": ("turn", "top"),
     "body": ("turn", "damp", "top"),
+    "heavy top": ("kick", "turn", "damp", "top"),
 }
-#: the paper's A, the flow of the kinetic energy, and C on a body, which has no B
-ON_BODY = {"drift": "free", "damp": "damp"}
+#: the paper's A, the flow of the kinetic energy, its B and C on a body; a free one has no B
+ON_BODY = {"drift": "free", "kick": "kick", "damp": "damp"}
 
 
 def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
@@ -128,7 +129,8 @@ def stages_on(composition: Composition, scene: Scene) -> tuple[Stage, ...]:
         for k, alpha in enumerate(composition.alphas()):
             stages += [(name, alpha) for name in (order if k % 2 == 0 else order[::-1])]
         return merge(stages)
-    return merge((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
+    own = ((ON_BODY[name], coefficient) for name, coefficient in composition.stages if name in ON_BODY)
+    return merge(stage for stage in own if stage[0] in flows_of(scene))
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from contactbench.scene import (
     BodyState,
     Driven,
     DrivenState,
+    HeavyTop,
     Mechanical,
     RigidBody,
     Scene,
@@ -440,6 +441,12 @@ def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodySt
     return body_damp(scene, free(scene, x, tau, xp), decay, xp)
 
 
+def top_kick(scene: HeavyTop, x: BodyState, h: Any, xp: Any) -> BodyState:
+    """B: M += h w u × χ, s −= h w u·χ; R does not change."""
+    M = tuple(m + h * c for m, c in zip(x.M, scene.torque(x), strict=True))
+    return BodyState(M, x.R, None if x.s is None else x.s - h * scene.potential_at(x))
+
+
 #: what `free` costs in rotations: it has so many times the two square roots, divisions and transcendental
 #: functions of a rotation, with loops of fixed length (counted anew in the tests).  The momentum takes few of
 #: them, the attitude the others, where it is carried.
@@ -453,7 +460,7 @@ BODY = {
     "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
 }
 ISOTROPIC = BODY | {"free_damp": Flow(_time_and_damping, free_damp, FREE_COSTS, linear_log_factor)}
-
+HEAVY_TOP = BODY | {"kick": Flow(plain, top_kick, {"gradient": 1})}
 
 FLOWS = {
     "mechanical": MECHANICAL,
@@ -462,11 +469,12 @@ FLOWS = {
     "many": MANY,
     "isotropic body": ISOTROPIC,
     "body": BODY,
+    "heavy top": HEAVY_TOP,
 }
 
 
 def flows_of(scene: Scene) -> dict[str, Flow]:
-    """Return the subflows a scene has, by name; a body has no potential, hence no kick.
+    """Return the subflows a scene has, by name; a free body has no kick.
 
     The paper's A on a body is `free`; compositions of higher order are made of `turn`, `top` and `damp`
     instead, because the free body in closed form costs many rotations.

@@ -86,7 +86,7 @@ def free(scene: RigidBody, x: BodyState, t: Any, xp: Any) -> BodyState:
 
     ‖M‖ and J = R M are kept to round-off.  On the middle axis exactly the body stays there.
     """
-    s = None if x.s is None else x.s + t * scene.energy(x)
+    s = None if x.s is None else x.s + t * scene.kinetic(x)
     L, z, resting = polar(x.M, xp)
     tau = choose(resting, 0.0 * t, L * t, xp)
     motion = settle(course(scene, z, xp), xp)

@@ -1,0 +1,84 @@
+"""The heavy top: its torque is the potential's derivative, and what it keeps is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import contactbench as cb
+from contactbench.scene import rotation_matrix
+from contactbench.testing import check_scene
+
+TOP = cb.SCENES["heavy_top"]
+#: three moments, a centre of mass off every axis, an attitude of no symmetry
+GENERAL = TOP.with_(
+    inertia=(1.0, 1.7, 0.6),
+    axis=(0.3, -0.4, 0.8),
+    M=(0.4, -0.7, 1.1),
+    R=Rotation.from_rotvec([0.4, 1.0, -0.3]).as_matrix(),
+)
+BOTH = pytest.mark.parametrize("scene", [TOP, GENERAL], ids=["Lagrange", "general"])
+CONTACT = [name for name, method in cb.METHODS.items() if method.contact and method.refuses(TOP) is None]
+
+
+@BOTH
+def test_it_keeps_the_rules_of_scenes(scene):
+    check_scene(scene)
+
+
+def test_the_solution_is_that_of_matrices():
+    """By SciPy, with a rotation matrix and the cross products written out with NumPy."""
+    inertia, axis, up = np.array(GENERAL.inertia), np.array(GENERAL.axis), np.array([0.0, 0.0, 1.0])
+
+    def rhs(t, y):
+        M, R, s = y[:3], y[3:12].reshape(3, 3), y[12]
+        omega, u = M / inertia, R.T @ up
+        hat = np.cross(np.eye(3), omega)
+        V = GENERAL.weight * u @ axis
+        ds = M @ omega / 2 - V - GENERAL.gamma * s
+        return np.concatenate(
+            [
+                np.cross(M, omega) + GENERAL.weight * np.cross(u, axis) - GENERAL.gamma * M,
+                (R @ hat).ravel(),
+                [ds],
+            ]
+        )
+
+    start = np.concatenate([GENERAL.M, np.array(rotation_matrix(GENERAL.R)).ravel(), [GENERAL.s]])
+    own = solve_ivp(rhs, (0, 5.0), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    found = cb.solve(GENERAL, "contact-bm6", step=0.05, save_at=[5.0])
+    x = GENERAL.unpack(found.y[-1].tolist(), found.carry)
+    assert np.allclose([*x.M, *np.ravel(rotation_matrix(x.R)), x.s], own, rtol=0, atol=1e-9)
+
+
+@BOTH
+@pytest.mark.parametrize("method", CONTACT)
+def test_contact_methods_keep_the_vertical_momentum_and_the_form(method, scene):
+    laws = cb.solve(scene.with_(t_end=5.0), method, step=0.25).laws()["deviation"]
+    for law in ("momentum_law", "own_factor_drift", "attitude_drift"):
+        assert laws[law] < 1e-12, law
+    assert laws["solution_error"] > 1e-12 or cb.METHODS[method].order >= 8  # a step that is no exact one
+
+
+@pytest.mark.parametrize("method", [name for name in CONTACT if 1 < cb.METHODS[name].order <= 6])
+def test_the_order_is_the_claimed_one(method):
+    scene = GENERAL.with_(t_end=2.0)
+    order = cb.METHODS[method].order
+    steps = {2: (0.05, 0.025), 4: (0.1, 0.05), 6: (0.2, 0.1)}[order]
+    runs = [cb.solve(scene, method, step=h, save_at=[2.0]) for h in steps]
+    errors = [cb.LAWS["solution_error"](run) for run in runs]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
+
+
+def test_the_spin_of_lagranges_top_decays_alone():
+    """M·χ has no torque where two moments are equal."""
+    found = cb.reference(TOP, np.linspace(0, 20, 5)).states()
+    assert np.allclose(found.M[2], 2.0 * np.exp(-TOP.gamma * np.linspace(0, 20, 5)), rtol=1e-14)
+
+
+def test_it_refuses_what_it_has_no_law_for():
+    with pytest.raises(cb.BadInput, match="heavy top has isotropic damping"):
+        TOP.with_(damping=(0.1, 0.2, 0.3))
+    assert "isotropic damping" in cb.METHODS["contact-exact"].refuses(TOP)
