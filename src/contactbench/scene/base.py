@@ -19,6 +19,7 @@ from contactbench.errors import (
     excerpt,
     finite,
     function,
+    html_table,
     is_ours,
     items_of,
     positive,
@@ -383,6 +384,14 @@ class Scene(System):
         if extra:
             changes = {"parameters": extra | named} | changes
         return dataclasses.replace(self, **changes)
+
+    def _repr_html_(self) -> str:
+        """Return the scene's numbers as a table, for notebooks."""
+        names = (*self.initial_fields, *self.coefficients, "t_end")
+        rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
+        return html_table(
+            rows | dict(getattr(self, "parameters", {})), f"{self.name}: {self.about or self.kind}"
+        )
 
     def numbers(self) -> list[float]:
         own = System.pack([getattr(self, name) for name in self.coefficients])
