@@ -185,11 +185,11 @@ def Contact(method: str) -> ContactSolver:
     momentum.  With one rate and a force that is a gradient every step is part of a contact map, less the action s.
     q and p may be any trees of arrays of double precision.
 
-    The states are those of ``cb.solve(…, carry=())`` at the same steps, to round-off; diffrax divides the span into
-    equal steps, as `cb.solve` does, and a run whose steps change (`StepTo`) is opened anew.  The kernel of a processed
-    method is solver state, and y postprocessed.  Adjoints, `vmap` and `SaveAt` are diffrax's.  Between steps it
-    interpolates by cubics, whose error is of order h⁴ and which are no contact map (``SaveAt(steps=True)`` and
-    ``t1=True`` need none).
+    The states are those of ``cb.solve(…, carry=())`` at the same steps, to round-off.  Give a dt0 that divides the
+    span: else diffrax's first two steps are of other sizes than the rest, and a run whose steps change is opened
+    anew.  The kernel of a processed method is solver state, and y postprocessed.  Adjoints, `vmap` and `SaveAt` are
+    diffrax's.  Between steps it interpolates by cubics, whose error is of order h⁴ and which are no contact map
+    (``SaveAt(steps=True)`` and ``t1=True`` need none).
 
     Raises `BadInput` for a method that is no composition of kicks, drifts and damping.
     """

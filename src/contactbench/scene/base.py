@@ -88,6 +88,17 @@ def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
     return None if identity is None else (identity, *rest)
 
 
+#: what no scene of a kind takes, and the nearest way to it; the table is in docs/compare.md
+INSTEAD = {
+    "kinetic": "the kinetic energy is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.)",
+    "magnetic": "no force may depend on p but for damping; SciPy's solve_ivp takes any right-hand side",
+    "torque": "no torque acts on this body but its damping",
+    "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow",
+    "rate": "a damping that depends on time is cb.Driven(rate=lambda t: …, potential=lambda q, t: …)",
+    "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class System(ABC):
     """What solvers need: a state and its packing, numbers that can be replaced, a right-hand side."""
@@ -352,6 +363,11 @@ class Scene(System):
     has_torque: ClassVar[bool] = False
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
     may_gain_energy: ClassVar[bool] = False
+
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        for name in given.keys() & INSTEAD.keys() - {f.name for f in dataclasses.fields(cls)}:
+            raise BadInput(f"{name}: {cls.__name__} takes none: {INSTEAD[name]}")
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
