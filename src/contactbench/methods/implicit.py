@@ -27,8 +27,13 @@ MOST, CONVERGED = 200, 1e-10
 TYPICAL = 8
 
 
-def fixed_point(update: Callable[[Any], Any], k: Any, xp: Any) -> tuple[Any, Any, Any]:
-    """Return k with update(k) = k, whether it was found, and after how many updates."""
+def fixed_point(
+    update: Callable[[Any], Any], k: Any, xp: Any, part: Callable[[Any], Any] = lambda k: k
+) -> tuple[Any, Any, Any]:
+    """Return k with update(k) = k, whether it was found, and after how many updates.
+
+    part : of k, which tells whether it still changes.
+    """
     nothing = 0 * leaves(k)[0]
 
     def size(parts: Any) -> Any:
@@ -41,11 +46,12 @@ def fixed_point(update: Callable[[Any], Any], k: Any, xp: Any) -> tuple[Any, Any
     def turn(carried: Any) -> Any:
         k, turns, gap, _ = carried
         new = update(k)
-        return new, turns + 1, size(a - b for a, b in zip(leaves(new), leaves(k), strict=True)), gap
+        increments = (a - b for a, b in zip(leaves(part(new)), leaves(part(k)), strict=True))
+        return new, turns + 1, size(increments), gap
 
     start = k, nothing + 0.0, nothing + 1e300, nothing + math.inf
     k, turns, gap, _ = repeat_while(going, turn, start, xp)
-    return k, gap <= CONVERGED * size(leaves(k)), turns
+    return k, gap <= CONVERGED * size(leaves(part(k))), turns
 
 
 @dataclass(frozen=True)
@@ -163,16 +169,19 @@ def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
     def end(force: Any) -> Any:
         return tuple(q + h * v for q, v in zip(x.q, scene.velocity(momentum(force, h / 2)), strict=True))
 
-    def update(force: Any) -> Any:
-        after = end(force)
+    def update(k: Any) -> Any:
+        after, _ = k
         way = tuple(b - a for a, b in zip(x.q, after, strict=True))
         gradient = scene.dV(tuple(a + d / 2 for a, d in zip(x.q, way, strict=True)))
         square, lack = dot(way, way), scene.V(after) - before - dot(gradient, way)
         share = choose(square > 0, lack / choose(square > 0, square, 1.0, xp), 0.0, xp)
-        return tuple(g + share * d for g, d in zip(gradient, way, strict=True))
+        force = tuple(g + share * d for g, d in zip(gradient, way, strict=True))
+        return end(force), force
 
-    force, converged, turns = fixed_point(update, tuple(scene.dV(x.q)), xp)
-    q, s = end(force), x.s
+    first = tuple(scene.dV(x.q))
+    # by positions: where the motion turns, what round-off does to the force is large, and does nothing
+    (q, force), converged, turns = fixed_point(update, (end(first), first), xp, lambda k: k[0])
+    s = x.s
     if s is not None:
         s = s + h * (scene.kinetic(momentum(force, h / 2)) - (before + scene.V(q)) / 2)
     x = damp.apply(scene, State(q, momentum(force, h), s), constants, xp)
