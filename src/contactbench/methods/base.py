@@ -124,6 +124,8 @@ class Method(ABC):
     largest: int = 256
     #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
     own_time: bool = False
+    #: whether equal steps are powers of one map of the state, which has a stability limit and a `step_map`
+    one_step: bool = True
 
     @property
     def control(self) -> str:
@@ -296,6 +298,10 @@ def setting_of(
         raise BadInput(f"atol = {excerpt(atol)}: {name} has a fixed step and takes no atol")
     if step is rtol is None:
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
+    if step is None and not method.one_step:
+        raise BadInput(
+            f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
+        )
     if step is None:
         return None, tolerance(method, rtol), None
     return positive("step", step), None, None

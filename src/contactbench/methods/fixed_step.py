@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from contactbench.errors import (
     NAME,
     BadInput,
@@ -61,6 +63,9 @@ class FixedStep(Method):
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     adaptive = False
+    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
+    #: `counts` is what it typically costs
+    iterates = False
     tolerance = (
         "the largest error over the saved times, relative to the largest state: pilots choose the step"
     )
@@ -142,6 +147,8 @@ def alike(old: Any, new: Any) -> bool:
         return old is new
     if isinstance(old, tuple):
         return isinstance(new, tuple) and len(new) == len(old) and all(map(alike, old, new))
+    if isinstance(old, np.ndarray):  # one number a site
+        return isinstance(new, np.ndarray) and new.shape == old.shape
     return is_number(new)
 
 

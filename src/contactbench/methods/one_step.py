@@ -132,6 +132,10 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
     scene, chosen = lookup(scene, method)
     if not isinstance(chosen, FixedStep):
         raise BadInput(f"method = {method!r}: chooses its own steps, so that there is no map of a single one")
+    if not chosen.one_step:
+        raise BadInput(
+            f"method = {method!r}: a step needs those before it, so that there is no map of a single one"
+        )
     if (why := chosen.refuses(scene)) is not None:
         raise BadInput(f"method = {method!r}: {why}")
     return OneStep(scene, chosen, scene.carry(carry))
