@@ -25,13 +25,13 @@ def test_a_solution_is_drawn(scene):
 
 
 def test_the_law_of_h_is_where_h_is():
-    """H decays as e^{−γt}; measured distance at this step 2e-5 of H(0) and its growth with h² as the order says."""
+    """H decays as e^{−γt}; measured 1.5e-3 away at h = 0.1 and 3.7e-4 at 0.05, as order two says."""
     gaps = []
     for h in (0.1, 0.05):
         lines = {name: y for name, y, _ in cb.solve("particle", "contact-strang", step=h).energies()}
         gaps.append(np.abs(lines["H"] - lines["law of H"]).max())
     assert 3 < gaps[0] / gaps[1] < 5
-    assert gaps[1] < 1e-3
+    assert gaps[1] < 4e-4
 
 
 def test_notebooks_show_short_tables():
