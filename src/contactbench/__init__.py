@@ -26,18 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
 __all__ += ["Lyapunov", "Mechanical", "RigidBody", "Solution", "Status", "UnknownName", "compare"]
-__all__ += [
-    "composition",
-    "ensemble",
-    "fixed_step",
-    "geometric_steps",
-    "lyapunov",
-    "math",
-    "prepare",
-    "reference",
-    "results",
-]
-__all__ += ["shifted", "solve", "step_map"]
+__all__ += ["composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov", "math", "prepare"]
+__all__ += ["reference", "results", "shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
 
