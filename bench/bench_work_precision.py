@@ -84,9 +84,10 @@ def error(solutions):
 def passes_through(method, engine, control):
     """Whether one run saved at all ends is, but for roundings, the runs to each of them, and slow enough to matter.
 
-    Not of a processed method, which brings a state to its own coordinates and back wherever it is saved.
+    Not of a processed method, which brings a state to its own coordinates and back wherever it is saved, nor of one
+    that starts afresh there.
     """
-    return engine == "python" and control == "step" and not is_processed(method)
+    return engine == "python" and control == "step" and method.one_step and not is_processed(method)
 
 
 def options(cell, profile):

@@ -110,7 +110,7 @@ def test_body_solution_has_a_rotation_matrix():
 
 
 # -- ways to end -----------------------------------------------------------------------------------
-@fixed
+@pytest.mark.parametrize("method", [m for m in FIXED if m.one_step], ids=lambda m: m.name)
 def test_the_step_that_diverges_is_the_last_one_counted(method):
     """Against steps taken one by one until a component is 10⁶ times the size of the initial (q, p)."""
     scene, step = cb.SCENES["escape"], cb.step_map("escape", method.name)

@@ -131,7 +131,8 @@ def test_the_loop_is_the_same_map_compiled_and_in_python(method, scene):
         assert plain.program is not None
         for solution in run(), plain():
             assert (solution.status, solution.counts) == (Status.ok, plain.totals)
-            np.testing.assert_allclose(solution.y, written, rtol=0, atol=2e-14 * np.abs(written).max())
+            round_off = 2e-14 if method.one_step else 2e-13  # large coefficients of both signs
+            np.testing.assert_allclose(solution.y, written, rtol=0, atol=round_off * np.abs(written).max())
 
 
 @pairs(FIXED, ALL_SCENES)

@@ -10,7 +10,7 @@ from cases import pairs
 from chains import chain
 from contactbench.methods.fixed_step import FixedStep
 
-FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep)]
+FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
 SCENES = [cb.SCENES[name] for name in ("particle", "lane_emden_5", "rigid_body")]
 #: merges, stages in a loop, processing, no merging
 SHAPES = ("contact-strang", "contact-rkn6", "contact-rkn8", "herglotz2")

@@ -215,6 +215,14 @@ def test_command_line_solves_and_prints_json(capsys):
     assert "n = 1: must be a whole number ≥ 2" in capsys.readouterr().err
 
 
+def test_command_line_prints_a_few_numbers_of_many(capsys):
+    assert main(["solve", "fput", "rk4", "--step", "0.1"]) == 0
+    (state,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("state"))
+    assert "'q4': " in state
+    assert "q5" not in state
+    assert "… 129 numbers" in state
+
+
 def test_command_line_takes_one_from_a_plug_in(capsys, tmp_path, registries):
     path = tmp_path / "mine.py"
     path.write_text(PLUGIN)

@@ -15,6 +15,8 @@ from contactbench.errors import BadInput, unknown_name
 
 #: what a plot can be saved as
 PICTURES = (".svg", ".png", ".pdf")
+#: of the numbers of a larger state some are printed
+PRINTED, SOME = 64, 4
 
 
 def listing(arguments: argparse.Namespace) -> int:
@@ -68,6 +70,9 @@ def solve(arguments: argparse.Namespace) -> int:
             run["laws"] = {name: value if math.isfinite(value) else None for name, value in deviations}
         print(json.dumps(run, allow_nan=False))
     else:
+        if len(state := run.get("state", {})) > PRINTED:
+            some = ", ".join(f"{name!r}: {value!r}" for name, value in list(state.items())[:SOME])
+            run["state"] = f"{some}, … {len(state)} numbers; all of them with --json or --out"
         print("\n".join(f"{key:8} {value}" for key, value in run.items() if value not in (None, "")))
         for law in () if laws is None else laws.itertuples():
             bound = "≤ " if law.upper_bound else ""

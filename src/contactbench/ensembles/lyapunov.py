@@ -47,10 +47,10 @@ class Lyapunov:
     Attributes
     ----------
     exponents
-        Per unit of time, (m,), in the order of the orthonormalisation, the largest first.
+        Per unit of time, (m,), in the order of the orthonormalisation, the largest first; of a scene of many sites
+        with more than 65 numbers the four largest.
     total
-        Their sum, the mean rate at which volume grows.  nan, as the dimension, where only the largest of them are
-        known: a few, of a scene of many sites with more than 65 numbers.
+        Their sum, the mean rate at which volume grows.  nan, as the dimension, where not all exponents are known.
     dimension
         Of Kaplan and Yorke; of a scene with time in it that of a section at one phase.
     energy

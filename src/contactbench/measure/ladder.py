@@ -54,7 +54,8 @@ GROWING = "growing"
 
 def control_of(scene: Scene, method: Method) -> str:
     """Return what a race sets of a method on a scene: "step", "growing", "rtol" or "exact"."""
-    return GROWING if method.control == "step" and scene.slows_after is not None else method.control
+    grows = method.control == "step" and method.one_step and scene.slows_after is not None
+    return GROWING if grows else method.control
 
 
 def setting_to(end: float, scene: Scene, control: str, value: float) -> dict[str, Any]:

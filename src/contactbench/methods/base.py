@@ -125,6 +125,8 @@ class Method(ABC):
     largest: int = 256
     #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
     own_time: bool = False
+    #: whether equal steps are powers of one map of the state, which has a stability limit and a `step_map`
+    one_step: bool = True
 
     @property
     def control(self) -> str:
@@ -271,7 +273,9 @@ def too_large(chosen: Method, request: Request) -> str | None:
     if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
         return None
     size = f"the {len(scene.q)} components of scene {scene.name!r}, more than {most}"
-    return f"{chosen.name} would compile {size}, one by one: write it as a cb.Lattice or cb.Particles, of any size"
+    plain = "take engine='python', or " if "python" in chosen.engines else ""
+    other = f"{plain}write it as a cb.Lattice or cb.Particles, of any size, for methods such as contact-rkn6"
+    return f"{chosen.name} would compile {size}, one by one: {other}"
 
 
 def setting_of(
@@ -304,6 +308,10 @@ def setting_of(
         raise BadInput(f"atol = {excerpt(atol)}: {name} has a fixed step and takes no atol")
     if step is rtol is None:
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
+    if step is None and not method.one_step:
+        raise BadInput(
+            f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
+        )
     if step is None:
         return None, tolerance(method, rtol), None
     prescribed = np.iterable(step) and not isinstance(step, str | bytes)

@@ -30,6 +30,7 @@ from contactbench.scene import Scene
 from contactbench.scene.base import TRIED
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
+Piece = Callable[[Any, Any, Any, Any, Repeat], Any]  # (scene, x, h, xp, repeat) -> x
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
 
 #: who takes the steps; an engine gets its loop here
@@ -44,7 +45,7 @@ class FixedStep(Method):
     mpmath numbers, traced and recorded numbers alike; xp is the number namespace that goes with them.
 
     evaluations : of `kind` per step.  A method that can merge the end of one step with the start of the next
-    overrides `advance` and `counts` (see contact.py).
+    overrides `advance`, `pieces` and `counts` (see contact.py).
     """
 
     name: str
@@ -73,6 +74,14 @@ class FixedStep(Method):
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         """n ≥ 1 steps of size h."""
         return repeat(n, lambda x: self.step(scene, x, h, xp), x)
+
+    def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
+        """Return what an uninterrupted run is made of, one step after the other; None for nothing.
+
+        What opens the run; what begins every step; and, of the state it gives, what leads on to the next step and
+        what makes the state reached of it.  whole : in the pieces in which `advance` is compiled.
+        """
+        return None, lambda scene, x, h, xp, repeat: self.advance(scene, x, h, 1, xp, repeat), None, None
 
     def conformal_factor(self, scene: Scene, h: Any, xp: Any = math) -> Any | None:
         """The constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None where none is claimed."""

@@ -5,14 +5,14 @@ In z = e^{γt/2} q a linearly damped motion has no damping term, z'' = γ²z/4 �
     z_{n+1} + α₁ z_n + … + α_k z_{n+1−k} = h² (β₁ z''_n + … + β_K z''_{n+1−K})
 
 is explicit.  The α are the method; the β follow from them: the formula is exact on polynomials of the highest degree.
-With symmetric α it is time-symmetric, so that the energy of z has no drift: Quinlan, Tremaine, Astron. J. 100, 1694
-(1990), doi:10.1086/115629.  With z_{n+1} − 2z_n + z_{n−1} alone it is Störmer's method: Hairer, Nørsett, Wanner, Solving
-Ordinary Differential Equations I, §III.10, eq. (10.8).
+With symmetric α it is time-symmetric, so that the energy of z has no drift: Quinlan, Tremaine, Astron. J. 100,
+1694 (1990), doi:10.1086/115629.  With z_{n+1} − 2z_n + z_{n−1} alone it is Störmer's method: Hairer, Nørsett, Wanner,
+Solving Ordinary Differential Equations I, §III.10, eq. (10.8).  What is added up are the increments z_n − z_{n−1}.
 
-Every interval between saved times starts afresh: the K points before its beginning are found going back, by Strang steps
-of h, h/2, h/3, … that are extrapolated (Hairer, Nørsett, Wanner I, §II.9), and counted.  The momentum at its end comes
-from z_n − z_{n−1} and the forces, the action from s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V), which holds
-along every motion, by an Adams formula; both of an order above that of the method.
+Every interval between saved times starts afresh: the K points before its beginning are found going back, by Strang
+steps of h, h/2, h/3, … that are extrapolated (Hairer, Nørsett, Wanner I, §II.9), and counted.  The momentum at its end
+comes from z_n − z_{n−1} and the forces, the action from s e^{γt} = s₀ + ½ [e^{γt} q·p] + ∫ e^{γt} (½ q·∇V − V), which
+holds along every motion, by an Adams formula; both of an order above that of the method.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from itertools import accumulate
 from math import prod
 from typing import Any
 
@@ -96,6 +97,7 @@ class Multistep(FixedStep):
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         K, gamma, over_m = self.forces, scene.gamma, scene.inverse_mass
         beta, velocity = ([number(c, xp) for c in row] for row in (self.beta, self.velocity))
+        alpha = list(accumulate((1, *self.alpha)))[1:-1]  # of the increments z_n − z_{n−1}
         ends = [number(c, xp) * xp.exp(-gamma * h * j) for j, c in enumerate(self.quadrature)]
         loss, gain, fading = (
             f(h)
@@ -117,34 +119,45 @@ class Multistep(FixedStep):
 
         def before(carried: Any) -> Any:
             """Go back by one step; the oldest point comes last."""
-            at, shrunk, grown, zs, rates, psis = carried
+            at, z, shrunk, grown, increments, rates, psis = carried
             at = self.back(scene, at, h, xp, repeat)
             shrunk, grown = shrunk + gain * shrunk, grown - loss * grown
-            z = scaled(grown, at.q)
-            rate, psi = force(z, shrunk, grown)
-            return at, shrunk, grown, (*zs[1:], z), (*rates[1:], rate), (*psis[1:], psi)
+            older = scaled(grown, at.q)
+            increment = tuple(a - b for a, b in zip(z, older, strict=True))
+            rate, psi = force(older, shrunk, grown)
+            return (
+                at,
+                older,
+                shrunk,
+                grown,
+                (*increments[1:], increment),
+                (*rates[1:], rate),
+                (*psis[1:], psi),
+            )
 
         def step(carried: Any) -> Any:
-            zs, rates, psis, total, shrunk, grown = carried
-            z = tuple(
-                h * h * combine(beta, [rate[i] for rate in rates]) - combine(self.alpha, [z[i] for z in zs])
-                for i in range(len(x.q))
+            z, increments, rates, psis, total, shrunk, grown = carried
+            increment = tuple(
+                h * h * combine(beta, [rate[i] for rate in rates])
+                - combine(alpha, [w[i] for w in increments])
+                for i in range(len(z))
             )
+            z = tuple(a + b for a, b in zip(z, increment, strict=True))
             shrunk, grown = shrunk - loss * shrunk, grown + gain * grown
             rate, psi = force(z, shrunk, grown)
-            total = total - fading * total + psi
-            return (z, *zs[:-1]), (rate, *rates[:-1]), (psi, *psis[:-1]), total, shrunk, grown
+            rates, psis, total = (rate, *rates[:-1]), (psi, *psis[:-1]), total - fading * total + psi
+            return z, (increment, *increments[:-1]), rates, psis, total, shrunk, grown
 
         q, p = (tuple(a + nothing for a in v) for v in (x.q, x.p))
         rate, psi = force(q, one, one)
-        start = State(q, p), one, one, (q,) * (K + 1), (rate,) * (K + 1), (psi + nothing,) * (K + 1)
-        _, _, _, zs, rates, psis = repeat(K, before, start)
+        rates, psis = (rate,) * (K + 1), (psi + nothing,) * (K + 1)
+        *_, increments, rates, psis = repeat(K, before, (State(q, p), q, one, one, (q,) * K, rates, psis))
         first = combine(ends, psis)
-        zs, rates, psis, total, shrunk, _ = repeat(n, step, (zs, rates, psis, nothing, one, one))
-        q = scaled(shrunk, zs[0])
+        start = q, increments, rates, psis, 0 * psi, one, one
+        z, increments, rates, psis, total, shrunk, _ = repeat(n, step, start)
+        q = scaled(shrunk, z)
         v = tuple(
-            (zs[0][i] - zs[1][i]) / h + h * combine(velocity, [rate[i] for rate in rates])
-            for i in range(len(q))
+            increments[0][i] / h + h * combine(velocity, [rate[i] for rate in rates]) for i in range(len(q))
         )
         v = tuple(shrunk * a - gamma / 2 * b for a, b in zip(v, q, strict=True))
         masses = tuple(1 / w for w in over_m) if isinstance(over_m, tuple) else 1 / over_m
@@ -162,7 +175,10 @@ class Multistep(FixedStep):
         by_share = [number(Fraction(c), xp) for c in shares]
         return State(
             *(
-                tuple(combine(by_share, [getattr(y, name)[i] for y in found]) for i in range(len(x.q)))
+                tuple(
+                    a + combine(by_share, [getattr(y, name)[i] - a for y in found])
+                    for i, a in enumerate(getattr(x, name))
+                )
                 for name in ("q", "p")
             )
         )
@@ -173,25 +189,15 @@ def single_step(*_: Any) -> Any:
 
 
 def combine(coefficients: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return Σ c v; values without a coefficient are left out."""
-    return sum(c * v for c, v in zip(coefficients, values, strict=False) if c)
+    """Return Σ c v; whole coefficients may be 0, and the last values may have none."""
+    pairs = zip(coefficients, values, strict=False)
+    return sum(c * v for c, v in pairs if not (isinstance(c, int) and c == 0))
 
 
-_COMMON: Any = {"step": single_step, "kind": "gradient"}
-EIGHTH, TWELFTH = (1, -2, 2, -1, 0), (1, -2, 2, -1, 0, 0, 0)
-STORMER = (1, -2, 1)
-QUINLAN_TREMAINE = (
-    "Quinlan, Tremaine, Astron. J. 100, 1694 (1990), doi:10.1086/115629, table 1, on e^{γt/2} q"
-)
-for _order, _half in ((8, EIGHTH), (12, TWELFTH)):
-    METHODS.add(
-        Multistep(
-            f"quinlan-tremaine{_order}",
-            _order,
-            alpha=(*_half, *_half[-2::-1])[1:],
-            forces=_order - 1,
-            about=f"symmetric multistep method of order {_order}; {QUINLAN_TREMAINE}",
-            **_COMMON,
-        )
-    )
-METHODS.add(Multistep("stormer12", 12, alpha=STORMER[1:], forces=12, about="...", **_COMMON))
+_kinds: Any = {"kind": "gradient", "step": single_step}
+_source = "Quinlan, Tremaine, Astron. J. 100, 1694 (1990), doi:10.1086/115629"
+for _order, _half in ((8, (1, -2, 2, -1, 0)), (12, (1, -2, 2, -1, 0, 0, 0))):
+    _alpha, _name = (*_half, *_half[-2::-1])[1:], f"quinlan-tremaine{_order}"
+    METHODS.add(Multistep(_name, _order, alpha=_alpha, forces=_order - 1, about=_source, **_kinds))
+_stormer = "Störmer's explicit formula of 12 forces; Hairer–Nørsett–Wanner I, §III.10, eq. (10.8)"
+METHODS.add(Multistep("stormer12", 12, alpha=(-2, 1), forces=12, about=_stormer, **_kinds))

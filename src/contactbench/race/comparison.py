@@ -69,6 +69,8 @@ FIRST_STEPS, FEWEST_STEPS = {"compiled": 200_000, "callbacks": 5_000}, 1000
 STILL_BETTER = 0.7
 #: tolerances down to this are tried whatever they bring; it is above what round-off leaves of short runs
 CERTAIN = 1e-12
+#: an error about as large as the motion: longer steps are not tried
+COARSE = 0.3
 #: how much coarser a tolerance is at least whose error is compared: most of a decade
 APART = 5.0
 #: what a single run may take, as a share of the whole budget
@@ -226,8 +228,6 @@ class Scout:
         try:
             for attempt in self.ladder():
                 yield
-                if attempt.ok and attempt.error <= min(self.question.errors):
-                    break
                 if attempt.status is Status.budget:
                     most = f"more than a run may take here, {self.question.longest:.2g} s"
                     self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
@@ -255,9 +255,21 @@ class Scout:
         for value in tolerances(method) if adaptive else work_ladder(self.question.scene, method.order or 1):
             if adaptive and value < CERTAIN and self.stagnates():
                 return
+            first = not self.attempts
             yield self.attempt(value)
-        while not adaptive and not self.stagnates():  # a low order needs small steps
+            if first and not adaptive:
+                yield from self.coarsen()
+            if self.best(min(self.question.errors)) is not None:
+                return
+        # a low order needs small steps
+        while not adaptive and not self.stagnates() and self.best(min(self.question.errors)) is None:
             yield self.attempt(self.attempts[-1].value / 2)
+
+    def coarsen(self) -> Iterator[Attempt]:
+        """Double the step until its error is about the size of the motion: a scene may have any unit of time."""
+        last, end = self.attempts[-1], self.question.scene.t_end
+        while last.ok and last.error < COARSE and (steps := round(end / last.value / ENDS) // 2):
+            yield (last := self.attempt(end / (ENDS * steps)))
 
     def stagnates(self) -> bool:
         *others, last = self.attempts
@@ -293,7 +305,8 @@ class Scout:
         solution = run()
         seconds = perf_counter() - start
         if solution.counts.steps:
-            self.a_step = seconds / solution.counts.steps
+            each = seconds / solution.counts.steps
+            self.a_step = self.a_step if self.a_step <= each else each  # of few steps most is the call
         error, worst = math.nan, solution
         if solution.ok:
             options["engine"] = self.engine
