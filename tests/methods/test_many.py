@@ -16,6 +16,7 @@ from contactbench.numbers.protocol import CannotRecord
 from contactbench.numbers.sites import total
 from contactbench.peers.base import Peer
 from contactbench.scene import many as many_scene
+from contactbench.trace.sweeps import APART, PAD, PAGE, stride_of
 
 FIXED = [m.name for m in cb.METHODS.values() if isinstance(m, FixedStep)]
 PEERS = [m.name for m in cb.METHODS.values() if isinstance(m, Peer)]
@@ -105,6 +106,14 @@ def test_a_force_may_be_constant(boundary, onsite):
     for engine in ("python", "jax"):
         assert gap(states(scene, "contact-strang", engine), states(scene, "contact-strang")) < ROUND_OFF
     assert gap(states(scene.unrolled(), "contact-strang"), states(scene, "contact-strang")) < ROUND_OFF
+
+
+def test_rows_begin_at_different_places_of_a_page():
+    for n in range(2, 3000):
+        stride = stride_of(n)
+        assert n + 2 * PAD <= stride < n + 2 * PAD + 2 * APART + 8
+        assert stride % 8 == 0
+        assert APART <= stride % PAGE <= PAGE - APART
 
 
 @pytest.fixture

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from contactbench.errors import (
     NAME,
     BadInput,
@@ -142,6 +144,8 @@ def alike(old: Any, new: Any) -> bool:
         return old is new
     if isinstance(old, tuple):
         return isinstance(new, tuple) and len(new) == len(old) and all(map(alike, old, new))
+    if isinstance(old, np.ndarray):  # one number a site
+        return isinstance(new, np.ndarray) and new.shape == old.shape
     return is_number(new)
 
 

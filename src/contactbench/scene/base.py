@@ -277,9 +277,9 @@ class System(ABC):
     def rhs(self, x: Any) -> Any:
         """Return the time derivative of the state, a state of the same fields."""
 
-    @abstractmethod
     def jacobian(self, x: Any) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
+        return None
 
     def slopes(self, t: Any, y: Any, carry: Sequence[str]) -> Sequence[Any]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
