@@ -8,6 +8,7 @@ from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.methods.one_step import step_map
+from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.tables import results
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
 __all__ += ["Lyapunov", "Mechanical", "RigidBody", "Solution", "Status", "UnknownName", "compare"]
-__all__ += ["composition", "ensemble", "fixed_step", "lyapunov", "math", "prepare", "reference", "results"]
-__all__ += ["shifted", "solve", "step_map"]
+__all__ += ["composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov", "math", "prepare"]
+__all__ += ["reference", "results", "shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
 

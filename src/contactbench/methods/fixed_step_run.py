@@ -14,6 +14,7 @@ import numpy as np
 
 from contactbench.errors import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, stopwatch
+from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Cache, Scene, key
@@ -24,11 +25,6 @@ from contactbench.trace.program import Program, record
 
 #: more steps than any budget allows are counted as this many
 UNCOUNTED = 2**50
-#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
-#: rounded, as a product or a sum of two, and so may be the spacing of the grid
-GRID_ULPS = 4
-#: relative differences of steps that are round-off of the saved times
-EQUAL = 1e-9
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22
 #: as many numbers take Python milliseconds, and `setup` takes a tenth of a second to compile
@@ -191,10 +187,22 @@ class FixedStepRun(Prepared):
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
     def divide(self, step: float) -> None:
-        self.n = self.division(step)
-        self.h = self.marks / self.n
+        #: which intervals of equal steps end at saved times: all of them, but of prescribed steps
+        self.saved: Any = slice(None)
+        if self.request.steps is not None:
+            self.h, self.n, self.saved = plateaus(self.request.steps, self.later)
+        else:
+            self.n = self.division(step)
+            self.h = self.marks / self.n
         self.steps_taken = step, float(self.h.max())
         self.totals, self.needed = self.cost(self.n), total(self.n)
+
+    @property
+    def until(self) -> np.ndarray:
+        """The saved time at which each interval ends, nan where none is."""
+        times = np.full(len(self.n), math.nan)
+        times[self.saved] = self.later
+        return times
 
     def divides_often(self) -> None:
         """Called before runs that divide at every call: prepares what makes dividing fast."""
@@ -232,7 +240,7 @@ class FixedStepRun(Prepared):
             needed = str(self.needed) if self.needed < UNCOUNTED else f"more than {UNCOUNTED:.0e}"
             message = f"{needed} steps needed, max_steps = {r.max_steps}"
             return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
-        return self.judge(y0, self.intervals(y0, self.h, self.n))
+        return self.judge(y0, self.intervals(y0, self.h, self.n)[self.saved])
 
     def judge(self, y0: np.ndarray, y: np.ndarray) -> Outcome:
         counts, y = self.counted(y), y[:, : len(y0)]
@@ -243,8 +251,16 @@ class FixedStepRun(Prepared):
         """A divergence pinned down to the step, by bisecting the interval in which it happened."""
         r = self.request
         k = int(np.argmax(np.isnan(out.y).all(axis=1)))  # the first saved time not reached
-        i = k - 1 if self.saves_start else k
         good, time = (out.y[k - 1], float(r.save_at[k - 1])) if k else (y0, 0.0)
+        ends = np.append(0, np.arange(1, len(self.n) + 1)[self.saved])
+        i, end = ends[k - int(self.saves_start) :][:2]
+        if i + 1 < end:  # several intervals lead there
+            y = self.intervals(good, np.roll(self.h, -i), np.roll(self.n, -i))[: end - i]
+            reached = self.first_divergence(y0, y)
+            assert reached is not None
+            good = y[reached - 1] if reached else good
+            time += float(self.h[i : i + reached] @ self.n[i : i + reached])
+            i += reached
         h, left = self.h[i], int(self.n[i])
         taken = 0  # of the interval
         while left > 1:
@@ -270,12 +286,16 @@ class FixedStepRun(Prepared):
         tangents = self.tangents(y0)
         starts = [np.concatenate([y0, v]) for v in tangents]
         states = [self.tangent_loop.states(self.numbers, start, self.h, self.n) for start in starts]
-        return self.from_start(np.array(tangents).T, np.stack(states, axis=-1)[:, len(y0) :])
+        columns = np.stack(states, axis=-1)[self.saved, len(y0) :]
+        return self.from_start(np.array(tangents).T, columns)
 
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-        """As in `Prepared`: the flows are applied once more, in plain floats, from every saved state."""
+        """As in `Prepared`: the flows are applied once more, in plain floats, from where each interval starts."""
         r = self.request
-        starts = y[:-1] if self.saves_start else np.concatenate([y0[None], y[:-1]])
+        y = y[1:] if self.saves_start else y
+        if r.steps is not None:
+            y = self.intervals(y0, self.h, self.n)[:, : len(y0)]
+        starts = np.concatenate([y0[None], y[:-1]])
         logs = [
             self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
             for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
@@ -283,7 +303,7 @@ class FixedStepRun(Prepared):
         known = [log for log in logs if log is not None]
         if len(known) < len(logs):
             return None
-        return np.cumsum([0.0, *known] if self.saves_start else known)
+        return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
 
     def modified_hamiltonian(self, x: Any) -> Any | None:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
@@ -338,7 +358,7 @@ class NumbaLoop(FixedStepRun):
         if short and self.ahead is not None and self.needed <= self.request.max_steps:
             after = np.empty(self.size)
             if self.run(y0, *self.ahead, after) < 0:  # nothing to look for
-                return Outcome(after, self.totals, Status.ok, "", self._end, True)
+                return Outcome(after[self.saved], self.totals, Status.ok, "", self._end, True)
         return super().integrate(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
