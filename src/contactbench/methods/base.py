@@ -16,6 +16,7 @@ import numpy as np
 from contactbench.errors import BadInput, array, blame, excerpt, positive, text, whole
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_slope
+from contactbench.methods.prescribed import end_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Mechanical, Scene, verify
 from contactbench.scene.base import scene_of
@@ -172,7 +173,7 @@ def prepare(
     scene: Scene | str,
     method: Method | str,
     *,
-    step: float | None = None,
+    step: float | Sequence[float] | np.ndarray | None = None,
     rtol: float | None = None,
     atol: float | None = None,
     save_at: Sequence[float] | np.ndarray | None = None,
@@ -186,6 +187,10 @@ def prepare(
         between saved times, the last of which is the end, is divided into the fewest equal steps not longer
         than `step`.  The steps taken may so be shorter, down to the distance of two saved times; the solution's
         `step` is the longest one.
+        A sequence of steps is taken as it is, whatever the motion: every step of a contact method is the contact map
+        it would be among equal ones.  Saved times are ends of steps, by default all, or every k-th; steps after the
+        last are left out.  A method starts afresh where the step changes or a time is saved, so that one with a
+        processor (contact-rkn6, contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
     rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
         rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
         solution's `step_chosen` is that step.  An exact method takes neither.
@@ -245,10 +250,14 @@ def make_request(
     else:
         budget = whole("max_steps", max_steps, MOST_STEPS)
     times = default_times(scene, step, budget) if save_at is None else saved_times(save_at)
+    steps = None
+    if isinstance(step, np.ndarray):
+        steps = step[: steps_until(step, times[times > 0])[-1]]
+        step = float(steps.max())
     if times[-1] < SHORTEST_RUN:
         raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
-    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
+    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps)
     if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
         return Refused(chosen.name, request, why)
     if scene.has_users_functions:
@@ -271,7 +280,8 @@ def too_large(chosen: Method, request: Request) -> str | None:
 
 def setting_of(
     method: Method, step: Any, rtol: Any, atol: Any
-) -> tuple[float | None, float | None, float | None]:
+) -> tuple[float | np.ndarray | None, float | None, float | None]:
+    """Return step, or an array of them, rtol and atol, all checked."""
     name = method.name
     if method.exact:
         if not step is rtol is atol is None:
@@ -304,7 +314,8 @@ def setting_of(
         )
     if step is None:
         return None, tolerance(method, rtol), None
-    return positive("step", step), None, None
+    prescribed = np.iterable(step) and not isinstance(step, str | bytes)
+    return steps_of(step) if prescribed else positive("step", step), None, None
 
 
 def tolerance(method: Method, rtol: Any) -> float:
@@ -315,15 +326,17 @@ def tolerance(method: Method, rtol: Any) -> float:
     return rtol
 
 
-def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
+def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) -> np.ndarray:
     most = max(1, MOST_SAVED // scene.motion)
     if step is None:
         return np.linspace(0.0, scene.t_end, min(ADAPTIVE_SAVES, most) + 1)
-    n = int(steps_in(scene.t_end, scene.t_end, step))
+    n = len(step) if isinstance(step, np.ndarray) else int(steps_in(scene.t_end, scene.t_end, step))
     if n > budget:  # will end as `budget`; no grid of that size is needed
         return np.array([scene.t_end])
     stride = -(-n // min(DEFAULT_SAVES, most))
     marks = np.append(np.arange(0, n, stride), n)
+    if isinstance(step, np.ndarray):
+        return np.concatenate([[0.0], end_times(step)[marks[1:-1] - 1], [scene.t_end]])
     return marks * (scene.t_end / n)
 
 
@@ -348,6 +361,11 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
 
     Raises `BadInput` as it does, and where a gradient is not that of the potential at a saved state.
     """
+    for name in options.keys() & {"events", "dense_output", "t_eval"}:
+        how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
+        raise BadInput(
+            f"{name}: solve saves states at save_at; events and dense output are SciPy's, in {how}"
+        )
     solution = prepare(scene, method, **options)()
     if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)

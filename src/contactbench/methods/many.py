@@ -181,7 +181,7 @@ class SweepLoop(FixedStepRun):
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         tangents = self.tangents(y0)
         columns = [self.paths(self.tangent_loop, np.stack([y0, v]), self.h, self.n)[:, 1] for v in tangents]
-        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
+        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1)[self.saved])
 
 
 class ArrayLoop(SweepLoop):
