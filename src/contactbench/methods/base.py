@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -127,6 +127,9 @@ class Method(ABC):
     own_time: bool = False
     #: whether equal steps are powers of one map of the state, which has a stability limit and a `step_map`
     one_step: bool = True
+    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
+    #: `counts` is what it typically costs
+    iterates: ClassVar[bool] = False
 
     @property
     def control(self) -> str:

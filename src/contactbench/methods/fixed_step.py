@@ -63,9 +63,6 @@ class FixedStep(Method):
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     adaptive = False
-    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
-    #: `counts` is what it typically costs
-    iterates = False
     tolerance = (
         "the largest error over the saved times, relative to the largest state: pilots choose the step"
     )

@@ -92,7 +92,7 @@ def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
 INSTEAD = {
     "kinetic": "the kinetic energy is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.)",
     "magnetic": "no force may depend on p but for damping; SciPy's solve_ivp takes any right-hand side",
-    "torque": "no torque acts on this body but its damping",
+    "torque": "the torque of a potential of the attitude is cb.HeavyTop(weight=…, axis=…)",
     "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow",
     "rate": "a damping that depends on time is cb.Driven(rate=lambda t: …, potential=lambda q, t: …)",
     "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1",
