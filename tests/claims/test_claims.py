@@ -32,7 +32,7 @@ from contactbench.splitting import flows, modified
 from contactbench.splitting.tables import COMPOSITIONS
 
 IDS = [f"C{n:02d}" for n in range(1, 43)]
-MORE = ["X01", "X02"]  #: beyond the paper
+MORE = ["X01", "X02", "X03"]  #: beyond the paper
 TABLES = {composition.name: composition for composition in COMPOSITIONS}
 REFUTED = {"C04", "C10", "C16", "C19", "C20", "C21", "C25", "C33", "C37", "C38", "C39", "C40"}
 CORRECTED = {"C05", "C22", "C26", "C27", "C32", "C35", "C36", "C42"}
@@ -114,6 +114,7 @@ OTHERS = [
     ("C42", {"gamma": 0.5}),
     ("X01", {"gamma": 0.3, "weak": 3e-5, "steps": 400_000}),
     ("X02", {"rough": 1e-5, "fine": 1e-9}),
+    ("X03", {"seed": 7, "gamma": 1.0}),
 ]
 
 
