@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from cases import few_slow
-from contactbench.claims import CLAIMS, Correction, Verdict, integrator, rigid_body, verdict
+from contactbench.claims import CLAIMS, Correction, Verdict, algebra, integrator, rigid_body, verdict
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
@@ -278,6 +278,21 @@ LONGER = tuple((name, c * (1 + Fraction(name == "drift_damp", 10**9))) for name,
 def test_another_composition(method, composition, claim, verdicts, monkeypatch, fresh):
     monkeypatch.setitem(METHODS, method, contact_method(replace(composition, name=method)))
     assert changes(claim) == verdicts
+
+
+def test_a_method_for_any_potential_keeps_its_order_with_damping(monkeypatch):
+    monkeypatch.setattr(algebra, "for_cubic_potentials", lambda: TABLES["contact-rkn6"])
+    assert "|order − 4|" in (row := CLAIMS["X03"].row())["quantity"]
+    assert (row["verdict"], row["evidence"].count("fails")) == ("refuted", 1)
+
+
+def test_without_the_brackets_part_in_s_damping_would_save_conditions_too(monkeypatch):
+    exact = algebra.jacobi
+    still = lambda f, n: {m: c for m, c in f.items() if not m[2 * n]}  # noqa: E731
+    monkeypatch.setattr(algebra, "jacobi", lambda f, g, n: exact(still(f, n), still(g, n), n))
+    assert algebra.dimensions(3, Fraction(1, 3), seed=1) == algebra.WITHOUT[3]
+    monkeypatch.undo()
+    assert algebra.dimensions(3, Fraction(1, 3), seed=1) == algebra.WITH
 
 
 def test_a_body_that_is_not_damped_does_not_settle(monkeypatch):
