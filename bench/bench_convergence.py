@@ -36,7 +36,8 @@ def at_fifty_digits(scene, method):
         h = EXTENDED_TIME / n
         row = key(scene.name, method.name, "mpmath", "step", h)
         row |= {"status": "ok", "message": "", "steps": n, "jacobians": 0}
-        row |= {"evaluations": method.counts(scene, n), "evaluation_kind": method.kind_on(scene)}
+        evaluations = None if method.iterates else method.counts(scene, n)
+        row |= {"evaluations": evaluations, "evaluation_kind": method.kind_on(scene)}
         yield row, h, float(error_at(method, scene, EXTENDED_TIME, n)) / size
 
 

@@ -17,14 +17,25 @@ import pytest
 
 import contactbench as cb
 from c_loops import KERNELS, kernel
-from cells import cells, engines, key, outcome, step_budget
+from cells import cells, controlled, engines, key, outcome, step_budget
 from contactbench.measure.clock import Call, Part, seconds
-from contactbench.measure.ladder import BETWEEN, ENDS, LOOSEST, carry_of, fields, tolerances, work_ladder
+from contactbench.measure.ladder import (
+    BETWEEN,
+    ENDS,
+    GROWING,
+    LOOSEST,
+    carry_of,
+    control_of,
+    fields,
+    setting_to,
+    tolerances,
+    work_ladder,
+)
 from contactbench.measure.laws import absolute_error
 from contactbench.measure.stability import is_processed
 from contactbench.results.tables import WORK_PRECISION
 from contactbench.scenes import scenes_of
-from contactbench.solution import EXACT, keywords
+from contactbench.solution import EXACT
 
 #: of tolerances down to this a profile chooses some; tighter ones are all run
 TIGHT = 1e-13
@@ -47,7 +58,7 @@ def ladder(profile):
                     values = [r for r in rungs if r >= LOOSEST or r in values or r < TIGHT]
             else:
                 values = profile.choose(work_ladder(scene, method.order))
-            rows += [(scene.name, name, engine, method.control, value) for value in values]
+            rows += [(scene.name, name, engine, control_of(scene, method), value) for value in values]
     engine = cb.METHODS[CHOSEN].engines[0]
     for scene in CHOSEN_ON:
         rows += [(scene, CHOSEN, engine, "rtol", rtol) for rtol in profile.choose(CHOSEN_RTOLS)]
@@ -73,34 +84,41 @@ def error(solutions):
 def passes_through(method, engine, control):
     """Whether one run saved at all ends is, but for roundings, the runs to each of them, and slow enough to matter.
 
-    Not of a processed method, which brings a state to its own coordinates and back wherever it is saved.
+    Not of a processed method, which brings a state to its own coordinates and back wherever it is saved, nor of one
+    that starts afresh there.
     """
-    return engine == "python" and control == "step" and not is_processed(method)
+    return engine == "python" and control == "step" and method.one_step and not is_processed(method)
 
 
 def options(cell, profile):
-    """The names of scene and method of a cell, and what `prepare` is given but the times to be saved."""
-    name, method, engine, control, value = cell
+    """The names of scene and method of a cell, what it sets and to what, and what else `prepare` is given."""
+    name, method, engine, *setting = cell
     scene, budget = cb.SCENES[name], step_budget(profile, cb.SCENES[name], cb.METHODS[method], engine)
-    given = {**keywords(control, value), "engine": engine, "carry": carry_of(scene), "max_steps": budget}
-    return name, method, given
+    return name, method, setting, {"engine": engine, "carry": carry_of(scene), "max_steps": budget}
+
+
+def prepared(scene, method, setting, given, times):
+    """The run to the last of some times, saved at each of them."""
+    return cb.prepare(scene, method, save_at=times, **setting_to(times[-1], scene, *setting), **given)
 
 
 def errors(cell, profile):
     """The row of a cell but for what is timed: how its run ends, what it costs, its error at several ends."""
-    scene, method, (engine, control) = cb.SCENES[cell[0]], cb.METHODS[cell[1]], cell[2:4]
-    given = options(cell, profile)[-1]
-    run = cb.prepare(scene, method.name, save_at=[scene.t_end], **given)
+    scene, method, engine, control, value = cb.SCENES[cell[0]], cb.METHODS[cell[1]], *cell[2:]
+    given = options(cell, profile)[2:]
+    run = prepared(scene, method.name, *given, [scene.t_end])
     start = perf_counter()
     solution = run()
     row = {"compile_s": run.compile_s, "first_call_s": perf_counter() - start}
     row |= {"carried": " ".join(fields(scene, method, run.request.carry))}
-    variant = "" if control == method.control else "chosen"
+    variant = {method.control: "", GROWING: GROWING}.get(control, "chosen")
+    if control == GROWING:
+        row |= controlled(method.control, value, variant)
     if not solution.ok:
         return outcome(solution, variant=variant) | row
     earlier = [scene.t_end * k / ENDS for k in range(1, ENDS)]
     saves = [earlier] if passes_through(method, engine, control) else [[t] for t in earlier]
-    others = [cb.prepare(scene, method.name, save_at=times, **given)() for times in saves]
+    others = [prepared(scene, method.name, *given, times)() for times in saves]
     row["solution_error"] = error([*others, solution])
     if method.adaptive and method.order is None:
         row["evaluations_spread"] = evaluations_spread(run, solution.counts.evaluations)
@@ -111,10 +129,10 @@ def errors(cell, profile):
 LONG_CALLBACK = 0.02
 
 
-def runs(scene, method, given):
+def runs(scene, method, setting, given):
     """What the public call adds, for the row; and what is timed: the bare run, and the one to the earliest end."""
     end = cb.SCENES[scene].t_end
-    run, shorter = (cb.prepare(scene, method, save_at=[t], **given) for t in (end, end / ENDS))
+    run, shorter = (prepared(cb.SCENES[scene], method, setting, given, [t]) for t in (end, end / ENDS))
     # arrays that an engine has moved to its device ahead of the call
     start, earlier = run.start, shorter.start
 

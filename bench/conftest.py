@@ -22,11 +22,13 @@ from contactbench.errors import BadInput
 from contactbench.measure.clock import MOST_VISITS, VISITS
 from contactbench.methods import METHODS
 from contactbench.methods.base import ENGINES
+from contactbench.plugins import OWN
 from contactbench.results import provenance
 from contactbench.results.cells import Cell, Cells
 from contactbench.results.schema import PROFILES as NAMES
 from contactbench.results.schema import TABLES
 from contactbench.results.store import OldTable, read
+from contactbench.scenes import SCENES
 
 #: what this process may use before it is bound to one of them
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
@@ -65,6 +67,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--profile", choices=list(PROFILES), default="standard", help="how much to run")
     group.addoption("--results", type=Path, default=REPOSITORY / "results", help="where the tables go")
     group.addoption("--untimed", action="store_true", help="errors, counts and laws alone: no times")
+    group.addoption("--own", action="store_true", help="only what plug-ins and installed packages bring")
     group.addoption("--resume", action="store_true", help="keep the rows of a run that was killed")
     group.addoption("--report", action="store_true", help="write documents and figures at the end")
 
@@ -106,6 +109,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def named(test: Any, config: pytest.Config) -> dict[str, tuple]:
     """The cells of a test by their names; none for a test of times alone in a run without times."""
     cells = [] if test.times and not config.timed else test.cells(config.profile)
+    if config.getoption("own"):
+        brought = {*METHODS, *SCENES} - OWN
+        cells = [cell for cell in cells if not brought.isdisjoint(cell)]
     return {"-".join(f"{p:.6g}" if isinstance(p, float) else str(p) for p in cell): cell for cell in cells}
 
 
@@ -156,7 +162,8 @@ def selection(config: pytest.Config) -> str:
     Marks do not count: a run is made in two goes, what is timed by itself.
     """
     narrowed = [argument for argument in config.args if "::" in argument or argument.endswith(".py")]
-    return " ".join([*narrowed, config.getoption("keyword")]).strip()
+    own = ["--own"] * config.getoption("own")
+    return " ".join([*narrowed, config.getoption("keyword"), *own]).strip()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -291,7 +298,6 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 
 def write_report(results: Path) -> None:
     from contactbench.report import write
-    from contactbench.scenes import SCENES
 
     if CORES:  # nothing is timed any more
         os.sched_setaffinity(0, CORES)

@@ -124,6 +124,13 @@ CALLS = [
     (rk4(step=math.nan), "step = nan: must be a finite number"),
     (rk4(step="0.1"), "step = '0.1': must be a finite number"),
     (rk4(step=10**5000), "step = <int>: must be"),  # too long to be printed
+    (rk4(step=[1.0, -1.0]), "step = [1.0, -1.0]: must be finite steps > 0"),
+    (rk4(step=[[1.0]]), "must be finite steps > 0, at least one"),
+    (rk4(step=["a"]), "step = ['a']: must be a number, or a sequence"),
+    (rk4(step=[1.0, 2.0]), "step: 2 steps to t = 3, none of which ends at t = 20"),
+    (rk4(step=[1.0] * 20, save_at=[2.0, 2.5]), "none of which ends at t = 2.5"),
+    (lambda: cb.geometric_steps(20.0, 24, 0.5, plateau=5), "plateau = 5: must divide count = 24"),
+    (lambda: cb.geometric_steps(20.0, 24, a=0.0), "a = 0.0: must be > 0"),
     # other options
     (rk4(engine="fortran"), "engine = 'fortran': rk4 runs on numba, jax, python"),
     (rk4(save_at=[3.0, 1.0]), "strictly increasing"),

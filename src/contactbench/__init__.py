@@ -8,6 +8,7 @@ from contactbench.errors import BadInput, UnknownName
 from contactbench.measure.laws import LAWS
 from contactbench.methods import METHODS, fixed_step, prepare, solve
 from contactbench.methods.one_step import step_map
+from contactbench.methods.prescribed import geometric_steps
 from contactbench.numbers import functions as math
 from contactbench.plugins import load_installed
 from contactbench.results.tables import results
@@ -20,13 +21,14 @@ from contactbench.truth import reference
 if TYPE_CHECKING:
     from contactbench.ensembles import Ensemble, ensemble
     from contactbench.ensembles.lyapunov import Lyapunov, lyapunov
+    from contactbench.interop import scipy
     from contactbench.measure.own_composition import composition
     from contactbench.race.comparison import compare
 
 __all__ = ["LAWS", "METHODS", "SCENES", "BadInput", "Counts", "Driven", "Ensemble", "GeneralDamping"]
 __all__ += ["Lyapunov", "Mechanical", "RigidBody", "Solution", "Status", "UnknownName", "compare"]
-__all__ += ["composition", "ensemble", "fixed_step", "lyapunov", "math", "prepare", "reference", "results"]
-__all__ += ["shifted", "solve", "step_map"]
+__all__ += ["composition", "ensemble", "fixed_step", "geometric_steps", "lyapunov", "math", "prepare"]
+__all__ += ["reference", "results", "shifted", "solve", "step_map"]
 __version__ = "0.1.0"
 
 
@@ -34,9 +36,14 @@ __version__ = "0.1.0"
 LATER = dict.fromkeys(("Ensemble", "ensemble"), "ensembles")
 LATER |= dict.fromkeys(("Lyapunov", "lyapunov"), "ensembles.lyapunov")
 LATER |= {"composition": "measure.own_composition", "compare": "race.comparison"}
+#: parts that are modules, named as the library that they go with
+PARTS = ("scipy",)
 
 
 def __getattr__(name: str) -> Any:
+    if name in PARTS:
+        globals()[name] = part = import_module(f"{__name__}.interop.{name}")
+        return part
     if name not in LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = found = getattr(import_module(f"{__name__}.{LATER[name]}"), name)
@@ -44,7 +51,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return sorted([*__all__, *PARTS, "__version__"])
 
 
 load_installed()

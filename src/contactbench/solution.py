@@ -145,7 +145,7 @@ class Solution:
 
     @property
     def setting(self) -> str:
-        return setting_key(self.control, self.value)
+        return setting_key(self.control, self.value) if self.run is None else self.run.request.setting
 
     @property
     def ok(self) -> bool:

@@ -280,6 +280,7 @@ def test_another_composition(method, composition, claim, verdicts, monkeypatch, 
     assert changes(claim) == verdicts
 
 
+@pytest.mark.slow
 def test_a_method_for_any_potential_keeps_its_order_with_damping(monkeypatch):
     monkeypatch.setattr(algebra, "for_cubic_potentials", lambda: TABLES["contact-rkn6"])
     assert "|order − 4|" in (row := CLAIMS["X03"].row())["quantity"]

@@ -87,7 +87,7 @@ def clocked(monkeypatch, tmp_path):
         order = []
 
         @contextmanager
-        def scripted(tree):
+        def scripted(tree, root):
             asked = []
 
             def receive():

@@ -180,6 +180,21 @@ def test_a_ladder_ends_where_the_error_stops_falling(monkeypatch):
     assert all(math.isfinite(attempt.error) for attempt in tried)
 
 
+@pytest.mark.parametrize(("unit", "longest"), [(1e9, 1000.0), (150.0, 100.0), (3.0, 3.125)])
+def test_a_ladder_of_steps_begins_where_the_error_is_as_large_as_the_motion(monkeypatch, unit, longest):
+    """At most one step from each of the five ends to the next; unit : the step of error 1, of a second-order method."""
+
+    def attempt(scout, value):
+        scout.attempts.append(Attempt(value, "", cb.Status.ok, "", 0.0, (value / unit) ** 2))
+        return scout.attempts[-1]
+
+    monkeypatch.setattr(Scout, "attempt", attempt)
+    scout = Scout(Question(cb.SCENES["planets"], None, (1e-3, 1e-6), 60.0), "contact-rkn6")
+    list(scout.turns())
+    assert max(a.value for a in scout.attempts) == longest
+    assert scout.best(1e-6) is not None
+
+
 def test_ladders_halve_from_four_on_a_body_and_go_by_roots_of_two_from_order_six_on():
     """The latter by multiples of five steps near 6.25 · 2^(k/2)."""
     body, particle = cb.SCENES["rigid_body"], cb.SCENES["particle"]

@@ -236,3 +236,11 @@ def test_nobody_wins_where_a_rival_was_cut_off_that_might_be_sooner_done(status,
         rival.attempts.append(Attempt(0.1, "step=0.1", Status.ok, "", spent, error=0.1))
     verdicts = judge_times(pd.DataFrame([race.row(each, 1e-2) for each in race.scouts]))["verdict"]
     assert list(verdicts) == [expected, "loss", ""]
+
+
+def test_fixed_steps_grow_on_a_scene_that_slows_down():
+    """By equal steps the same errors take three and five times the evaluations."""
+    found = cb.compare("lane_emden_5", ["contact-rkn6", "rk4"], [1e-6], budget=30.0)
+    assert found["setting"].str.contains(" steps of ").all()
+    assert (found["evaluations"] < [150, 300]).all()
+    assert found["contact_drift"].iloc[0] < 1e-13

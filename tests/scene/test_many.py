@@ -37,42 +37,32 @@ CALLS = [
     # how many, and where
     (lambda: chain(4).with_(n=0), "n = 0: must be a whole number ≥ 2"),
     (lambda: chain(4).with_(n=1), "n = 1: must be a whole number ≥ 2"),
-    (lambda: chain(4).with_(n=2.5), "n = 2.5: must be a whole number"),
     (lambda: chain(4).with_(n="a"), "n = 'a': must be a finite number"),
     (lambda: chain(4).with_(n=8), "q has shape (4,): must be 8 numbers, or a function of the index"),
     (lambda: chain(4, mass=masses(4), q=np.sin, p=np.cos).with_(n=8), "mass has shape (4,): must be"),
     (lattice(boundary="periodic"), "boundary = 'periodic': must be one of ring, fixed, free"),
     (particles(masses=(1.0,)), "masses = (1.0,): must be 2 numbers or more"),
-    (particles(masses=3), "masses = 3: must be 2 numbers or more"),
     (lambda: bodies(3, 2).with_(dimensions=4), "dimensions = 4: must be a whole number ≥ 1, at most 3"),
     (particles(q=[[1, 0], [1, 0], [0, 1]]), "q: two bodies are at one place"),
     # initial data
     (lattice(q=[1.0, 2.0]), "q has shape (2,): must be 4 numbers"),
-    (lattice(p=np.ones((2, 4))), "p has shape (2, 4)"),
     (particles(q=np.ones((2, 3))), "q has shape (2, 3): must be 3 × 2 numbers"),
     (lattice(q=[1.0, math.nan, 0.0, 0.0]), "q: must be finite; entry 1 is not"),
-    (lattice(q=lambda i: math.inf), "q: must be finite; entry 0 is not"),
     (lattice(q="abc"), "q = 'abc': must be 4 numbers"),
-    (lattice(q=[1j] * 4), "must be 4 numbers"),
     (lattice(q=lambda i: {}["a"]), "<lambda> (test_many.py, line "),
     (lattice(q=lambda: 0), "takes 0 positional arguments"),
-    (lambda: cb.prepare(chain(4), "rk4", step=0.1)(q=np.ones(3)), "q has shape (3,)"),
     (lambda: cb.prepare(bodies(3, 2), "rk4", step=0.1)(q=np.zeros(6)), "two bodies are at one place"),
     # masses, numbers
     (lattice(mass=0), "mass: must be > 0 and finite, and so 1/mass; the least is 0.0"),
     (lattice(mass=[1, 1, -2, 1]), "the least is -2.0"),
-    (lattice(mass=5e-324), "the least is 5e-324"),
     (lattice(mass=[1, 2]), "mass has shape (2,): must be one number > 0, or 4"),
-    (lattice(mass="x"), "mass = 'x': must be one number > 0, or 4"),
     (particles(masses=(1.0, -1.0, 1.0)), "masses: must be > 0 and finite"),
     (lattice(gamma=math.nan), "gamma = nan: must be a finite number"),
     (lattice(parameters={"k": 1.0, "beta": 1.0}), "parameter 'beta': is taken by none of onsite, bond"),
-    (lattice(parameters={"k": 1.0, "r": 1.0}), "parameter 'r': is taken by none of"),
     (lattice(parameters={"k": 1.0, "gamma": 1.0}), "parameter 'gamma': must have a name of its own"),
     (lambda: FPUT.with_(bet=1.0), "did you mean 'beta'?"),
     # potentials
     (lattice(held=False, bond=None), "needs an onsite potential, a bond, or both"),
-    (lattice(bond=3), "bond = 3: must be a function"),
     (lattice(bond=lambda r, k: k / r), "bond: must be finite at rest, r = 0, with its derivative"),
     (lattice(bond=lambda r, k: k * cb.math.sqrt(r * r)), "bond: must be finite at rest"),
     (lattice(bond=lambda r, k: r if r > k else k), "its bond cannot be recorded: `if`"),
@@ -80,7 +70,6 @@ CALLS = [
     (lattice(bond=lambda r, l: r * l), "missing 1 required positional argument: 'l'"),
     (lattice(bond=lambda r, k: {}["a"]), "KeyError: 'a'"),
     (lattice(bond=lambda r, k: k), "bond: must be one number that depends on its arguments"),
-    (lattice(bond=lambda r, k: (r, k)), "bond: must be one number"),
     (lattice(bond=lambda r, k: "x"), "its bond cannot be recorded"),
     (lattice(onsite=lambda q: cb.math.log(q - 9)), "potential of scene 'chain' is not finite at the start"),
     (particles(pair=lambda r2: r2), "takes 1 positional argument but 3 were given"),
@@ -213,6 +202,14 @@ def test_command_line_solves_and_prints_json(capsys):
     assert out["J"][0] == pytest.approx(64 * 0.3 * math.exp(-1e-3 * 20), rel=1e-12)
     assert main(["solve", "fput", "rk4", "--step", "0.1", "--set", "n=1"]) == 2
     assert "n = 1: must be a whole number ≥ 2" in capsys.readouterr().err
+
+
+def test_command_line_prints_a_few_numbers_of_many(capsys):
+    assert main(["solve", "fput", "rk4", "--step", "0.1"]) == 0
+    (state,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("state"))
+    assert "'q4': " in state
+    assert "q5" not in state
+    assert "… 129 numbers" in state
 
 
 def test_command_line_takes_one_from_a_plug_in(capsys, tmp_path, registries):

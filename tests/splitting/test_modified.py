@@ -17,7 +17,8 @@ from contactbench.splitting.tables import COMPOSITIONS
 LAW = cb.LAWS["modified_hamiltonian"]
 PARTICLE, CENTRAL = cb.SCENES["particle"], cb.SCENES["central"]
 SCENES = [cb.SCENES["oscillator"], PARTICLE, CENTRAL.with_(mass=1.5), USER]
-KNOWN = "contact-strang", "contact-bm4", "contact-bm6", "contact-rkn4", "contact-rkn6", "contact-o8"
+SHORT = ("strang", "bm4", "bm6", "rkn4", "rkn6", "o8", "yoshida6", "rkn6a", "rkn8b")
+KNOWN = [f"contact-{name}" for name in SHORT]
 STRANG = next(c for c in COMPOSITIONS if c.name == "contact-strang")
 
 

@@ -146,7 +146,8 @@ def test_it_keeps_the_contract_of_a_scene(scene):
 
 def test_compositions_for_any_force_take_it_and_other_methods_do_not():
     taken = {name for name, method in cb.METHODS.items() if method.contact and method.refuses(CUBIC) is None}
-    assert taken == {f"contact-{name}" for name in ("printed", "abc", "strang", "bm4", "rkn4", "bm6", "o8")}
+    expected = ("printed", "abc", "strang", "bm4", "rkn4", "bm6", "o8", "yoshida6")
+    assert taken == {f"contact-{name}" for name in expected}
 
 
 @pytest.mark.parametrize("s", [0.0, 1e-12, -0.3, 0.7, 2.0])

@@ -15,6 +15,8 @@ from contactbench.errors import BadInput, unknown_name
 
 #: what a plot can be saved as
 PICTURES = (".svg", ".png", ".pdf")
+#: of the numbers of a larger state some are printed
+PRINTED, SOME = 64, 4
 
 
 def listing(arguments: argparse.Namespace) -> int:
@@ -51,6 +53,8 @@ def solve(arguments: argparse.Namespace) -> int:
         scene = scene.with_(t_end=arguments.t_end)
     options = {name: getattr(arguments, name) for name in ("step", "rtol", "engine", "max_steps")}
     options = {name: value for name, value in options.items() if value is not None}
+    if "step" in options:
+        options["step"] = steps(options["step"], scene.t_end)
     if not (arguments.laws or arguments.plot or arguments.out):  # only the end matters
         options["save_at"] = [scene.t_end]
     solution = cb.solve(scene, arguments.method, **options)
@@ -66,11 +70,33 @@ def solve(arguments: argparse.Namespace) -> int:
             run["laws"] = {name: value if math.isfinite(value) else None for name, value in deviations}
         print(json.dumps(run, allow_nan=False))
     else:
+        if len(state := run.get("state", {})) > PRINTED:
+            some = ", ".join(f"{name!r}: {value!r}" for name, value in list(state.items())[:SOME])
+            run["state"] = f"{some}, … {len(state)} numbers; all of them with --json or --out"
         print("\n".join(f"{key:8} {value}" for key, value in run.items() if value not in (None, "")))
         for law in () if laws is None else laws.itertuples():
             bound = "≤ " if law.upper_bound else ""
             print(f"{law.Index:26} {bound}{law.deviation:.1e}  {law.note or law.definition}")
     return 0 if solution.ok else 1
+
+
+def steps(text: str, t_end: float) -> Any:
+    """Return a step, or prescribed ones: ``geometric:COUNT:A``, or the numbers in a file."""
+    from contactbench.methods.prescribed import geometric_steps
+
+    kind, *values = text.split(":")
+    try:
+        if Path(text).is_file():
+            return list(map(float, Path(text).read_text().split()))
+        if kind != "geometric":
+            return float(text)
+        count, a = values
+        return geometric_steps(t_end, int(count), float(a))
+    except BadInput:
+        raise
+    except (OSError, ValueError):
+        allowed = "must be a number, geometric:COUNT:A, or a file of numbers"
+        raise BadInput(f"--step {text}: {allowed}") from None
 
 
 def plot(solution: Any, path: Path) -> None:
@@ -115,6 +141,7 @@ def summary(solution: Any) -> dict[str, Any]:
 SOLVE = """examples:
   contactbench solve particle contact-strang --step 0.01
   contactbench solve particle contact-rkn6 --rtol 1e-8           the step chosen from pilots
+  contactbench solve lane_emden_5 contact-rkn6 --step geometric:24:0.5
   contactbench solve particle cvode-bdf --rtol 1e-8 --t-end 100
   contactbench solve central contact-strang --step 0.01 --laws --plot run.svg --out run.csv
   contactbench solve particle rk4 --step 0.01 --set gamma=0.3 --set q=[1,0.5] --json | jq .H0
@@ -219,7 +246,8 @@ def add(command: Command) -> None:
     one.add_argument("scene", help="its name (contactbench list scenes)")
     one.add_argument("method", help="its name (contactbench list methods)")
     add_common(one, plot="motion and energies over time (.svg, .png, .pdf)", out="the saved states as CSV")
-    one.add_argument("--step", type=float, help="step size (fixed-step methods)")
+    step = "step size of a fixed-step method; or its steps: geometric:COUNT:A (growing as A + t), or a file of them"
+    one.add_argument("--step", help=step)
     one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")
     one.add_argument("--t-end", type=float, help="end time")
     one.add_argument("--engine", help="numba, jax or python, where a method has several")

@@ -1,4 +1,4 @@
-"""``contactbench claim | report | gate | references``: what was measured, and whether it still holds."""
+"""``contactbench claim | report | bench | gate | references``: what was measured, and whether it still holds."""
 
 from __future__ import annotations
 
@@ -52,6 +52,29 @@ def report(arguments: argparse.Namespace) -> int:
 
 
 REPORT = "Nothing is solved: every number is from the tables.  report.html is one page that needs no network."
+
+
+def bench(arguments: argparse.Namespace) -> int:
+    from contactbench.gate import benchmark
+    from contactbench.methods import METHODS
+    from contactbench.plugins import OWN
+    from contactbench.scenes import SCENES
+
+    options = ["--profile", arguments.profile]
+    if not OWN.issuperset([*METHODS, *SCENES]):
+        options.append("--own")
+    if arguments.k:
+        options += ["-k", arguments.k]
+    root, results = benchmark.folder(), arguments.results
+    parts = (benchmark.UNTIMED,) if arguments.untimed else (benchmark.UNTIMED, benchmark.TIMED)
+    return max(benchmark.start(root, results, [*options, *part]) for part in parts)
+
+
+BENCH = """examples:
+  contactbench bench --plugin my.py
+  contactbench bench --plugin my.py --profile smoke -k "my-method and particle"
+
+Every cell of what plug-ins and installed packages bring; where they bring nothing, the whole benchmark."""
 
 
 def gate(arguments: argparse.Namespace) -> int:
@@ -117,6 +140,14 @@ def add(command: Command) -> None:
     one.add_argument("--readme", type=Path, help="also fill in the part of this file that is computed")
     about = "write nothing; name each file that is not what the tables give, exit status 1 if there is one"
     one.add_argument("--check", action="store_true", help=about)
+
+    one = command("bench", bench, "measure: the tables of your own methods and scenes, or all of them", BENCH)
+    one.add_argument(
+        "--results", type=Path, default=Path("results"), metavar="DIR", help="where the tables go"
+    )
+    one.add_argument("--profile", choices=("smoke", "standard", "full"), default="standard", help="how much")
+    one.add_argument("-k", metavar="EXPRESSION", help="only cells whose names match, as in pytest")
+    one.add_argument("--untimed", action="store_true", help="errors, counts and laws alone: no times")
 
     one = command("gate", gate, "has anything become less accurate or slower?", GATE)
     one.add_argument("--only", choices=("accuracy", "speed"), help="one part; both by default")

@@ -66,7 +66,7 @@ def ensemble(
     method: str,
     initial_conditions: State | BodyState | DrivenState | Mapping[str, Any],
     *,
-    step: float,
+    step: float | Sequence[float] | np.ndarray,
     measure_at: Sequence[float] | np.ndarray | None = None,
     parameters: Mapping[str, Any] | None = None,
     carry: Sequence[str] | None = None,
@@ -118,14 +118,16 @@ def ensemble(
         fixed = ", ".join(name for name, other in METHODS.items() if isinstance(other, FixedStep))
         raise BadInput(f"method = {excerpt(method)}: an ensemble takes a fixed-step method: {fixed}")
     times = [scene.t_end] if measure_at is None else measure_at
-    request = make_request(scene, chosen, positive("step", step), save_at=times, carry=carry)
+    request = make_request(scene, chosen, step, save_at=times, carry=carry)
     if isinstance(request, Refused):
         raise BadInput(request.why)
     run = Division(method, request, chosen)
     if engine is not None and not (isinstance(engine, str) and engine in ENGINES):
         raise BadInput(f"engine = {excerpt(engine)}: an ensemble runs on {' or '.join(ENGINES)}")
     if run.needed > request.max_steps:
-        raise BadInput(f"step = {step!r}: {run.needed} steps, of which {request.max_steps} are allowed")
+        raise BadInput(
+            f"step = {excerpt(step)}: {run.needed} steps, of which {request.max_steps} are allowed"
+        )
     switch("keep", keep)
     if progress is not None:
         switch("progress", progress)

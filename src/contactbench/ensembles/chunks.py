@@ -5,6 +5,7 @@ The loop numba compiles, a thread on every core; JAX, tile by tile, on the GPUs 
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -181,10 +182,12 @@ def side_by_side(
     with np.errstate(all="ignore"):
         watch = Watch(r.scene, r.carry, names, run._motion, y0)
         marks = watch.begun
-        for which, t in zip(shape[place:], run.later, strict=True):
+        for which, t in zip(shape[place:], run.until.tolist(), strict=True):
             after = np.empty((1, *y.shape))
             many(y, rows, np.append(shape[:place], which), after, part)
             y = after[0]
+            if math.isnan(t):
+                continue
             x = r.scene.unpack(tuple(y[:, :m]), r.carry)
             marks = watch.at(marks, x, y[:, :m], t)
         return watch.result(marks, x, y[:, :m])
@@ -199,7 +202,7 @@ def one_by_one(
     for place, values in (own or {}).items():
         numbers[:, place] = values
     paths = [
-        loop.paths(r.scene, row, start[None], run.h, run.n)[:, 0]
+        loop.paths(r.scene, row, start[None], run.h, run.n)[run.saved, 0]
         for row, start in zip(numbers, np.ascontiguousarray(y0.T), strict=True)
     ]
     scene = r.scene.with_numbers(list(numbers.T)) if own else r.scene
@@ -246,7 +249,7 @@ def on_devices(
     def begin(part: slice) -> Any:
         filled = ((0, 0), (0, size - (part.stop - part.start)))  # the last trajectory again and again
         arrays = (np.pad(a[:, part], filled, mode="edge") for a in (y0, individual))
-        return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.later))
+        return program(*jax.device_put(tuple(arrays), sharding), numbers, (run.h, run.n, run.until))
 
     parts = [slice(first, min(first + count, n)) for first in range(0, n, count)]
     ahead = begin(parts[0])
@@ -259,7 +262,7 @@ def on_devices(
 
 def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], tile: int) -> Callable[..., Any]:
     """Return the function of one device: its part of a chunk, tile by tile."""
-    from contactbench.xla import jnp, lax
+    from contactbench.xla import jax, jnp, lax
 
     base, carry, motion, xp = run.request.scene, run.request.carry, run._motion, XlaNumbers()
 
@@ -278,7 +281,8 @@ def share_of(run: FixedStepRun, names: Sequence[str], places: Sequence[int], til
             # parameters of its own give every trajectory stage constants of its own
             h = jnp.broadcast_to(h, tile) if places else h
             x = run.method_.advance(scene, x, h, n, xp, rolled)
-            return (x, watch.at(marks, x, packed(scene, x), t)), None
+            seen = watch.at(marks, x, packed(scene, x), t)
+            return (x, jax.tree.map(partial(jnp.where, jnp.isnan(t)), marks, seen)), None
 
         (x, marks), _ = lax.scan(span, (watch.start, watch.begun), spans)
         return watch.result(marks, x, packed(scene, x))

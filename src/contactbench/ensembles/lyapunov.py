@@ -47,10 +47,10 @@ class Lyapunov:
     Attributes
     ----------
     exponents
-        Per unit of time, (m,), in the order of the orthonormalisation, the largest first.
+        Per unit of time, (m,), in the order of the orthonormalisation, the largest first; of a scene of many sites
+        with more than 65 numbers the four largest.
     total
-        Their sum, the mean rate at which volume grows.  nan, as the dimension, where only the largest of them are
-        known: a few, of a scene of many sites with more than 65 numbers.
+        Their sum, the mean rate at which volume grows.  nan, as the dimension, where not all exponents are known.
     dimension
         Of Kaplan and Yorke; of a scene with time in it that of a section at one phase.
     energy
@@ -219,9 +219,10 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
         m, d, n = v.shape
         starts = np.concatenate([np.tile(x, m), np.concatenate(v, axis=1)])
         starts = np.pad(starts, ((0, 0), (0, -m * n % LANES)), mode="edge")
-        ends = np.empty((1, *starts.shape))
+        ends = np.empty((len(run.n), *starts.shape))
         many(starts, rows, shape, ends, np.array([0, starts.shape[1] // LANES]))
-        return ends[0, :d, :n], np.array(np.split(ends[0, d:, : m * n], m, axis=1)), evaluations
+        end = ends[-1]
+        return end[:d, :n], np.array(np.split(end[d:, : m * n], m, axis=1)), evaluations
 
     return advance
 

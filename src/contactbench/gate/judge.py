@@ -20,11 +20,14 @@ from typing import Any
 import pandas as pd
 
 from contactbench.errors import BadInput
-from contactbench.gate import revisions, speed
+from contactbench.gate import benchmark, revisions, speed
 from contactbench.gate.compare import Findings, Frames, benchmark_runs, compare, compare_tables, keys, rows_of
+from contactbench.methods import METHODS
+from contactbench.plugins import OWN
 from contactbench.results import provenance
 from contactbench.results.schema import TABLES, Table
 from contactbench.results.store import OldTable, read
+from contactbench.scenes import SCENES
 
 PARTS = ("accuracy", "speed")
 TRAILER = re.compile(r"^Tables-changed:(.*)$", re.MULTILINE | re.IGNORECASE)
@@ -37,6 +40,8 @@ def by_base(folder: Path, base: str | None, line: Sequence[str]) -> int | None:
     if revisions.JUDGED in os.environ:
         return None
     root = revisions.repository(folder)
+    if not revisions.ours(root):  # the code that judges is no part of it
+        return None
     base = revisions.base(root, base)
     with revisions.checkout(root, base) as tree:
         if not (tree / "src/contactbench/gate/judge.py").exists():
@@ -64,6 +69,8 @@ def gate(
     budget: float | None = None,
 ) -> Findings:
     root = revisions.repository(folder)
+    if not revisions.ours(root) and OWN.issuperset([*METHODS, *SCENES]):
+        raise BadInput(f"{root}: no method or scene of your own; name their file with --plugin FILE")
     base = revisions.base(root, base)
     found = Findings()
     with (
@@ -81,7 +88,8 @@ def gate(
             named = changed_tables(messages, changed, root / results)
             found += judge_tables(root, root / results, old, fresh, named)
         if "speed" in parts:
-            cells = speed.workload(read(TABLES["work_precision"], old))
+            timed = read(TABLES["work_precision"], old)
+            cells = speed.workload(timed) if revisions.ours(root) else speed.every(timed)
             if not cells:
                 raise BadInput(f"--base {base[:12]}: no timed rows to choose from in {results}/")
             found += speed.judge_speed(root, tree, cells, budget)
@@ -97,15 +105,16 @@ def changed_tables(messages: str, option: Iterable[str], results: Path) -> set[s
 
 
 def run_benchmark(root: Path, results: Path) -> Findings:
-    """Run the smoke profile of the benchmark in `root`, untimed and on all cores; a red row if a cell failed."""
-    if not (root / "bench" / "conftest.py").exists():
-        raise BadInput(f"{root}: no benchmark there; run the gate where bench/ is, or give --fresh DIR")
-    command = [sys.executable, "-m", "pytest", "bench", "--profile", "smoke", "--results", str(results)]
-    command += ["-q", "-n", "auto", "--untimed", "-p", "no:cacheprovider"]
+    """Run the smoke profile of the benchmark untimed and on all cores; a red row if a cell failed.
+
+    In a checkout of contactbench it is that one's benchmark, elsewhere the installed one's cells of what is theirs.
+    """
+    ours, options = revisions.ours(root), ["--profile", "smoke", "--untimed", "-n", "auto"]
+    where, variables = (root if ours else benchmark.folder()), revisions.environment(root)
+    if not ours:
+        options.append("--own")
     # what it prints is no part of the gate's own output
-    status = subprocess.run(command, cwd=root, env=revisions.environment(root), stdout=sys.stderr).returncode
-    if status > 1:
-        raise BadInput(f"the benchmark did not run (pytest exit {status})")
+    status = benchmark.start(where, results, options, variables, cwd=root, stdout=sys.stderr)
     return Findings(rows_of(*[row("benchmark run", "passed", "failed", "failed")] * status))
 
 
@@ -123,7 +132,8 @@ def judge_tables(root: Path, results: Path, old: Path, fresh: Path, changed: set
         result = moved["result"] + (", listed" if listed else ", not listed")
         moved = moved.assign(measure="committed " + moved["measure"], result=result, red=not listed)
         found += Findings(moved)
-        rows += check_rows(table, before[name], head[name], now[name])
+        if len(head[name]) or revisions.ours(root):  # of another project's tables some may not be wanted
+            rows += check_rows(table, before[name], head[name], now[name])
     reference = {name: head[name] if name in changed else before[name] for name in TABLES}
     compared = compare_tables(reference, benchmark_runs(old), now, benchmark_runs(fresh), "the base")
     return found + Findings(rows_of(*rows)) + compared

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from contactbench.errors import BadInput
+from contactbench.plugins import VARIABLE
 from contactbench.results.provenance import SOURCES
 
 #: what the main branch may be called, the first there is
@@ -46,14 +47,16 @@ def commit(root: Path, revision: str) -> str:
 
 
 def repository(folder: Path) -> Path:
-    root = Path(git(folder, "rev-parse", "--show-toplevel"))
-    if not (root / "src" / "contactbench").is_dir():
-        raise BadInput(f"{root}: no src/contactbench there; run the gate in a checkout of the project")
-    return root
+    return Path(git(folder, "rev-parse", "--show-toplevel"))
+
+
+def ours(root: Path) -> bool:
+    """Return whether a tree is one of contactbench itself, not of a project that uses it."""
+    return (root / "src" / "contactbench").is_dir()
 
 
 def dirty(root: Path) -> bool:
-    return bool(git(root, "status", "--porcelain", "--", *SOURCES))
+    return bool(git(root, "status", "--porcelain", "--", *(SOURCES if ours(root) else ("*.py",))))
 
 
 def base(root: Path, revision: str | None) -> str:
@@ -81,12 +84,19 @@ def checkout(root: Path, commit: str) -> Iterator[Path]:
         tree = Path(scratch).resolve() / "base"
         with tarfile.open(fileobj=BytesIO(git(root, "archive", commit, text=False))) as files:
             files.extractall(tree, filter="data")
-        if not (tree / "src" / "contactbench").is_dir():
+        if ours(root) and not ours(tree):
             raise BadInput(f"--base {commit[:12]}: that revision has no src/contactbench")
         yield tree
 
 
-def environment(tree: Path) -> dict[str, str]:
+def environment(tree: Path, root: Path | None = None) -> dict[str, str]:
+    """Return the variables of a process that runs the code of a tree, with its copies of the plug-ins in `root`."""
     own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    return {"JAX_PLATFORMS": "cpu", **own, **threads, "PYTHONPATH": str(tree / "src")}
+    first = [str(tree / "src" if (tree / "src").is_dir() else tree)]
+    path = first if ours(tree) else [*first, *filter(None, [os.environ.get("PYTHONPATH")])]
+    if root is not None:
+        files = map(Path, filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)))
+        moved = (tree / file.relative_to(root) if file.is_relative_to(root) else file for file in files)
+        own[VARIABLE] = os.pathsep.join(map(str, moved))
+    return {"JAX_PLATFORMS": "cpu", **own, **threads, "PYTHONPATH": os.pathsep.join(path)}

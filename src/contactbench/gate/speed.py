@@ -17,7 +17,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -82,17 +82,28 @@ PUBLIC += [Cell(scene, call="reference") for scene in ("oscillator", "saddle_edg
 
 def workload(work: pd.DataFrame) -> list[Cell]:
     """Return every method and engine on `SCENES`, a few elsewhere or with many saved times, and the public calls."""
+    cells = []
+    for cell in every(work):
+        if cell.scene in SCENES or cell.method in EVERYWHERE:
+            cells.append(cell)
+        if (
+            cell.scene == MANY_ON
+            and cell.method in METHODS
+            and cell.engine == METHODS[cell.method].engines[0]
+        ):
+            cells.append(replace(cell, saves=MANY))
+    return [*cells, *PUBLIC] if cells else []
+
+
+def every(work: pd.DataFrame) -> list[Cell]:
+    """Return every method and engine on every scene of a table, each at the finest setting that is soon done."""
     timed = work[(work["variant"] == "") & (work["family"] != "limit") & (work["time_median_s"] <= LONGEST)]
     slowest = timed.sort_values("time_median_s").groupby(["scene", "method", "engine"], sort=False).tail(1)
     cells = []
     for row in slowest.sort_index().itertuples():
         carry = tuple(field for field in ("s", "R") if field in row.carried.split())
-        setting = (row.scene, row.method, row.engine, row.control, float(row.value), carry)
-        if row.scene in SCENES or row.method in EVERYWHERE:
-            cells.append(Cell(*setting))
-        if row.scene == MANY_ON and row.method in METHODS and row.engine == METHODS[row.method].engines[0]:
-            cells.append(Cell(*setting, saves=MANY))
-    return [*cells, *PUBLIC] if cells else []
+        cells.append(Cell(row.scene, row.method, row.engine, row.control, float(row.value), carry))
+    return cells
 
 
 def too_few(cells: Sequence[Cell], timed: Collection[int]) -> tuple[str, ...]:
@@ -108,9 +119,9 @@ def judge_speed(root: Path, tree: Path, cells: Sequence[Cell], budget: float | N
     cells = random.Random(revisions.commit(root, "HEAD")).sample(cells, len(cells))
     kinds = pd.Series([cell.kind for cell in cells])
     cells = [cells[i] for i in kinds.groupby(kinds).cumcount().argsort(kind="stable")]
-    first, refused = time_pairs((tree, root), dict(enumerate(cells)), ends[0])
+    first, refused = time_pairs((tree, root), dict(enumerate(cells)), ends[0], root)
     suspects = {i: cells[i] for i, ratio in first.items() if ratio.low > LIMIT}
-    again = time_pairs((tree, root), suspects, ends[1])[0] if suspects else {}
+    again = time_pairs((tree, root), suspects, ends[1], root)[0] if suspects else {}
     rows = []
     for i, ratio in first.items():
         result = decide(ratio, again.get(i))
@@ -132,24 +143,24 @@ def decide(first: PairedRatio, again: PairedRatio | None) -> str:
 
 
 def time_pairs(
-    trees: Sequence[Path], cells: dict[int, Cell], until: float | None = None
+    trees: Sequence[Path], cells: dict[int, Cell], until: float | None = None, root: Path | None = None
 ) -> tuple[dict[int, PairedRatio], dict[int, str]]:
     """Return of every cell the ratio of the second to the first tree, from one new process each, or why it has none.
 
-    until : on the clock of `perf_counter`, when to stop.
+    until : on the clock of `perf_counter`, when to stop.  root : the tree that the loaded plug-ins are in.
     """
     from tqdm import tqdm
 
     draw = random.Random(0)
     left = None if until is None else max(1.0, COMPILING * (until - perf_counter()))
     with ExitStack() as stack:
-        sides = [stack.enter_context(timing_process(tree)) for tree in trees]
+        sides = [stack.enter_context(timing_process(tree, root)) for tree in trees]
         for send, _ in sides:  # both compile at once
             send({"cells": {i: asdict(cell) for i, cell in cells.items()}, "seconds": left})
         refused: dict[int, str] = {}
         for tree, (_, receive) in zip(trees, sides, strict=True):
             answer = receive()
-            if not Path(answer["code"]).is_relative_to(tree):
+            if revisions.ours(tree) and not Path(answer["code"]).is_relative_to(tree):
                 raise BadInput(f"{tree}: the timing process imports {answer['code']} instead")
             refused |= {int(i): why for i, why in answer["refused"].items()}
         times: dict[int, tuple[list[float], list[float]]] = {i: ([], []) for i in cells if i not in refused}
@@ -170,7 +181,9 @@ def time_pairs(
 
 
 @contextmanager
-def timing_process(tree: Path) -> Iterator[tuple[Callable[[Any], None], Callable[[], Any]]]:
+def timing_process(
+    tree: Path, root: Path | None = None
+) -> Iterator[tuple[Callable[[Any], None], Callable[[], Any]]]:
     command = [sys.executable, "-P", str(Path(__file__).with_name("speed_worker.py"))]
     with (
         tempfile.TemporaryFile("w+") as errors,
@@ -178,7 +191,10 @@ def timing_process(tree: Path) -> Iterator[tuple[Callable[[Any], None], Callable
     ):
         # programs that one side has compiled must not spare the other the work
         names = ("CONTACTBENCH_CACHE", "NUMBA_CACHE_DIR", "JAX_COMPILATION_CACHE_DIR")
-        own: dict[str, Any] = {"env": revisions.environment(tree) | dict.fromkeys(names, caches), "cwd": tree}
+        own: dict[str, Any] = {
+            "env": revisions.environment(tree, root) | dict.fromkeys(names, caches),
+            "cwd": tree,
+        }
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
         process: Any = subprocess.Popen(command, text=True, bufsize=1, **own, **pipes)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from contactbench.methods.base import Method
+from contactbench.methods.prescribed import geometric_steps
 from contactbench.scene import Scene
+from contactbench.solution import keywords
 
 #: saved times per run: few enough to be step boundaries of every step size of the ladder
 SAVES = 25
@@ -33,15 +36,36 @@ def steps(scene: Scene, count: int) -> list[float]:
 def work_ladder(scene: Scene, order: int) -> list[float]:
     """About ten steps t_end/n, n a multiple of 5, over the range that matters to a method of this order.
 
-    Halving from 0.8, on a body from 4; from order 6 on by about √2 from about 3.2: where errors are 10⁻² or
-    10⁻³.  High orders go not as far down, because finer steps meet round-off.
+    Halving from 0.8, on a body or where steps grow from 4; from order 6 on by about √2 from about 3.2: where errors
+    are 10⁻² or 10⁻³.  High orders go not as far down, because finer steps meet round-off.
     """
     if order < 6:
         fine = steps(scene, 9)
-        return [fine[0] * 5, fine[0] * 2.5, *fine] if "body" in scene.kind else fine
+        longer = "body" in scene.kind or scene.slows_after is not None
+        return [fine[0] * 5, fine[0] * 2.5, *fine] if longer else fine
     coarse = steps(scene, 1)[0] * 4
     counts = [ENDS * max(1, round(scene.t_end / coarse / ENDS * 2 ** (k / 2))) for k in range(11)]
     return [scene.t_end / n for n in dict.fromkeys(counts)]
+
+
+#: what is set of a fixed-step method on a scene that slows down: the mean of steps that grow
+GROWING = "growing"
+
+
+def control_of(scene: Scene, method: Method) -> str:
+    """Return what a race sets of a method on a scene: "step", "growing", "rtol" or "exact"."""
+    grows = method.control == "step" and method.one_step and scene.slows_after is not None
+    return GROWING if grows else method.control
+
+
+def setting_to(end: float, scene: Scene, control: str, value: float) -> dict[str, Any]:
+    """Return the keywords of `prepare` for a run to an end; the mean of growing steps is that over the scene's span."""
+    if control != GROWING:
+        return keywords(control, value)
+    a = scene.slows_after
+    assert a is not None
+    share = math.log1p(end / a) / math.log1p(scene.t_end / a)
+    return {"step": geometric_steps(end, max(1, round(share * scene.t_end / value)), a)}
 
 
 def tolerances(method: Any) -> list[float]:

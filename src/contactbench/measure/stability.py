@@ -49,7 +49,8 @@ def oscillator(gamma: float, omega: float = 1.0) -> Mechanical:
 
 
 def fixed_step_methods() -> list[Any]:
-    return [m for m in METHODS.values() if m.control == "step" and m.refuses(SCENES["oscillator"]) is None]
+    equal = [m for m in METHODS.values() if m.control == "step" and m.one_step]
+    return [m for m in equal if m.refuses(SCENES["oscillator"]) is None]
 
 
 def is_processed(method: Any) -> bool:

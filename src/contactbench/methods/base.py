@@ -16,6 +16,7 @@ import numpy as np
 from contactbench.errors import BadInput, array, blame, excerpt, positive, text, whole
 from contactbench.methods.fixed_step_run import steps_in
 from contactbench.methods.prepared import METHODS, Prepared, Refused, Request, require_slope
+from contactbench.methods.prescribed import end_times, steps_of, steps_until
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Mechanical, Scene, verify
 from contactbench.scene.base import scene_of
@@ -124,6 +125,8 @@ class Method(ABC):
     largest: int = 256
     #: whether its solver has a time of its own: that of a scene is then no part of what it integrates
     own_time: bool = False
+    #: whether equal steps are powers of one map of the state, which has a stability limit and a `step_map`
+    one_step: bool = True
 
     @property
     def control(self) -> str:
@@ -170,7 +173,7 @@ def prepare(
     scene: Scene | str,
     method: Method | str,
     *,
-    step: float | None = None,
+    step: float | Sequence[float] | np.ndarray | None = None,
     rtol: float | None = None,
     atol: float | None = None,
     save_at: Sequence[float] | np.ndarray | None = None,
@@ -184,6 +187,10 @@ def prepare(
         between saved times, the last of which is the end, is divided into the fewest equal steps not longer
         than `step`.  The steps taken may so be shorter, down to the distance of two saved times; the solution's
         `step` is the longest one.
+        A sequence of steps is taken as it is, whatever the motion: every step of a contact method is the contact map
+        it would be among equal ones.  Saved times are ends of steps, by default all, or every k-th; steps after the
+        last are left out.  A method starts afresh where the step changes or a time is saved, so that one with a
+        processor (contact-rkn6, contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
     rtol, atol : tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given
         rtol instead of step chooses its step from pilots, which are part of every call and its counts; the
         solution's `step_chosen` is that step.  An exact method takes neither.
@@ -243,10 +250,14 @@ def make_request(
     else:
         budget = whole("max_steps", max_steps, MOST_STEPS)
     times = default_times(scene, step, budget) if save_at is None else saved_times(save_at)
+    steps = None
+    if isinstance(step, np.ndarray):
+        steps = step[: steps_until(step, times[times > 0])[-1]]
+        step = float(steps.max())
     if times[-1] < SHORTEST_RUN:
         raise BadInput(f"the run ends at t = {times[-1]:.3g}: must be {SHORTEST_RUN:g} or later")
     engine = engine or engines_of(chosen)[0]
-    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget)
+    request = Request(scene, engine, scene.carry(carry), times, step, rtol, atol, budget, steps)
     if (why := chosen.refuses(scene) or too_large(chosen, request)) is not None:
         return Refused(chosen.name, request, why)
     if scene.has_users_functions:
@@ -262,12 +273,15 @@ def too_large(chosen: Method, request: Request) -> str | None:
     if not isinstance(scene, Mechanical) or request.engine in CALLBACKS or len(scene.q) <= most:
         return None
     size = f"the {len(scene.q)} components of scene {scene.name!r}, more than {most}"
-    return f"{chosen.name} would compile {size}, one by one: write it as a cb.Lattice or cb.Particles, of any size"
+    plain = "take engine='python', or " if "python" in chosen.engines else ""
+    other = f"{plain}write it as a cb.Lattice or cb.Particles, of any size, for methods such as contact-rkn6"
+    return f"{chosen.name} would compile {size}, one by one: {other}"
 
 
 def setting_of(
     method: Method, step: Any, rtol: Any, atol: Any
-) -> tuple[float | None, float | None, float | None]:
+) -> tuple[float | np.ndarray | None, float | None, float | None]:
+    """Return step, or an array of them, rtol and atol, all checked."""
     name = method.name
     if method.exact:
         if not step is rtol is atol is None:
@@ -294,9 +308,14 @@ def setting_of(
         raise BadInput(f"atol = {excerpt(atol)}: {name} has a fixed step and takes no atol")
     if step is rtol is None:
         raise BadInput(f"step is missing: {name} has a fixed step; give step, or rtol to have it chosen")
+    if step is None and not method.one_step:
+        raise BadInput(
+            f"rtol = {excerpt(rtol)}: the error of {name} is no clean power of its step; give step"
+        )
     if step is None:
         return None, tolerance(method, rtol), None
-    return positive("step", step), None, None
+    prescribed = np.iterable(step) and not isinstance(step, str | bytes)
+    return steps_of(step) if prescribed else positive("step", step), None, None
 
 
 def tolerance(method: Method, rtol: Any) -> float:
@@ -307,15 +326,17 @@ def tolerance(method: Method, rtol: Any) -> float:
     return rtol
 
 
-def default_times(scene: Scene, step: float | None, budget: int) -> np.ndarray:
+def default_times(scene: Scene, step: float | np.ndarray | None, budget: int) -> np.ndarray:
     most = max(1, MOST_SAVED // scene.motion)
     if step is None:
         return np.linspace(0.0, scene.t_end, min(ADAPTIVE_SAVES, most) + 1)
-    n = int(steps_in(scene.t_end, scene.t_end, step))
+    n = len(step) if isinstance(step, np.ndarray) else int(steps_in(scene.t_end, scene.t_end, step))
     if n > budget:  # will end as `budget`; no grid of that size is needed
         return np.array([scene.t_end])
     stride = -(-n // min(DEFAULT_SAVES, most))
     marks = np.append(np.arange(0, n, stride), n)
+    if isinstance(step, np.ndarray):
+        return np.concatenate([[0.0], end_times(step)[marks[1:-1] - 1], [scene.t_end]])
     return marks * (scene.t_end / n)
 
 

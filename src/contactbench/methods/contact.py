@@ -5,13 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from contactbench.methods.base import METHODS
-from contactbench.methods.fixed_step import FixedStep
+from contactbench.methods.fixed_step import FixedStep, Piece
 from contactbench.numbers.control import Repeat, repeat
 from contactbench.scene import Scene
-from contactbench.splitting.composition import Composition, advance, log_factor, plan, refusal
+from contactbench.splitting.composition import (
+    Composition,
+    advance,
+    by_the_clock,
+    log_factor,
+    pieces,
+    plan,
+    refusal,
+    run_stages,
+)
 from contactbench.splitting.flows import flows_of
 from contactbench.splitting.modified import has_modified_hamiltonian, modified_hamiltonian
 from contactbench.splitting.tables import COMPOSITIONS
@@ -28,6 +38,12 @@ class ContactMethod(FixedStep):
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         return advance(self.composition, scene, x, h, n, xp, repeat)
+
+    def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
+        if by_the_clock(self.composition, scene):  # the clock is no part of the state
+            return super().pieces(scene, whole)
+        parts = pieces(self.composition, scene, whole)
+        return tuple(partial(run_stages, stages) if stages else None for stages in parts)
 
     def log_factor(self, scene: Scene, x: Any, h: float, n: int) -> float | None:
         if not scene.rate_changes:  # the coefficients of every composition add up to one

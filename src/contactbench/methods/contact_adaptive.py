@@ -342,7 +342,7 @@ class AdaptiveJaxLoop(AdaptiveContactRun, CompiledRun):
         def states(y0: Any, fixed: Any) -> Any:
             return self._solve(y0, fixed, frozen)[0]
 
-        return self.derivative(y0, states, "frozen" if frozen else "map")
+        return self.derivative(y0, states, "frozen" if frozen else "map")[: self._saves]
 
     def _solve(self, y0: Any, fixed: Any, frozen: bool = True) -> Any:
         numbers, options, times = self.apart(fixed)

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from contactbench.errors import (
     NAME,
     BadInput,
@@ -30,6 +32,7 @@ from contactbench.scene import Scene
 from contactbench.scene.base import TRIED
 
 Step = Callable[[Any, Any, Any, Any], Any]  # (scene, x, h, xp) -> x
+Piece = Callable[[Any, Any, Any, Any, Repeat], Any]  # (scene, x, h, xp, repeat) -> x
 Factor = Callable[[Any, Any, Any], Any]  # (scene, h, xp) -> conformal factor of one step
 
 #: who takes the steps; an engine gets its loop here
@@ -44,7 +47,7 @@ class FixedStep(Method):
     mpmath numbers, traced and recorded numbers alike; xp is the number namespace that goes with them.
 
     evaluations : of `kind` per step.  A method that can merge the end of one step with the start of the next
-    overrides `advance` and `counts` (see contact.py).
+    overrides `advance`, `pieces` and `counts` (see contact.py).
     """
 
     name: str
@@ -60,6 +63,9 @@ class FixedStep(Method):
     symmetric: bool = False
     factor: Factor | None = None  # every step is a conformal contact map with this factor instead
     adaptive = False
+    #: whether a step iterates until nothing changes: what it costs is counted as it runs (see implicit.py), and
+    #: `counts` is what it typically costs
+    iterates = False
     tolerance = (
         "the largest error over the saved times, relative to the largest state: pilots choose the step"
     )
@@ -73,6 +79,14 @@ class FixedStep(Method):
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         """n ≥ 1 steps of size h."""
         return repeat(n, lambda x: self.step(scene, x, h, xp), x)
+
+    def pieces(self, scene: Scene, whole: bool) -> tuple[Piece | None, ...]:
+        """Return what an uninterrupted run is made of, one step after the other; None for nothing.
+
+        What opens the run; what begins every step; and, of the state it gives, what leads on to the next step and
+        what makes the state reached of it.  whole : in the pieces in which `advance` is compiled.
+        """
+        return None, lambda scene, x, h, xp, repeat: self.advance(scene, x, h, 1, xp, repeat), None, None
 
     def conformal_factor(self, scene: Scene, h: Any, xp: Any = math) -> Any | None:
         """The constant c of Φ_h*η = c η, e^{−γh} for a `contact` method; None where none is claimed."""
@@ -133,6 +147,8 @@ def alike(old: Any, new: Any) -> bool:
         return old is new
     if isinstance(old, tuple):
         return isinstance(new, tuple) and len(new) == len(old) and all(map(alike, old, new))
+    if isinstance(old, np.ndarray):  # one number a site
+        return isinstance(new, np.ndarray) and new.shape == old.shape
     return is_number(new)
 
 

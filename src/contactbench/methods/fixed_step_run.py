@@ -14,6 +14,7 @@ import numpy as np
 
 from contactbench.errors import is_ours
 from contactbench.methods.prepared import NO_NUMBER, Outcome, Prepared, stopwatch
+from contactbench.methods.prescribed import EQUAL, GRID_ULPS, plateaus
 from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Cache, Scene, key
@@ -24,11 +25,6 @@ from contactbench.trace.program import Program, record
 
 #: more steps than any budget allows are counted as this many
 UNCOUNTED = 2**50
-#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
-#: rounded, as a product or a sum of two, and so may be the spacing of the grid
-GRID_ULPS = 4
-#: relative differences of steps that are round-off of the saved times
-EQUAL = 1e-9
 #: numbers that are computed ahead of a run at most, for intervals that all differ in their steps
 AHEAD = 2**22
 #: as many numbers take Python milliseconds, and `setup` takes a tenth of a second to compile
@@ -47,10 +43,13 @@ def steps_in(span: Any, until: Any, step: float) -> Any:
 
 
 # -- the loop over steps, recorded from a method on a scene ------------------------------------------
-def program_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Program:
+def program_of(
+    method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+) -> Program:
     """The recorded loop of a method on a scene.
 
-    tangent : packed states are followed by a tangent vector, which is carried along.
+    tangent : packed states are followed by a tangent vector, which is carried along.  counted : by the evaluations
+    spent so far (methods that iterate).
     Raises `CannotRecord` where the method or the scene branches on values.
     """
     d = len(scene.labels(carry))
@@ -58,11 +57,14 @@ def program_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool 
     def advance(numbers: Any, h: Any, n: Any, y: Any, xp: Any, repeat: Any) -> list[Any]:
         if tangent:
             y, xp = list(map(Dual, y[:d], y[d:])), DualNumbers(xp)
-        start = scene.unpack(y, carry)
-        end = scene.pack(method.advance(scene.with_numbers(numbers), start, h, n, xp, repeat))
+        start, twin = scene.unpack(y[:d], carry), scene.with_numbers(numbers)
+        if counted:
+            x, spent = method.advance_counted(twin, start, h, n, xp, repeat)
+            return [*scene.pack(x), y[d] + spent]
+        end = scene.pack(method.advance(twin, start, h, n, xp, repeat))
         return [*map(value, end), *map(slope, end)] if tangent else end
 
-    return record(advance, len(scene.numbers()), d * (1 + tangent), scene.motion, DIVERGENCE)
+    return record(advance, len(scene.numbers()), d * (1 + tangent) + counted, scene.motion, DIVERGENCE)
 
 
 def is_fixed(method: Any) -> bool:
@@ -145,15 +147,17 @@ class Loop:
 _loops: Cache[Loop] = Cache(1024)
 
 
-def loop_of(method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False) -> Loop:
+def loop_of(
+    method: Any, scene: Scene, carry: tuple[str, ...], tangent: bool = False, counted: bool = False
+) -> Loop:
     """The recorded loop of a method on a scene; one for all scenes of one identity.  Raises `CannotRecord`."""
 
     def make() -> Loop:
         elapsed = stopwatch()
-        program = program_of(method, scene, carry, tangent)
+        program = program_of(method, scene, carry, tangent, counted)
         return Loop(program, elapsed())
 
-    return _loops.get(key(identity(method, scene, carry), tangent), make)
+    return _loops.get(key(identity(method, scene, carry), tangent, counted), make)
 
 
 # -- runs --------------------------------------------------------------------------------------------
@@ -183,10 +187,22 @@ class FixedStepRun(Prepared):
         self.divide(r.step or math.nan)  # a fixed-step request always has one
 
     def divide(self, step: float) -> None:
-        self.n = self.division(step)
-        self.h = self.marks / self.n
+        #: which intervals of equal steps end at saved times: all of them, but of prescribed steps
+        self.saved: Any = slice(None)
+        if self.request.steps is not None:
+            self.h, self.n, self.saved = plateaus(self.request.steps, self.later)
+        else:
+            self.n = self.division(step)
+            self.h = self.marks / self.n
         self.steps_taken = step, float(self.h.max())
         self.totals, self.needed = self.cost(self.n), total(self.n)
+
+    @property
+    def until(self) -> np.ndarray:
+        """The saved time at which each interval ends, nan where none is."""
+        times = np.full(len(self.n), math.nan)
+        times[self.saved] = self.later
+        return times
 
     def divides_often(self) -> None:
         """Called before runs that divide at every call: prepares what makes dividing fast."""
@@ -194,6 +210,8 @@ class FixedStepRun(Prepared):
     def cost(self, n: np.ndarray) -> Counts:
         """Counts of intervals of n[k] steps; every interval starts afresh."""
         steps = total(n)
+        if self.method_.iterates:  # known when they have been taken
+            return Counts(steps, None, 0, 0, self.kind)
         evaluations = len(n) * self.first_step + (steps - len(n)) * self.each_step
         return Counts(steps, evaluations, 0, 0, self.kind)
 
@@ -202,7 +220,19 @@ class FixedStepRun(Prepared):
 
     @abstractmethod
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        """Packed states after each interval of n[k] steps of size h[k]; shape (k, d)."""
+        """Packed states after each interval of n[k] steps of size h[k]; shape (k, d).
+
+        Of a method that iterates (k, d + 1): the evaluations spent so far come last.
+        """
+
+    def counting(self, y0: np.ndarray) -> np.ndarray:
+        """Return the start of `intervals`: a packed state, and of a method that iterates no evaluations yet."""
+        return np.append(y0[: len(self.start)], 0.0) if self.method_.iterates else y0
+
+    def counted(self, y: np.ndarray) -> Counts:
+        """Return the counts of a run from what `intervals` gave."""
+        spent = y[-1, -1] if self.method_.iterates else math.nan
+        return self.totals._replace(evaluations=int(spent)) if math.isfinite(spent) else self.totals
 
     def integrate(self, y0: np.ndarray) -> Outcome:
         r = self.request
@@ -210,18 +240,27 @@ class FixedStepRun(Prepared):
             needed = str(self.needed) if self.needed < UNCOUNTED else f"more than {UNCOUNTED:.0e}"
             message = f"{needed} steps needed, max_steps = {r.max_steps}"
             return self.finish(y0, np.empty((0, len(y0))), Counts(), Status.budget, message)
-        return self.judge(y0, self.intervals(y0, self.h, self.n))
+        return self.judge(y0, self.intervals(y0, self.h, self.n)[self.saved])
 
     def judge(self, y0: np.ndarray, y: np.ndarray) -> Outcome:
-        out = self.finish(y0, self.from_start(y0, y), self.totals)
+        counts, y = self.counted(y), y[:, : len(y0)]
+        out = self.finish(y0, self.from_start(y0, y), counts)
         return out if out.status is not Status.diverged else self._locate(y0, out)
 
     def _locate(self, y0: np.ndarray, out: Outcome) -> Outcome:
         """A divergence pinned down to the step, by bisecting the interval in which it happened."""
         r = self.request
         k = int(np.argmax(np.isnan(out.y).all(axis=1)))  # the first saved time not reached
-        i = k - 1 if self.saves_start else k
         good, time = (out.y[k - 1], float(r.save_at[k - 1])) if k else (y0, 0.0)
+        ends = np.append(0, np.arange(1, len(self.n) + 1)[self.saved])
+        i, end = ends[k - int(self.saves_start) :][:2]
+        if i + 1 < end:  # several intervals lead there
+            y = self.intervals(good, np.roll(self.h, -i), np.roll(self.n, -i))[: end - i]
+            reached = self.first_divergence(y0, y)
+            assert reached is not None
+            good = y[reached - 1] if reached else good
+            time += float(self.h[i : i + reached] @ self.n[i : i + reached])
+            i += reached
         h, left = self.h[i], int(self.n[i])
         taken = 0  # of the interval
         while left > 1:
@@ -247,12 +286,16 @@ class FixedStepRun(Prepared):
         tangents = self.tangents(y0)
         starts = [np.concatenate([y0, v]) for v in tangents]
         states = [self.tangent_loop.states(self.numbers, start, self.h, self.n) for start in starts]
-        return self.from_start(np.array(tangents).T, np.stack(states, axis=-1)[:, len(y0) :])
+        columns = np.stack(states, axis=-1)[self.saved, len(y0) :]
+        return self.from_start(np.array(tangents).T, columns)
 
     def log_factor(self, y0: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-        """As in `Prepared`: the flows are applied once more, in plain floats, from every saved state."""
+        """As in `Prepared`: the flows are applied once more, in plain floats, from where each interval starts."""
         r = self.request
-        starts = y[:-1] if self.saves_start else np.concatenate([y0[None], y[:-1]])
+        y = y[1:] if self.saves_start else y
+        if r.steps is not None:
+            y = self.intervals(y0, self.h, self.n)[:, : len(y0)]
+        starts = np.concatenate([y0[None], y[:-1]])
         logs = [
             self.method_.log_factor(r.scene, r.scene.unpack(start, r.carry), h, n)
             for start, h, n in zip(starts.tolist(), self.h.tolist(), self.n.tolist(), strict=True)
@@ -260,7 +303,7 @@ class FixedStepRun(Prepared):
         known = [log for log in logs if log is not None]
         if len(known) < len(logs):
             return None
-        return np.cumsum([0.0, *known] if self.saves_start else known)
+        return np.append([0.0] if self.saves_start else [], np.cumsum(known)[self.saved])
 
     def modified_hamiltonian(self, x: Any) -> Any | None:
         """As in `Prepared`; other steps are the flow of another H̃, so that they are all to be of one size."""
@@ -285,14 +328,15 @@ class NumbaLoop(FixedStepRun):
     sensitivity_source = "forward-mode AD through the numerical map"
 
     def __post_init__(self) -> None:
-        self.loop = loop_of(self.method_, self.request.scene, self.request.carry)
+        r, counted = self.request, self.method_.iterates
+        self.loop = loop_of(self.method_, r.scene, r.carry, counted=counted)
         self.run = self.loop.run
         self.compile_s = self.loop.seconds
         super().__post_init__()
 
     def divide(self, step: float) -> None:
         super().divide(step)
-        self.size = len(self.n), len(self.start)
+        self.size = len(self.n), len(self.start) + self.method_.iterates
         #: arguments of the loop that depend on the steps only, unless there are too many to be kept
         self.ahead = None
         if len(self.n) * self.loop.program.width <= AHEAD:
@@ -304,23 +348,24 @@ class NumbaLoop(FixedStepRun):
 
     def bare(self, y0: np.ndarray) -> np.ndarray:
         if self.ahead is None:
-            return self.intervals(y0, self.h, self.n)[-1]
+            return self.intervals(y0, self.h, self.n)[-1][: len(y0)]
         after = np.empty(self.size)
-        self.run(y0, *self.ahead, after)
-        return after[-1]
+        self.run(self.counting(y0), *self.ahead, after)
+        return after[-1][: len(y0)]
 
     def integrate(self, y0: np.ndarray) -> Outcome:
-        if not self.saves_start and self.ahead is not None and self.needed <= self.request.max_steps:
+        short = not (self.saves_start or self.method_.iterates)
+        if short and self.ahead is not None and self.needed <= self.request.max_steps:
             after = np.empty(self.size)
             if self.run(y0, *self.ahead, after) < 0:  # nothing to look for
-                return Outcome(after, self.totals, Status.ok, "", self._end, True)
+                return Outcome(after[self.saved], self.totals, Status.ok, "", self._end, True)
         return super().integrate(y0)
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         if n is not self.n or self.ahead is None:
-            return self.loop.states(self.numbers, y0, h, n)
+            return self.loop.states(self.numbers, self.counting(y0), h, n)
         after = np.empty(self.size)
-        self.run(y0, *self.ahead, after)
+        self.run(self.counting(y0), *self.ahead, after)
         return after
 
 
@@ -339,12 +384,13 @@ class PythonLoop(FixedStepRun):
     def record(self) -> None:
         elapsed = stopwatch()
         with suppress(CannotRecord):
-            program = program_of(self.method_, self.request.scene, self.request.carry)
+            r, counted = self.request, self.method_.iterates
+            program = program_of(self.method_, r.scene, r.carry, counted=counted)
             self.setup, self.run = execute(program.setup), execute(program.run)
             self.program, self.compile_s = program, elapsed()
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
-        spans = list(zip(h.tolist(), n.tolist(), strict=True))
+        spans, y0 = list(zip(h.tolist(), n.tolist(), strict=True)), self.counting(y0)
         if self.program is not None:
             with suppress(*NO_NUMBER):  # maybe in a branch that is not taken
                 return np.array(self.run_program(self.program, y0.tolist(), spans))
@@ -368,7 +414,14 @@ class PythonLoop(FixedStepRun):
         r = self.request
         rows: list[list[float]] = []
         with suppress(*NO_NUMBER):
-            for state in trajectory(self.method_, r.scene, r.scene.unpack(y, r.carry), spans, math):
+            d, spent = len(self.start), 0.0
+            x = r.scene.unpack(y[:d], r.carry)
+            if self.method_.iterates:
+                for h, n in spans:
+                    x, more = self.method_.advance_counted(r.scene, x, h, n, math)
+                    rows.append([*r.scene.pack(x), spent := spent + more])
+                return rows
+            for state in trajectory(self.method_, r.scene, x, spans, math):
                 rows.append(r.scene.pack(state))
         return rows + [[math.nan] * len(y)] * (len(spans) - len(rows))
 

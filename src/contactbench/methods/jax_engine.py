@@ -108,7 +108,7 @@ class CompiledRun(Prepared):
         return _programs.get(key(self.identity, purpose, self.request.carry, *self.key()), make)
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        return self.derivative(y0, self.states, "steps")
+        return self.derivative(y0, self.states, "steps")[: self._saves]
 
     def derivative(self, y0: np.ndarray, states: Callable[[Any, Any], Any], which: str) -> np.ndarray:
         def push(y0: Any, v: Any, fixed: Any) -> Any:
@@ -117,7 +117,7 @@ class CompiledRun(Prepared):
         tangents = self.tangents(y0)
         program, _ = self.compiled(f"sensitivity, {which}", push, y0, tangents[0], self.fixed)
         columns = [np.asarray(program(y0, v, self.fixed)) for v in tangents]
-        return np.stack(columns, axis=-1)[: self._saves]
+        return np.stack(columns, axis=-1)
 
 
 def compiled_loop(n: Any, body: Callable[[Any], Any], x: Any) -> Any:
@@ -139,7 +139,7 @@ class JaxLoop(FixedStepRun, CompiledRun):
 
     @cached_property
     def capacity(self) -> int:  # type: ignore[override]
-        return self.room(len(self.later))
+        return self.room(len(self.n))
 
     def divide(self, step: float) -> None:
         super().divide(step)
@@ -173,8 +173,8 @@ class JaxLoop(FixedStepRun, CompiledRun):
         return lax.scan(interval, self.start_of(scene, y0), (h, n.astype(int)))[1]
 
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
-        derivative = CompiledRun.sensitivity(self, y0)[: len(self.n)]
-        return self.from_start(np.array(self.tangents(y0)).T, derivative)
+        derivative = self.derivative(y0, self.states, "steps")[: len(self.n)]
+        return self.from_start(np.array(self.tangents(y0)).T, derivative[self.saved])
 
     def intervals(self, y0: np.ndarray, h: np.ndarray, n: np.ndarray) -> np.ndarray:
         return self.call(y0, None if n is self.n else self.spans(h, n))[: len(n)]

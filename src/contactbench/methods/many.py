@@ -20,7 +20,7 @@ from contactbench.numbers.dual import Dual, DualNumbers, slope, value
 from contactbench.scene import Cache, State, key
 from contactbench.scene.many import Many
 from contactbench.trace.fields import FieldProgram, record_fields
-from contactbench.trace.sweeps import ADDRESSES, CHUNK, FIRST, PAD, WHOLE, Packing, compile_sweeps
+from contactbench.trace.sweeps import ADDRESSES, CHUNK, FIRST, PAD, WHOLE, Packing, compile_sweeps, stride_of
 from contactbench.xla import jax, lax
 
 #: sites from which on all cores share a sweep
@@ -94,7 +94,7 @@ class FieldLoop(Loop):
         """The argument `data` of the compiled function: the addresses of its arrays, which are to be kept alive."""
         data = np.zeros(FIRST + len(ADDRESSES) + len(WHOLE))
         addresses = (arrays[name].ctypes.data for name in ADDRESSES)
-        data.view(np.int64)[FIRST:] = [*addresses, scene.sites, rank, threads]
+        data.view(np.int64)[FIRST:] = [*addresses, scene.sites, stride_of(scene.sites), rank, threads]
         return data
 
     def arrays(
@@ -103,9 +103,9 @@ class FieldLoop(Loop):
         """The arrays that the compiled function works on, by name; fields has the constants after the state."""
         program, sites, constants = self.program, scene.sites, scene.constants.values()
         w, shape = self.rows(numbers, np.asarray(h, dtype=float), np.asarray(n))
-        fields = np.zeros((program.rows, sites + 2 * PAD))
+        fields = np.zeros((program.rows, stride_of(sites)))
         first = 2 * self.packing.dimensions * self.packing.blocks
-        for row, constant in zip(fields[first:], constants, strict=False):
+        for row, constant in zip(fields[first:, : sites + 2 * PAD], constants, strict=False):
             row[PAD:-PAD] = constant
             if self.boundary != "fixed":  # the neighbours beyond the ends
                 row[PAD - 1], row[-PAD] = constant[[-1, 0] if self.boundary == "ring" else [0, -1]]
@@ -181,7 +181,7 @@ class SweepLoop(FixedStepRun):
     def sensitivity(self, y0: np.ndarray) -> np.ndarray:
         tangents = self.tangents(y0)
         columns = [self.paths(self.tangent_loop, np.stack([y0, v]), self.h, self.n)[:, 1] for v in tangents]
-        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1))
+        return self.from_start(np.array(tangents).T, np.stack(columns, axis=-1)[self.saved])
 
 
 class ArrayLoop(SweepLoop):

@@ -15,6 +15,7 @@ from contactbench.errors import BadInput, unknown_name
 from contactbench.methods.base import lookup
 from contactbench.methods.fixed_step import FixedStep
 from contactbench.numbers.control import XlaNumbers
+from contactbench.numbers.protocol import CannotRecord
 from contactbench.scene import Scene
 from contactbench.trace.form import Function, Unpack, Update, execute
 from contactbench.trace.formula import argument_names, formula
@@ -29,7 +30,8 @@ class OneStep:
     ``step(y, h, gamma=0.2)``.
     All of it may be floats, NumPy arrays (entry by entry), or JAX values under ``jit``, ``vmap`` and ``grad``,
     for which ``jax_enable_x64`` must be set.  In a function compiled with ``numba.njit`` call it as
-    ``step(y, h)`` or ``step(y, h, numbers)``, of floats.  A step map has no state and keeps none.
+    ``step(y, h)`` or ``step(y, h, numbers)``, of floats; of many sites it is not compiled.  A step map has no state
+    and keeps none.
     """
 
     scene: Scene
@@ -90,9 +92,14 @@ class OneStep:
     def compiled(self) -> Any:
         """The step as straight-line arithmetic, compiled by numba.
 
-        Raises `CannotRecord` where scene or method branch on values.
+        Raises `CannotRecord` where scene or method branch on values, and of many sites.
         """
         import numba
+
+        if self.many:
+            raise CannotRecord(
+                "numba.njit takes no step map of many sites: call it outside, or use `cb.prepare`"
+            )
 
         d = len(self.labels)
         recorded = formula(self.advance, (d, 0, len(self.names), "xp"), ())
@@ -125,6 +132,10 @@ def step_map(scene: Scene | str, method: str, carry: Sequence[str] | None = None
     scene, chosen = lookup(scene, method)
     if not isinstance(chosen, FixedStep):
         raise BadInput(f"method = {method!r}: chooses its own steps, so that there is no map of a single one")
+    if not chosen.one_step:
+        raise BadInput(
+            f"method = {method!r}: a step needs those before it, so that there is no map of a single one"
+        )
     if (why := chosen.refuses(scene)) is not None:
         raise BadInput(f"method = {method!r}: {why}")
     return OneStep(scene, chosen, scene.carry(carry))

@@ -34,7 +34,10 @@ NO_NUMBER = (OverflowError, ZeroDivisionError, ValueError)
 
 @dataclass(frozen=True)
 class Request:
-    """A validated question to a method: what to solve, how finely, and what to save."""
+    """A validated question to a method: what to solve, how finely, and what to save.
+
+    steps : those that are prescribed, of which `step` is the longest; None: equal ones between saved times.
+    """
 
     scene: Scene
     engine: str
@@ -44,6 +47,7 @@ class Request:
     rtol: float | None = None
     atol: float | None = None
     max_steps: int = 10**8
+    steps: np.ndarray | None = None
 
     @property
     def control(self) -> str:
@@ -55,6 +59,8 @@ class Request:
 
     @cached_property
     def setting(self) -> str:
+        if self.steps is not None:
+            return f"{len(self.steps)} steps of {self.steps.min():.6g} to {self.steps.max():.6g}"
         return setting_key(self.control, self.value)
 
 

@@ -127,7 +127,8 @@ class ChosenStep(Prepared):
         run = self.run
         run.divide(step)
         size = step if math.isclose(run.needed * step, self._end) else self._end / run.needed
-        return Pilot(run.needed, size, step, run.totals.evaluations or 0, run.intervals(y0, run.h, run.n))
+        y = run.intervals(y0, run.h, run.n)
+        return Pilot(run.needed, size, step, run.counted(y).evaluations or 0, y)
 
     def between(self, pilots: list[Pilot], finest: float, target: float) -> float:
         """The step between two pilots at which the error, measured against the finest, is the target."""

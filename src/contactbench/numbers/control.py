@@ -9,6 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from contactbench.numbers.dual import leaves, rebuild
 from contactbench.numbers.protocol import Abilities, Numbers, abilities
 from contactbench.xla import jnp, lax
 
@@ -74,6 +77,27 @@ def scan(
     if can.branch:
         raise ArithmeticError(f"no convergence in {ENDLESS} turns")
     return x, outs
+
+
+def repeat_while(condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any, xp: Any) -> Any:
+    """x after ``x = body(x)`` for as long as the condition holds at it, entry by entry for arrays."""
+    can = abilities(xp)
+    if can.branch:
+        while condition(x):
+            x = body(x)
+        return x
+
+    def turn(x: Any) -> Any:
+        going, after = condition(x), leaves(body(x))
+        return rebuild(x, [choose(going, new, old, xp) for new, old in zip(after, leaves(x), strict=True)])
+
+    if can.traced:
+        return lax.while_loop(lambda x: jnp.any(condition(x)), turn, x)
+    if (recorded := getattr(xp, "repeat_while", None)) is not None:
+        return recorded(condition, turn, x)
+    while np.any(condition(x)):
+        x = turn(x)
+    return x
 
 
 def unwind(body: Callable[[Any, Any], Any], x: Any, outs: Any, xp: Any) -> Any:

@@ -16,7 +16,15 @@ from tqdm import tqdm
 
 from contactbench.errors import BadInput, UserError, excerpt, finite, items_of, positive, switch
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
-from contactbench.measure.ladder import ENDS, carry_of, tolerances, work_ladder
+from contactbench.measure.ladder import (
+    ENDS,
+    GROWING,
+    carry_of,
+    control_of,
+    setting_to,
+    tolerances,
+    work_ladder,
+)
 from contactbench.measure.laws import laws_of, observables, row
 from contactbench.measure.statistics import PROCESSES
 from contactbench.methods.base import ENGINES, METHODS, lookup, prepare
@@ -24,7 +32,7 @@ from contactbench.methods.prepared import Refused
 from contactbench.numbers.protocol import CannotRecord
 from contactbench.results.contest import CUT, standings
 from contactbench.scene import Scene
-from contactbench.solution import Counts, Solution, Status, keywords
+from contactbench.solution import Counts, Solution, Status
 from contactbench.truth import Reference, confirmed, reference
 
 ERRORS = (1e-3, 1e-6, 1e-9)
@@ -61,6 +69,8 @@ FIRST_STEPS, FEWEST_STEPS = {"compiled": 200_000, "callbacks": 5_000}, 1000
 STILL_BETTER = 0.7
 #: tolerances down to this are tried whatever they bring; it is above what round-off leaves of short runs
 CERTAIN = 1e-12
+#: an error about as large as the motion: longer steps are not tried
+COARSE = 0.3
 #: how much coarser a tolerance is at least whose error is compared: most of a decade
 APART = 5.0
 #: what a single run may take, as a share of the whole budget
@@ -86,7 +96,7 @@ def compare(
     Parameters
     ----------
     scene :
-        A scene or the name of one.
+        A scene or the name of one.  Where it `slows_after` some time, fixed steps grow geometrically.
     methods :
         Names, by default all.
     errors :
@@ -203,6 +213,10 @@ class Scout:
         return ENGINES.get(self.engine, "compiled")
 
     @property
+    def control(self) -> str:
+        return control_of(self.question.scene, self.method)
+
+    @property
     def finest(self) -> Attempt | None:
         return min(self.attempts, key=lambda a: a.value, default=None)
 
@@ -214,8 +228,6 @@ class Scout:
         try:
             for attempt in self.ladder():
                 yield
-                if attempt.ok and attempt.error <= min(self.question.errors):
-                    break
                 if attempt.status is Status.budget:
                     most = f"more than a run may take here, {self.question.longest:.2g} s"
                     self.why = ("budget", f"{attempt.setting}: {attempt.message}, {most}")
@@ -243,9 +255,21 @@ class Scout:
         for value in tolerances(method) if adaptive else work_ladder(self.question.scene, method.order or 1):
             if adaptive and value < CERTAIN and self.stagnates():
                 return
+            first = not self.attempts
             yield self.attempt(value)
-        while not adaptive and not self.stagnates():  # a low order needs small steps
+            if first and not adaptive:
+                yield from self.coarsen()
+            if self.best(min(self.question.errors)) is not None:
+                return
+        # a low order needs small steps
+        while not adaptive and not self.stagnates() and self.best(min(self.question.errors)) is None:
             yield self.attempt(self.attempts[-1].value / 2)
+
+    def coarsen(self) -> Iterator[Attempt]:
+        """Double the step until its error is about the size of the motion: a scene may have any unit of time."""
+        last, end = self.attempts[-1], self.question.scene.t_end
+        while last.ok and last.error < COARSE and (steps := round(end / last.value / ENDS) // 2):
+            yield (last := self.attempt(end / (ENDS * steps)))
 
     def stagnates(self) -> bool:
         *others, last = self.attempts
@@ -261,10 +285,16 @@ class Scout:
 
     def attempt(self, value: float) -> Attempt:
         scene, name, first = self.question.scene, self.method.name, not self.attempts
-        options: dict[str, Any] = {**keywords(self.method.control, value), "carry": carry_of(scene)}
+        options: dict[str, Any] = {"carry": carry_of(scene), "max_steps": self.most_steps()}
+
+        def prepared(end: float) -> Any:
+            return prepare(
+                scene, name, save_at=[end], **setting_to(end, scene, self.control, value), **options
+            )
+
         *earlier, end = ends(scene).tolist()
         start = perf_counter()
-        run = prepare(scene, name, save_at=[end], max_steps=self.most_steps(), **options)
+        run = prepared(end)
         if isinstance(run, Refused):
             raise Unsupported(run.why)
         self.engine = run.request.engine
@@ -275,11 +305,12 @@ class Scout:
         solution = run()
         seconds = perf_counter() - start
         if solution.counts.steps:
-            self.a_step = seconds / solution.counts.steps
+            each = seconds / solution.counts.steps
+            self.a_step = self.a_step if self.a_step <= each else each  # of few steps most is the call
         error, worst = math.nan, solution
         if solution.ok:
-            options |= {"max_steps": run.request.max_steps, "engine": self.engine}
-            runs = [prepare(scene, name, save_at=[t], **options)() for t in earlier] + [solution]
+            options["engine"] = self.engine
+            runs = [prepared(t)() for t in earlier] + [solution]
             worst = next((each for each in runs if not each.ok), solution)
             if worst.ok:
                 error = self.question.error(runs)
@@ -416,8 +447,9 @@ class Comparison:
         scene, left = self.question.scene, self.left(LAWS)
         if left < (each.compile_s if each.engine == "jax" else 0.0):  # another field is another program
             return {}
-        options: dict[str, Any] = {**keywords(each.method.control, attempt.value), "engine": each.engine}
-        solution = prepare(scene, each.method.name, save_at=ends(scene), **options)()
+        options = setting_to(scene.t_end, scene, each.control, attempt.value) | {"engine": each.engine}
+        times = ends(scene) if each.control != GROWING else None
+        solution = prepare(scene, each.method.name, save_at=times, **options)()
         return row(solution, "" if differentiation_time(each, attempt) <= left else "no time was left")
 
     def time(self) -> None:

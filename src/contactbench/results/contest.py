@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
+from contactbench.measure.ladder import GROWING
 from contactbench.measure.statistics import (
     COUNTED,
     Verdict,
@@ -119,7 +120,7 @@ KINDS = (EVALUATIONS, COMPILED, MARGINAL, CALLED_BACK)
 
 def contestants(work: pd.DataFrame) -> pd.DataFrame:
     """Return the rows that compete: one setting of one method, not chosen by pilots, no C loops."""
-    return work[(work["family"] != LIMIT) & (work["variant"].fillna("") == "")]
+    return work[(work["family"] != LIMIT) & work["variant"].fillna("").isin(["", GROWING])]
 
 
 def costs(

@@ -39,7 +39,8 @@ def environment(profile: str) -> dict[str, Any]:
     for name in PACKAGES.split():
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
-    root = Path(__file__).parents[3]
+    package = Path(__file__).parents[3]
+    root = package if Path.cwd().is_relative_to(package) else Path.cwd()  # a project that uses this one
     manifest = root / "references" / "MANIFEST.json"
     return {
         "utc": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -54,7 +55,7 @@ def environment(profile: str) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "threads": {name: os.environ.get(name, "") for name in THREADS},
         "commit": _git(root, "rev-parse", "HEAD"),
-        "dirty": bool(_git(root, *CHANGES)),
+        "dirty": bool(_git(root, *CHANGES, *([] if root == package else ["*.py"]))),
         "plugins": dict(LOADED),
         "references": hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest.exists() else "",
     }

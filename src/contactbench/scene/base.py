@@ -277,9 +277,9 @@ class System(ABC):
     def rhs(self, x: Any) -> Any:
         """Return the time derivative of the state, a state of the same fields."""
 
-    @abstractmethod
     def jacobian(self, x: Any) -> Any:
         """Return ∂(rhs)/∂(state) in packed order, or None where the scene does not have it."""
+        return None
 
     def slopes(self, t: Any, y: Any, carry: Sequence[str]) -> Sequence[Any]:
         """Return f(t, y) on packed components less the time: what adaptive solvers integrate, y the motion alone."""
@@ -315,6 +315,8 @@ class Scene(System):
     #: closed form: ``exact(scene, t, xp) -> state`` with the fields it knows, others None
     exact: Callable[[Any, Any, Any], Any] | None = None
     about: str = ""
+    #: the time after which the motion slows down as 1/t: steps that grow with the time suit it (`geometric_steps`)
+    slows_after: float | None = None
     #: only the stability experiment runs it
     hard: bool = False
     #: the experiments that run it, where it is not all of them but that of stability
@@ -333,6 +335,7 @@ class Scene(System):
     checks: ClassVar[dict[str, Check]] = {
         "name": text,
         "about": text,
+        "slows_after": optional(positive),
         "hard": switch,
         "experiments": experiment_names,
         "exact": optional(function),

@@ -57,6 +57,8 @@ class Many(Canonical):
     initial_fields: ClassVar[tuple[str, ...]] = ("q", "p", "s")
     #: what is beyond the ends
     boundary: ClassVar[str] = "fixed"
+    #: how many coordinates a site has
+    dimensions: ClassVar[int] = 1
     #: the parameter that masses are given by
     weights: ClassVar[str] = "mass"
     #: where the potentials are tried
@@ -67,11 +69,6 @@ class Many(Canonical):
     @abstractmethod
     def sites(self) -> int:
         """How many there are."""
-
-    @property
-    def dimensions(self) -> int:
-        """How many coordinates a site has."""
-        return 1
 
     @property
     def weight(self) -> Any:
@@ -145,7 +142,7 @@ class Many(Canonical):
             given = values
         shape = f"{self.sites} × {self.dimensions} numbers" if self.dimensions > 1 else f"{size} numbers"
         values = array(name, given, f"{shape}, or a function of the index")
-        if values.size != size or values.shape not in ((size,), (self.sites, self.dimensions)):
+        if values.shape not in ((size,), (self.sites, self.dimensions)):
             raise BadInput(f"{name} has shape {values.shape}: must be {shape}, or a function of the index")
         if not np.isfinite(values).all():
             raise BadInput(
@@ -260,9 +257,7 @@ class Many(Canonical):
 
     def slope(self, name: str, *arguments: Any) -> Any:
         """Return its derivative by the first argument."""
-        given = getattr(self, name)
-        made = given if isinstance(given, Formula) else self.recording(name)
-        return derivative(made)(*arguments, **self.named(name))[0]
+        return derivative(self.recording(name))(*arguments, **self.named(name))[0]
 
     def recording(self, name: str) -> Formula:
         """Return one of the functions as a formula; `BadInput` where it cannot be recorded."""
@@ -297,8 +292,18 @@ class Many(Canonical):
     #: derivatives are by differences or dual numbers
     has_jacobian = False
 
-    def jacobian(self, x: State) -> None:
-        """Return None."""
+    def momentum(self, x: State) -> Vector:
+        """Return the total momentum; of particles in a plane or in space the angular one, one component or three."""
+        if self.dimensions == 1:
+            return (total(x.p[0]),)
+        q, p, _ = x
+        return tuple(map(total, cross(q, p) if len(q) == 3 else (q[0] * p[1] - q[1] * p[0],)))
+
+    def momentum_terms(self, x: State) -> Any:
+        """Return Σ|p_i|, of the angular momentum Σ‖q_i‖‖p_i‖."""
+        if self.dimensions == 1:
+            return total(abs(x.p[0]))
+        return total((dot(x.q, x.q) * dot(x.p, x.p)) ** 0.5)
 
     def tangents(self, x: State) -> list[State]:
         """Return the coordinate basis of the tangent space; of a large one a few unit vectors at random."""
@@ -424,14 +429,6 @@ class Lattice(Many):
         """ΣP decays as e^{−γt} where nothing holds the chain."""
         return self.onsite is None and self.boundary != "fixed"
 
-    def momentum(self, x: State) -> Vector | None:
-        """Return the total momentum."""
-        return (total(x.p[0]),)
-
-    def momentum_terms(self, x: State) -> Any:
-        """Return Σ|p_i|."""
-        return total(abs(x.p[0]))
-
     def unrolled(self) -> Mechanical:
         onsite, bond = (getattr(self, name) and self.recording(name) for name in ("onsite", "bond"))
         return unrolled(self, Chain(onsite, bond, self.boundary))
@@ -484,7 +481,7 @@ class Particles(Many):
     """
 
     masses: Any
-    dimensions: int = 3  # type: ignore[assignment]
+    dimensions: int = 3  # type: ignore[misc]
     pair: Callable[..., Any]
 
     functions: ClassVar[dict[str, tuple[str, ...]]] = {"pair": ("probe", "probe", "probe", "**")}
@@ -524,20 +521,6 @@ class Particles(Many):
         return pairs(force, x.q, self.masses)
 
     has_momentum_law = True
-
-    def momentum(self, x: State) -> Vector:
-        """Return the angular momentum (one component in the plane, three in space); on a line ΣP."""
-        if self.dimensions == 1:
-            return (total(x.p[0]),)
-        if self.dimensions == 2:
-            return (total(x.q[0] * x.p[1] - x.q[1] * x.p[0]),)
-        return tuple(map(total, cross(x.q, x.p)))
-
-    def momentum_terms(self, x: State) -> Any:
-        """Return Σ‖q_i‖‖p_i‖, on a line Σ|p_i|."""
-        if self.dimensions == 1:
-            return total(abs(x.p[0]))
-        return total((dot(x.q, x.q) * dot(x.p, x.p)) ** 0.5)
 
     def unrolled(self) -> Mechanical:
         return unrolled(self, Bodies(self.recording("pair"), tuple(self.masses.tolist()), self.dimensions))

@@ -237,6 +237,7 @@ LANE_EMDEN = (
         p=(-1.0,),
         t=0.75,
         t_end=20.0,
+        slows_after=0.5,
         **_SPHERICAL,
     ),
 )

@@ -149,12 +149,16 @@ class Plan:
 
 def plan(composition: Composition, scene: Scene) -> Plan:
     """Return the composition on a scene, with the merged joint where first and last flow are the same."""
-    stages, before = stages_on(composition, scene), composition.processor
+    return arrange(stages_on(composition, scene), composition.processor, by_the_clock(composition, scene))
+
+
+def arrange(stages: tuple[Stage, ...], before: tuple[Stage, ...] = (), clocked: bool = False) -> Plan:
+    """Return the plan of stages and a processor; clocked : every step is to end with the joint."""
     first, last = stages[0], stages[-1]
     if len(stages) == 1 or first[0] != last[0]:
         return Plan(before, stages, before[::-1], ())
     inner, joint = stages[1:-1], merge((last, first))
-    if not (before or by_the_clock(composition, scene)):
+    if not (before or clocked):
         return Plan((first,), inner, (last,), joint)
     # the last joint runs one first stage too far, which is taken back at the end
     back = (first[0], -first[1])
@@ -170,10 +174,39 @@ def advance(
     """
     if by_the_clock(composition, scene):
         return advance_by_the_clock(composition, scene, x, h, n, xp, repeat)
-    flows, steps = flows_of(scene), plan(composition, scene)
+    steps = plan(composition, scene)
     opening, inner, closing, joint = steps.opening, steps.inner, steps.closing, steps.joint
-    constants = stage_constants((*opening, *inner, *closing, *joint), scene, h, xp)
-    rolled = repeat.over_stages
+    run = runner((*opening, *inner, *closing, *joint), scene, h, xp, repeat)
+    if not joint:
+        return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))
+    if repeat.joint_first:
+        x = repeat(n - 1, lambda x: run((*joint, *inner), x), run((*opening, *inner), x))
+        return run(closing, x)
+    x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
+    return run((*inner, *closing), x)
+
+
+def pieces(composition: Composition, scene: Scene, whole: bool) -> tuple[tuple[Stage, ...], ...]:
+    """Return the stages of an uninterrupted run step by step: what opens it, begins a step, leads on, and closes.
+
+    whole : in the pieces that `advance` runs in one go, some stages in two of them; else each once.
+    """
+    steps = plan(composition, scene)
+    if whole and steps.joint:
+        return steps.opening, (), (*steps.inner, *steps.joint), (*steps.inner, *steps.closing)
+    return steps.opening, steps.inner, steps.joint, steps.closing
+
+
+def run_stages(stages: Sequence[Stage], scene: Any, x: Any, h: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+    """Apply stages one after the other, of a step of size h."""
+    return runner(stages, scene, h, xp, repeat)(stages, x)
+
+
+def runner(
+    stages: Iterable[Stage], scene: Any, h: Any, xp: Any, repeat: Repeat
+) -> Callable[[Sequence[Stage], Any], Any]:
+    """Return ``run(some, x)``, which applies some of the stages, whose constants are computed once."""
+    flows, constants, rolled = flows_of(scene), stage_constants(stages, scene, h, xp), repeat.over_stages
 
     def run(stages: Sequence[Stage], x: Any) -> Any:
         if rolled and len(stages) % 2 and len(stages) > 1:  # a processor: one stage ahead of the pairs
@@ -192,13 +225,7 @@ def advance(
         another = lambda carried: (round_of(carried[1], carried[0]), carried[1] + 1)  # noqa: E731
         return repeat(len(stages) // period, another, (x, 0))[0]
 
-    if not joint:
-        return run(closing, repeat(n, lambda x: run(inner, x), run(opening, x)))
-    if repeat.joint_first:
-        x = repeat(n - 1, lambda x: run((*joint, *inner), x), run((*opening, *inner), x))
-        return run(closing, x)
-    x = repeat(n - 1, lambda x: run((*inner, *joint), x), run(opening, x))
-    return run((*inner, *closing), x)
+    return run
 
 
 def log_factor(composition: Composition, scene: Any, x: Any, h: Any, n: int, xp: Any) -> Any:

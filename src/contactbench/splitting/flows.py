@@ -325,13 +325,13 @@ def many_drift_damp(scene: Any, x: State, constants: Any, xp: Any) -> State:
     return drift_damp(scene, x, (phi * like(scene.inverse_mass, x.p[0]), phi, keep, lose), xp)
 
 
-def _many_constants(scene: Any, h: Any, xp: Any) -> Any:
+def _time_and_damping(scene: Any, h: Any, xp: Any) -> Any:
     return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
 
 
 MANY = MECHANICAL | {
     "drift": Flow(plain, many_drift, {}),
-    "drift_damp": Flow(_many_constants, many_drift_damp, {}, drift_damp_log_factor),
+    "drift_damp": Flow(_time_and_damping, many_drift_damp, {}, drift_damp_log_factor),
 }
 
 #: no merged flow is known, hence three parts
@@ -430,10 +430,6 @@ def body_damp(scene: RigidBody, x: BodyState, decay: Any, xp: Any) -> BodyState:
     return BodyState(scene.damp_matrix_function(x.M, lambda rate: next(factor)), x.R, None)
 
 
-def _free_damp_constants(scene: RigidBody, h: Any, xp: Any) -> Any:
-    return damped_time(scene.gamma, h, xp), *damping(scene.gamma, h, xp)
-
-
 def free_damp(scene: RigidBody, x: BodyState, constants: Any, xp: Any) -> BodyState:
     """Advance the free body and isotropic damping together: free for the time φ(h), then damped.
 
@@ -456,7 +452,7 @@ BODY = {
     "free": Flow(plain, free, FREE_COSTS),
     "damp": Flow(_body_damp_constants, body_damp, {}, linear_log_factor),
 }
-ISOTROPIC = BODY | {"free_damp": Flow(_free_damp_constants, free_damp, FREE_COSTS, linear_log_factor)}
+ISOTROPIC = BODY | {"free_damp": Flow(_time_and_damping, free_damp, FREE_COSTS, linear_log_factor)}
 
 
 FLOWS = {

@@ -129,7 +129,11 @@ class Lowering:
         self.builder.branch(test)
         self.builder.position_at_end(test)
         self.run(loop.test)
-        self.builder.cbranch(self.value(loop.condition), body, after)
+        more = self.value(loop.condition)
+        if isinstance(more.type, self.ir.VectorType):  # as long as it holds for one of them
+            whole = self.ir.IntType(more.type.count)
+            more = self.builder.icmp_unsigned("!=", self.builder.bitcast(more, whole), whole(0))
+        self.builder.cbranch(more, body, after)
         self.builder.position_at_end(body)
         self.run(loop.body)
         self.builder.branch(test)

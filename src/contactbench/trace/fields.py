@@ -344,9 +344,7 @@ def record_fields(
 ) -> FieldProgram:
     """The program of ``advance(numbers, h, n, fields, scalars, constants, xp, repeat) -> [*fields, *scalars]``."""
     tape = FieldTape()
-    given = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(numbers)]
-    h = tape.assign(Element("spans", ("u", 0)), "f", tape.root)
-    n = tape.assign(Element("spans", ("u", 1), kind="i"), "i", tape.root)
+    given, h, n = tape.given(numbers)
     rows = [tape.row() for _ in range(fields + constants)]
     held = [Field(tape, f"@{row}", tape.main, row) for row in rows]
     plain = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(scalars)]
@@ -361,26 +359,14 @@ def record_fields(
     tape.main.close()
     once = setup(tape)
     known = len(tape.shape)
-    loads = [
-        Assign(name, Element("w", ("u", i), kind=kind))
-        for i, (name, kind) in enumerate(tape.exported.items())
-    ]
     most = max((len(s.sums) for s in sweeps(tape.main)), default=0)
     main = written(tape.main.statements)
     body = [
         *tape.whole.statements,
         Assign("u", Element("shape", (known,), kind="i")),
-        *loads,
+        *tape.loads,
         Update(tuple(tape.reads), tuple(range(len(tape.reads)))),
         *main,
     ]
-    data = np.array([value for column in tape.columns for value in column.data], dtype=float)
-    return FieldProgram(
-        once,
-        Function("run", (), tuple(body), (tuple(kept), tuple(values))),
-        data,
-        np.array([number() for number in tape.shape], dtype=np.int64),
-        len(tape.exported) + sum(len(c.data) * len(c.stored) for c in tape.columns),
-        len(tape.reads),
-        most,
-    )
+    run = Function("run", (), tuple(body), (tuple(kept), tuple(values)))
+    return FieldProgram(once, run, *tape.constants, len(tape.reads), most)

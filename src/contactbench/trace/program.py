@@ -102,6 +102,25 @@ class ProgramTape(Tape):
         #: numbers of `setup` that `run` reads, with their kinds
         self.exported: dict[str, str] = {}
 
+    def given(self, numbers: int) -> tuple[list[Recorded], Recorded, Recorded]:
+        """Return what `setup` is called with: a scene's numbers, and the step and the count of an interval."""
+        own = [self.assign(Element("numbers", (i,)), "f", self.root) for i in range(numbers)]
+        h = self.assign(Element("spans", ("u", 0)), "f", self.root)
+        return own, h, self.assign(Element("spans", ("u", 1), kind="i"), "i", self.root)
+
+    @property
+    def loads(self) -> list[Assign]:
+        """What `run` reads from a row of w, of the numbers of `setup`."""
+        exported = enumerate(self.exported.items())
+        return [Assign(name, Element("w", ("u", i), kind=kind)) for i, (name, kind) in exported]
+
+    @property
+    def constants(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """Return the data, the shape and the width of the program."""
+        data = np.array([value for column in self.columns for value in column.data], dtype=float)
+        width = len(self.exported) + sum(len(column.data) * len(column.stored) for column in self.columns)
+        return data, np.array([number() for number in self.shape], dtype=np.int64), width
+
     def size(self, key: Any, number: Callable[[], int]) -> Recorded:
         if key not in self.whole.known:
             i, name = len(self.shape), f"i0{len(self.shape)}"
@@ -165,9 +184,7 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     Raises `CannotRecord`.
     """
     tape = ProgramTape()
-    given = [tape.assign(Element("numbers", (i,)), "f", tape.root) for i in range(numbers)]
-    h = tape.assign(Element("spans", ("u", 0)), "f", tape.root)
-    n = tape.assign(Element("spans", ("u", 1), kind="i"), "i", tape.root)
+    given, h, n = tape.given(numbers)
     state = [Recorded(tape, f"x{i}", "f", tape.main) for i in range(d)]
     loop = Repeat(tape.repeat, over_stages=True)
     end = attempt(lambda: advance(given, h, n, state, RecordedArrays(tape), loop))
@@ -179,10 +196,7 @@ def record(advance: Callable[..., list[Any]], numbers: int, d: int, bounded: int
     body, beside = steps(tape, "start", ends, "after", head, last), steps(tape, "starts", ends, "ends")
     run = Function("run", ("start", "w", "shape", "after"), body, "bad")
     many = Function("many", ("starts", "w", "shape", "ends", "part"), beside)
-    data = np.array([value for column in tape.columns for value in column.data], dtype=float)
-    shape = np.array([number() for number in tape.shape], dtype=np.int64)
-    width = len(tape.exported) + sum(len(column.data) * len(column.stored) for column in tape.columns)
-    return Program(once, run, many, data, shape, width)
+    return Program(once, run, many, *tape.constants)
 
 
 def setup(tape: ProgramTape) -> Function:
@@ -236,14 +250,12 @@ def steps(
     first = tuple(f"start{i}" for i in range(len(ends)))
     given = [Assign(name, Element(start, (i,))) for i, name in enumerate(first)]
     row = Assign("u", Element("shape", (known,), "j", "i"))
-    loads = [
-        Assign(name, Element("w", ("u", i), kind=kind))
-        for i, (name, kind) in enumerate(tape.exported.items())
-    ]
     stores = [Store(Element(after, ("j", i)), x) for i, x in enumerate(state)]
     return (
         *(*tape.whole.statements, *given, Update(state, first), *head),
         Assign("all", Operation("len", ("shape",))),
         Assign("intervals", Operation("sub", ("all", known))),
-        Loop("j", "intervals", (row, *loads, *tape.main.statements, Update(state, ends), *stores, *last)),
+        Loop(
+            "j", "intervals", (row, *tape.loads, *tape.main.statements, Update(state, ends), *stores, *last)
+        ),
     )

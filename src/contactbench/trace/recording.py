@@ -279,6 +279,9 @@ class RecordedNumbers(ChoosingNumbers):
 
         return function
 
+    def repeat_while(self, condition: Callable[[Any], Any], body: Callable[[Any], Any], x: Any) -> Any:
+        return self.tape.repeat_while(condition, body, x)
+
     def where(self, condition: Any, a: Any, b: Any) -> Any:
         if not isinstance(condition, Recorded):
             return a if condition else b

@@ -28,7 +28,7 @@ def scales(rows: Rows) -> list[Any]:
 
 
 def distance(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+    return np.abs(np.subtract(a, b)).max()
 
 
 def disagreement(a: Rows, b: Rows) -> list[Any]:
@@ -225,13 +225,26 @@ def extrapolation(
     most = 4 + digits // 2
     tolerance = context.mpf(10) ** -digits
 
-    def slope(y: list[Any]) -> list[Any]:
-        return twin.pack(twin.rhs(twin.unpack(y, carry)))
+    def slope(y: np.ndarray) -> np.ndarray:
+        return np.array(twin.pack(twin.rhs(twin.unpack(y.tolist(), carry))))
 
-    now, y = context.mpf(0), twin.pack(twin.initial(carry))
-    shortest, trial = collapse * context.mpf(times[-1]), context.mpf(times[-1])
-    rows, watch = [], Stopwatch(scene, float(times[-1]), deadline)
-    for time in map(context.mpf, times):
+    start, watch = np.array(twin.pack(twin.initial(carry))), Stopwatch(scene, float(times[-1]), deadline)
+    found = extrapolate(slope, start, list(map(context.mpf, times)), most, tolerance, watch, collapse)
+    return [y.tolist() for y in found]
+
+
+def extrapolate(
+    slope: Callable[[np.ndarray], np.ndarray],
+    y: np.ndarray,
+    times: Sequence[Any],
+    most: int,
+    tolerance: Any,
+    watch: Stopwatch,
+    collapse: float = COLLAPSE,
+) -> list[np.ndarray]:
+    """Return the states at increasing times, arrays of any kind of numbers; raises as `extrapolation` does."""
+    now, trial, rows = 0 * times[-1], times[-1], []
+    for time in times:
         while now < time:
             watch.check(float(now))
             step = min(trial, time - now)
@@ -241,34 +254,34 @@ def extrapolation(
                 column, result = most, None
             if result is None:
                 trial = step / 2
-                if trial < shortest:
-                    raise BlowUp(scene, now)
+                if trial < collapse * times[-1]:
+                    raise BlowUp(watch.scene, now)
                 continue
             now, y = (time if step == time - now else now + step), result
             if column < 0.7 * most:
                 trial = max(trial, step * 3 / 2)
-        rows.append(list(y))
+        rows.append(y)
     return rows
 
 
 def extrapolated(
-    slope: Callable[[list[Any]], list[Any]], y: list[Any], step: Any, most: int, tolerance: Any
-) -> tuple[int, list[Any] | None]:
+    slope: Callable[[np.ndarray], np.ndarray], y: np.ndarray, step: Any, most: int, tolerance: Any
+) -> tuple[int, np.ndarray | None]:
     """Return one extrapolated step and the number of columns it took; None if `most` are not enough."""
-    first = slope(y)
-    previous: Rows = []
+    first, size = slope(y), np.abs(y).max()
+    previous: list[np.ndarray] = []
     for j in range(1, most + 1):
         h = step / (2 * j)
-        old, mid = y, [a + h * f for a, f in zip(y, first, strict=True)]
+        old, mid = y, y + h * first
         for _ in range(2 * j - 1):
-            old, mid = mid, [a + 2 * h * f for a, f in zip(old, slope(mid), strict=True)]
+            old, mid = mid, old + 2 * h * slope(mid)
         row = [mid]
         for k, below in enumerate(previous, start=1):  # Aitken–Neville in h²
             weight = (step * 0 + j * j) / (j - k) ** 2 - 1
-            row.append([a + (a - b) / weight for a, b in zip(row[-1], below, strict=True)])
-        if j > 2 and distance(row[-1], row[-2]) <= tolerance * max(map(abs, y)):
+            row.append(row[-1] + (row[-1] - below) / weight)
+        if j > 2 and distance(row[-1], row[-2]) <= tolerance * size:
             return j, row[-1]
-        if max(map(abs, mid)) > 1e6 * (1 + max(map(abs, y))):
+        if np.abs(mid).max() > 1e6 * (1 + size):
             return j, None  # hopeless at this step, and the numbers would only grow
         previous = row
     return most, None

@@ -1,0 +1,201 @@
+"""Implicit steps, solved by fixed-point iteration to round-off, every evaluation counted.
+
+The iteration ends when the increments are zero or no longer decrease (Hairer, Lubich, Wanner, Geometric Numerical
+Integration, §VIII.6.2), which leaves an error of the size of one rounding: what a method conserves it then conserves to
+round-off.  A step that is too long for the iteration to converge has no result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from contactbench.methods.base import METHODS
+from contactbench.methods.fixed_step import FixedStep
+from contactbench.numbers.control import Repeat, choose, repeat, repeat_while
+from contactbench.numbers.dual import leaves, rebuild
+from contactbench.scene import Mechanical, Scene, State, dot, shifted
+from contactbench.splitting.flows import flows_of
+
+#: iterations that may differ by more than the one before
+FIRST = 3
+#: iterations after which a step has none, and the last increment that is none, relative to what is iterated
+MOST, CONVERGED = 200, 1e-10
+#: iterations of a typical step
+TYPICAL = 8
+
+
+def fixed_point(
+    update: Callable[[Any], Any], k: Any, xp: Any, part: Callable[[Any], Any] = lambda k: k
+) -> tuple[Any, Any, Any]:
+    """Return k with update(k) = k, whether it was found, and after how many updates.
+
+    part : of k, which tells whether it still changes.
+    """
+    nothing = 0 * leaves(k)[0]
+
+    def size(parts: Any) -> Any:
+        return sum(map(abs, parts))
+
+    def going(carried: Any) -> Any:
+        _, turns, gap, before = carried
+        return (gap > 0) & ((gap < before) | (turns < FIRST)) & (turns < MOST)
+
+    def turn(carried: Any) -> Any:
+        k, turns, gap, _ = carried
+        new = update(k)
+        increments = (a - b for a, b in zip(leaves(part(new)), leaves(part(k)), strict=True))
+        return new, turns + 1, size(increments), gap
+
+    start = k, nothing + 0.0, nothing + 1e300, nothing + math.inf
+    k, turns, gap, _ = repeat_while(going, turn, start, xp)
+    return k, gap <= CONVERGED * size(leaves(part(k))), turns
+
+
+@dataclass(frozen=True)
+class Implicit(FixedStep):
+    """A method whose ``step(scene, x, h, xp) -> x, evaluations`` solves for the end of the step.
+
+    each : evaluations of an iteration; one more comes before the first.
+    """
+
+    each: int = field(kw_only=True)
+    engines: tuple[str, ...] = ("numba", "python")
+    iterates = True
+
+    def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
+        return self.advance_counted(scene, x, h, n, xp, repeat)[0]
+
+    def advance_counted(
+        self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat
+    ) -> tuple[Any, Any]:
+        """Return the state after n steps and the evaluations they took."""
+
+        def another(carried: Any) -> Any:
+            x, spent = carried
+            x, turns = self.step(scene, x, h, xp)
+            return x, spent + (self.each * turns + 1)
+
+        return repeat(n, another, (x, 0 * leaves(x)[0]))
+
+    def counts(self, scene: Scene, n: int, carry: Sequence[str] | None = None) -> int:
+        """Return what n steps typically cost."""
+        return n * (TYPICAL * self.each + 1)
+
+
+def found(x: Any, converged: Any, xp: Any) -> Any:
+    """Return x, without numbers where the iteration did not converge."""
+    return rebuild(x, [choose(converged, part, math.nan, xp) for part in leaves(x)])
+
+
+# -- Gauss's collocation ---------------------------------------------------------------------------------
+def gauss_tableau(stages: int, xp: Any) -> tuple[list[list[Any]], list[Any]]:
+    """Return A and b: Hairer, Lubich, Wanner, §II.1.3, table 1.1."""
+    root = xp.sqrt(3 if stages == 2 else 15)
+    one = root / root
+    if stages == 2:
+        return [[one / 4, one / 4 - root / 6], [one / 4 + root / 6, one / 4]], [one / 2, one / 2]
+    A = [
+        [one * 5 / 36, one * 2 / 9 - root / 15, one * 5 / 36 - root / 30],
+        [one * 5 / 36 + root / 24, one * 2 / 9, one * 5 / 36 - root / 24],
+        [one * 5 / 36 + root / 30, one * 2 / 9 + root / 15, one * 5 / 36],
+    ]
+    return A, [one * 5 / 18, one * 4 / 9, one * 5 / 18]
+
+
+@dataclass(frozen=True)
+class Gauss(Implicit):
+    """Gauss's collocation method, of order twice its stages, on the whole system.
+
+    Momenta come before positions in every iteration, which makes it converge as fast as one for second-order equations.
+    """
+
+    def refuses(self, scene: Scene) -> str | None:
+        if scene.kind == "many":
+            return f"{self.name} iterates on components one by one; scene {scene.name!r} has sites"
+        return scene.own_equations
+
+
+def gauss(stages: int) -> Callable[[Any, Any, Any, Any], Any]:
+    def step(scene: Any, x: Any, h: Any, xp: Any) -> Any:
+        A, b = gauss_tableau(stages, xp)
+
+        def moved(weights: Sequence[Any], slopes: Any) -> Any:
+            y = x
+            for weight, slope in zip(weights, slopes, strict=True):
+                y = shifted(y, weight * h, slope)
+            return y
+
+        def update(slopes: Any) -> Any:
+            if scene.canonical:
+                momenta = [moved(row, slopes).p for row in A]
+                slopes = [
+                    k._replace(q=tuple(scene.velocity(p))) for k, p in zip(slopes, momenta, strict=True)
+                ]
+            return tuple(scene.rhs(moved(row, slopes)) for row in A)
+
+        slopes, converged, turns = fixed_point(update, (scene.rhs(x),) * stages, xp)
+        return found(moved(b, slopes), converged, xp), turns
+
+    return step
+
+
+# -- a discrete gradient -------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class DiscreteGradient(Implicit):
+    """Damping for h/2, a step that keeps H0 = T + V, and damping for h/2: H0 never rises where Γ' ≥ 0."""
+
+    def refuses(self, scene: Scene) -> str | None:
+        if scene.kind not in ("mechanical", "general damping"):
+            return f"{self.name} needs forces that depend on q alone; scene {scene.name!r} has others"
+        return scene.own_equations
+
+
+def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
+    """p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q).
+
+    Gonzalez, J. Nonlinear Sci. 6, 449 (1996), doi:10.1007/BF02440162, eq. (3.5).
+    """
+    damp = flows_of(scene)["damp"]
+    constants = damp.constants(scene, h / 2, xp)
+    x = damp.apply(scene, x, constants, xp)
+    before = scene.V(x.q)
+
+    def momentum(force: Any, span: Any) -> Any:
+        return tuple(p - span * f for p, f in zip(x.p, force, strict=True))
+
+    def end(force: Any) -> Any:
+        return tuple(q + h * v for q, v in zip(x.q, scene.velocity(momentum(force, h / 2)), strict=True))
+
+    def update(k: Any) -> Any:
+        after, _ = k
+        way = tuple(b - a for a, b in zip(x.q, after, strict=True))
+        gradient = scene.dV(tuple(a + d / 2 for a, d in zip(x.q, way, strict=True)))
+        square, lack = dot(way, way), scene.V(after) - before - dot(gradient, way)
+        share = choose(square > 0, lack / choose(square > 0, square, 1.0, xp), 0.0, xp)
+        force = tuple(g + share * d for g, d in zip(gradient, way, strict=True))
+        return end(force), force
+
+    first = tuple(scene.dV(x.q))
+    # by positions: where the motion turns, what round-off does to the force is large, and does nothing
+    (q, force), converged, turns = fixed_point(update, (end(first), first), xp, lambda k: k[0])
+    s = x.s
+    if s is not None:
+        s = s + h * (scene.kinetic(momentum(force, h / 2)) - (before + scene.V(q)) / 2)
+    x = damp.apply(scene, State(q, momentum(force, h), s), constants, xp)
+    return found(x, converged, xp), turns
+
+
+_source = "Hairer, Lubich, Wanner, Geometric Numerical Integration, §II.1.3, by fixed-point iteration"
+for _stages in (2, 3):
+    METHODS.add(
+        Gauss(f"gauss{2 * _stages}", 2 * _stages, gauss(_stages), about=_source, each=_stages, symmetric=True)
+    )
+_source = "discrete gradient of Gonzalez, doi:10.1007/BF02440162, between halves of exact damping"
+METHODS.add(
+    DiscreteGradient(
+        "discrete-gradient", 2, discrete_gradient, kind="gradient", about=_source, each=1, symmetric=True
+    )
+)

@@ -1,0 +1,92 @@
+"""Steps that are prescribed: grids that depend on nothing but the time, so that every step stays a contact map."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from contactbench.errors import BadInput, array, excerpt, positive, whole
+
+#: how far the difference of two saved times may be off, in units of the last place of the later one: both are
+#: rounded, as a product or a sum of two, and so may be the spacing of the grid
+GRID_ULPS = 4
+#: relative differences of steps that are round-off of the times between them
+EQUAL = 1e-9
+#: no grid has more steps
+MOST = 10**8
+
+
+class Plateaus(NamedTuple):
+    """Runs of equal steps, size h[k] and number n[k]; saved : which of them end at the saved times, in turn."""
+
+    h: np.ndarray
+    n: np.ndarray
+    saved: np.ndarray
+
+
+def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.ndarray:
+    """Return `count` growing steps to t_end, between the times t = a(e^u − 1) for equidistant u.
+
+    They suit motions that slow down as 1/(a + t), as under a damping γ = 2/t.
+
+    t_end, count : end and number of the steps.
+    a : the time that passes before they have doubled, or nearly; far shorter than `t_end` the grid is geometric,
+        far longer it is equidistant.
+    plateau : so many steps in a row are equal, which saves methods what they pay where a step changes; divides `count`.
+    Raises `BadInput` for anything else.
+
+    >>> import contactbench as cb
+    >>> cb.geometric_steps(7.0, 3, a=1.0).round(12).tolist()
+    [1.0, 2.0, 4.0]
+    """
+    t_end, a, count = positive("t_end", t_end), positive("a", a), whole("count", count, MOST)
+    plateau = whole("plateau", plateau, count)
+    if count % plateau:
+        raise BadInput(f"plateau = {plateau}: must divide count = {count}")
+    times = a * np.expm1(np.linspace(0.0, np.log1p(t_end / a), count // plateau + 1))
+    times[-1] = t_end
+    return np.repeat(np.diff(times) / plateau, plateau)
+
+
+def steps_of(value: Any) -> np.ndarray:
+    """Return a sequence of steps as an array of its own, or raise `BadInput`."""
+    steps = np.array(array("step", value, "a number, or a sequence of them"), ndmin=1)
+    if steps.ndim != 1 or not len(steps) or not np.all(np.isfinite(steps) & (steps > 0)):
+        raise BadInput(f"step = {excerpt(value)}: must be finite steps > 0, at least one")
+    return steps
+
+
+def end_times(steps: np.ndarray) -> np.ndarray:
+    """Return when each step ends; summed with more digits, where the machine has them."""
+    return np.cumsum(steps, dtype=np.longdouble).astype(float)
+
+
+def steps_until(steps: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return how many steps lead to each of some increasing times > 0; `BadInput` where one lies between two ends."""
+    ends = end_times(steps)
+    nearest = np.searchsorted(ends[:-1] + steps[1:] / 2, times)
+    off = np.abs(ends[nearest] - times) > EQUAL * steps[nearest] + GRID_ULPS * np.spacing(times)
+    off[1:] |= np.diff(nearest) == 0
+    if off.any():
+        time = times[np.argmax(off)]
+        raise BadInput(
+            f"step: {len(steps)} steps to t = {ends[-1]:.10g}, none of which ends at t = {time:.10g}"
+        )
+    return nearest + 1
+
+
+def plateaus(steps: np.ndarray, times: np.ndarray) -> Plateaus:
+    """Return the steps as runs of equal ones, of which one ends at each of some times, the last of them the end.
+
+    Steps lead to these times to the last digit: the round-off of their sum goes to the last run before each.
+    """
+    last = steps_until(steps, times) - 1
+    changes = np.abs(np.diff(steps)) > EQUAL * steps[1:]
+    changes = np.append(changes, True)
+    changes[last] = True
+    ends = np.flatnonzero(changes) + 1
+    n = np.diff(ends, prepend=0)
+    spans, saved = np.add.reduceat(steps, ends - n), np.searchsorted(ends, last + 1)
+    spans[saved] += np.diff(times, prepend=0.0) - np.add.reduceat(spans, np.append(0, saved[:-1] + 1))
+    return Plateaus(spans / n, n, saved)

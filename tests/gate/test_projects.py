@@ -1,0 +1,141 @@
+"""A project of a user: its benchmark, its tables and its gate, in a repository that has no contactbench in it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from contactbench.cli import main
+from contactbench.errors import BadInput
+from contactbench.gate import benchmark, revisions
+from contactbench.plugins import VARIABLE
+
+ROOT = Path(__file__).parents[2]
+MY = """
+import contactbench as cb
+
+cb.SCENES.add(
+    cb.Mechanical(
+        name="double-well",
+        potential=lambda q: q[0] ** 4 / 4 - q[0] ** 2 / 2,
+        gamma=0.2,
+        q=(1.5,),
+        p=(0.0,),
+        t_end=20.0,
+    )
+)
+
+
+@cb.fixed_step("my-method", order=2, evaluations=2, about="the explicit midpoint rule")
+def midpoint(scene, x, h, xp):
+    half = cb.shifted(x, h / 2, scene.rhs(x))
+    return cb.shifted(x, h, scene.rhs(half))
+"""
+HALF = "    half = cb.shifted(x, h / 2, scene.rhs(x))\n"
+#: a change of the method's one line, and what the gate finds
+WRONG = HALF.replace("/ 2", "/ 2.001")
+SLOW = HALF + "    for _ in range(2):\n        half = cb.shifted(half, 0 * h, scene.rhs(half))\n"
+
+
+def git(repository, *arguments):
+    names = ("-c", "user.name=me", "-c", "user.email=me@example.org")
+    subprocess.run(["git", "-C", repository, *names, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def commit(repository, text=MY):
+    (repository / "my.py").write_text(text)
+    git(repository, "add", "-A")
+    git(repository, "commit", "-q", "--allow-empty", "-m", "my work")
+
+
+@pytest.fixture
+def repository(tmp_path):
+    git(tmp_path, "init", "-q", "-b", "main")
+    (tmp_path / ".gitignore").write_text("results/.cells\n__pycache__\n")
+    commit(tmp_path)
+    return tmp_path
+
+
+def call(repository, *arguments, command=(sys.executable, "-m", "contactbench"), without=("PYTEST_",)):
+    own = {name: value for name, value in os.environ.items() if not name.startswith(tuple(without))}
+    line = [*command, *map(str, arguments), "--plugin", "my.py"]
+    return subprocess.run(line, cwd=repository, env=own, capture_output=True, text=True, timeout=550)
+
+
+def test_what_is_in_no_plug_in_has_no_gate(repository, monkeypatch, capsys):
+    monkeypatch.chdir(repository)
+    assert main(["gate", "--base", "HEAD"]) == 2
+    assert "no method or scene of your own; name their file with --plugin FILE" in capsys.readouterr().err
+
+
+def test_a_base_has_its_own_copy_of_a_plug_in(tmp_path, monkeypatch):
+    root, tree, elsewhere = tmp_path / "root", tmp_path / "tree", tmp_path / "other.py"
+    monkeypatch.setenv(VARIABLE, f"{root / 'a' / 'my.py'}{os.pathsep}{elsewhere}")
+    (tree / "src").mkdir(parents=True)
+    monkeypatch.setenv("PYTHONPATH", "/before")
+    variables = revisions.environment(tree, root)
+    assert variables[VARIABLE] == f"{tree / 'a' / 'my.py'}{os.pathsep}{elsewhere}"
+    assert variables["PYTHONPATH"] == f"{tree / 'src'}{os.pathsep}/before"
+
+
+def test_an_installation_without_the_benchmark_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        benchmark, "__file__", str(tmp_path / "lib" / "contactbench" / "gate" / "benchmark.py")
+    )
+    with pytest.raises(BadInput, match="has no benchmark"):
+        benchmark.folder()
+
+
+def test_it_is_measured_and_gated(repository):
+    """Another coefficient is red; the same, by the test below, green."""
+    made = call(repository, "bench", "--profile", "smoke", "--untimed", "-k", "my-method and particle")
+    assert made.returncode == 0, made.stdout + made.stderr
+    tables = {path.stem for path in (repository / "results").glob("*.csv")}
+    assert {"convergence", "laws", "work_precision"} <= tables
+    rows = (repository / "results" / "work_precision.csv").read_text().splitlines()
+    assert len(rows) > 1
+    assert all("my-method" in line for line in rows[1:])
+    commit(repository)
+    commit(repository, MY.replace(HALF, WRONG))
+    red = call(repository, "gate", "--only", "accuracy")
+    assert red.returncode == 1, red.stdout + red.stderr
+    assert "| convergence | particle | my-method |" in red.stdout
+
+
+@pytest.mark.slow
+def test_a_stranger_has_three_paths(repository):
+    """From a wheel in an empty environment: race a problem, verify a method, gate a repository."""
+    wheels, home = repository / "wheels", repository / "environment"
+    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", wheels, ROOT]
+    subprocess.run(build, check=True)
+    subprocess.run([sys.executable, "-m", "venv", home], check=True)
+    install = [home / "bin" / "pip", "install", "-q", "-q", f"{next(wheels.glob('*.whl'))}[bench]"]
+    subprocess.run([*install, "-c", ROOT / "constraints.txt"], check=True)
+    shutil.rmtree(wheels)
+    (repository / ".gitignore").write_text("results/.cells\n__pycache__\nenvironment\n")
+
+    program = home / "bin" / "contactbench"
+
+    def run(*arguments):
+        return call(repository, *arguments, command=[program], without=["PYTHON", "PYTEST_"])
+
+    raced = run("compare", "double-well", "my-method", "contact-rkn8", "rk4")
+    assert raced.returncode == 0, raced.stderr
+    assert "contact-rkn8" in raced.stdout
+    checked = run("check", "my-method")
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    made = run("bench", "-k", "my-method")
+    assert made.returncode == 0, made.stdout + made.stderr
+    commit(repository)
+    commit(repository)
+    same = run("gate")
+    assert same.returncode == 0, same.stdout + same.stderr
+    commit(repository, MY.replace(HALF, SLOW))
+    slower = run("gate", "--only", "speed")
+    assert slower.returncode == 1, slower.stdout + slower.stderr
+    assert "**slower**" in slower.stdout

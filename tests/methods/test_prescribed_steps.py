@@ -1,0 +1,135 @@
+"""Steps that are prescribed: the map is that of the single steps, in every engine, and keeps what each one keeps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+from cases import pairs
+from chains import chain
+from contactbench.methods.fixed_step import FixedStep
+
+FIXED = [m for m in cb.METHODS.values() if isinstance(m, FixedStep) and m.one_step]
+SCENES = [cb.SCENES[name] for name in ("particle", "lane_emden_5", "rigid_body")]
+#: merges, stages in a loop, processing, no merging
+SHAPES = ("contact-strang", "contact-rkn6", "contact-rkn8", "herglotz2")
+ENGINES = ("numba", "python", "jax")
+STAR = cb.SCENES["lane_emden_5"]
+#: relative; some ten steps on another compiler, or merged at other places, leave 1e-14
+ROUND_OFF = 1e-13
+
+
+def grid_of(scene, plateau):
+    return cb.geometric_steps(scene.t_end / 10, 12, scene.t_end / 40, plateau)
+
+
+def gap(a, b):
+    return np.abs(a - b).max() / np.abs(b).max()
+
+
+# -- the map -----------------------------------------------------------------------------------------
+@pairs(FIXED, SCENES)
+@pytest.mark.quick(scene="lane_emden_5")
+@pytest.mark.parametrize("plateau", [1, 3])
+def test_a_run_is_its_steps_one_after_the_other(method, scene, plateau):
+    """Two saved times, one of them amid a plateau."""
+    grid, one = grid_of(scene, plateau), cb.step_map(scene, method.name)
+    states = [one.start]
+    for h in grid.tolist():
+        states.append(one(states[-1], h))
+    solution = cb.solve(scene, method.name, step=grid, save_at=np.cumsum(grid)[[4, 11]])
+    assert solution.ok
+    assert solution.counts.steps == 12
+    assert gap(solution.y, np.array(states)[[5, 12]]) < ROUND_OFF
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("save_at", [None, [20.0], [0.0, 3.0, 3.1, 20.0]])
+def test_a_constant_grid_is_a_step_bit_for_bit(engine, save_at):
+    for name in SHAPES:
+        options = {"save_at": save_at, "engine": engine}
+        scalar, grid = (cb.solve("particle", name, step=h, **options) for h in (0.1, np.full(200, 0.1)))
+        assert np.array_equal(grid.t, scalar.t)
+        assert np.array_equal(grid.y, scalar.y)
+        assert (grid.counts, grid.step) == (scalar.counts, scalar.step)
+
+
+@pytest.mark.parametrize("scene", [*SCENES, chain(16, "ring")], ids=lambda scene: scene.name)
+def test_engines_agree(scene):
+    grid = grid_of(scene, plateau=3)
+    times = [0.0, *np.cumsum(grid)[[3, 11]]]
+    for name in (name for name in SHAPES if cb.METHODS[name].refuses(scene) is None):
+        runs = [cb.solve(scene, name, step=grid, save_at=times, engine=engine) for engine in ENGINES]
+        assert all(gap(run.y, runs[0].y) < ROUND_OFF for run in runs)
+        assert all(gap(run.sensitivity, runs[0].sensitivity) < ROUND_OFF for run in runs)
+
+
+# -- what it keeps, and what it costs ----------------------------------------------------------------
+@pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6", "contact-rkn8"])
+@pytest.mark.parametrize("scene", SCENES[:2], ids=lambda scene: scene.name)
+def test_the_contact_form_is_kept_to_round_off(scene, method):
+    grid = cb.geometric_steps(scene.t_end, 48, a=2.0)
+    run = cb.solve(scene, method, step=grid, save_at=np.cumsum(grid)[[20, -1]])
+    kept = run.laws()["deviation"]
+    assert max(kept["contact_drift"], kept["own_factor_drift"], kept["pairing_drift"]) < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("steps", "evaluations", "error"),
+    [(6, 72, 1.44e-5), (12, 144, 2.19e-7), (24, 288, 3.39e-9), (48, 576, 5.29e-11)],
+)
+def test_growing_steps_on_a_motion_that_slows_down(steps, evaluations, error):
+    """Of equal steps five times as many do not reach it."""
+    end = {"save_at": [STAR.t_end]}
+    run = cb.solve(STAR, "contact-rkn6", step=cb.geometric_steps(STAR.t_end, steps, a=0.5), **end)
+    assert run.counts.evaluations == evaluations
+    assert cb.LAWS["solution_error"](run) == pytest.approx(error, rel=0.02)
+    equal = cb.solve(STAR, "contact-rkn6", step=STAR.t_end / (5 * steps), **end)
+    assert cb.LAWS["solution_error"](equal) > 2 * error
+
+
+@pytest.mark.parametrize(("plateau", "evaluations"), [(1, 24 * 39), (4, 6 * 39 + 18 * 13)])
+def test_a_processor_is_paid_where_the_step_changes(plateau, evaluations):
+    grid = cb.geometric_steps(STAR.t_end, 24, 0.5, plateau)
+    assert cb.solve(STAR, "contact-rkn8", step=grid, save_at=[20.0]).counts.evaluations == evaluations
+
+
+# -- ensembles ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize("engine", ["numba", "jax"])
+@pytest.mark.parametrize("scene", [cb.SCENES["particle"], chain(8, "ring")], ids=lambda scene: scene.name)
+def test_an_ensemble_takes_the_steps_of_its_single_solutions(scene, engine):
+    options = {"step": grid_of(scene, plateau=2), "carry": ("s",)}
+    start = {"p": np.multiply.outer(np.array(scene.p), [1.0, 0.9, 1.1])}
+    times = np.cumsum(options["step"])[[5, 11]]
+    many = cb.ensemble(scene, "contact-strang", start, measure_at=times, engine=engine, **options)
+    runs = [cb.prepare(scene, "contact-strang", save_at=times, **options)(p=p) for p in start["p"].T]
+    assert gap(scene.pack(many.final), np.array([run.y[-1] for run in runs]).T) < ROUND_OFF
+    laws = [cb.LAWS["hamiltonian_law"](run) for run in runs]
+    np.testing.assert_allclose(many.measures["hamiltonian_law"], laws, rtol=1e-9)
+    assert many.counts == runs[0].counts
+
+
+def test_an_exponent_of_prescribed_steps():
+    """The sum is −γ, n degrees of freedom times."""
+    found = cb.lyapunov("oscillator", "contact-rkn6", step=[0.1, 0.4, 0.5], every=1.0, intervals=8)
+    assert found.total.value == pytest.approx(-0.1, rel=1e-12)
+
+
+# -- how it ends -------------------------------------------------------------------------------------
+@pytest.mark.parametrize("plateau", [1, 40])
+def test_a_divergence_is_found_to_the_step(plateau):
+    data = {"gamma": 0.1, "q": (1.0,), "p": (1.0,), "t_end": 8.0}
+    escape = cb.Mechanical(name="escape", potential=lambda q: -(q[0] ** 4), **data)
+    grid = cb.geometric_steps(8.0, 400, 2.0, plateau)
+    every, last = (cb.solve(escape, "rk4", step=grid, save_at=times) for times in (np.cumsum(grid), [8.0]))
+    assert every.status is last.status is cb.Status.diverged
+    assert "factor 1e6 at t" in last.message
+    assert 0 < last.end_time == pytest.approx(every.end_time, rel=1e-12)
+
+
+def test_a_geometric_grid():
+    grid = cb.geometric_steps(20.0, 24, a=0.5)
+    assert grid.sum() == pytest.approx(20.0, rel=1e-15)
+    np.testing.assert_allclose(grid[1:] / grid[:-1], 41 ** (1 / 24), rtol=1e-12)
+    assert len(np.unique(cb.geometric_steps(20.0, 24, 0.5, plateau=8))) == 3
