@@ -13,8 +13,6 @@ import random
 from fractions import Fraction
 from typing import Any
 
-from mpmath import mp
-
 from contactbench.claims.geometry import SEED
 from contactbench.claims.integrator import ORDER
 from contactbench.claims.ledger import Evidence, at_most, claim
@@ -117,16 +115,16 @@ def conditions(*half: Any) -> list[Any]:
 
 def palindrome_of(half: Any) -> Any:
     """Return the stages as in `splitting.composition`, with numbers of any kind."""
-    left = [*half, mp.mpf(1) / 2 - half[1] - half[3]]
+    left = [*half, 0.5 - half[1] - half[3]]
     left.append(1 - 2 * sum(left[::2]))
     names = itertools.cycle(("kick", "drift_damp"))
     return tuple(zip(names, (*left, *left[-2::-1]), strict=False))
 
 
 def for_cubic_potentials() -> Composition:
-    with mp.workdps(60):
-        half = mp.findroot(conditions, START, solver="mdnewton", tol=1e-100)
-        digits = [mp.nstr(c, 55) for c in half]
+    context = decimal_context(60)
+    half = context.findroot(conditions, START, solver="mdnewton", tol=1e-100)
+    digits = [context.nstr(c, 55) for c in half]
     return Composition("cubic", 4, palindrome("kick", "drift_damp", digits), "made here", nystrom=True)
 
 
@@ -165,6 +163,6 @@ def saved_conditions(seed: int = SEED, gamma: float = 0.1, damping: Fraction = F
             shown = f"dimensions {' '.join(map(str, found))} of V of degree {degree} at γ {name}"
             yield at_most(f"largest difference from {' '.join(map(str, expected))}: {shown}", off, *exact)
     method = for_cubic_potentials()
-    for rate, expected in ((0.0, 6), (gamma, 4)):
-        quantity = f"|order − {expected}| of a method for cubic potentials at γ = {rate:g}, 50 digits"
-        yield at_most(quantity, abs(order(method, rate) - expected), *ORDER)
+    for value, nominal in ((0.0, 6), (gamma, 4)):
+        quantity = f"|order − {nominal}| of a method for cubic potentials at γ = {value:g}, 50 digits"
+        yield at_most(quantity, abs(order(method, value) - nominal), *ORDER)
