@@ -12,7 +12,7 @@ from contactbench.numbers import functions
 
 
 def test_dir_shows_the_public_names_and_they_exist():
-    assert dir(cb) == sorted([*cb.__all__, "scipy", "__version__"])
+    assert dir(cb) == sorted([*cb.__all__, "diffrax", "scipy", "__version__"])
     assert all(getattr(cb, name) is not None for name in dir(cb))
     assert set(functions.__all__) == {*FUNCTIONS, "atan2", "pi"}
     assert all(hasattr(cb.math, name) for name in functions.__all__)

@@ -21,7 +21,7 @@ from contactbench.truth import reference
 if TYPE_CHECKING:
     from contactbench.ensembles import Ensemble, ensemble
     from contactbench.ensembles.lyapunov import Lyapunov, lyapunov
-    from contactbench.interop import scipy
+    from contactbench.interop import diffrax, scipy
     from contactbench.measure.own_composition import composition
     from contactbench.race.comparison import compare
 
@@ -37,7 +37,7 @@ LATER = dict.fromkeys(("Ensemble", "ensemble"), "ensembles")
 LATER |= dict.fromkeys(("Lyapunov", "lyapunov"), "ensembles.lyapunov")
 LATER |= {"composition": "measure.own_composition", "compare": "race.comparison"}
 #: parts that are modules, named as the library that they go with
-PARTS = ("scipy",)
+PARTS = ("diffrax", "scipy")
 
 
 def __getattr__(name: str) -> Any:

@@ -14,8 +14,9 @@ import signal
 import sysconfig
 import threading
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from html import escape
 from pathlib import Path
 from types import FunctionType
 from typing import Any, ClassVar, NoReturn
@@ -68,6 +69,12 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName
     return UnknownName(f"unknown {kind} {excerpt(name)}: {hint}choose from {', '.join(names)}")
 
 
+def html_table(rows: Mapping[str, object], title: str = "") -> str:
+    """Return two columns as a table of HTML, for notebooks."""
+    cells = (f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items())
+    return f"<table><caption>{escape(title)}</caption>{''.join(cells)}</table>"
+
+
 #: a name is also a key in tables, a part of file names and a word on the command line
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 
@@ -88,6 +95,10 @@ class Registry(dict):
         super().__init__()
         self.every.append(self)
         self.kind, self.of = kind, of
+
+    def _repr_html_(self) -> str:
+        """Return a table of names and what they are, for notebooks."""
+        return html_table({name: getattr(item, "about", "") for name, item in self.items()}, self.kind)
 
     def __getitem__(self, name: Any) -> Any:
         if not isinstance(name, str) or name not in self:  # perhaps something that cannot be a key at all

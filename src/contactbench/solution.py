@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from contactbench.errors import BadInput
+from contactbench.errors import BadInput, html_table
 from contactbench.scene import Scene, rotation_matrix
 
 if TYPE_CHECKING:
@@ -54,6 +54,9 @@ class Counts(NamedTuple):
             return None
         return self.evaluations / 2 if self.kind == "rotation" else float(self.evaluations)
 
+
+#: components that are drawn
+DRAWN = 8
 
 #: the control of a method that has neither step nor tolerance
 EXACT = "exact"
@@ -166,6 +169,57 @@ class Solution:
             f"<Solution of {self.scene.name} by {self.method} ({self.engine}, {setting}): "
             f"{self.status}{why}, {len(self.t)} states to t = {self.end_time:g}{cost}>"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what was run, how it ended and what it cost as a table, for notebooks."""
+        ended = f"{self.status}{f': {self.message}' if self.message else ''}"
+        rows = {"method": f"{self.method} ({self.engine}, {self.setting})", "status": ended}
+        rows["states"] = f"{len(self.t)}, to t = {self.end_time:g}"
+        if self.counts.evaluations is not None:
+            rows["evaluations"] = f"{self.counts.evaluations} ({self.counts.kind})"
+        if self.ok:
+            rows["end"] = ", ".join(
+                f"{n} = {y:.6g}" for n, y in zip(self.labels[:12], self.y[-1], strict=False)
+            )
+        return html_table(rows, self.scene.name)
+
+    def plot(self) -> Any:
+        """Draw the run and return the matplotlib figure: the motion over time, its phase portrait, the energies.
+
+        H0, and where the scene has a contact Hamiltonian with a known decay H beside its law H(0) e^{−∫Γ'}.
+        """
+        from matplotlib import pyplot
+
+        figure, axes = pyplot.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+        motion, momenta = (self.q, self.p) if self.q is not None else (self.M, None)
+        letter = "M" if self.q is None else "q"
+        if motion is not None:
+            for i, column in enumerate(motion.T[:DRAWN]):
+                axes[0].plot(self.t, column, label=f"{letter}{i + 1}")
+                other = motion.T[(i + 1) % len(motion.T)] if momenta is None else momenta.T[i]
+                axes[1].plot(column, other, label=f"{letter}{i + 1}")
+        axes[0].set(xlabel="t", ylabel=letter)
+        axes[1].set(xlabel=letter, ylabel="the next M" if momenta is None else "p", title="phase portrait")
+        for label, values, style in self.energies():
+            axes[2].plot(self.t, values, style, label=label)
+        axes[2].set(xlabel="t", title="energies")
+        for each in axes:
+            each.legend(fontsize="small")
+        figure.suptitle(f"{self.scene.name}: {self.method}, {self.setting}")
+        return figure
+
+    def energies(self) -> list[tuple[str, np.ndarray, str]]:
+        """Return H0, and H and its law where there are such, each with its label and the style of its line."""
+        scene, x = self.scene, self.states()
+        found = [("H0", np.asarray(scene.energy(x)), "-")]
+        if not (scene.is_contact and x.s is not None):
+            return found
+        found.append(("H", np.asarray(scene.hamiltonian(x)), "-"))
+        start = self.start()
+        spent = scene.damped_by(start, self.t, np) if scene.has_hamiltonian_law else None
+        if spent is not None:
+            found.append(("law of H", float(scene.hamiltonian(start)) * np.exp(-spent), ":"))
+        return found
 
     def to_frame(self) -> pd.DataFrame:
         """The saved states, a row for each time: t, then the components by name (q1, …, p1, …, s)."""

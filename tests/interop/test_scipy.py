@@ -10,8 +10,13 @@ from scipy.interpolate import CubicSpline
 import contactbench as cb
 from contactbench.methods.fixed_step import FixedStep
 
-#: Herglotz's steps are merged in a run of `cb.solve`, and agree to round-off
-FIXED = [n for n, m in cb.METHODS.items() if isinstance(m, FixedStep) and m.family != "variational"]
+#: Herglotz's steps are merged in a run of `cb.solve`, and agree to round-off, as do those that iterate
+FIXED = [
+    name
+    for name, method in cb.METHODS.items()
+    if isinstance(method, FixedStep) and method.one_step and not method.iterates
+    if method.family != "variational"
+]
 PAIRS = [
     (scene, method)
     for scene in ("particle", "quadratic_damping", "forced_pulsating", "rigid_body_anisotropic")
@@ -130,5 +135,7 @@ def test_refusals():
         run(solver, y0=[1.0, 2.0])
     with pytest.raises(cb.BadInput, match="chooses its own steps"):
         cb.scipy.Contact("cvode-bdf", "particle")
+    with pytest.raises(cb.BadInput, match="a step needs those before it"):
+        cb.scipy.Contact("stormer12", "particle")
     with pytest.warns(UserWarning, match="`rtol`"):
         run(solver, rtol=1e-6)

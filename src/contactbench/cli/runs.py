@@ -117,6 +117,19 @@ def plot(solution: Any, path: Path) -> None:
             for i, (name, values) in enumerate(group.items())
         )
         panels.append(Panel("", Axis("t"), Axis(", ".join(group)), tuple(curves)))
+    if solution.q is not None and solution.p is not None:
+        pairs = zip(solution.q.T[:5], solution.p.T[:5], strict=True)
+        portrait = tuple(
+            Curve(
+                tuple(q.tolist()),
+                tuple(p.tolist()),
+                f"(q{i + 1}, p{i + 1})",
+                role=f"shade {i}",
+                markers=False,
+            )
+            for i, (q, p) in enumerate(pairs)
+        )
+        panels.append(Panel("phase portrait", Axis("q"), Axis("p"), portrait))
     title = f"{scene.name}: {solution.method}, {solution.setting}"
     render(Figure("run", title, tuple(panels), legend="each", across=2)).savefig(path)
 
@@ -245,7 +258,8 @@ def add(command: Command) -> None:
     one = command("solve", solve, "solve one scene with one method and print where it ended", SOLVE)
     one.add_argument("scene", help="its name (contactbench list scenes)")
     one.add_argument("method", help="its name (contactbench list methods)")
-    add_common(one, plot="motion and energies over time (.svg, .png, .pdf)", out="the saved states as CSV")
+    plot = "motion and energies over time, phase portrait (.svg, .png, .pdf)"
+    add_common(one, plot=plot, out="the saved states as CSV")
     step = "step size of a fixed-step method; or its steps: geometric:COUNT:A (growing as A + t), or a file of them"
     one.add_argument("--step", help=step)
     one.add_argument("--rtol", type=float, help="tolerance (adaptive methods; others choose a step from it)")

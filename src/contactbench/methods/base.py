@@ -361,6 +361,11 @@ def solve(scene: Scene | str, method: Method | str, **options: Any) -> Solution:
 
     Raises `BadInput` as it does, and where a gradient is not that of the potential at a saved state.
     """
+    for name in options.keys() & {"events", "dense_output", "t_eval"}:
+        how = "solve_ivp(…, method=cb.scipy.Contact(method, scene), max_step=…)"
+        raise BadInput(
+            f"{name}: solve saves states at save_at; events and dense output are SciPy's, in {how}"
+        )
     solution = prepare(scene, method, **options)()
     if solution.scene.has_users_functions and solution.ok:
         verify_at(solution.scene, solution.y)

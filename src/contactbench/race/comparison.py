@@ -304,7 +304,7 @@ class Scout:
         start = perf_counter()
         solution = run()
         seconds = perf_counter() - start
-        if solution.counts.steps:
+        if solution.ok and solution.counts.steps:  # one that diverges is run again and again, to find where
             each = seconds / solution.counts.steps
             self.a_step = self.a_step if self.a_step <= each else each  # of few steps most is the call
         error, worst = math.nan, solution

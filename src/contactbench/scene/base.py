@@ -19,6 +19,7 @@ from contactbench.errors import (
     excerpt,
     finite,
     function,
+    html_table,
     is_ours,
     items_of,
     positive,
@@ -85,6 +86,17 @@ class Cache[Made]:
 def key(identity: Hashable | None, *rest: Any) -> Hashable | None:
     """Return the key of what depends on a scene or a method, and more; None where the first of them is."""
     return None if identity is None else (identity, *rest)
+
+
+#: what no scene of a kind takes, and the nearest way to it; the table is in docs/compare.md
+INSTEAD = {
+    "kinetic": "the kinetic energy is ‖p‖²/2m, of a mass for every component: mass=(1., 2., 5.)",
+    "magnetic": "no force may depend on p but for damping; SciPy's solve_ivp takes any right-hand side",
+    "torque": "no torque acts on this body but its damping",
+    "friction": "damping is −γ p, or −Γ'(s) p (cb.GeneralDamping): friction with a jump has no smooth flow",
+    "rate": "a damping that depends on time is cb.Driven(rate=lambda t: …, potential=lambda q, t: …)",
+    "damping": "a damping Γ(s) is cb.GeneralDamping(damping=…, damping_slope=…); −γ p is gamma=0.1",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -355,6 +367,11 @@ class Scene(System):
     #: H0 need not decay: no damping, negative damping, or damping whose sign follows the motion
     may_gain_energy: ClassVar[bool] = False
 
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        for name in given.keys() & INSTEAD.keys() - {f.name for f in dataclasses.fields(cls)}:
+            raise BadInput(f"{name}: {cls.__name__} takes none: {INSTEAD[name]}")
+        return super().__new__(cls)
+
     def __post_init__(self) -> None:
         taken = {f.name for f in dataclasses.fields(self)} | ARGUMENTS
         wanted = f"must have a name of its own, none of {', '.join(sorted(taken))}"
@@ -386,6 +403,14 @@ class Scene(System):
         if extra:
             changes = {"parameters": extra | named} | changes
         return dataclasses.replace(self, **changes)
+
+    def _repr_html_(self) -> str:
+        """Return the scene's numbers as a table, for notebooks."""
+        names = (*self.initial_fields, *self.coefficients, "t_end")
+        rows = {name: excerpt(getattr(self, name)) for name in names if hasattr(self, name)}
+        return html_table(
+            rows | dict(getattr(self, "parameters", {})), f"{self.name}: {self.about or self.kind}"
+        )
 
     def numbers(self) -> list[float]:
         own = System.pack([getattr(self, name) for name in self.coefficients])

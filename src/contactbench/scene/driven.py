@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any, ClassVar, NamedTuple
 
 from contactbench.errors import BadInput, excerpt, finite, function, is_number, require_number
@@ -84,13 +85,24 @@ class Driven(Mechanical):
         if self.rate is not None:
             if self.gamma:
                 raise BadInput(f"gamma = {self.gamma!r}: the rate of damping has it in it")
-            require_number("rate", self._value("rate"))
+            self._require_rate_of_time()
         if self.span is not None:
             if self.rate is None:
                 raise BadInput("span: its rate is missing, the damping that it is the integral of")
             pair = self._value("span")
             if not (isinstance(pair, tuple | list) and len(pair) == 2 and all(map(is_number, pair))):
                 raise BadInput(f"span: must return a pair of real numbers; it returns {excerpt(pair)}")
+
+    def _require_rate_of_time(self) -> None:
+        """Raise `BadInput` unless the rate is a number, and a function of the time and the parameters alone."""
+        try:
+            signature(self.rate).bind(self.t, **self.parameters)  # type: ignore[arg-type]
+        except TypeError as why:
+            form = "must be a function of the time, lambda t: …, and of the parameters by name"
+            raise BadInput(f"rate: {form} ({why}); a damping that depends on q has no flow here") from why
+        except ValueError:  # a function written in C has no signature
+            pass
+        require_number("rate", self._value("rate"))
 
     @property
     def clock(self) -> int:

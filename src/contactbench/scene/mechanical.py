@@ -41,6 +41,14 @@ def masses(name: str, value: Any) -> Any:
     return tuple(positive(f"{name}[{i}]", each) for i, each in enumerate(vector(name, value)))
 
 
+def damping_rate(name: str, value: Any) -> float:
+    """Return a finite number; raise `BadInput` for anything else, which says how a function is given."""
+    if callable(value):
+        how = "one of time is cb.Driven(rate=lambda t: …), one of s cb.GeneralDamping(damping=…); of q there is none"
+        raise BadInput(f"{name} = {excerpt(value)}: must be a number; {how}")
+    return finite(name, value)
+
+
 class Canonical(Scene):
     """What all scenes with H = T(p) + V(q) + γ s + ½ κ s² share, however their components are kept."""
 
@@ -178,7 +186,7 @@ class Mechanical(Canonical):
         "hessian": optional(function),
         "q": vector,
         "p": vector,
-        "gamma": finite,
+        "gamma": damping_rate,
         "kappa": finite,
         "mass": masses,
         "rotation_invariant": switch,

@@ -1,0 +1,235 @@
+"""The integrators inside `diffrax.diffeqsolve`: differentiable, vmappable, with diffrax's adjoints and saving.
+
+import contactbench as cb
+import diffrax
+
+velocity = diffrax.ODETerm(lambda t, p, args: p)
+force = diffrax.ODETerm(lambda t, q, args: -q)
+damping = diffrax.ODETerm(lambda t, p, args: -0.1 * p)
+terms = velocity, diffrax.MultiTerm(force, damping)
+solver = cb.diffrax.Contact("contact-rkn6")
+diffrax.diffeqsolve(terms, solver, 0, 10, 0.1, (q, p), stepsize_controller=diffrax.ConstantStepSize())
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+from contactbench.errors import BadInput
+from contactbench.methods.contact import ContactMethod
+from contactbench.methods.prepared import METHODS
+from contactbench.numbers import quadrature
+from contactbench.numbers.control import XlaNumbers
+from contactbench.scene import Scene
+from contactbench.scene.base import scene_of
+from contactbench.splitting.composition import Composition, Plan, Stage, arrange
+from contactbench.splitting.flows import damped_time
+from contactbench.xla import configure
+
+configure()
+
+import diffrax  # noqa: E402
+import equinox as eqx  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+
+#: relative differences of steps that are round-off of the times: the run goes on as it is
+EQUAL = 1e-9
+#: kicks and drifts in turn are a loop of so many flows: written out, a long step takes half a minute to compile
+PAIR = 2
+XP = XlaNumbers()
+
+
+def moved(y: Any, slope: Any, factor: Any = 1.0) -> Any:
+    return jax.tree.map(lambda a, b: a + factor * b, y, slope)
+
+
+def depends_on_time(function: Callable[[Any], Any], t: Any) -> bool:
+    traced = jax.make_jaxpr(function)(t).jaxpr
+    (time,) = traced.invars
+    read = [*(x for equation in traced.eqns for x in equation.invars), *traced.outvars]
+    return any(x is time for x in read)
+
+
+def parts(terms: Any) -> tuple[Any, Any, Any]:
+    velocity, on_momentum = terms
+    return velocity, *on_momentum.terms
+
+
+class Flows:
+    """The exact subflows of three terms on y = (q, p), each over a part of a step from time t on."""
+
+    def __init__(self, terms: Any, t: Any, y: Any, args: Any) -> None:
+        self.velocity, self.force, self.damping = parts(terms)
+        self.args, ones = args, jax.tree.map(jnp.ones_like, y[1])
+
+        def rates(t: Any) -> Any:
+            """Return the rate of damping of each momentum: what it does to a momentum of ones."""
+            return jax.tree.map(lambda slope: -slope, self.damping.vf(t, ones, args))
+
+        self.rates, self.changes = rates, depends_on_time(rates, jnp.asarray(t, dtype=float))
+
+    def spent(self, t: Any, h: Any) -> tuple[Any, Any]:
+        """Return ∫γ over a part of a step and φ, the time that a damped momentum is worth, of each momentum."""
+        if not self.changes:
+            rates = self.rates(t)
+            total = jax.tree.map(lambda rate: rate * h, rates)
+            return total, jax.tree.map(lambda rate: damped_time(rate, h, XP), rates)
+        leaves, structure = jax.tree.flatten(self.rates(t))
+
+        def integrals(i: int) -> tuple[Any, Any]:
+            return quadrature.integrals(lambda t: jax.tree.leaves(self.rates(t))[i], t, h, XP)
+
+        each = [integrals(i) for i in range(len(leaves))]
+        total, phi = (jax.tree.unflatten(structure, part) for part in zip(*each, strict=True))
+        return total, phi
+
+    def kick(self, t: Any, y: Any, h: Any) -> Any:
+        q, p = y
+        return q, moved(p, self.force.vf(t, q, self.args), h)
+
+    def drift(self, t: Any, y: Any, h: Any) -> Any:
+        q, p = y
+        return moved(q, self.velocity.vf(t, p, self.args), h), p
+
+    def damp(self, t: Any, y: Any, h: Any) -> Any:
+        q, p = y
+        total, _ = self.spent(t, h)
+        return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
+
+    def drift_damp(self, t: Any, y: Any, h: Any) -> Any:
+        """Return q + velocity(φ p) and e^{−∫γ} p: exact where the velocity is linear in p."""
+        q, p = y
+        total, phi = self.spent(t, h)
+        worth = jax.tree.map(lambda phi, p: phi * p, phi, p)
+        q = moved(q, self.velocity.vf(t, worth, self.args))
+        return q, jax.tree.map(lambda p, G: p + jnp.expm1(-G) * p, p, total)
+
+    def run(self, stages: Sequence[Stage], t: Any, y: Any, h: Any) -> tuple[Any, Any]:
+        """Apply stages, in a loop where their flows alternate; return the time and the state after them."""
+        if len(stages) > PAIR and len(stages) % PAIR:
+            return self.run(stages[1:], *self.run(stages[:1], t, y, h), h)
+        names = [name for name, _ in stages]
+        alternate = len(stages) > PAIR and names == names[:PAIR] * (len(stages) // PAIR)
+
+        def round_of(carried: Any, coefficients: Any) -> Any:
+            t, y = carried
+            for name, coefficient in zip(names, coefficients, strict=False):
+                y = getattr(self, name)(t, y, coefficient * h)
+                t = t + coefficient * h if name in CLOCKS else t
+            return (t, y), None
+
+        coefficients = jnp.array([float(c) for _, c in stages])
+        if not alternate:
+            return round_of((t, y), coefficients)[0]
+        return jax.lax.scan(round_of, (t, y), coefficients.reshape(-1, PAIR))[0]
+
+
+#: the flows in which time passes, as in `Driven`
+CLOCKS = ("damp", "drift_damp")
+
+
+class ContactSolver(diffrax.AbstractSolver):
+    """A contact splitting integrator for three terms on y = (q, p); see `Contact`."""
+
+    composition: Composition = eqx.field(static=True)
+
+    term_structure: ClassVar[Any] = (
+        diffrax.AbstractTerm,
+        diffrax.MultiTerm[tuple[diffrax.AbstractTerm, diffrax.AbstractTerm]],
+    )
+    interpolation_cls: ClassVar[Any] = diffrax.ThirdOrderHermitePolynomialInterpolation
+
+    @property
+    def plan(self) -> Plan:
+        return arrange(self.composition.stages, self.composition.processor)
+
+    def order(self, terms: Any) -> int:
+        """Return the order of the composition."""
+        return self.composition.order
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
+        """Return what a run goes on from: the kernel's time and state, and the size of a step."""
+        t0, h = jnp.asarray(t0, dtype=float), jnp.asarray(t1 - t0, dtype=float)
+        return *Flows(terms, t0, y0, args).run(self.plan.opening, t0, y0, h), h
+
+    def step(
+        self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
+    ) -> tuple[Any, None, dict[str, Any], Any, Any]:
+        """Take a step; where its size is another than before, the run is opened anew."""
+        plan, (t, y, before), h = self.plan, solver_state, t1 - t0
+        flows = Flows(terms, t0, y0, args)
+        anew = made_jump | (jnp.abs(h - before) > EQUAL * jnp.abs(h))
+        opened = lambda: flows.run(plan.opening, jnp.asarray(t0, dtype=float), y0, h)  # noqa: E731
+        t, y = jax.lax.cond(anew, opened, lambda: (t, y))
+        t, y = flows.run(plan.inner, t, y, h)
+        _, y1 = flows.run(plan.closing, t, y, h)
+        ends = {"y0": y0, "y1": y1}
+        for name, time, end in (("k0", t0, y0), ("k1", t1, y1)):
+            ends[name] = jax.tree.map(lambda slope: h * slope, self.func(terms, time, end, args))
+        return y1, None, ends, (*flows.run(plan.joint, t, y, h), h), diffrax.RESULTS.successful
+
+    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
+        """Return the slope of y."""
+        velocity, force, damping = parts(terms)
+        q, p = y0
+        return velocity.vf(t0, p, args), moved(force.vf(t0, q, args), damping.vf(t0, p, args))
+
+
+def Contact(method: str) -> ContactSolver:
+    """Return a solver for ``diffeqsolve(terms, solver, t0, t1, dt0, (q, p), args, ConstantStepSize())``.
+
+    terms : (velocity, MultiTerm(force, damping)), those of `diffrax.SemiImplicitEuler` with a damping: q' =
+    velocity(t, p), linear in p; p' = force(t, q) + damping(t, p), the last −γ p, −γ(t) p, or of a rate for each
+    momentum.  With one rate and a force that is a gradient every step is part of a contact map, less the action s.
+    q and p may be any trees of arrays of double precision.
+
+    The states are those of ``cb.solve(…, carry=())`` at the same steps, to round-off.  Give a dt0 that divides the
+    span: else diffrax's first two steps are of other sizes than the rest, and a run whose steps change is opened
+    anew.  The kernel of a processed method is solver state, and y postprocessed.  Adjoints, `vmap` and `SaveAt` are
+    diffrax's.  Between steps it interpolates by cubics, whose error is of order h⁴ and which are no contact map
+    (``SaveAt(steps=True)`` and ``t1=True`` need none).
+
+    Raises `BadInput` for a method that is no composition of kicks, drifts and damping.
+    """
+    chosen = METHODS[method]
+    if not isinstance(chosen, ContactMethod):
+        names = ", ".join(name for name, each in METHODS.items() if isinstance(each, ContactMethod))
+        raise BadInput(
+            f"method = {method!r}: no composition of kicks, drifts and damping; choose from {names}"
+        )
+    return ContactSolver(chosen.composition)
+
+
+def terms_of(scene: Scene | str) -> tuple[Any, Any]:
+    """Return the terms of a scene; ``args`` are its parameters by name, or None for its own.
+
+    Raises `BadInput` for a scene that is not mechanical, or whose damping is not linear.
+    """
+    scene = scene_of(scene)
+    if scene.kind not in ("mechanical", "driven") or scene.nonlinear_damping:  # type: ignore[attr-defined]
+        raise BadInput(
+            f"scene {scene.name!r}: has no terms on (q, p), being {scene.kind} or damped nonlinearly"
+        )
+    names, own = scene.number_names(), scene.numbers()
+
+    def twin(args: Any) -> Any:
+        given = args or {}
+        return scene.with_numbers([given.get(name, x) for name, x in zip(names, own, strict=True)])
+
+    def state(t: Any, q: Any, p: Any) -> Any:
+        return scene.unpack(scene.with_clock([*q, *p], t), ())
+
+    def velocity(t: Any, p: Any, args: Any) -> Any:
+        return jnp.stack(twin(args).velocity(tuple(p)))
+
+    def force(t: Any, q: Any, args: Any) -> Any:
+        return -jnp.stack(twin(args).gradient_at(state(t, q, q)))
+
+    def damping(t: Any, p: Any, args: Any) -> Any:
+        rate = twin(args).rate_at(t) if scene.kind == "driven" else twin(args).gamma
+        return -rate * p
+
+    terms = map(diffrax.ODETerm, (force, damping))
+    return diffrax.ODETerm(velocity), diffrax.MultiTerm(*terms)

@@ -1,0 +1,124 @@
+"""`cb.diffrax.Contact` inside diffrax's own `diffeqsolve`."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import contactbench as cb
+
+
+@cache
+def terms_of(scene):
+    """The terms of a scene: equal ones for all its runs, which JAX compiles once."""
+    return cb.diffrax.terms_of(scene)
+
+
+def solve(scene, method, t_end=2.0, dt0=0.1, **options):
+    import diffrax
+    import jax.numpy as jnp
+
+    scene, terms = cb.SCENES[scene], terms_of(scene)
+    t0, start = getattr(scene, "t", 0.0), (jnp.array(scene.q), jnp.array(scene.p))
+    constant = {"stepsize_controller": diffrax.ConstantStepSize()} | options
+    return diffrax.diffeqsolve(terms, cb.diffrax.Contact(method), t0, t0 + t_end, dt0, start, **constant)
+
+
+def end(solution):
+    return np.concatenate([part[-1] for part in solution.ys])
+
+
+@pytest.mark.parametrize("scene", ["particle", "forced_oscillator", "forced_pulsating"])
+@pytest.mark.parametrize("method", ["contact-abc", "contact-strang", "contact-rkn6", "contact-rkn8"])
+@pytest.mark.quick(scene="particle", method=("contact-abc", "contact-rkn8"))
+@pytest.mark.quick(scene="forced_pulsating", method="contact-rkn6")
+def test_a_run_is_that_of_solve(scene, method):
+    """Where dt0 does not divide the time, diffrax takes 0.1, 0.095 and then steps of 0.0975: three runs.
+
+    Measured: 3.3e-15 at most over runs twice as long.
+    """
+    for t_end, saved in ((2.0, [2.0]), (1.95, [0.1, 0.195, 1.95])):
+        expected = cb.solve(scene, method, step=0.1, save_at=saved, carry=()).y[-1]
+        found = end(solve(scene, method, t_end))
+        np.testing.assert_allclose(found, expected[: len(found)], rtol=0, atol=1e-14)
+
+
+def test_steps_that_change_are_runs_of_their_own():
+    import diffrax
+
+    times = np.array([0.1, 0.3, 0.4, 0.7])
+    expected = cb.solve("particle", "contact-rkn8", step=1.0, save_at=times, carry=()).y[-1]
+    controller = diffrax.StepTo(ts=np.append(0.0, times))
+    found = end(solve("particle", "contact-rkn8", 0.7, None, stepsize_controller=controller))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+
+
+def test_gradients_are_those_of_the_numerical_map():
+    import diffrax
+
+    from contactbench.xla import jax
+
+    def last(gamma, adjoint=None):
+        options = {"adjoint": adjoint} if adjoint else {"max_steps": 32}
+        return solve("particle", "contact-rkn6", args={"gamma": gamma}, **options).ys[0][-1, 0]
+
+    h = 1e-5
+    expected = (last(0.1 + h) - last(0.1 - h)) / (2 * h)
+    assert float(jax.grad(last)(0.1)) == pytest.approx(float(expected), rel=1e-8)
+    forward = jax.jacfwd(lambda gamma: last(gamma, diffrax.ForwardMode()))(0.1)
+    assert float(forward) == pytest.approx(float(jax.grad(last)(0.1)), rel=1e-12)
+
+
+def test_vmap_over_a_parameter():
+    from contactbench.xla import jax, jnp
+
+    rates = jnp.array([0.0, 0.1, 0.5])
+    many = jax.vmap(lambda g: solve("particle", "contact-strang", args={"gamma": g}).ys[0][-1])(rates)
+    for gamma, found in zip(rates.tolist(), many, strict=True):
+        scene = cb.SCENES["particle"].with_(gamma=gamma)
+        alone = cb.solve(scene, "contact-strang", step=0.1, save_at=[2.0]).q[-1]
+        np.testing.assert_allclose(found, alone, rtol=0, atol=1e-14)
+
+
+def test_terms_of_ones_own_with_a_tree_for_a_state_and_a_rate_for_each_momentum():
+    """The oscillators x'' = −x − γ x' of two rates, against their closed form."""
+    import diffrax
+
+    from contactbench.xla import jax, jnp
+
+    rates = {"a": 0.1, "b": jnp.array([0.4, 0.0])}
+    q, p = {"a": 1.0, "b": jnp.array([0.5, -0.5])}, {"a": 0.0, "b": jnp.zeros(2)}
+    term = diffrax.ODETerm
+    force = term(lambda t, q, args: jax.tree.map(lambda x: -x, q))
+    damping = term(lambda t, p, args: jax.tree.map(lambda p, rate: -rate * p, p, args))
+    terms = term(lambda t, p, args: p), diffrax.MultiTerm(force, damping)
+    controller = diffrax.ConstantStepSize()
+    found = diffrax.diffeqsolve(
+        terms, cb.diffrax.Contact("contact-rkn8"), 0, 3, 0.1, (q, p), rates, stepsize_controller=controller
+    ).ys[0]
+    for start, rate, last in ((1.0, 0.1, found["a"][-1]), (0.5, 0.4, found["b"][-1, 0])):
+        omega = np.sqrt(1 - rate**2 / 4)
+        wave = np.cos(3 * omega) + rate / (2 * omega) * np.sin(3 * omega)
+        assert float(last) == pytest.approx(start * np.exp(-1.5 * rate) * wave, abs=1e-12)
+
+
+def test_between_steps_it_interpolates_by_cubics():
+    import diffrax
+
+    times = np.linspace(0, 2, 41)
+    truth = cb.solve("particle", "contact-rkn8", step=0.05, save_at=times, carry=()).q
+    errors = [
+        np.abs(solve("particle", "contact-rkn8", dt0=h, saveat=diffrax.SaveAt(ts=times)).ys[0] - truth).max()
+        for h in (0.2, 0.1)
+    ]
+    assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5
+
+
+def test_refusals():
+    with pytest.raises(cb.BadInput, match="no composition of kicks"):
+        cb.diffrax.Contact("rk4")
+    for scene in ("rigid_body", "quadratic_damping", "fput"):
+        with pytest.raises(cb.BadInput, match=r"has no terms on \(q, p\)"):
+            cb.diffrax.terms_of(scene)
