@@ -8,7 +8,7 @@ from contactbench.claims.curves import FIGURES, rows
 from contactbench.results.tables import CLAIMS_TABLE, PAPER_FIGURES
 
 #: claims that take longer than a second, which the smoke profile leaves out
-LONG = {f"C{n:02d}" for n in (3, 4, 5, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41)} | {"X02"}
+LONG = {f"C{n:02d}" for n in (3, 4, 5, 15, 18, 20, 22, 24, 26, 33, 34, 37, 39, 41)} | {"X02", "X03"}
 
 
 def some(names, profile):

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from cases import few_slow
-from contactbench.claims import CLAIMS, Correction, Verdict, integrator, rigid_body, verdict
+from contactbench.claims import CLAIMS, Correction, Verdict, algebra, integrator, rigid_body, verdict
 from contactbench.claims.curves import FIGURES, rows
 from contactbench.claims.integrator import ABC, PRINTED, STRANG, threshold, unconditional_from
 from contactbench.claims.ledger import Claim, at_least, at_most
@@ -32,7 +32,7 @@ from contactbench.splitting import flows, modified
 from contactbench.splitting.tables import COMPOSITIONS
 
 IDS = [f"C{n:02d}" for n in range(1, 43)]
-MORE = ["X01", "X02"]  #: beyond the paper
+MORE = ["X01", "X02", "X03"]  #: beyond the paper
 TABLES = {composition.name: composition for composition in COMPOSITIONS}
 REFUTED = {"C04", "C10", "C16", "C19", "C20", "C21", "C25", "C33", "C37", "C38", "C39", "C40"}
 CORRECTED = {"C05", "C22", "C26", "C27", "C32", "C35", "C36", "C42"}
@@ -114,6 +114,7 @@ OTHERS = [
     ("C42", {"gamma": 0.5}),
     ("X01", {"gamma": 0.3, "weak": 3e-5, "steps": 400_000}),
     ("X02", {"rough": 1e-5, "fine": 1e-9}),
+    ("X03", {"seed": 7, "gamma": 1.0}),
 ]
 
 
@@ -277,6 +278,22 @@ LONGER = tuple((name, c * (1 + Fraction(name == "drift_damp", 10**9))) for name,
 def test_another_composition(method, composition, claim, verdicts, monkeypatch, fresh):
     monkeypatch.setitem(METHODS, method, contact_method(replace(composition, name=method)))
     assert changes(claim) == verdicts
+
+
+@pytest.mark.slow
+def test_a_method_for_any_potential_keeps_its_order_with_damping(monkeypatch):
+    monkeypatch.setattr(algebra, "for_cubic_potentials", lambda: TABLES["contact-rkn6"])
+    assert "|order − 4|" in (row := CLAIMS["X03"].row())["quantity"]
+    assert (row["verdict"], row["evidence"].count("fails")) == ("refuted", 1)
+
+
+def test_without_the_brackets_part_in_s_damping_would_save_conditions_too(monkeypatch):
+    exact = algebra.jacobi
+    still = lambda f, n: {m: c for m, c in f.items() if not m[2 * n]}  # noqa: E731
+    monkeypatch.setattr(algebra, "jacobi", lambda f, g, n: exact(still(f, n), still(g, n), n))
+    assert algebra.dimensions(3, Fraction(1, 3), seed=1) == algebra.WITHOUT[3]
+    monkeypatch.undo()
+    assert algebra.dimensions(3, Fraction(1, 3), seed=1) == algebra.WITH
 
 
 def test_a_body_that_is_not_damped_does_not_settle(monkeypatch):

@@ -34,6 +34,14 @@ MANY = {"question": "error", "trajectories": 10, "cores": 1, "time_median_s": 1.
 LONG = {"quantity": "mean H0 at phase 0", "evaluations_per_time": 8.0, "mean": 0.04, "error": 1e-3}
 LIMIT = {"method": "rk4", "family": "established", "gamma": 0.0, "omega": 1.0, "limit": 2.8, "windows": ""}
 SIZE = {"n": 1024, "cores": 1, "time_min_s": 1e-3, "site_ns": 0.5, "reach_s": 1e-3}
+RING = {
+    "gamma": 1e-5,
+    "t_end": 1e4,
+    "n": 16,
+    "energy_error": 1e-3,
+    "evaluations_per_time": 8.0,
+    "evaluation_ns": 20.0,
+}
 CLAIM = {"id": "C01", "where": "§2", "claim": "so", "verdict": "holds", "status": "ok", "measured": 1.0}
 SOME = {
     "work_precision": [
@@ -47,6 +55,7 @@ SOME = {
     "damping_rates": [row("overdamped", "rk4", 0.1, evaluations=10, rate_error=1e-3, **CREEP)],
     "ensemble": [row("particle", "rk4", 0.1, solution_error=1e-3, evaluations=10, **MANY)],
     "long_time": [row("duffing", m, 0.1, reference=m == "rk4", **LONG) for m in ("contact-a", "rk4")],
+    "structure_buys": [row("chaotic_ring", m, 0.1, **RING) for m in ("contact-a", "rk4")],
     "scaling": [row("fput", "rk4", 0.1, evaluations=10, **SIZE)],
     "claims": [CLAIM],
 }

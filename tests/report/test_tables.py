@@ -18,6 +18,7 @@ from contactbench.report import (
     race,
     scaling,
     stability,
+    structure,
     work_precision,
 )
 from contactbench.report.headline import mission_view, most_met_cost
@@ -231,6 +232,47 @@ def test_who_is_cheapest_at_the_largest_size_and_who_is_first_at_the_error():
     contradicted = scaling.answers(frames(scaling=rows))
     assert list(contradicted["answer"][:2]) == ["contact-b", "contact-b"]
     assert "contact-b takes 0.3 ns" in scaling.figure(table("scaling", rows)).title
+
+
+# -- what structure buys ---------------------------------------------------------------------------
+def on_the_ring(method, errors, each_ns=20.0, **more):
+    """Rows of steps 1/4 and 1/8, at T = 10⁴ timed, and at T = 10⁵: errors of the two at each length."""
+    for span, found in errors.items():
+        for evaluations, error in zip((4.0, 8.0), found, strict=True):
+            ring = {"gamma": 1e-5, "t_end": span, "n": 16, "floor": 1e-5, "rate_error": error} | more
+            timed = {"evaluation_ns": each_ns} if span == 1e4 else {}
+            costs = {"energy_error": error, "evaluations_per_time": evaluations}
+            yield row("chaotic_ring", method, 1 / evaluations, **ring, **costs, **timed)
+
+
+RING = [
+    *on_the_ring("contact-a", {1e4: (1e-2, 1e-3), 1e5: (1e-2, 1e-3)}),
+    *on_the_ring("herglotz2", {1e4: (2e-2, 1e-3), 1e5: (2e-2, 1e-3)}, 40.0),
+    *on_the_ring("rk4", {1e4: (1e-1, 1e-2), 1e5: (1.0, 1e-2)}, 30.0),
+    *on_the_ring("rk4", {1e4: (1e-9, 1e-9)}, gamma=1e-3),
+]
+
+
+def test_who_has_the_energy_left_right_at_the_least_cost_in_the_longest_run():
+    time, evaluations = structure.answers(frames(structure_buys=RING)).to_dict("records")
+    assert "T = 10⁵" in time["question"]
+    assert (time["answer"], time["count"]) == ("contact-a", "8 ms; herglotz2 ×2.35, rk4 ×3.00")
+    assert (evaluations["answer"], evaluations["count"]) == (
+        "contact-a",
+        "4 per unit of time; herglotz2 ×1.17, rk4 ×2.00",
+    )
+    contradicting = [*RING, *on_the_ring("rk5", {1e4: (1e-4, 1e-5), 1e5: (1e-4, 1e-5)}, 1.0)]
+    assert structure.answers(frames(structure_buys=contradicting))["answer"].iloc[0] == "rk5"
+    assert not len(structure.answers(frames()))
+
+
+def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
+    bound = on_the_ring("contact-b", {1e4: (1e-4, 1e-5), 1e5: (1e-4, 1e-5)})
+    rows = structure.main_rows(table("structure_buys", [*RING, *bound]))
+    shown = texts(structure.costs_view(rows))
+    assert shown["rk4"][2:] == ["×3.00", "8", "24 ms", "×3.00", "step=0.125", *["1.0e-02"] * 4]
+    assert shown["contact-b"][0] == "≤ 4"
+    assert "rk4, the best that keeps no structure, ×3.00 that" in structure.figure(rows).title
 
 
 # -- Views, numbers and their markdown -------------------------------------------------------------

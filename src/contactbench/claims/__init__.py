@@ -3,7 +3,7 @@
 Each module registers its own; the registry is in the order of the ids.
 """
 
-from contactbench.claims import geometry, integrator, rigid_body
+from contactbench.claims import algebra, geometry, integrator, rigid_body
 from contactbench.claims.ledger import CLAIMS, Claim, Correction, Measurement, Verdict, verdict
 
 for _name in sorted(CLAIMS):

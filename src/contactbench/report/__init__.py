@@ -4,4 +4,4 @@ A chapter answers one question with a summary, views and figures as data (chapte
 markdown.py, draw.py and page/ render them.
 """
 
-from contactbench.report import claims, damping, ensemble, headline, long_time, scaling, stability
+from contactbench.report import claims, damping, ensemble, headline, long_time, scaling, stability, structure

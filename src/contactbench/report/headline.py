@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from contactbench.report import claims, convergence, laws, work_precision
+from contactbench.report import claims, convergence, laws, structure, work_precision
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, Section, Text, chapters, summary
 from contactbench.report.laws import cost_cells, law_label, with_bounds
 from contactbench.report.numbers import DASH, how_often, names
@@ -29,7 +29,7 @@ METHODS += ["heyoka-taylor"]
 LAWS = ("energy_law", "momentum_law", "contact_drift")
 
 
-# -- six answers -----------------------------------------------------------------------------------
+# -- the answers -----------------------------------------------------------------------------------
 def structure_answer(frames: Frames) -> tuple[str, str, str] | None:
     rows = laws.structural_rows(frames)
     promised = rows[rows["claimed"] & rows["law"].isin(PROMISED)]
@@ -60,6 +60,7 @@ def answers(frames: Frames) -> pd.DataFrame:
         costs = {row[0]: row for row in rows_of(work_precision.answers(frames))}
         asked += [costs.get(work_precision.QUESTIONS[kind]) for kind in ("compiled", "evaluations")]
         asked.append(loss_answer(frames))
+    asked += rows_of(structure.answers(frames))
     if len(frames["claims"]):
         asked += rows_of(claims.answers(frames))[:1]
     return summary(*(row for row in asked if row is not None))
@@ -144,5 +145,5 @@ def machine(runs: Sequence[Mapping[str, Any]]) -> Text:
     return Text(f"Measured on {'; '.join(places)} ([environment.json](environment.json)). Without units.")
 
 
-TABLES = ("laws", "decay_laws", "work_precision", "convergence", "claims")
+TABLES = ("laws", "decay_laws", "work_precision", "convergence", "structure_buys", "claims")
 CHAPTERS.add(Chapter(NAME, "Results", "What was found?", 0, TABLES, parts, answers, "README.md"))
