@@ -7,7 +7,6 @@ method beside it: as far as the two differ, chaos decides, and no method can be 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -168,18 +167,6 @@ def part(cell):
     return {"timed_evaluations": run().counts.evaluations}, Call(lambda: run.bare(start))
 
 
-def with_shares(later):
-    """`later` of a clock, which adds what an evaluation takes."""
-
-    def keep(table, row):
-        record = later(table, row)
-        return lambda columns: record(
-            columns | {"evaluation_ns": 1e9 * columns["time_min_s"] / row["timed_evaluations"]}
-        )
-
-    return keep
-
-
 @cells(ladder)
 def test_structure_errors(cell, record):
     record(STRUCTURE_BUYS, errors(cell))
@@ -193,6 +180,6 @@ def test_structure_errors(cell, record):
 def test_structure(cell, record, clock, untimed):
     row = untimed or errors(cell)
     if row["status"] == "ok":
-        replace(clock, later=with_shares(clock.later)).time(STRUCTURE_BUYS, row, part, cell)
+        clock.time(STRUCTURE_BUYS, row, part, cell)
     else:
         record(STRUCTURE_BUYS, row)

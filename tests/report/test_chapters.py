@@ -40,7 +40,8 @@ RING = {
     "n": 16,
     "energy_error": 1e-3,
     "evaluations_per_time": 8.0,
-    "evaluation_ns": 20.0,
+    "time_min_s": 2e-6,
+    "timed_evaluations": 100,
 }
 CLAIM = {"id": "C01", "where": "§2", "claim": "so", "verdict": "holds", "status": "ok", "measured": 1.0}
 SOME = {

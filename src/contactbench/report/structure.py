@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from contactbench.measure.statistics import costs_to_reach
+from contactbench.measure.statistics import COUNTED, costs_to_reach, ties
 from contactbench.report.chapters import CHAPTERS, Chapter, Frames, Part, summary
 from contactbench.report.curves import best_of_each, by_method, floats
 from contactbench.report.drawing import Axis, Curve, Figure, Panel, Span
 from contactbench.report.numbers import duration, names, power, scientific, times
-from contactbench.report.views import Cell, Mark, View, as_cell, frame_of, matrix
+from contactbench.report.views import Mark, View, as_cell, frame_of, matrix
 from contactbench.results.contest import CONTACT
 
 SOURCE = "structure_buys.csv"
@@ -22,19 +22,21 @@ SOURCE = "structure_buys.csv"
 ALLOWED = 0.01
 #: the scene, and the damping and number of sites that all methods are run at
 SCENE, GAMMA, SITES = "chaotic_ring", 1e-5, 16
+#: what is counted: what is asked about the least of it, its unit, and how it is written
+COSTS = {
+    "run_s": ("takes the least time", "", duration),
+    "evaluations_per_time": ("needs the fewest evaluations", " per unit of time", "{:.2g}".format),
+}
 #: the family of methods that keep no structure
 ESTABLISHED = "established"
-#: what a time is known to, between cells of one run
-CLOSE = 1.05
 
 
 def main_rows(frame: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of the scene that all methods are run on; run_s : of the whole run, by its evaluations."""
     own = frame[(frame["scene"] == SCENE) & (frame["gamma"] == GAMMA) & (frame["n"] == SITES)]
-    each = own.dropna(subset="evaluation_ns").set_index(["method", "setting"])["evaluation_ns"]
-    ways = pd.MultiIndex.from_frame(own[["method", "setting"]])
-    run_s = 1e-9 * np.array(floats(each.reindex(ways))) * own["evaluations_per_time"] * own["t_end"]
-    return own.assign(run_s=run_s)
+    timed = own.dropna(subset="time_min_s").set_index(["method", "setting"])
+    each = (timed["time_min_s"] / timed["timed_evaluations"]).reindex(own[["method", "setting"]])
+    return own.assign(run_s=np.array(floats(each)) * own["evaluations_per_time"] * own["t_end"])
 
 
 def cost(rows: pd.DataFrame, column: str) -> float:
@@ -43,102 +45,81 @@ def cost(rows: pd.DataFrame, column: str) -> float:
     return costs_to_reach(floats(good["energy_error"]), floats(good[column]), (ALLOWED,))[0]
 
 
-def is_bound(rows: pd.DataFrame) -> bool:
-    """Return whether the cheapest setting that ends well is more accurate than asked for."""
-    good = rows[rows["status"] == "ok"].sort_values("evaluations_per_time", kind="stable")
-    return bool(len(good)) and bool(good["energy_error"].iloc[0] < ALLOWED)
-
-
 def costs(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return evaluations per unit of time and the time of a run by method and end, the least time first."""
+    """Return evaluations per unit of time and the time of a run by method and end, the least time first.
+
+    bound : the cheapest setting that ends well is more accurate than asked for.
+    """
     found = [
-        (m, end, own["family"].iloc[0], cost(own, "evaluations_per_time"), cost(own, "run_s"))
+        (m, end, own["family"].iloc[0], own["energy_error"].max() < ALLOWED, *(cost(own, c) for c in COSTS))
         for (m, end), own in rows.groupby(["method", "t_end"], sort=False)
     ]
-    frame = pd.DataFrame(found, columns=["method", "t_end", "family", "evaluations", "time"])
-    return frame.sort_values(["time", "evaluations"], kind="stable")
+    frame = pd.DataFrame(found, columns=["method", "t_end", "family", "bound", *COSTS])
+    return frame.sort_values(["run_s", "evaluations_per_time"], kind="stable")
 
 
 def answers(frames: Frames) -> pd.DataFrame:
-    rows = main_rows(frames["structure_buys"])
-    lines = []
-    for column in ("time", "evaluations"):
-        found = costs(rows).dropna(subset=column)
-        found = found[found["t_end"] == found["t_end"].max()].sort_values(column, kind="stable")
-        if not len(found):
+    found, lines = costs(main_rows(frames["structure_buys"])), []
+    found = found[found["t_end"] == found["t_end"].max()]
+    for column, (asked, unit, show) in COSTS.items():
+        rows = found.dropna(subset=column).sort_values(column, kind="stable")
+        if not len(rows):
             continue
-        least = found.iloc[0]
-        first = [str(m) for m in found["method"][found[column] <= CLOSE * least[column]]]
-        others = found[(found["family"] != CONTACT) & ~found["method"].isin(first)]
-        beside = ", ".join(f"{o['method']} {times(o[column] / least[column])}" for _, o in others.iterrows())
-        what = {"time": "takes the least time", "evaluations": "needs the fewest evaluations"}[column]
-        question = f"Which {what} to have the energy left in {where(rows, least['t_end'])} within 1 %?"
-        size = duration(least[column]) if column == "time" else f"{least[column]:.2g} per unit of time"
-        lines.append((question, names(first, 3), f"{size}; {beside}" if beside else size))
+        least = float(rows[column].iloc[0])
+        first = ties(rows[column], least, COUNTED)
+        others = rows[(rows["family"] != CONTACT) & ~first]
+        beside = [f"{o['method']} {times(o[column] / least)}" for _, o in others.iterrows()]
+        after = f"T = {power(rows['t_end'].iloc[0])}, γ = {power(GAMMA)}"
+        question = (
+            f"Which {asked} to have the energy left in a chaotic ring of {SITES} after {after}, within 1 %?"
+        )
+        methods = names([str(m) for m in rows["method"][first]], 3)
+        lines.append((question, methods, "; ".join(filter(None, [show(least) + unit, ", ".join(beside)]))))
     return summary(*lines)
 
 
-def where(rows: pd.DataFrame, end: float) -> str:
-    return f"a chaotic ring of {SITES} after T = {power(end)}, γ = {power(GAMMA)},"
-
-
-def at_allowed(own: pd.DataFrame) -> pd.Series | None:
-    """Return the cheapest setting with the error allowed in the shortest run that a longer one repeats."""
+def at_allowed(own: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of one setting: the cheapest of the longest run with the error allowed in the shortest."""
     spans = sorted(own["t_end"].unique())
-    repeated = own[own["t_end"] == spans[-1]]["setting"] if len(spans) > 1 else own["setting"]
-    good = own[(own["t_end"] == spans[0]) & (own["energy_error"] <= ALLOWED) & own["setting"].isin(repeated)]
-    return good.sort_values("evaluations_per_time").iloc[0] if len(good) else None
+    shared = own[own["t_end"] == spans[-1]]["setting"]
+    good = own[(own["t_end"] == spans[0]) & (own["energy_error"] <= ALLOWED) & own["setting"].isin(shared)]
+    chosen = good.sort_values("evaluations_per_time")["setting"].iloc[:1]
+    return own[own["setting"].isin(chosen)].sort_values("t_end")
 
 
 def costs_view(rows: pd.DataFrame) -> View:
-    found, lines = costs(rows), []
-    spans = sorted(rows["t_end"].unique())
-    least = {
-        (end, c): found[found["t_end"] == end][c].min() for end in spans for c in ("evaluations", "time")
-    }
-    show = {"evaluations": "{:.2g}".format, "time": duration}
-
-    def cell(method: str, end: float, column: str) -> Cell:
-        value = found[(found["method"] == method) & (found["t_end"] == end)][column]
-        number = float(value.iloc[0]) if len(value) else math.nan
-        best = number <= CLOSE * least[end, column]
-        shown = as_cell(number, show[column], Mark.best if best else None)
-        bound = is_bound(rows[(rows["method"] == method) & (rows["t_end"] == end)])
-        return replace(shown, text=f"≤ {shown.text}") if bound and shown.value is not None else shown
-
+    found, spans = costs(rows), sorted(rows["t_end"].unique())
+    by_cell = found.set_index(["method", "t_end"])
+    least = found.groupby("t_end")[[*COSTS]].min()
+    lines = []
     for method in dict.fromkeys(found["method"]):
-        own = rows[rows["method"] == method]
         line: list[object] = [method]
         for end in spans:
-            time = cell(method, end, "time")
-            line += [cell(method, end, "evaluations"), time]
-            line.append(as_cell((time.value or math.nan) / least[end, "time"], times))
-        chosen = at_allowed(own)
-        at = own[own["setting"] == chosen["setting"]] if chosen is not None else own.iloc[:0]
-        line.append(chosen["setting"] if chosen is not None else None)
-        for column in ("energy_error", "rate_error"):
-            line += [at[at["t_end"] == end][column].max() for end in spans]
-        lines.append(line)
-    heads = [
-        (f"to {ALLOWED:.0%}, T = {power(e)}", h) for e in spans for h in ("evaluations", "time", "ratio")
-    ]
-    heads += [("one setting at both lengths", "setting")]
-    heads += [(what, f"T = {power(e)}") for what in ("its error", "|γ_eff/γ − 1|") for e in spans]
+            own = by_cell.loc[(method, end)] if (method, end) in by_cell.index else None
+            for column, (*_, show) in COSTS.items():
+                value = math.nan if own is None else own[column]
+                mark = Mark.best if value <= COUNTED * least.loc[end, column] else None
+                cell = as_cell(value, show, mark)
+                bound = own is not None and own["bound"] and cell.value is not None
+                line.append(replace(cell, text=f"≤ {cell.text}") if bound else cell)
+            line.append(as_cell(math.nan if own is None else own["run_s"] / least.loc[end, "run_s"], times))
+        at = at_allowed(rows[rows["method"] == method])
+        line.append(at["setting"].iloc[0] if len(at) else None)
+        errors = ((column, end) for column in ("energy_error", "rate_error") for end in spans)
+        lines.append([*line, *(at[at["t_end"] == end][column].max() for column, end in errors)])
+    at_spans = [f"T = {power(end)}" for end in spans]
+    heads = [(f"to 1 %, {at}", head) for at in at_spans for head in ("time", "evaluations", "ratio")]
+    heads += [("one setting", "setting")]
+    heads += [(what, at) for what in ("its error", "|γ_eff/γ − 1|") for at in at_spans]
     legend = (
-        f"{SCENE}, n = {SITES}, γ = {power(GAMMA)}. Evaluations per unit of time, time of the whole run, its ratio "
-        "to the least. Setting: the cheapest with 1 % in the shorter run. γ_eff: from the energy left. Bold: "
-        "the least, to 5 %. Every method in the shape that it is faster in. ≤: at the cheapest setting. "
-        "—: not reached, or not run. "
+        f"{SCENE}, n = {SITES}, γ = {power(GAMMA)}. Time of the whole run, evaluations per unit of time, ratio of the "
+        f"time to the least. One setting: the cheapest with 1 % in the shorter run. γ_eff: from the energy left. Bold: "
+        f"the least, to a factor {COUNTED:g}. ≤: at the cheapest setting. —: not reached, or not run. "
         "[Why](../docs/mathematics.md#what-keeping-the-structure-buys)."
     )
-    numbers = {"": scientific}
+    table = frame_of(lines, [("", "method"), *heads])
     return View(
-        "structure_costs",
-        "The least that has the energy right",
-        frame_of(lines, [("", "method"), *heads]),
-        legend,
-        SOURCE,
-        numbers,
+        "structure_costs", "The least that has the energy right", table, legend, SOURCE, {"": scientific}
     )
 
 
@@ -150,11 +131,9 @@ def others_view(frame: pd.DataFrame) -> View:
         f"{'quadratic damping, ' if scene != SCENE else ''}γ = {power(g)}, T = {power(end)}, n = {n}"
         for scene, g, end, n in rest[["scene", "gamma", "t_end", "n"]].itertuples(index=False)
     ]
+    cells = rest.assign(case=case)
     made = matrix(
-        rest.assign(case=case),
-        "method",
-        "case",
-        lambda r: as_cell(cost(r, "evaluations_per_time"), "{:.2g}".format),
+        cells, "method", "case", lambda own: as_cell(cost(own, "evaluations_per_time"), "{:.2g}".format)
     )
     legend = "Evaluations per unit of time that the energy left within 1 % takes. —: not reached."
     return View("structure_others", "Other dampings and sizes", made, legend, SOURCE)
@@ -176,26 +155,19 @@ def figure(rows: pd.DataFrame) -> Figure | None:
         return None
     own, other = ours.iloc[0], theirs.iloc[0]
     title = (
-        f"The energy left after T = {power(spans[-1])} within 1 %: {own['method']} takes {duration(own['time'])}, "
-        f"{other['method']}, the best that keeps no structure, {times(other['time'] / own['time'])} that"
+        f"The energy left after T = {power(spans[-1])} within 1 %: {own['method']} takes {duration(own['run_s'])}, "
+        f"{other['method']}, the best that keeps no structure, {times(other['run_s'] / own['run_s'])} that"
     )
-    panels = []
+    panels, y = [], Axis("error of the energy left", "log")
     for end in spans:
         part = timed[timed["t_end"] == end]
         curves = best_of_each(by_method(part.assign(ms=1e3 * part["run_s"]), "ms", "energy_error"), reaching)
         floor = Span(1e-6, float(part["floor"].max()), "chaos")
-        y = Axis("error of the energy left", "log")
         panels.append(Panel(f"T = {power(end)}", Axis("time, ms", "log"), y, curves, (floor,)))
-    names_ = {c.method for panel in panels for c in panel.curves if not c.muted}
-    grown = [
-        rows[(rows["method"] == m) & (rows["setting"] == chosen["setting"])].sort_values("t_end")
-        for m in found["method"]
-        if m in names_ and (chosen := at_allowed(rows[rows["method"] == m])) is not None
-    ]
-    if grown:
-        curves = by_method(pd.concat(grown), "t_end", "energy_error")
-        at = "at the cheapest setting with 1 % at first"
-        panels.append(Panel(at, Axis("T", "log"), Axis("error of the energy left", "log"), curves))
+    coloured = {c.method for panel in panels for c in panel.curves if not c.muted}
+    grown = pd.concat([at_allowed(own) for m, own in rows.groupby("method", sort=False) if m in coloured])
+    curves = by_method(grown, "t_end", "energy_error")
+    panels.append(Panel("at the cheapest setting with 1 % at first", Axis("T", "log"), y, curves))
     caption = (
         f"A ring of {SITES} with quartic bonds, chaotic, γ = {power(GAMMA)}. In colour the best of each family at 1 %. "
         "Shaded: what chaos leaves undecided."
