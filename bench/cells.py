@@ -65,6 +65,16 @@ def contestants(experiment: str, scene: Scene, methods: Iterable[str]) -> list[s
     return list(filter(runs, methods))
 
 
+#: on callbacks a rival is timed on that scene alone: elsewhere compiled, and by its evaluations
+RIVALS = (
+    "contact-yoshida6",
+    "contact-rkn6a",
+    "contact-rkn8b",
+    "quinlan-tremaine8",
+    "quinlan-tremaine12",
+    "stormer12",
+)
+RIVALS += ("gauss4", "gauss6", "discrete-gradient")
 #: of the other scenes a method is timed on one in so many by the smoke profile
 SOME = 3
 
@@ -80,6 +90,8 @@ def engines(scene: Scene, profile: Any) -> list[tuple[str, str]]:
     def chosen(name: str, engine: str) -> bool:
         first, here = engine == METHODS[name].engines[0], scene.name == SMOKE
         if scene.experiments and (not first or engine in DEAR):
+            return False
+        if name in RIVALS and not (first or here):
             return False
         brought = scene.name not in OWN or name not in OWN
         if profile.points > 1 or here or brought:
