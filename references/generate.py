@@ -82,14 +82,15 @@ def closed_form_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> d
 
 
 def invariant_agreement(scene: Scene, times: list[str], rows: truth.Rows) -> dict[str, int]:
-    """Digits to which a body keeps |R| = 1 and, if damped isotropically, J e^{γt} while J is above 10⁻²⁰."""
+    """Digits to which a body keeps |R| as it was at the start and, if damped isotropically, J e^{γt} while J is
+    above 10⁻²⁰."""
     if not isinstance(scene, RigidBody):
         return {}
     context = truth.decimal_context(70)
     twin = truth.with_decimals(scene, context.mpf)
     states = [twin.unpack([context.mpf(x) for x in row], twin.carry()) for row in rows]
     lengths = [[dot(x.R, x.R)] for x in states]
-    agreement = {"|R|² = 1": truth.agreeing_digits(lengths, [[context.mpf(1)]] * len(rows), 65)}
+    agreement = {"|R|² = 1": truth.agreeing_digits(lengths, lengths[:1] * len(rows), 65)}
     if scene.isotropic:
         grown = [
             [c * context.exp(twin.gamma * context.mpf(t)) for c in twin.momentum(x)]

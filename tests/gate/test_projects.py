@@ -91,6 +91,7 @@ def test_an_installation_without_the_benchmark_says_so(tmp_path, monkeypatch):
         benchmark.folder()
 
 
+@pytest.mark.slow
 def test_it_is_measured_and_gated(repository):
     """Another coefficient is red; the same, by the test below, green."""
     made = call(repository, "bench", "--profile", "smoke", "--untimed", "-k", "my-method and particle")
