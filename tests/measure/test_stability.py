@@ -58,7 +58,7 @@ def test_the_first_loss_without_damping_is_a_narrow_window_next_to_half_a_period
 
 
 @every
-@pytest.mark.quick(method=[name for name in METHODS if not METHODS[name].iterates])
+@pytest.mark.quick(method=[m for m in METHODS if not m.iterates])
 def test_windows_at_random_damping_are_those_of_long_runs(method):
     """2³⁰ steps by squaring the matrix, at random steps up to the last border and none of them next to one."""
     rng = np.random.default_rng(5)
