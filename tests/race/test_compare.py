@@ -244,3 +244,19 @@ def test_fixed_steps_grow_on_a_scene_that_slows_down():
     assert found["setting"].str.contains(" steps of ").all()
     assert (found["evaluations"] < [150, 300]).all()
     assert found["contact_drift"].iloc[0] < 1e-13
+
+
+def test_a_reference_of_ones_own_is_taken():
+    """The closed form: the same winners' errors; another solution is not reached; other shapes are refused."""
+    scene = cb.SCENES["oscillator"].with_(t_end=5.0)
+
+    def known(t):
+        return cb.reference(scene, t, ()).y
+
+    frame = cb.compare(scene, ["contact-rkn6"], errors=[1e-6], budget=5, reference=known)
+    assert frame.attrs["reference"]["source"] == "given"
+    assert (frame["status"] == "ok").all()
+    other = cb.compare(scene, ["contact-rkn6"], errors=[1e-6], budget=5, reference=lambda t: 1.5 * known(t))
+    assert other["time_s"].isna().all()
+    with pytest.raises(cb.BadInput, match="reference: gives shape"):
+        cb.compare(scene, ["rk4"], reference=lambda t: known(t)[:, :1])

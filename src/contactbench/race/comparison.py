@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate
@@ -14,7 +14,18 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from contactbench.errors import BadInput, UserError, excerpt, finite, items_of, positive, switch
+from contactbench.errors import (
+    BadInput,
+    UserError,
+    array,
+    excerpt,
+    finite,
+    function,
+    items_of,
+    positive,
+    switch,
+    their_code,
+)
 from contactbench.measure.clock import VISITS, Call, Race, time_columns
 from contactbench.measure.ladder import (
     ENDS,
@@ -85,6 +96,7 @@ def compare(
     errors: Iterable[float] = ERRORS,
     budget: float = BUDGET,
     progress: bool = False,
+    reference: Callable[[np.ndarray], Any] | None = None,
 ) -> pd.DataFrame:
     """Race methods on one scene: what each costs at each error, and what it keeps.
 
@@ -105,6 +117,9 @@ def compare(
         Seconds for everything; the reference may take five whatever it is.
     progress :
         Whether to show a bar on stderr, where that is a terminal.
+    reference :
+        ``reference(t) -> (k, d)``, the true states at k times where you know them: a row of q, then p (of a body of M,
+        then the quaternion R) for each.  It is taken to be right to 15 digits.  By default it is computed.
 
     Returns
     -------
@@ -136,7 +151,23 @@ def compare(
             size = "must be between 0 and 1, relative to the size of the motion"
             raise BadInput(f"error = {excerpt(error)}: {size}")
     switch("progress", progress)
-    return Comparison(scene, list(dict.fromkeys(given)), wanted, positive("budget", budget), progress).frame()
+    truth = None if reference is None else users_reference(scene, reference)
+    names = list(dict.fromkeys(given))
+    return Comparison(scene, names, wanted, positive("budget", budget), progress, truth).frame()
+
+
+def users_reference(scene: Scene, given: Callable[[np.ndarray], Any]) -> Reference:
+    """Return what a user's function says of the states at the ends of the runs; raise `BadInput` for other shapes."""
+    function("reference", given)
+    carry, t = carry_of(scene), ends(scene)
+    labels = ", ".join(scene.labels(carry)[:8])
+    with their_code("reference"):
+        y = array(
+            "reference", given(t.copy()), f"a function of the times that gives a row of {labels} for each"
+        )
+    if y.shape != (shape := (len(t), len(scene.labels(carry)))) or not np.isfinite(y).all():
+        raise BadInput(f"reference: gives shape {y.shape}: must be {shape}, finite, for each time {labels}")
+    return Reference(scene, carry, t, y, [], np.finfo(float).precision, "given")
 
 
 # -- one method ------------------------------------------------------------------------------------
@@ -345,13 +376,20 @@ class Comparison:
     """The state of one comparison; `frame` runs it to its end."""
 
     def __init__(
-        self, scene: Scene, methods: list[str], errors: tuple[float, ...], budget: float, progress: bool
+        self,
+        scene: Scene,
+        methods: list[str],
+        errors: tuple[float, ...],
+        budget: float,
+        progress: bool,
+        truth: Reference | None = None,
     ) -> None:
         self.begun, self.budget = perf_counter(), budget
         self.bar = tqdm(total=len(methods) + 3, disable=None if progress else True, unit="", leave=False)
         self.interrupted = False
         self.bar.set_description("reference")
-        truth = reference(scene, ends(scene), seconds=max(self.left(REFERENCE), LEAST_REFERENCE))
+        seconds = max(self.left(REFERENCE), LEAST_REFERENCE)
+        truth = truth or reference(scene, ends(scene), seconds=seconds)
         self.question = Question(scene, truth, errors, RUN_SHARE * budget)
         #: what the reference itself may be off by, relative to the largest state: no error below is claimed
         self.floor = max(10.0**-truth.digits, float(np.finfo(float).eps))

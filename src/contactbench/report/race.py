@@ -40,6 +40,8 @@ def notes(frame: pd.DataFrame) -> Iterator[str]:
     second = reference["confirmed"]
     agreed, confirmed = "two precisions of one engine agree", f"{second} of them confirmed by a second engine"
     checked = agreed if second is None else confirmed
+    if reference["source"] == "given":
+        checked = "not checked"
     yield (
         f"Reference: {reference['source']}, {reference['digits']} digits, {checked}; errors below "
         f"{reference['error']:.1e} are not claimed."
