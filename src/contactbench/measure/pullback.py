@@ -8,6 +8,7 @@ doi:10.1103/PhysRevA.38.2103).  A γ(t) that depends on the time alone puts e^{�
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +57,12 @@ def pullback(solution: Solution, differential: Differential) -> Pulled | None:
 
 
 def growth(differential: Differential) -> float:
-    """max ‖DΦ(t)‖₂ over the saved times: how much the numerical map magnifies an error in its start."""
+    """max ‖DΦ(t)‖₂ over the saved times: how much the numerical map magnifies an error in its start.
+
+    NaN where the derivative is not finite: of a run that ends well too, the steps of one that iterates may have none.
+    """
+    if not np.isfinite(differential.value).all():
+        return math.nan
     return float(np.linalg.norm(differential.value, ord=2, axis=(1, 2)).max())
 
 

@@ -153,6 +153,10 @@ class DiscreteGradient(Implicit):
         return scene.own_equations
 
 
+#: where the motion turns: of a way² smaller than this part of q², what lacks in V is rounding, being of order way³
+TURNING = 1e-10
+
+
 def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
     """p₁ = p − h ∇̄V, q₁ = q + h (p + p₁)/2m with the midpoint discrete gradient ∇̄V·(q₁ − q) = V(q₁) − V(q).
 
@@ -174,7 +178,8 @@ def discrete_gradient(scene: Mechanical, x: State, h: Any, xp: Any) -> Any:
         way = tuple(b - a for a, b in zip(x.q, after, strict=True))
         gradient = scene.dV(tuple(a + d / 2 for a, d in zip(x.q, way, strict=True)))
         square, lack = dot(way, way), scene.V(after) - before - dot(gradient, way)
-        share = choose(square > 0, lack / choose(square > 0, square, 1.0, xp), 0.0, xp)
+        moves = square > TURNING * dot(x.q, x.q)
+        share = choose(moves, lack / choose(moves, square, 1.0, xp), 0.0, xp)
         force = tuple(g + share * d for g, d in zip(gradient, way, strict=True))
         return end(force), force
 
