@@ -411,7 +411,8 @@ class Comparison:
     def frame(self) -> pd.DataFrame:
         for stage in (self.scout, self.measure_laws, self.time):
             try:
-                stage()
+                with np.errstate(all="ignore"):  # long steps overflow, and end as diverged
+                    stage()
             except KeyboardInterrupt:
                 if self.interrupted:  # a second time: at once
                     break
