@@ -230,10 +230,10 @@ def Contact(method: str, scene: Scene | str, carry: Sequence[str] | None = None)
     """Return a solver for `solve_ivp(…, method=…)`: a fixed-step method on a scene.
 
     ``max_step`` is the longest step: as in `cb.solve` the span is divided into the fewest equal steps that are not
-    longer, so that none is cut off at its end.  Every state is that of ``cb.solve(scene, method, step=max_step,
-    save_at=[t])`` (to the bit where numba compiles it; to round-off on bodies with isotropic damping, on many sites,
-    and by Herglotz's recursion): the kernel of a processed method goes on, what is shown is postprocessed.  ``t_span``
-    may run backwards.
+    longer, so that none is cut off at its end.  The last state is that of ``cb.solve(scene, method, step=max_step,
+    save_at=[t])`` to the bit where numba compiles it, but on bodies with isotropic damping, on many sites and by
+    Herglotz's recursion; there, and before, states agree to round-off: the kernel of a processed method goes on, what
+    is shown is postprocessed.  ``t_span`` may run backwards.
 
     Events and dense output are SciPy's, by a Hermite interpolant of degree five, whose error falls as h⁶ (three and
     h⁴ where a force takes floats only).  It is no contact map: laws hold at the steps, not between them.

@@ -389,6 +389,8 @@ class AdaptiveContactMethod(Adaptive):
             return f"{self.name} needs a merged drift and damping; scene {scene.name!r} has none"
         if scene.kind == "driven":
             return f"{self.name} has no step density for forces that change with time, as on scene {scene.name!r}"
+        if scene.kind == "many":
+            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
         if scene.kind != "mechanical":
             return f"{self.name} follows the curvature of a potential; scene {scene.name!r} has none"
         return scene.own_equations

@@ -47,6 +47,8 @@ class Herglotz(FixedStep):
         return sum(map(math.log, factors)) if min(factors) > 0 else math.nan
 
     def refuses(self, scene: Any) -> str | None:
+        if scene.kind == "many":
+            return f"{self.name} has no loop over sites; scene {scene.name!r} has many"
         if scene.kind not in ("mechanical", "driven", "general damping"):
             return f"{self.name} needs a configuration q in Rⁿ, which scene {scene.name!r} does not have"
         if scene.nonlinear_damping:

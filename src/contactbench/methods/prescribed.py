@@ -33,7 +33,8 @@ def geometric_steps(t_end: float, count: int, a: float, plateau: int = 1) -> np.
     t_end, count : end and number of the steps.
     a : the time that passes before they have doubled, or nearly; far shorter than `t_end` the grid is geometric,
         far longer it is equidistant.
-    plateau : so many steps in a row are equal, which saves methods what they pay where a step changes; divides `count`.
+    plateau : so many steps in a row are equal, which saves methods what they pay where a step changes, if
+        nothing is saved in between; divides `count`.
     Raises `BadInput` for anything else.
 
     >>> import contactbench as cb

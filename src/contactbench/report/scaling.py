@@ -73,7 +73,9 @@ def answers(frames: Frames) -> pd.DataFrame:
     slopes = [s for own in lines(main[main["cores"] == 1]).values() if (s := slope(own)) == s]
     if slopes:
         middle = f"as n to the power {np.median(slopes):.2f}"
-        between = f"{min(slopes):.2f} to {max(slopes):.2f}, {len(slopes)} methods and engines"
+        between = (
+            f"{min(slopes):.2f} to {max(slopes):.2f}, {len(slopes)} methods and engines, a C loop among them"
+        )
         found.append((f"How does the time of an evaluation grow on `{SCENE}`?", middle, between))
     return summary(*found)
 
