@@ -71,13 +71,6 @@ def test_carry_decides_what_is_integrated():
         cb.SCENES["rigid_body_anisotropic"].carry(("s",))
 
 
-def test_energy_is_bound_to_fall_only_under_a_constant_damping_above_zero():
-    """At γ = 0 the truth keeps H0, and half of a method's round-off raises it."""
-    others = {"gamma": 0.0}, {"gamma": -0.1}, {"kappa": 0.1}
-    may = [cb.SCENES["particle"].with_(**changes).may_gain_energy for changes in ({}, *others)]
-    assert may == [False, True, True, True]
-
-
 @by_name(ALL_SCENES)
 def test_same_right_hand_side_on_jax_and_heyoka(scene):
     """On arrays and decimal numbers: rule 4 of the contract."""
