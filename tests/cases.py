@@ -1,7 +1,5 @@
 """Shared by the tests: scenes to run on, random states, high-precision twins."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess

@@ -4,8 +4,6 @@
 (``--plugin``) or named in the environment of the processes that are timed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction

@@ -3,8 +3,6 @@
 Used by the tests, and by the mutation check, which counts how many planted errors they notice.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from functools import partial

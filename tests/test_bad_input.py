@@ -1,7 +1,5 @@
 """Bad input is one line that names the value and what is allowed; the command line exits with 2."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys
@@ -72,8 +70,8 @@ def reference(times, **options):
     return lambda: cb.reference("particle", times, **options)
 
 
-def ensemble(start, **options):
-    return lambda: cb.ensemble("particle", "rk4", start, step=0.5, **options)
+def ensemble(start):
+    return lambda: cb.ensemble("particle", "rk4", start, step=0.5)
 
 
 def changed(scene="particle", **changes):
@@ -108,7 +106,6 @@ CALLS = [
     (lambda: cb.LAWS["momentum"], "did you mean 'momentum_law'?"),
     (lambda: cb.METHODS[[]], "unknown method []"),
     (changed(name="a\nb"), "name = 'a\\nb': must be"),
-    (solve(FixedStep("a\tb", 1, euler), step=0.1), "'a\\tb': must be"),
     (registered(cb.METHODS, 3), "3 cannot be registered: it is no method"),
     (registered(cb.METHODS, cb.METHODS["rk4"]), "method name 'x': must be"),
     # step and tolerance
@@ -118,7 +115,6 @@ CALLS = [
     (solve("cvode-bdf", step=0.1), "give rtol"),
     (solve("cvode-bdf", rtol=1e-30), "takes 2.3e-16 to 0.1"),
     (solve("scipy-dop853", rtol=-1), "rtol = -1: must be > 0"),
-    (rk4(step=-0.1), "step = -0.1: must be > 0"),
     (rk4(step=math.nan), "step = nan: must be a finite number"),
     (rk4(step=10**5000), "step = <int>: must be"),  # too long to be printed
     (rk4(step=[1.0, -1.0]), "step = [1.0, -1.0]: must be finite steps > 0"),
@@ -147,17 +143,14 @@ CALLS = [
     (reference([]), "shape"),
     # initial data and parameters
     (run_from(q=(1.0,)), "q has 1 components"),
-    (run_from(M=(1.0, 2.0, 3.0)), "unknown initial value"),
     (run_from(q=(1e160, 0.0), method="scipy-dop853", rtol=1e-6), "where gradient[1] = inf: must be"),
     (ensemble({"q": (np.ones(2) * 1j, 0.5)}), "q[0] = array([0.+1.j, 0.+1.j]): must be a number or an array"),
-    (ensemble({"s": np.ones(2)}, chunk="x"), "chunk = 'x'"),
     (changed(parameters=5), "parameters = 5: must be a dict"),
     (changed(mass=5e-324), "mass = 5e-324"),
     (changed(experiments=("laws", "cost")), "experiments = ('laws', 'cost'): must be a tuple of names among"),
     (changed("lane_emden_0", kappa=0.1), "without time"),
     (changed("lane_emden_0", gamma=0.1), "has it in it"),
     (changed("lane_emden_0", rate=None), "its rate is missing"),
-    (changed("lane_emden_0", t=math.nan), "t = nan"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
     (changed(q=(1.0, 2.0, 3.0), p=(0.0, 0.0, 0.0)), "q = (1.0, 2.0, 3.0)"),
     (changed(gama=0.1), "did you mean 'gamma'?"),
@@ -195,7 +188,6 @@ CALLS = [
     (wrong_user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),
     (made(cb.Driven, rate=lambda t: None), "rate: must return a real number; it returns None"),
     (made(cb.Driven, span=lambda t, h, xp: 1.0), "span: must return a pair"),
-    (made(cb.GeneralDamping, damping=lambda s: None), "damping: must return a real number"),
     (made(cb.GeneralDamping, damping_flow=lambda s, h, xp: None), "damping_flow: must return a real"),
 ]
 

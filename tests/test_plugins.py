@@ -3,8 +3,6 @@
 Each is one file, and then everywhere by the registries.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """What a user meets first: what an import loads, public names, and what a run returns, says and draws."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

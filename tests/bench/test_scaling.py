@@ -1,7 +1,5 @@
 """Rows of cost against size: the same motion at every size, the same steps as a C loop, memory at its peak."""
 
-from __future__ import annotations
-
 import math
 
 import numba

@@ -1,7 +1,5 @@
 """Rows of what structure buys: the energy that is left, both shapes of the ring, the measured damping rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

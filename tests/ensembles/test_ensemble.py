@@ -1,7 +1,5 @@
 """Ensembles: the single solutions, all of them, whatever the chunks, tiles, devices and processes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

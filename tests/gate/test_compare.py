@@ -1,7 +1,5 @@
 """What turns the gate red on two folders of tables made up for it, and what does not."""
 
-from __future__ import annotations
-
 import json
 import math
 

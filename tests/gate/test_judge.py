@@ -1,7 +1,5 @@
 """The gate on a repository: its baseline is what git has at the base, whatever becomes of the tree it judges."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The gate's speed part: which calls, in which order, what is red, what is not decided."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How calls are timed, with calls whose times are scripted: no test waits for a clock."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from types import SimpleNamespace

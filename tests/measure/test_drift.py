@@ -1,7 +1,5 @@
 """The derivative of every numerical map, with the choice of steps and without, and the contact drift of it."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

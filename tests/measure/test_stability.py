@@ -1,7 +1,5 @@
 """Linear stability: limits against theory and against orbits, slow rates, numerical damping."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

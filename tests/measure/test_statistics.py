@@ -1,7 +1,5 @@
 """Equal-error costs and paired ratios on data whose answer is known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

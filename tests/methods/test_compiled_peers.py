@@ -1,7 +1,5 @@
 """CVODE's C library and CyRK's C++ solvers, run without Python between them and the scene."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import importlib.util

@@ -1,7 +1,5 @@
 """Adaptive contact steps: the laws of every step sequence, symmetry, and the derivative behind the density."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Every registered method keeps every rule of the contract; and a method that breaks one is told which."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import pytest

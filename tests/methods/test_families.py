@@ -1,7 +1,5 @@
 """Families of methods by what defines them: Herglotz, collocation, discrete gradient, multistep."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Every method with a conformal factor in 50-digit arithmetic: order, contact form, momentum map."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Methods and peers on scenes of many sites: every engine computes the same, and the laws hold at any size."""
 
-from __future__ import annotations
-
 import math
 
 import numba

@@ -1,7 +1,5 @@
 """Every registered method: its order, its claims, its ends, its counts, and the traps of its solver."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Adaptive solvers have the time as their own: it is no component of the state whose error they control."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Steps: prescribed ones, those chosen for a tolerance, and one alone as a pure function."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

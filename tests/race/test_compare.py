@@ -1,7 +1,5 @@
 """A comparison on one scene: what it claims is so, what it cannot do it says, and it ends when told."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

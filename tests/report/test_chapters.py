@@ -1,7 +1,5 @@
 """Every chapter from its own table alone; summaries count rows, and a row that contradicts one changes it."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Documents, figures and README agree with the tables, or `contactbench report --check` names each that does not."""
 
-from __future__ import annotations
-
 import re
 import shutil
 

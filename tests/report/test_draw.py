@@ -1,7 +1,5 @@
 """Figures: which curves are in colour and in which, where axes end, where names stand, and what a file holds."""
 
-from __future__ import annotations
-
 import re
 from itertools import combinations
 from math import dist

@@ -1,7 +1,5 @@
 """What the tables to read say, on small tables made by hand; views, numbers and their markdown; a comparison."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Cost at equal error: what takes part, what an error costs, and who wins, ties or loses; and which runs keep a law."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

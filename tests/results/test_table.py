@@ -1,7 +1,5 @@
 """Tables survive the round trip, partial runs, kills, refuse what is not theirs, and come with the package."""
 
-from __future__ import annotations
-
 import math
 import os
 import random

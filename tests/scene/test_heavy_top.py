@@ -1,7 +1,5 @@
 """The heavy top: its torque is the potential's derivative, and what it keeps is known in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Scenes of many sites: what they take, refuse and say, and that they are scenes like any other."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

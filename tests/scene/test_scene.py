@@ -1,7 +1,5 @@
 """One definition per scene, right on every kind of number, with derivatives that AD confirms, and a contract."""
 
-from __future__ import annotations
-
 import math
 import re
 

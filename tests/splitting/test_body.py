@@ -1,7 +1,5 @@
 """The rigid body: the free one in closed form, `contact-exact`, and what compositions solve and keep on hard data."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

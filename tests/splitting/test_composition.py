@@ -1,7 +1,5 @@
 """The compositions as data, the loop that merges their joints, and the subflows they are made of."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The modified Hamiltonian of the splittings: its brackets, its order, and a million steps along which it decays."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 

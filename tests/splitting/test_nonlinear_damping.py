@@ -1,7 +1,5 @@
 """Γ(s) = ½κs² and a Γ(s) of one's own: the laws where the rate of decay changes along the motion."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -6,8 +6,6 @@ every n follows.  For Nyström tables it need only do so modulo the ideal of
 [B, [B, [B, A]]], the bracket that vanishes for kicks.  No integration, no scene.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache

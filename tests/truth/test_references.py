@@ -1,7 +1,5 @@
 """The truth layer: frozen files are what they claim, and the right source answers."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json
