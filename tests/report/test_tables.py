@@ -8,20 +8,13 @@ import pandas as pd
 import pytest
 
 import contactbench as cb
-from contactbench.report import (
-    damping,
-    ensemble,
-    long_time,
-    markdown,
-    race,
-    scaling,
-    stability,
-    structure,
-    work_precision,
-)
+from contactbench.report import long_time, markdown, race, scaling, structure, work_precision
+from contactbench.report.damping import rates_view
+from contactbench.report.ensemble import beside_loops, with_rates
 from contactbench.report.headline import mission_view, most_met_cost
 from contactbench.report.laws import equal_cost_view
 from contactbench.report.numbers import duration
+from contactbench.report.stability import started_runs
 from contactbench.report.views import Cell, Mark, View, as_cell, frame_of
 from contactbench.report.write import glossary
 from contactbench.results.contest import COMPILED
@@ -105,7 +98,7 @@ def test_a_setting_that_was_not_run_is_no_ending_and_escaping_as_the_motion_does
         row("critical", "rk4", 0.001, status="unsupported"),
     ]
     rows += [row("escape", "rk4", 0.1, status=s, end_time=1.0, blow_up_time=1.5) for s in ("diverged", "ok")]
-    assert stability.started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
+    assert started_runs(table("stability", rows))["right"].tolist() == [False, True, False]
 
 
 # -- damping ---------------------------------------------------------------------------------------
@@ -117,10 +110,10 @@ def test_rates_are_compared_at_equal_cost_and_ties_are_named():
         row("overdamped", "rk4", 0.5, **fixed, rate_error=1.5e-4),
         row("overdamped", "scipy-radau", 1e-9, control="rtol", **common, evaluations=2000, rate_error=1e-10),
     ]
-    (line,) = damping.rates_view(table("damping_rates", rows)).rows  # ten times dearer is no equal cost
+    (line,) = rates_view(table("damping_rates", rows)).rows  # ten times dearer is no equal cost
     assert (line[1].text, line[1].mark) == ("contact-a and rk4 1.0e-04", Mark.tie)
     rows[2]["evaluations"] = 210
-    (line,) = damping.rates_view(table("damping_rates", rows)).rows
+    (line,) = rates_view(table("damping_rates", rows)).rows
     assert (line[1].text, line[1].mark) == ("scipy-radau 1.0e-10", Mark.best)
 
 
@@ -136,7 +129,7 @@ def test_ensembles_stand_beside_the_c_loops_of_the_same_step():
         run_of("limit-c", variant="contact-strang plain", engine="c"),
         run_of("limit-c", variant="contact-strang tiled", engine="c", time=4.0),
     ]
-    shapes, own = ensemble.beside_loops(ensemble.with_rates(table("ensemble", rows)))
+    shapes, own = beside_loops(with_rates(table("ensemble", rows)))
     assert shapes == ["plain", "tiled"]
     assert (own["stage"] / own["plain"]).tolist() == [2.0]
     assert (own["stage"] / own["tiled"]).tolist() == [0.5]
