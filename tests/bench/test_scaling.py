@@ -37,12 +37,6 @@ def test_a_method_has_the_same_steps_and_the_same_error_at_every_size():
     assert call is not None
 
 
-def test_where_the_steps_would_take_long_they_are_coarser():
-    n = 1_000_000
-    assert bench.value("fput", "contact-strang", n) == pytest.approx(20 / bench.ALLOWED, rel=1e-2)
-    assert bench.value("fput", "contact-strang", 1024) == bench.found("fput", "contact-strang")
-
-
 @pytest.mark.parametrize("method", ["contact-strang", "contact-rkn6"])
 def test_the_loop_in_c_computes_what_the_method_does(method):
     scene = bench.sized("fput", 48)

@@ -21,12 +21,6 @@ BEYOND = 1e-45  # 50 digits less what a few hundred operations on numbers of siz
 STEPS = 20
 
 
-@pairs(METHODS, SCENES, lambda method, scene: method.refuses(scene) is not None)
-def test_where_a_method_is_refused_it_has_no_factor(method, scene):
-    assert scene.name in method.refuses(scene)
-    assert method.conformal_factor(scene, 0.1) is None
-
-
 @pairs(METHODS, SCENES)
 @pytest.mark.quick(scene="heavy")
 @pytest.mark.quick(method="contact-bm4")

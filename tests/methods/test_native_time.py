@@ -71,6 +71,7 @@ def test_initial_data_begin_at_a_time_of_their_own(method, engine):
     own = cb.prepare(scene.with_(t=0.7), method, rtol=1e-8, engine=engine, carry=(), save_at=[3.0])()
     np.testing.assert_array_equal(moved.y, own.y)
     assert moved.y[0, 2] == 3.7
+    assert cb.LAWS["solution_error"](own) < 1e-6
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax", "python"])

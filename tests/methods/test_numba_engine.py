@@ -33,10 +33,8 @@ def test_source_computes_what_the_scene_does(scene, what):
         x = random_state(scene, carry=carry)
         result = getattr(scene, what)(x)
         expected = scene.without_clock(scene.pack(result)) if what == "rhs" else result
-        found = record_function(scene, what, carry)(
-            x.t if scene.clock else 0.0, scene.without_clock(scene.pack(x))
-        )
-        np.testing.assert_array_equal(found, expected)
+        function, time = record_function(scene, what, carry), x.t if scene.clock else 0.0
+        np.testing.assert_array_equal(function(time, scene.without_clock(scene.pack(x))), expected)
 
 
 # -- programs --------------------------------------------------------------------------------------

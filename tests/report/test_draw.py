@@ -37,13 +37,6 @@ def test_the_cheapest_of_each_family_is_in_colour_and_the_others_are_drawn_below
     assert [c.muted for c in found] == sorted((c.muted for c in found), reverse=True)
 
 
-@pytest.mark.parametrize("heights", [(0.5, 0.5, 0.5), (0.2, 0.99, 1.0), (0.0, 0.01, 0.9)])
-def test_names_keep_their_order_and_their_distance(heights):
-    placed = draw.spread(heights, 0.05)
-    assert np.diff(placed).min() >= 0.05 - 1e-12
-    assert max(placed) <= 1
-
-
 # -- figures of planted tables ---------------------------------------------------------------------
 STEPS = (0.4, 0.2, 0.1, 0.05, 0.025)
 ORDERS = {
