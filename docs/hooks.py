@@ -45,10 +45,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     def with_output(block: re.Match[str]) -> str:
         """Return a block, and after it what it prints, the table of its last value and its figures."""
         code, printed, shown = ast.parse(block[1]), StringIO(), [block[0]]
-        last = code.body.pop().value if isinstance(code.body[-1], ast.Expr) else ast.Constant(None)
+        last = code.body.pop().value if isinstance(code.body[-1], ast.Expr) else None
         with redirect_stdout(printed):
             exec(compile(code, page.file.src_uri, "exec"), scope)
-            value = eval(compile(ast.Expression(last), page.file.src_uri, "eval"), scope)
+            value = last and eval(compile(ast.Expression(last), page.file.src_uri, "eval"), scope)
         if printed.getvalue():
             shown.append(f"```text\n{printed.getvalue()}```\n")
         if html := getattr(value, "_repr_html_", lambda: None)():  # a table without a class is the theme's
