@@ -55,6 +55,10 @@ class Ensemble:
     measures: dict[str, np.ndarray] | None = None
     end_time: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        ends = ", ".join(f"{count} {status}" for status, count in self.endings.items() if count)
+        return f"<Ensemble of {self.scene.name} by {self.method}: {ends}, to t = {self.t[-1]:.6g}>"
+
     @property
     def ok(self) -> np.ndarray | None:
         """Which of this process's trajectories did not diverge."""

@@ -56,7 +56,7 @@ class Lyapunov:
     energy
         Mean of H0 at the ends of the intervals.
     evaluations
-        Per trajectory and unit of time, of the kind that the method's counts name.
+        Per trajectory and unit of time, of the kind that the method's counts name; nan of methods that iterate.
     diverged
         How many trajectories were left out because they left the scene's scale.
     rates
@@ -207,7 +207,8 @@ def side_by_side(run: FixedStepRun) -> TangentMap:
         loop: Any = (many_loop if sites else loop_of)(run.method_, r.scene, r.carry, tangent=True)
     except CannotRecord as error:
         raise BadInput(f"method = {run.method!r}: {error}") from error
-    numbers, evaluations = np.array(r.scene.numbers()), run.totals.evaluations
+    numbers, counted = np.array(r.scene.numbers()), run.totals.evaluations
+    evaluations = math.nan if counted is None else counted
     if sites:
 
         def one(x: np.ndarray, v: np.ndarray) -> np.ndarray:

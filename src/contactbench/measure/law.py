@@ -109,7 +109,7 @@ class Law:
     @property
     def structural(self) -> bool:
         """Whether it is a law of the map itself, kept or not whatever the error of the solution."""
-        return self.gate is Gate.structure and "laws" in self.shown and not self.name.endswith("_frozen")
+        return self.gate is Gate.structure and "laws" in self.shown
 
     def __call__(self, solution: Solution) -> float:
         """The measure; nan unless the run ended `ok` and the law is defined for its method.

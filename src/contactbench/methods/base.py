@@ -165,6 +165,15 @@ class Adaptive(Method):
         return self.evaluations_per_step if engine in CALLBACKS else None
 
 
+def unfit(method: Method, scene: Scene, fits: bool, needs: str) -> str | None:
+    """Why a method that takes components one by one refuses a scene, or None."""
+    if scene.kind == "many":
+        return f"{method.name} has no loop over sites; scene {scene.name!r} has many"
+    if not fits:
+        return f"{method.name} needs {needs}, which scene {scene.name!r} does not have"
+    return scene.own_equations
+
+
 # -- from a question to a prepared solver -------------------------------------------------------------------
 def lookup(scene: Scene | str, method: Method | str) -> tuple[Scene, Method]:
     chosen = method if isinstance(method, Method) else METHODS[method]
@@ -201,7 +210,7 @@ def prepare(
         A sequence of steps is taken as it is, whatever the motion: every step of a contact method is the contact map
         it would be among equal ones.  Saved times are ends of steps, by default all, or every k-th; steps after the
         last are left out.  A method starts afresh where the step changes or a time is saved, so that one with a
-        processor (contact-rkn6, contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
+        processor (contact-rkn8) is cheapest on runs of equal steps: see `geometric_steps`.
     rtol, atol
         Tolerances of an adaptive method (atol defaults to rtol).  A fixed-step method given rtol instead of step
         chooses its step from pilots, which are part of every call and its counts; the solution's `step_chosen` is

@@ -68,10 +68,14 @@ class FixedStep(Method):
     )
 
     def prepare(self, request: Request) -> Prepared:
-        run = (MANY_RUNS if request.scene.kind == "many" else RUNS)[request.engine]
+        run = self.runs_on(request.scene)[request.engine]
         if request.step is not None:
             return run(self.name, request, self)
         return ChosenStep(self.name, request, self, run)
+
+    def runs_on(self, scene: Scene) -> dict[str, type[FixedStepRun]]:
+        """Return the class of run of each engine."""
+        return MANY_RUNS if scene.kind == "many" else RUNS
 
     def advance(self, scene: Any, x: Any, h: Any, n: Any, xp: Any, repeat: Repeat = repeat) -> Any:
         """n ≥ 1 steps of size h."""
