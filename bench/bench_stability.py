@@ -178,7 +178,7 @@ def stability_row(scene, method, engine, kind, value, max_steps):
         row["time_s"] = min((seconds(run, 1) for _ in again), default=first)
     row["end_error"] = end_error(solution)
     by_runs = cb.METHODS[method].adaptive and cb.METHODS[method].family != "contact"
-    without = "by many runs of the solver, on the standard scenes only" if by_runs else ""
+    without = "on the standard scenes only" if by_runs else ""
     return row | laws_row(solution, without)
 
 
@@ -326,9 +326,9 @@ def test_rates(cell, profile, worker, record):
 
 # -- linear stability ------------------------------------------------------------------------------
 GAMMAS, OMEGAS = (0.0, 0.1, 0.3, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0), (0.5, 1.0, 2.0, 10.0)
-STEPS = np.geomspace(0.01, 20.0, 60)
+STEPS = np.geomspace(0.01, 20.0, 30)
 STRONG = (0.1, 1.0, 10.0, 50.0)
-PER_EVALUATION = np.geomspace(1e-3, 30.0, 40)
+PER_EVALUATION = np.geomspace(1e-3, 30.0, 30)
 
 
 def linear(profile):
@@ -341,7 +341,7 @@ def linear(profile):
 def test_linear_stability(cell, record):
     method = cb.METHODS[cell[0]]
     record(STABILITY_LIMITS, *(limits(method, gamma, omega) for gamma in GAMMAS for omega in OMEGAS))
-    record(ONE_STEP, *(row for gamma in GAMMAS for row in radii(method, gamma)))
+    record(ONE_STEP, *(row for gamma in (0.0, *STRONG) for row in radii(method, gamma)))
     record(STRONG_DAMPING, *(row for gamma in STRONG for row in errors(method, gamma)))
 
 
@@ -369,7 +369,6 @@ def errors(method, gamma):
     for between in PER_EVALUATION:
         h = between / gamma * each
         row = {"method": method.name, "gamma": gamma, "damping_per_evaluation": between, "step": h}
-        row |= {"radius": spectral_radius(kernel(method), gamma, 1.0, h)}
         row |= {"error": propagation_error(method, gamma, h)}
         saved = propagation_error(method, gamma, h, every_step=True) if is_processed(method) else np.nan
         yield row | {"error_saved": saved}

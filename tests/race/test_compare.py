@@ -153,7 +153,7 @@ def test_a_reference_that_would_take_too_long_is_refused():
 def test_what_cannot_be_had_in_high_precision_has_a_reference_that_two_solvers_agree_on(monkeypatch):
     """By a function of floats, and where there is no time for more digits: a linear force, known in closed form."""
     scene = cb.SCENES["oscillator"].with_(name="table", potential=pull_potential, gradient=pull, exact=None)
-    t = np.array([5.0, 2.0])
+    t = np.array([4.95, 2.03])  # times of no frozen state
     known = cb.reference(cb.SCENES["oscillator"], t).y
 
     def late(*_, **__):
@@ -161,9 +161,7 @@ def test_what_cannot_be_had_in_high_precision_has_a_reference_that_two_solvers_a
 
     of_floats = cb.reference(scene, t)
     monkeypatch.setattr(sys.modules["contactbench.truth.reference"], "live", late)
-    out_of_time = cb.reference(
-        cb.SCENES["oscillator"].with_(exact=None, gamma=0.1, t_end=7.0, kappa=1e-300), t
-    )
+    out_of_time = cb.reference(cb.SCENES["oscillator"].with_(exact=None), t)
     for found in (of_floats, out_of_time):
         assert found.source == "two solvers"
         assert 10 <= found.digits <= 15

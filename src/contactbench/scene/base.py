@@ -368,8 +368,9 @@ class Scene(System):
     may_gain_energy: ClassVar[bool] = False
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
-        for name in given.keys() & INSTEAD.keys() - {f.name for f in dataclasses.fields(cls)}:
-            raise BadInput(f"{name}: {cls.__name__} takes none: {INSTEAD[name]}")
+        for name in given.keys() & INSTEAD.keys():
+            if name not in cls.__dataclass_fields__:
+                raise BadInput(f"{name}: {cls.__name__} takes none: {INSTEAD[name]}")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:

@@ -54,10 +54,16 @@ HIGH = 0.6
 class Reference:
     """The true states of a scene at given times.
 
-    t : (k,).  y : (k, d) float64, correctly rounded, columns as in ``scene.labels(carry)``.
-    decimals : the same numbers as k rows of d decimal strings with every digit that is known.
-    digits : decimal digits known to be right, relative to the largest entry of a column, the
-    worst column.  source : "closed form", "frozen", "live", or "two solvers", which has no decimals.
+    Attributes
+    ----------
+    t, y
+        Times, (k,), and states, (k, d), correctly rounded, columns as in ``scene.labels(carry)``.
+    decimals
+        The same numbers as k rows of d decimal strings with every digit that is known.
+    digits
+        Decimal digits known to be right, relative to the largest entry of a column, the worst column.
+    source
+        "closed form", "frozen", "live", or "two solvers", which has no decimals.
     """
 
     scene: Scene
