@@ -22,7 +22,7 @@ import contactbench as cb
 
 ROOT = Path(__file__).parent.parent
 #: pages whose code is run, block after block
-RUN = ("tutorial.md", "gallery.md", "api.md")
+RUN = ("tutorial.md", "gallery.md", "api.md", "timing.md")
 BLOCK = re.compile(r"^```python\n(.*?)^```\n", re.S | re.M)
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.S)
 
