@@ -83,8 +83,12 @@ def test_a_processed_method_is_repeated_by_its_kernel_or_as_a_whole():
     )
     assert seldom.ok  # an unbounded orbit has grown 10⁶ times by then
     assert often.status is cb.Status.diverged
-    error = linear.propagation_error
-    assert error(method, 1.0, 1.0) != error(method, 1.0, 1.0, every_step=True)
+
+
+@pytest.mark.parametrize(("name", "order"), [("contact-strang", 2), ("rk4", 4), ("contact-rkn8", 8)])
+def test_the_error_of_a_whole_run_falls_with_the_order_of_the_method(name, order):
+    coarse, fine = (linear.propagation_error(cb.METHODS[name], 1.0, h) for h in (0.5, 0.25))
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.4)
 
 
 @as_a_whole

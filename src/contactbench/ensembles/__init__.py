@@ -86,11 +86,15 @@ def ensemble(
 
     Parameters
     ----------
-    scene, method, step
-        As in `prepare`.
+    scene
+        Itself, or the name of a registered one.
+    method
+        The name of a fixed-step one.
     initial_conditions
         A State, BodyState or dict of fields, each component a number or an array (n,) with one entry per
         trajectory, of many sites q and p of shape (numbers, n); fields left out are the scene's own.
+    step
+        As in `prepare`.
     measure_at
         Increasing times at which divergence is noticed and laws are measured, the last of them the end; by default
         the scene's end time alone.

@@ -108,13 +108,19 @@ def lyapunov(
 
     Parameters
     ----------
-    scene, method, step, rtol
-        As in `solve`; equal steps in every interval.  Of the methods that choose their steps those of CyRK are taken:
-        they solve the variational equations with the tangents in their error control, afresh in every interval.
+    scene
+        Itself, or the name of a registered one.
+    method
+        The name of a fixed-step one, or of CyRK's: they solve the variational equations with the tangents in their
+        error control, afresh in every interval.
     every
         Time between two orthonormalisations, at whose ends the energy is taken.
     intervals, settle
         How many intervals count, and how many come before, at least one, for trajectories and tangents to settle.
+    step
+        As in `solve`; equal steps in every interval.
+    rtol
+        As in `solve`.
     initial_conditions
         As in `ensemble`, an entry per trajectory; by default one, the scene's own.  Where trajectories end on
         different attractors the result is the mean over them.

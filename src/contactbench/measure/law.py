@@ -76,8 +76,16 @@ class Measured:
 class Law:
     """A measure, and what those who show or compare it must know.
 
-    definition : its meaning, a header or axis label; label : a short name, mathtext.  needs : the fields it
-    reads.  gate : how two runs are compared.  shown : the documents that list it.
+    Attributes
+    ----------
+    definition, label
+        Its meaning, a header or axis label, and a short name in mathtext.
+    needs
+        The fields it reads.
+    gate
+        How two runs are compared.
+    shown
+        The documents that list it.
     """
 
     name: str
@@ -92,6 +100,11 @@ class Law:
     differentiates: bool = False
     #: whether the method of a run promises, on its scene, to keep it at every setting
     claimed: Callable[[Solution], bool] = lambda solution: False
+
+    @property
+    def about(self) -> str:
+        """Its definition: what registries list."""
+        return self.definition
 
     @property
     def structural(self) -> bool:

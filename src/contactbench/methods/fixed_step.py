@@ -178,11 +178,27 @@ CLAIMS: dict[str, Callable[[str, Any], Any]] = {
 def fixed_step(
     name: str, order: int, *, evaluations: int = 1, about: str = "", **claims: Any
 ) -> Callable[[Step], Step]:
-    """Decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
+    """Return a decorator that registers ``step(scene, x, h, xp) -> x`` as a method.
 
-    It then runs on every engine and appears in every table, figure and test.  `claims` are the
-    properties it declares: kind, family, contact, symmetric, factor.
-    Raises `BadInput` for what is none of these.
+    It then runs on every engine and appears in every table, figure and test.
+
+    Parameters
+    ----------
+    name
+        A key in tables and a word on the command line.
+    order
+        Of convergence.
+    about
+        One line with the source.
+    evaluations
+        Of the right-hand side, or of what the claim `kind` says, in a step.
+    **claims
+        The properties it declares: kind, family, contact, symmetric, factor.
+
+    Raises
+    ------
+    BadInput
+        For what is none of these.
     """
 
     if not isinstance(name, str) or not NAME.fullmatch(name):

@@ -36,8 +36,10 @@ class Driven(Mechanical):
 
     Parameters
     ----------
-    potential, gradient
-        ``V(q, t, **parameters) -> number`` and ``dV(q, t, **parameters) -> n-tuple``.
+    potential
+        ``V(q, t, **parameters) -> number``.
+    gradient
+        ``dV(q, t, **parameters) -> n-tuple``; by default derived.
     t
         The time at the start.
     gamma

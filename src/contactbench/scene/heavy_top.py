@@ -26,7 +26,9 @@ class HeavyTop(RigidBody):
         w = mgl, the torque that the weight has at most.
     axis
         χ, from the fixed point to the centre of mass: three numbers in the body, of length one where w = mgl.
-    M, R
+    M
+        As of `RigidBody`.
+    R
         As of `RigidBody`; the attitude is always carried.
     gamma
         Isotropic damping.

@@ -139,9 +139,11 @@ class Mechanical(Canonical):
     ----------
     potential
         ``V(q, **parameters) -> number``.
-    gradient, hessian
-        ``dV(q, **parameters) -> n-tuple`` and ``(q, **parameters) -> n×n`` nested tuples; by default derived from the
-        potential (the Hessian up to 32 components; solvers difference where there is none).
+    gradient
+        ``dV(q, **parameters) -> n-tuple``; by default derived from the potential.
+    hessian
+        ``(q, **parameters) -> n×n`` nested tuples; by default derived up to 32 components; solvers difference where
+        there is none.
     q, p
         Initial coordinates and momenta, n numbers each.
     gamma, kappa
