@@ -248,7 +248,7 @@ def test_one_setting_is_shown_at_both_lengths_and_a_bound_as_one():
     rows = structure.main_rows(table("structure_buys", [*RING, *bound]))
     shown = texts(structure.costs_view(rows))
     cost = ["8", "×3.00"]
-    assert shown["rk4"] == ["2.4 ms", *cost, "24 ms", *cost, "step=0.125", *["1.0e-02"] * 4]
+    assert shown["rk4"] == ["2.4 ms", *cost, "24 ms", *cost, "step=0.125", *["1.0e-02"] * 3]
     assert shown["contact-b"][0] == "≤ 800 µs"
     assert "rk4, the best that keeps no structure, ×3.00 that" in structure.figure(rows).title
 
