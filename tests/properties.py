@@ -337,9 +337,8 @@ def runs_on(method, *scenes):
 
 def has_its_order(method, *scenes):
     """The claimed order, to 0.1, from 20, 40 and 80 steps to t = 1."""
-    return all(
-        abs(order_at(method, scene, 1.0, 20) - method.order) < 0.1 for scene in runs_on(method, *scenes)
-    )
+    scenes = runs_on(method, *scenes)
+    return all(abs(order_at(method, scene, 1.0, 20) - method.order) < 0.1 for scene in scenes)
 
 
 def has_its_local_order(method, *scenes):

@@ -118,12 +118,10 @@ CALLS = [
     (rk4(step=math.nan), "step = nan: must be a finite number"),
     (rk4(step=10**5000), "step = <int>: must be"),  # too long to be printed
     (rk4(step=[1.0, -1.0]), "step = [1.0, -1.0]: must be finite steps > 0"),
-    (rk4(step=[[1.0]]), "must be finite steps > 0, at least one"),
     (rk4(step=["a"]), "step = ['a']: must be a number, or a sequence"),
     (rk4(step=[1.0, 2.0]), "step: 2 steps to t = 3, none of which ends at t = 20"),
     (rk4(step=[1.0] * 20, save_at=[2.0, 2.5]), "none of which ends at t = 2.5"),
     (lambda: cb.geometric_steps(20.0, 24, 0.5, plateau=5), "plateau = 5: must divide count = 24"),
-    (lambda: cb.geometric_steps(20.0, 24, a=0.0), "a = 0.0: must be > 0"),
     # the nearest way to what there is not
     (lambda: cb.Mechanical(**FORCE, **GIVEN, gamma=lambda t: t), "cb.Driven(rate=lambda t: …)"),
     (lambda: cb.Mechanical(**FORCE, **GIVEN, kinetic=abs), "mass=(1., 2., 5.)"),
@@ -152,7 +150,6 @@ CALLS = [
     (changed("lane_emden_0", gamma=0.1), "has it in it"),
     (changed("lane_emden_0", rate=None), "its rate is missing"),
     (changed(q=(1.0,)), "q has 1 components and p 2"),
-    (changed(q=(1.0, 2.0, 3.0), p=(0.0, 0.0, 0.0)), "q = (1.0, 2.0, 3.0)"),
     (changed(gama=0.1), "did you mean 'gamma'?"),
     (changed(BODY, inertia=(1.0, -2.0, 3.0)), "inertia = (1.0, -2.0, 3.0): all three moments must be > 0"),
     (changed(BODY, R=((1, 0, 0), (0, 1, 0), (0, 0, -1))), "rotation matrix"),
@@ -161,8 +158,6 @@ CALLS = [
     (changed(ANISOTROPIC, damping=(1.0, 1.0, -0.1)), "damping = (1.0, 1.0, -0.1): must be"),
     (lambda: GENERAL.with_(gamma=0.1), "gamma"),
     # methods
-    (lambda: cb.fixed_step("x", None), "order = None"),
-    (lambda: cb.fixed_step("x", 1, evaluations=0), "evaluations = 0: must be a whole number ≥ 1"),
     (lambda: cb.fixed_step("x", 1, exactly=True), "'exactly': a step map declares kind, family"),
     (lambda: cb.step_map("rigid_body", "contact-rkn6"), "contact-rkn6 needs kicks"),
     (lambda: cb.step_map("particle", "cvode-bdf"), "chooses its own steps"),
@@ -173,7 +168,6 @@ CALLS = [
     (composed(kick=[0.5, 0.25, 0.25]), "kick has 3 coefficients and drift 1"),
     (composed(kick=[0.5, "x"]), "kick[1] = 'x': must be a number"),
     (composed(kick=[]), "kick = []: must have at least one coefficient"),
-    (composed(order=2.5), "order = 2.5: must be a whole number"),
     (composed(name="rk4"), "method 'rk4' is already registered"),
     # functions that do not fit each other, whoever needs them first
     (wrong_user(hessian=lambda q: ((1 + 2 * q[1], 2 * q[0]), (q[0], 4.0))), "derivative: entry (2, 1) is"),
@@ -182,7 +176,6 @@ CALLS = [
     # functions that return no number, fail, or leave
     (changed(potential=1), "potential = 1: must be a function"),
     (wrong_user(potential=lambda q: q), "its potential is (0.7, -0.4)"),
-    (wrong_user(potential=lambda q: {}["a"]), "KeyError: 'a'"),
     (wrong_user(gradient=lambda q: q[5]), "test_bad_input.py, line "),
     (wrong_user(gradient=lambda q: sys.exit(0)), "scene 'mine', <lambda> (test_bad_input.py, line "),
     (wrong_user(gradient=lambda q: {0: q[0]}), "gradient: must return 2 numbers, a tuple"),

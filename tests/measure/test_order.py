@@ -79,9 +79,7 @@ def test_the_uncertainty_covers_the_truth(power):
         (1.2, (3.0, 3.002, 3.0042), 9e-3 / (1.2**2 - 1)),  # falling like h² the rest is more than the last
     ],
 )
-def test_the_uncertainty_is_three_times_the_spread_of_the_extrapolations_and_nine_unchecked(
-    ratio, slopes, uncertainty
-):
+def test_the_uncertainty_is_three_times_the_spread_and_nine_unchecked(ratio, slopes, uncertainty):
     """k = 1: the limits s₀ − (s₁ − s₀)/(r − 1) differ by 0.001; the third differs from the second by as much, a quarter
     of that at the finest step."""
     steps = 0.1 * ratio ** np.arange(len(slopes) + 1)

@@ -105,9 +105,7 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("rule", "method"), BROKEN, ids=[f"{rule}-{i}" for i, (rule, _) in enumerate(BROKEN)]
-)
+@pytest.mark.parametrize(("rule", "method"), BROKEN, ids=[f"{r}-{i}" for i, (r, _) in enumerate(BROKEN)])
 def test_a_broken_rule_is_named(rule, method):
     with pytest.raises(Violation) as caught:
         list(case_findings(MethodCase(method, method.engines[-1 if rule == 9 else 0], CASES[0])))

@@ -51,9 +51,8 @@ def damped(damping, slope):
     return cb.GeneralDamping(name="damped", **FORCE, damping=damping, damping_slope=slope, **START)
 
 
-BODY = cb.SCENES["rigid_body"].with_(
-    inertia=(1.0, 1.7, 2.1), gamma=0.25, M=(0.8, 0.9, -0.5), s=0.2, t_end=2.0
-)
+SPUN = {"inertia": (1.0, 1.7, 2.1), "M": (0.8, 0.9, -0.5), "s": 0.2}
+BODY = cb.SCENES["rigid_body"].with_(gamma=0.25, t_end=2.0, **SPUN)
 AXES = (0.1, 0.2, 0.3)
 WELL = cb.Mechanical(name="well", **FORCE, gamma=0.2, **START)
 SPRING = cb.SCENES["stiff_spring"].with_(t_end=2.0)
@@ -108,11 +107,9 @@ def last_state(what, k, name, engine):
 
 def both_ways():
     """What each solve ends in, in two processes: one after the other forwards, and backwards."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     started = [
-        subprocess.Popen(
-            [sys.executable, __file__, order], stdout=subprocess.PIPE, text=True, env=environment
-        )
+        subprocess.Popen([sys.executable, __file__, order], stdout=subprocess.PIPE, text=True, env=env)
         for order in ("forwards", "backwards")
     ]
     outputs = [process.communicate(timeout=500)[0] for process in started]

@@ -234,9 +234,7 @@ def test_diffrax_in_ensembles(name, shape, monkeypatch):
 
 
 # -- budgets, and the steps of our own ---------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("name", "engine"), [pair for pair in ADAPTIVE if pair[1] != "jax"], ids=lambda each: each
-)
+@pytest.mark.parametrize(("name", "engine"), [pair for pair in ADAPTIVE if pair[1] != "jax"])
 @saved
 def test_the_budget_is_the_one_asked_for(name, engine, times):
     """Enough for the run, and one step less is not; diffrax's is looked at above."""

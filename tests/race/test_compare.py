@@ -131,9 +131,7 @@ def test_the_reference_is_checked_and_nothing_below_its_error_is_claimed(frame, 
     assert reference["digits"] >= 20
     assert reference["confirmed"] is None or reference["confirmed"] >= 15
     exact = comparison.reference
-    monkeypatch.setattr(
-        comparison, "reference", lambda *a, **options: replace(exact(*a, **options), digits=4)
-    )
+    monkeypatch.setattr(comparison, "reference", lambda *a, **more: replace(exact(*a, **more), digits=4))
     found = cb.compare(double_well(), ["rk4"], (1e-2, 1e-6), budget=10.0)
     assert found.attrs["reference"]["error"] == 1e-4
     first, second = found.itertuples()
@@ -185,9 +183,7 @@ def test_control_c_ends_it_with_what_there_is(monkeypatch):
 def test_what_the_fewest_rounds_have_no_time_for_is_not_timed_and_says_so():
     race = Comparison(cb.SCENES["particle"], ["rk4", "contact-strang"], (1e-2,), 60.0, False)
     run = SimpleNamespace(bare=lambda y: None, start=None)
-    quick, slow = (
-        Attempt(1.0, "step=1", Status.ok, "", seconds, error=1e-3, run=run) for seconds in (1e-3, 100.0)
-    )
+    quick, slow = (Attempt(1.0, "step=1", Status.ok, "", t, error=1e-3, run=run) for t in (1e-3, 100.0))
     for each, attempt in zip(race.scouts, (quick, slow), strict=True):
         each.attempts.append(attempt)
     race.time()

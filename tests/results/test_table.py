@@ -197,9 +197,7 @@ def test_environment_lists_the_last_whole_run_and_the_partial_ones_since(tmp_pat
         run = {"profile": "standard", "commit": {"five": "four"}.get(name, name)}
         provenance.save_run(name, run, made.split(), whole.split(), tmp_path)
         found = {run["run"]: run["tables"] for run in provenance.runs(tmp_path)}
-        assert {run: {*tables} for run, tables in found.items()} == {
-            r: {*t.split()} for r, t in listed.items()
-        }
+        assert {r: {*t} for r, t in found.items()} == {r: {*t.split()} for r, t in listed.items()}
         assert set(found[name].values()) == {"whole" if whole else "part"}
 
 

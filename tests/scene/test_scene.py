@@ -87,7 +87,7 @@ def test_same_right_hand_side_on_jax_and_heyoka(scene):
 
 
 # -- the contract ---------------------------------------------------------------------------------
-@by_name([*cb.SCENES.values(), USER, TILTED])
+@by_name([*cb.SCENES.values(), USER, TILTED, cb.SCENES["oscillator"].with_(name="moving", p=(0.7,))])
 def test_a_scene_keeps_its_contract(scene):
     check_scene(scene)
 

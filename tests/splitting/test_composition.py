@@ -29,9 +29,8 @@ def test_merging_joints_changes_nothing(composition, scene, mp50):
     """n steps in one run equal n runs of one step, between the halves of the processor, to 45 digits."""
     exact, x = in_mp(scene, random_state(scene, 1))
     h, kernel = mp50.mpf("0.2"), replace(composition, processor=())
-    halves = [
-        replace(kernel, stages=stages) for stages in (composition.processor, composition.processor[::-1])
-    ]
+    processor = composition.processor
+    halves = [replace(kernel, stages=stages) for stages in (processor, processor[::-1])]
     together, apart = advance(composition, exact, x, h, 5, mp50), x
     for one in (halves[0], *[kernel] * 5, halves[1]):
         apart = advance(one, exact, apart, h, 1, mp50) if one.stages else apart

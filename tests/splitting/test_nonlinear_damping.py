@@ -64,17 +64,6 @@ def test_contact_methods_are_contact_maps_whose_factor_has_the_order_of_the_meth
 
 
 @pytest.mark.parametrize("method", CONTACT)
-@pytest.mark.parametrize("engine", ["numba", "jax", "python"])
-@pytest.mark.quick(method=("contact-strang", "contact-abc"))
-def test_contact_methods_keep_the_factor_of_their_own_flows(method, engine):
-    """At coarse steps, where the true factor is missed by far more than round-off, and with both dampings."""
-    for scene in (SCENE, SCENE.with_(gamma=0.2)):
-        solution = cb.solve(scene, method, step=0.4, save_at=[0.0, *TIMES], engine=engine)
-        assert cb.LAWS["own_factor_drift"](solution) < 1e-12
-        assert cb.LAWS["contact_drift"](solution) > 1e-9
-
-
-@pytest.mark.parametrize("method", CONTACT)
 @pytest.mark.parametrize("scene", SCENES, ids=lambda s: s.name)
 @pytest.mark.quick(scene="both")
 def test_the_form_is_kept_with_the_factor_of_the_flows_to_40_digits(method, scene):

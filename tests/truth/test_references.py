@@ -282,14 +282,6 @@ def test_a_power_at_zero_is_a_product_to_heyoka():
     assert run.sensitivity.shape == (1, 3, 3)  # of the variational equations, by derivatives of the product
 
 
-def test_a_root_at_zero_is_told_as_that():
-    force = lambda q: (3 * q[0] * cb.math.sqrt(q[0] * q[0]),)  # noqa: E731
-    root = mine(lambda q: cb.math.sqrt(q[0] * q[0]) ** 3, force, q=0.0, p=0.5)
-    run = cb.solve(root, "heyoka-taylor", rtol=1e-9)
-    assert run.status == "failed"
-    assert "no series of the root" in run.message
-
-
 def test_a_trial_step_onto_a_singularity_is_halved():
     """q' = p from q = 4 with p = −8: the first midpoint, half of t = 8 on, is the pole of V = 1/q."""
     scene = mine(lambda q: 1 / q[0], q=4.0, p=-8.0, t_end=8.0).recorded()
