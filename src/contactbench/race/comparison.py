@@ -120,7 +120,7 @@ def compare(
     methods :
         Names, by default all.
     errors :
-        Errors asked for, of max ‖y − y*‖ / max ‖y*‖ over the ends of five runs.
+        Errors asked for, of ``max ‖y − y*‖ / max ‖y*‖`` over the ends of five runs.
     budget :
         Seconds for everything; the reference may take five whatever it is.
     progress :

@@ -83,7 +83,7 @@ def substitute(pattern: re.Pattern[str], text: str, mark: Callable[[re.Match[str
 
 # -- tables as JSON --------------------------------------------------------------------------------
 def cell(of: Cell, addresses: Mapping[str, str]) -> str | list[Any]:
-    value = None if of.value is None else float(f"{of.value:.4g}")
+    value = None if of.value is None else float(f"{of.value:.6g}")
     more: list[Any] = [str(inline(of.text, addresses)), value, of.mark or "", addresses.get(of.link, of.link)]
     while not more[-1] and len(more) > 1:
         more.pop()
